@@ -1,0 +1,300 @@
+"""The only place where arrays from outside are checked, converted, and given back in their own kind.
+
+NumPy in gives NumPy out, a warp array gives a warp array on its own device, and any other exporter of DLPack or
+``__cuda_array_interface__`` comes back as its own kind where its library has a ``from_dlpack``, without a copy through
+the host. Kernels see float64 rows of three; float32 in gives float32 out, everything else gives float64.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit import _launch
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Batch", "read_vectors", "require_finite_scalar", "require_length"]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rows of three on the query device, and how results go back to where the rows came from.
+
+    Attributes:
+        array: The rows as warp vec3d, shape (N,), contiguous, on the query device.
+        single: True where the caller's rows were float32 (results are then float32 too).
+        give: Turns a warp result array on the query device into the caller's kind of array.
+    """
+
+    array: "wp.array"
+    single: bool
+    give: Callable[["wp.array"], Any]
+
+    def __len__(self) -> int:
+        return len(self.array)
+
+
+def read_vectors(values: Any, name: str, device: "wp.Device") -> Batch:
+    """Rows of three from any supported container, on ``device``.
+
+    Args:
+        values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or a DLPack or CUDA-array exporter.
+        name: The argument's name for messages.
+        device: The query device; rows that live elsewhere are copied to it, results are copied back.
+    Returns:
+        A Batch.
+    Raises:
+        InputError: A wrong shape or dtype, or a row that is not finite; the first bad row is named.
+    """
+    import warp as wp
+
+    if isinstance(values, wp.array):
+        source = values
+        vectors = values.ndim == 1
+        give = _giver(source, lambda out: out if vectors else _as_table(out))
+    elif isinstance(values, np.ndarray) or not _exports(values):
+        return _read_numpy(values, name, device)
+    else:
+        source = _import_exporter(values, name)
+        give = _giver(source, _reexporter(values))
+    rows, single = _as_rows(source, name)
+    if rows.device != device:
+        rows = rows.to(device)
+    if single:
+        rows = _widen(rows)
+    if not rows.is_contiguous:
+        rows = rows.contiguous()
+    _require_finite(rows, name)
+    return Batch(rows, single, lambda out: give(_narrowed(out, single)))
+
+
+def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
+    """``value`` as a float that is a number, above ``low``, and finite unless ``infinite``.
+
+    Raises:
+        InputError: It is none of that.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: {value!r} is not a number; give one") from error
+    if np.isnan(number) or not number > low or (np.isinf(number) and not infinite):
+        kind = "a number" if infinite else "a finite number"
+        above = f" greater than {low:g}" if low > -np.inf else ""
+        raise InputError(f"{name}: {number} is not usable; give {kind}{above}")
+    return number
+
+
+def require_length(batch: Batch, name: str, shortest: float) -> None:
+    """Refuse rows all of whose components are smaller than ``shortest``.
+
+    Raises:
+        InputError: There is such a row; the first is named.
+    """
+    import warp as wp
+
+    from geokit._arrays_kernels import first_short_kernel
+
+    row = _first_row(first_short_kernel, batch.array, [wp.float64(shortest)])
+    if row >= 0:
+        raise InputError(f"{name}: row {row} is zero or too short for a direction; give it a length")
+
+
+def _first_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
+    """Lowest row that a checking kernel reports, -1 for none."""
+    import warp as wp
+
+    none = np.iinfo(np.int32).max
+    out_row = wp.full(1, none, dtype=wp.int32, device=rows.device)
+    _launch.launch(kernel, len(rows), [rows, *inputs], [out_row], rows.device)
+    row = int(out_row.numpy()[0])
+    return -1 if row == none else row
+
+
+def _exports(values: Any) -> bool:
+    # NumPy-like things (pandas columns, memory views) are read through NumPy; these two protocols are for the others.
+    return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
+
+
+def _read_numpy(values: Any, name: str, device: "wp.Device") -> Batch:
+    import warp as wp
+
+    try:
+        given = np.asarray(values)
+        single = given.dtype == np.float32
+        if given.dtype.kind not in "fiu" and given.size:
+            raise InputError(f"{name}: dtype {given.dtype} is not a real number type; convert it to float64")
+        table = np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name}: cannot be read as an (N, 3) table of numbers ({error})") from error
+    if table.size == 0 and table.ndim <= 2:
+        table = table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
+    # The sum is finite only if every entry is (or almost never the sum of huge ones overflows): one quick pass first.
+    if not np.isfinite(table.sum()):
+        _refuse_nonfinite(table, name)
+    host = wp.array(
+        ptr=table.ctypes.data, dtype=wp.vec3d, shape=(len(table),), device="cpu", capacity=table.nbytes, copy=False
+    )
+    host._geokit_source = table  # the array does not own the memory it points to
+    rows = host if device.is_cpu else host.to(device)
+    return Batch(rows, single, lambda out: _to_numpy(out, single))
+
+
+def _refuse_nonfinite(table: np.ndarray, name: str) -> None:
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"{name}: row {row} is not finite ({table[row].tolist()}); remove or replace such rows")
+
+
+def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
+    result = out.numpy()
+    return result.astype(np.float32) if single and result.dtype == np.float64 else result
+
+
+def _import_exporter(values: Any, name: str) -> "wp.array":
+    import warp as wp
+
+    try:
+        if hasattr(values, "__dlpack__"):
+            return wp.from_dlpack(values)
+        interface = values.__cuda_array_interface__
+        dtype = wp.dtype_from_numpy(np.dtype(interface["typestr"]))
+        array = wp.array(
+            ptr=interface["data"][0],
+            dtype=dtype,
+            shape=interface["shape"],
+            strides=interface.get("strides"),
+            device=_device_of_pointer(interface["data"][0]),
+            copy=False,
+        )
+        array._geokit_source = values
+        return array
+    except (RuntimeError, TypeError, ValueError, AttributeError, BufferError, KeyError) as error:
+        kind = type(values).__name__
+        raise InputError(f"{name}: the {kind} cannot be shared ({error}); pass a contiguous float array") from error
+
+
+def _device_of_pointer(pointer: int) -> str:
+    # The protocol does not say which GPU: the driver does.
+    import ctypes
+
+    driver = ctypes.CDLL("libcuda.so.1")
+    ordinal = ctypes.c_int(-1)
+    attribute_device_ordinal = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
+    status = driver.cuPointerGetAttribute(ctypes.byref(ordinal), attribute_device_ordinal, ctypes.c_uint64(pointer))
+    return f"cuda:{ordinal.value}" if status == 0 else "cuda:0"
+
+
+def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
+    """The array as (N,) of vec3f or vec3d, and whether it is the former."""
+    import warp as wp
+
+    if source.dtype in (wp.vec3f, wp.vec3d) and source.ndim == 1:
+        return source, source.dtype == wp.vec3f
+    if source.dtype in (wp.float32, wp.float64) and source.ndim == 2 and source.shape[1] == 3:
+        single = source.dtype == wp.float32
+        table = source if source.is_contiguous else source.contiguous()
+        return _reinterpret(table, wp.vec3f if single else wp.vec3d, (source.shape[0],)), single
+    if source.size == 0:
+        return wp.empty(0, dtype=wp.vec3d, device=source.device), source.dtype in (wp.vec3f, wp.float32)
+    kind = getattr(source.dtype, "__name__", str(source.dtype))
+    raise InputError(
+        f"{name}: an array of {kind} with shape {tuple(source.shape)} is not (N, 3) float32 or float64, nor (N,) vec3"
+    )
+
+
+def _widen(rows: "wp.array") -> "wp.array":
+    import warp as wp
+
+    if len(rows) == 0:
+        return wp.empty(0, dtype=wp.vec3d, device=rows.device)
+    if rows.device.is_cpu:
+        wide = rows.numpy().astype(np.float64)
+        return wp.array(wide, dtype=wp.vec3d, device="cpu")
+    from geokit._arrays_kernels import widen_kernel
+
+    out = wp.empty(len(rows), dtype=wp.vec3d, device=rows.device)
+    _launch.launch(widen_kernel, len(rows), [rows], [out], rows.device)
+    return out
+
+
+def _require_finite(rows: "wp.array", name: str) -> None:
+    if len(rows) == 0:
+        return
+    if rows.device.is_cpu:
+        _refuse_nonfinite(rows.numpy(), name)
+        return
+    from geokit._arrays_kernels import first_nonfinite_kernel
+
+    row = _first_row(first_nonfinite_kernel, rows, [])
+    if row >= 0:
+        bad = rows[row : row + 1].numpy()[0].tolist()
+        raise InputError(f"{name}: row {row} is not finite ({bad}); remove or replace such rows")
+
+
+def _narrowed(out: "wp.array", single: bool) -> "wp.array":
+    """float64 results as float32 where the query was float32."""
+    import warp as wp
+
+    narrow = {wp.float64: wp.float32, wp.vec3d: wp.vec3f}.get(out.dtype)
+    if not single or narrow is None:
+        return out
+    if out.device.is_cpu:
+        return wp.array(out.numpy().astype(np.float32), dtype=narrow, device="cpu")
+    from geokit._arrays_kernels import narrow_kernel
+
+    size = out.size * (3 if narrow == wp.vec3f else 1)
+    flat = _reinterpret(out, wp.float64, (size,))
+    result = wp.empty(size, dtype=wp.float32, device=out.device)
+    _launch.launch(narrow_kernel, size, [flat], [result], out.device)
+    return _reinterpret(result, narrow, out.shape)
+
+
+def _as_table(out: "wp.array") -> "wp.array":
+    """(N,) of vec3 as (N, 3) of scalars over the same memory; scalars as they are."""
+    import warp as wp
+
+    scalar = {wp.vec3f: wp.float32, wp.vec3d: wp.float64}.get(out.dtype)
+    return out if scalar is None else _reinterpret(out, scalar, (*out.shape, 3))
+
+
+def _reinterpret(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
+    """The same contiguous memory under another type and shape; keeps its owner alive."""
+    import warp as wp
+
+    view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
+    view._geokit_source = array
+    return view
+
+
+def _giver(source: "wp.array", finish: Callable[["wp.array"], Any]) -> Callable[["wp.array"], Any]:
+    home = source.device
+    return lambda out: finish(out if out.device == home else out.to(home))
+
+
+def _reexporter(values: Any) -> Callable[["wp.array"], Any]:
+    """How a result becomes the caller's kind: the type's own ``from_dlpack``, else its library's, else a warp array."""
+    kind = type(values)
+    importer = getattr(kind, "from_dlpack", None)
+    if importer is None and hasattr(values, "__array_namespace__"):
+        importer = getattr(values.__array_namespace__(), "from_dlpack", None)
+    if importer is None:
+        library = sys.modules.get(kind.__module__.partition(".")[0])
+        importer = getattr(library, "from_dlpack", None) or getattr(
+            getattr(library, "dlpack", None), "from_dlpack", None
+        )
+    if importer is None:
+        return _as_table
+    return lambda out: importer(_as_table(out))

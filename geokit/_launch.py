@@ -1,0 +1,251 @@
+"""The only place where kernels are launched: device, CPU threads, query order, blocks and the compile notice."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = [
+    "cuda_devices",
+    "launch",
+    "launch_queries",
+    "load_module",
+    "on_compile",
+    "resolve_device",
+    "thread_count",
+]
+
+# A launch costs about 30 us of Python: slices shorter than this would spend more on launching than on work.
+MINIMUM_SLICE = 512
+# More slices than threads, so that a slice of hard queries does not keep the others waiting.
+SLICES_PER_THREAD = 8
+# Sorting fewer queries than this costs more than their order gives back.
+MINIMUM_ORDERED = 2048
+# Queries per launch: bounds the memory of keys and order (16 bytes each, twice) to 128 MiB.
+BLOCK = 1 << 22
+# A load from the kernel cache takes well under this; a build takes seconds.
+COMPILE_NOTICE_SECONDS = 0.7
+
+_loaded: set[tuple[str, str]] = set()
+_load_lock = threading.Lock()
+_compile_listener: Callable[[str], None] | None = None
+
+
+@functools.lru_cache(maxsize=1)
+def _warp() -> Any:
+    import warp
+
+    with _quiet(warp), _silenced_stderr():
+        warp.init()
+    return warp
+
+
+@contextlib.contextmanager
+def _quiet(wp: Any) -> Iterator[None]:
+    """Holds back warp's banner and load messages; the level that the user's own warp code runs under is put back."""
+    level = wp.config.log_level
+    wp.config.log_level = max(level, logging.WARNING)
+    try:
+        yield
+    finally:
+        wp.config.log_level = level
+
+
+@contextlib.contextmanager
+def _silenced_stderr() -> Iterator[None]:
+    """Sends descriptor 2 to nowhere: warp's native start-up reports a missing CUDA driver there, past sys.stderr."""
+    try:
+        saved = os.dup(2)
+    except OSError:  # a process without a stderr has nothing to silence
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+
+
+def cuda_devices() -> list[str]:
+    """Aliases of the CUDA devices that can be used."""
+    return [device.alias for device in _warp().get_cuda_devices()]
+
+
+def resolve_device(device: Any = None) -> "wp.Device":
+    """The warp device for an alias ("cpu", "cuda:0"), for a warp device, or for None: the first GPU, else the CPU.
+
+    Raises:
+        InputError: There is no such device; the message lists those there are.
+    """
+    wp = _warp()
+    if device is None:
+        found = wp.get_cuda_devices()
+        return found[0] if found else wp.get_device("cpu")
+    try:
+        return wp.get_device(device)
+    except (ValueError, RuntimeError, TypeError) as error:
+        names = ", ".join(["cpu", *cuda_devices()])
+        raise InputError(f"device: {device!r} is not on this machine; use one of {names}") from error
+
+
+def thread_count() -> int:
+    """CPU threads that kernels use: GEOKIT_THREADS, else the processors that this process may run on.
+
+    Raises:
+        InputError: GEOKIT_THREADS is set to something that is not a positive whole number.
+    """
+    wanted = os.environ.get("GEOKIT_THREADS", "")
+    if wanted:
+        if not wanted.isdigit() or int(wanted) < 1:
+            raise InputError(f"GEOKIT_THREADS: {wanted!r} is not a positive whole number; set it to 1 or more")
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@functools.lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="geokit")
+
+
+def on_compile(listener: Callable[[str], None] | None) -> None:
+    """Have ``listener(module_name)`` called when a kernel module is being compiled rather than read from the cache."""
+    global _compile_listener
+    _compile_listener = listener
+
+
+def load_module(module: Any, device: "wp.Device") -> None:
+    """Build or load a kernel module before its first launch: slices of a launch must not each try to."""
+    key = (module.name, device.alias)
+    if key in _loaded:
+        return
+    with _load_lock:
+        if key in _loaded:
+            return
+        listener = _compile_listener
+        notice = threading.Timer(COMPILE_NOTICE_SECONDS, listener, [module.name]) if listener else None
+        if notice:
+            notice.daemon = True
+            notice.start()
+        try:
+            with _quiet(_warp()):
+                # Launches on the CPU run with blocks of one; another block size would be another build.
+                module.load(device, block_dim=1 if device.is_cpu else None)
+        finally:
+            if notice:
+                notice.cancel()
+        _loaded.add(key)
+
+
+def launch(
+    kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device", *, grain: int = 0
+) -> None:
+    """Run ``kernel`` for the items ``0 .. count - 1``; its first parameter is the first item of the slice.
+
+    Args:
+        kernel: A warp kernel ``(first: int, *inputs, *outputs)`` whose item is ``first + wp.tid()``.
+        count: Number of items, below 2^31.
+        inputs: Arguments after ``first``.
+        outputs: Arguments after the inputs.
+        device: Where the arrays are.
+        grain: Fewest items worth a slice of their own, for kernels whose items are large; 0 for the usual.
+    """
+    if count == 0:
+        return
+    wp = _warp()
+    load_module(kernel.module, device)
+    if device.is_cuda:
+        _launch_slice(wp, kernel, 0, count, inputs, outputs, device)
+        return
+    # Warp runs a CPU launch on one thread and lets go of the GIL meanwhile.
+    threads = thread_count()
+    size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
+    if threads == 1 or count <= size:
+        _launch_slice(wp, kernel, 0, count, inputs, outputs, device)
+        return
+    jobs = [
+        _pool(threads).submit(_launch_slice, wp, kernel, first, min(size, count - first), inputs, outputs, device)
+        for first in range(0, count, size)
+    ]
+    for job in jobs:
+        job.result()
+
+
+def _launch_slice(
+    wp: Any, kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
+) -> None:
+    wp.launch(kernel, dim=count, inputs=[first, *inputs], outputs=list(outputs), device=device, record_tape=False)
+
+
+def launch_queries(
+    kernel: Any,
+    points: "wp.array",
+    inputs: Sequence[Any],
+    outputs: Sequence["wp.array"],
+    device: "wp.Device",
+    *,
+    lower: Sequence[float],
+    extent: float,
+    streams: Sequence["wp.array"] = (),
+) -> None:
+    """Run a query kernel over ``points`` in blocks, each in Morton order where that pays.
+
+    Answers do not depend on the order: it only decides which queries share the caches.
+
+    Args:
+        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
+        points: Positions (N,) of vec3d that decide the order [world].
+        inputs: Arguments that every query shares.
+        outputs: Arrays with N rows.
+        device: Where the arrays are.
+        lower: Lower corner [world] of the box that the order resolves; points outside are clamped to it.
+        extent: Edge length [world] of that box.
+        streams: Further arrays with N rows that go with the points.
+    """
+    total = len(points)
+    for start in range(0, total, BLOCK):
+        stop = min(total, start + BLOCK)
+        block = points if stop - start == total else points[start:stop]
+        rows = [a if stop - start == total else a[start:stop] for a in (*streams, *outputs)]
+        order = _order(block, lower, extent, device)
+        launch(kernel, stop - start, [order, block, *rows[: len(streams)], *inputs], rows[len(streams) :], device)
+
+
+def _order(points: "wp.array", lower: Sequence[float], extent: float, device: "wp.Device") -> "wp.array":
+    wp = _warp()
+    from geokit._order_kernels import morton_kernel
+
+    count = len(points)
+    if count < MINIMUM_ORDERED:
+        return _identity(device.alias)
+    # radix_sort_pairs uses the second half of both arrays as scratch space.
+    keys = wp.empty(2 * count, dtype=wp.int32, device=device)
+    order = wp.empty(2 * count, dtype=wp.int32, device=device)
+    inverse = 1.0 / extent if extent > 0.0 else 0.0
+    launch(morton_kernel, count, [points, wp.vec3d(*map(float, lower)), wp.float64(inverse)], [keys, order], device)
+    wp.utils.radix_sort_pairs(keys, order, count, end_bit=30)
+    return order
+
+
+@functools.lru_cache(maxsize=16)
+def _identity(alias: str) -> "wp.array":
+    wp = _warp()
+    from geokit._order_kernels import identity_kernel
+
+    device = wp.get_device(alias)
+    order = wp.empty(MINIMUM_ORDERED, dtype=wp.int32, device=device)
+    launch(identity_kernel, MINIMUM_ORDERED, [], [order], device)
+    return order

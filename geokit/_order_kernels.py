@@ -1,0 +1,47 @@
+"""Morton keys: queries that are near each other in space are answered near each other in time."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def spread_bits(x: wp.uint32) -> wp.uint32:
+    """The low 10 bits of x with two zeros between neighbours."""
+    v = x & wp.uint32(0x3FF)
+    v = (v | (v << wp.uint32(16))) & wp.uint32(0x030000FF)
+    v = (v | (v << wp.uint32(8))) & wp.uint32(0x0300F00F)
+    v = (v | (v << wp.uint32(4))) & wp.uint32(0x030C30C3)
+    v = (v | (v << wp.uint32(2))) & wp.uint32(0x09249249)
+    return v
+
+
+@wp.func
+def cell_of(x: wp.float64, lower: wp.float64, inverse_extent: wp.float64) -> wp.uint32:
+    # Clamped as a float: an int cast of a far-away coordinate would be undefined.
+    u = wp.clamp((x - lower) * inverse_extent, wp.float64(0.0), wp.float64(1.0))
+    return wp.uint32(u * wp.float64(1023.0))
+
+
+@wp.kernel
+def morton_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    lower: wp.vec3d,
+    inverse_extent: wp.float64,
+    out_key: wp.array(dtype=int),
+    out_index: wp.array(dtype=int),
+):
+    i = first + wp.tid()
+    p = points[i]
+    x = cell_of(p[0], lower[0], inverse_extent)
+    y = cell_of(p[1], lower[1], inverse_extent)
+    z = cell_of(p[2], lower[2], inverse_extent)
+    out_key[i] = int(spread_bits(x) | (spread_bits(y) << wp.uint32(1)) | (spread_bits(z) << wp.uint32(2)))
+    out_index[i] = i
+
+
+@wp.kernel
+def identity_kernel(first: int, out_index: wp.array(dtype=int)):
+    i = first + wp.tid()
+    out_index[i] = i

@@ -1,0 +1,98 @@
+"""A sparse volume: one NanoVDB grid in a host buffer, its description, and its copies on devices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["GridInfo", "SparseVolume"]
+
+
+@dataclass(frozen=True, eq=False)
+class GridInfo:
+    """What is known about a grid without reading its voxels.
+
+    Attributes:
+        name: The grid's name, ``""`` where it has none.
+        grid_type: Value type, as NanoVDB names it in lower case: "float", "double", "int32", "int64", "vec3f",
+            "vec3d", "vec3i", "bool", "mask", "half", "fp4", "fp8", "fp16", "fpn", ...
+        grid_class: "level set", "fog volume", "staggered", "point index", "point data", "topology", "unknown", ...
+        transform: Index to world, shape (4, 4) float64: ``world = transform[:3, :3] @ index + transform[:3, 3]``.
+        voxel_size: Edge lengths of a voxel along its index axes [world], shape (3,).
+        background: Value outside every node; a float, int, bool or a tuple of them.
+        active_voxel_count: Number of active voxels, those of active tiles included.
+        index_bounds: First and last active voxel, shape (2, 3) int64, both inclusive; None where none is active.
+        byte_count: Size of the NanoVDB buffer, or of the grid in its file where only its header was read.
+        metadata: The OpenVDB metadata of the grid (strings, numbers, tuples, bytes), read-only.
+    """
+
+    name: str
+    grid_type: str
+    grid_class: str
+    transform: NDArray[np.float64]
+    voxel_size: NDArray[np.float64]
+    background: Any
+    active_voxel_count: int
+    index_bounds: NDArray[np.int64] | None
+    byte_count: int
+    metadata: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64] | None:
+        """Box around the active voxel centres [world], shape (2, 3); None where none is active."""
+        if self.index_bounds is None:
+            return None
+        corners = np.array(np.meshgrid(*self.index_bounds.T, indexing="ij"), dtype=np.float64).reshape(3, -1)
+        world = self.transform[:3, :3] @ corners + self.transform[:3, 3:]
+        return np.stack([world.min(axis=1), world.max(axis=1)])
+
+
+@dataclass(frozen=True, eq=False)
+class SparseVolume:
+    """One NanoVDB grid.
+
+    Args:
+        nanovdb: The grid's buffer: uint8, C-contiguous, starting at a 32-byte boundary, one grid, no file header.
+        info: Its description.
+    """
+
+    nanovdb: NDArray[np.uint8]
+    info: GridInfo
+    _uploads: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def on(self, device: Any = None) -> "wp.Volume":
+        """The grid as a ``warp.Volume`` on ``device``, uploaded once and kept while this volume lives."""
+        from geokit.volume._upload import upload
+
+        return upload(self, device)
+
+    def id(self, device: Any = None) -> int:
+        """Handle for the user's own kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
+        return int(self.on(device).id)
+
+    def sample(self, points: Any, *, order: int = 1, device: Any = None) -> Any:
+        """See :func:`geokit.volume.sample`."""
+        from geokit.volume.sample import sample
+
+        return sample(self, points, order=order, device=device)
+
+    def gradient(self, points: Any, *, order: int = 1, device: Any = None) -> Any:
+        """See :func:`geokit.volume.gradient`."""
+        from geokit.volume.sample import gradient
+
+        return gradient(self, points, order=order, device=device)
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{s:.6g}" for s in self.info.voxel_size)
+        return (
+            f"SparseVolume({self.info.name!r}, {self.info.grid_type}, {self.info.grid_class}, "
+            f"{self.info.active_voxel_count} active voxels of {size})"
+        )
