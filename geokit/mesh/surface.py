@@ -106,9 +106,8 @@ class Surface:
         from geokit.mesh._bvh_kernels import gather_corners_kernel
 
         device, mesh = self._device, self.mesh
-        local = self._frame.to_local(mesh.vertices)
         # Vertices that no face uses may lie anywhere; in the frame of the faces they could overflow float32.
-        local = np.clip(local, -2.0, 2.0)
+        local = self._frame.to_local(np.clip(mesh.vertices, *mesh.bounds))
         faces = wp.array(mesh.faces.reshape(-1), dtype=wp.int32, device=device)
         self._warp_mesh = wp.Mesh(
             points=wp.array(local, dtype=wp.vec3, device=device),

@@ -31,8 +31,11 @@ TILES_PER_AXIS = 1 << 21
 LEAF_BYTES = 2144
 # Beside its leaf, a tile costs its distance, two copies of its signs, its neighbours and its keys while it is made.
 WORKING_BYTES = 512 * 6 + 128
-# Boxes of all triangles, in tiles, above which marking them one by one would take minutes.
+# Boxes of all triangles, in tiles, above which testing tile by tile would take longer than filling them.
 MOST_TILE_TESTS = 4e9
+# The distances of two neighbours on either side of a wall that is square to them add up to a voxel exactly; rounded to
+# float32 they may add up to a little more, and a flood must not pass there.
+FLOOD_MARGIN = 1.00001
 # Rounds of seeds and floods before the voxels that are left are asked one by one: the fourth finds next to nothing.
 FLOOD_ROUNDS = 3
 
@@ -165,7 +168,7 @@ class _Band:
         signs = wp.zeros((count, 512), dtype=wp.int8, device=device)
         unknown = wp.empty(count, dtype=wp.int32, device=device)
         neighbors = wp.array(_face_neighbors(origins), dtype=wp.int32, device=device)
-        spacing = float(np.float32(self.voxel_size))
+        spacing = float(np.float32(self.voxel_size * FLOOD_MARGIN))
         winding = self.surface._winding_arguments()
         where = [leaves, *self._grid, *winding]
 
@@ -191,31 +194,53 @@ class _Band:
         return signs
 
     def _tile_range(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Lowest tile and number of tiles along each axis of the box around the band."""
         corners = self.surface.mesh.vertices[self.surface.mesh.faces]
-        low = (corners.min(axis=1) - self.translation) / self.voxel_size - self.half_width
-        high = (corners.max(axis=1) - self.translation) / self.voxel_size + self.half_width
-        first, last = np.floor(low / 8.0), np.floor(high / 8.0)
-        size = last.max(axis=0) - first.min(axis=0) + 1.0
-        tests = float(np.prod(last - first + 1.0, axis=1).sum())
-        if size.max() >= TILES_PER_AXIS or tests > MOST_TILE_TESTS:
+        low, high = corners.min(axis=1) - self.translation, corners.max(axis=1) - self.translation
+        # A surface meets at least a tile for each 8 x 8 voxels; duplicates may make it look four times as large.
+        with np.errstate(over="ignore", under="ignore"):
+            tiles = np.square(np.sqrt(_area(corners)) / self.voxel_size / 16.0)
+        self._require_memory(int(min(tiles, 1e18)) * LEAF_BYTES)
+        lowest, size, fits = _tile_box(low, high, self.voxel_size, self.half_width)
+        if not fits:
             across = 8.0 * float(size.max())
-            growth = max(float(size.max()) / 4096.0, (tests / MOST_TILE_TESTS) ** (1.0 / 3.0))
+            enough = self.voxel_size
+            while not fits:
+                enough = max(2.0 * enough, float((high.max(axis=0) - low.min(axis=0)).max()) / (8.0 * TILES_PER_AXIS))
+                _, _, fits = _tile_box(low, high, enough, self.half_width)
             raise DeviceMemoryError(
-                f"voxel_size: {self.voxel_size:g} makes the mesh {across:.3g} voxels across; "
-                f"use at least {self.voxel_size * growth:.2g}"
+                f"voxel_size: {self.voxel_size:g} makes the mesh {across:.3g} voxels across, more than can be "
+                f"counted; use at least {enough:.2g}"
             )
-        return first.min(axis=0).astype(np.int32), size.astype(np.int32)
+        return lowest.astype(np.int32), size.astype(np.int32)
 
     def _require_memory(self, need: int) -> None:
         # Host copies of distances and signs stand beside the device's: what the device holds the host must hold too.
         have = min(_memory.available(self.device), _memory.available_host())
         if need > have:
             # Tiles cover a surface: their number goes with the square of the resolution.
-            fits = self.voxel_size * math.sqrt(need / max(have, 1))
+            enough = self.voxel_size * math.sqrt(need / max(have, 1)) * 1.05
             raise DeviceMemoryError(
                 f"voxel_size: {self.voxel_size:g} needs about {need >> 20} MiB of the {have >> 20} MiB free on "
-                f"{self.device.alias}; use {fits * 1.05:.2g} or more, or a smaller half_width"
+                f"{self.device.alias}; use {enough:.2g} or more, or a smaller half_width"
             )
+
+
+def _area(corners: NDArray[np.float64]) -> np.float64:
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * np.linalg.norm(normals, axis=1).sum()
+
+
+def _tile_box(
+    low: NDArray[np.float64], high: NDArray[np.float64], voxel_size: float, half_width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Lowest tile, tiles along each axis, and whether so many can be numbered and tested one by one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = np.floor((low / voxel_size - half_width) / 8.0)
+        last = np.floor((high / voxel_size + half_width) / 8.0)
+        size = last.max(axis=0) - first.min(axis=0) + 1.0
+        tests = float(np.prod(last - first + 1.0, axis=1).sum())
+    return first.min(axis=0), size, bool(size.max() < TILES_PER_AXIS and tests <= MOST_TILE_TESTS)
 
 
 def _translation(bounds: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
