@@ -1,0 +1,37 @@
+"""Raw warp, as its users write it today: what the benchmarks compare with."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def raw_closest_kernel(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e6)
+    out[i] = wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
+
+
+@wp.kernel
+def raw_ray_kernel(
+    mesh: wp.uint64, origins: wp.array(dtype=wp.vec3), directions: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)
+):
+    i = wp.tid()
+    query = wp.mesh_query_ray(mesh, origins[i], directions[i], 1.0e6)
+    out[i] = wp.where(query.result, query.t, float(wp.inf))
+
+
+@wp.kernel
+def raw_sample_kernel(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+    i = wp.tid()
+    out[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, points[i]), wp.Volume.LINEAR)
+
+
+@wp.kernel
+def raw_count_kernel(grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: float, out: wp.array(dtype=int)):
+    i = wp.hash_grid_point_id(grid, wp.tid())
+    count = int(0)
+    for j in wp.hash_grid_query(grid, points[i], radius):
+        if wp.length_sq(points[j] - points[i]) <= radius * radius:
+            count += 1
+    out[i] = count

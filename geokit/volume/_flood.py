@@ -1,0 +1,84 @@
+"""Signs of a level set's empty regions, spread from the faces of its leaves through the tables of its nodes.
+
+A narrow band keeps every sign change inside its leaves: a slot without child lies on one side, the one that the
+touching face of any neighbour shows. One sweep each along z, y and x reaches every slot of a node that has a child.
+
+Source:
+    OpenVDB's signedFloodFill. Differs: all nodes of a level at once, and every face passes its own sign instead of each
+    node the one of its last voxel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FACES", "face_signs", "flood"]
+
+# Axis and side of a node's faces: 0 is the lower one.
+FACES = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1))
+
+
+def face_signs(values: NDArray[np.float32]) -> NDArray[np.int8]:
+    """Sign on each face of each leaf, read next to the middle of the face.
+
+    Args:
+        values: Leaf values (L, 512), z fastest.
+
+    Returns:
+        -1 or 1, shape (L, 6), in the order of :data:`FACES`.
+    """
+    cube = values.reshape(-1, 8, 8, 8)
+    middle = 4
+    picked = [
+        cube[:, 0, middle, middle], cube[:, 7, middle, middle],
+        cube[:, middle, 0, middle], cube[:, middle, 7, middle],
+        cube[:, middle, middle, 0], cube[:, middle, middle, 7],
+    ]  # fmt: skip
+    return np.where(np.stack(picked, axis=1) < 0.0, np.int8(-1), np.int8(1))
+
+
+def flood(
+    node_count: int, width: int, node: NDArray[np.int64], slot: NDArray[np.int64], faces: NDArray[np.int8]
+) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """Signs of the slots of nodes from the faces of their children.
+
+    Args:
+        node_count: Number of nodes N.
+        width: Slots along each axis of a node.
+        node: Node of each child, shape (C,), each node at least once.
+        slot: Slot of each child in its node, shape (C,), z fastest.
+        faces: Signs of the children's faces (C, 6).
+
+    Returns:
+        Sign of every slot (N, width^3), 0 where there is a child, and the signs of the nodes' own faces (N, 6).
+    """
+    shape = (node_count, width, width, width)
+    open_slots = np.ones((node_count, width**3), np.bool_)
+    open_slots[node, slot] = False
+    unknown = open_slots.reshape(shape)
+    signs = np.zeros(shape, np.int8)
+    # What a neighbour sees of a slot is the tile's sign or the child's face on its side: the other of the two is zero.
+    shown = np.zeros((6, node_count, width**3), np.int8)
+    shown[:, node, slot] = faces.T
+    shown = shown.reshape(6, *shape)
+    for axis in (2, 1, 0):
+        _sweep(signs, unknown, shown[2 * axis + 1], axis, range(1, width), -1)
+        _sweep(signs, unknown, shown[2 * axis], axis, range(width - 2, -1, -1), 1)
+    own = np.empty((node_count, 6), np.int8)
+    middle = width // 2
+    for face, (axis, side) in enumerate(FACES):
+        place: list[slice | int] = [slice(None), middle, middle, middle]
+        place[1 + axis] = side * (width - 1)
+        own[:, face] = signs[tuple(place)] + shown[face][tuple(place)]
+    return signs.reshape(node_count, -1), own
+
+
+def _sweep(
+    signs: NDArray[np.int8], unknown: NDArray[np.bool_], shown: NDArray[np.int8], axis: int, steps: range, back: int
+) -> None:
+    sign, open_slot, face = (np.moveaxis(array, axis + 1, 0) for array in (signs, unknown, shown))
+    for i in steps:
+        new = (sign[i + back] + face[i + back]) * open_slot[i]
+        sign[i] += new
+        open_slot[i] &= new == 0

@@ -1,0 +1,190 @@
+"""Sizes and offsets of the nodes of every NanoVDB grid type.
+
+Source:
+    NanoVDB.h 32.4 and 32.8. Differs: layouts are computed from the size and alignment of the value type instead of
+    being listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from geokit.errors import UnsupportedGridError
+
+__all__ = [
+    "ALIGNMENT",
+    "GRID_TYPES",
+    "LAYOUTS",
+    "LEAF_VOXELS",
+    "LOWER_SLOTS",
+    "UPPER_SLOTS",
+    "GridLayout",
+    "layout_of",
+    "type_name",
+]
+
+ALIGNMENT = 32
+UPPER_SLOTS = 32**3
+LOWER_SLOTS = 16**3
+LEAF_VOXELS = 8**3
+FPN_HEADER = 96
+
+
+@dataclass(frozen=True)
+class GridLayout:
+    """Byte layout of one grid type.
+
+    Attributes:
+        name: The type's name in lower case.
+        background: NumPy type of the background value, with its shape for vectors.
+        align: Alignment [bytes] of a value.
+        stat: Size and alignment [bytes] of an average or deviation.
+        leaf_bits: Bits per voxel in a leaf's table; 0 where a leaf stores none, -1 where every leaf has its own number.
+        leaf_header: Bytes of a leaf before its table where values are quantised, else 0.
+    """
+
+    name: str
+    background: np.dtype[Any]
+    align: int
+    stat: int
+    leaf_bits: int
+    leaf_header: int = 0
+
+    @cached_property
+    def root_background(self) -> int:
+        """Offset of the background value from the root."""
+        return _round(28, self.align)
+
+    @cached_property
+    def root_size(self) -> int:
+        """Bytes of the root without its table."""
+        return _round(self._after_statistics(self.root_background + self.background.itemsize), ALIGNMENT)
+
+    @cached_property
+    def root_tile_size(self) -> int:
+        """Bytes of one entry of the root's table: key, child offset, state, value."""
+        return _round(_round(20, self.align) + self.background.itemsize, ALIGNMENT)
+
+    @cached_property
+    def table_stride(self) -> int:
+        """Bytes of one slot of an internal node: a child offset or a tile's value."""
+        return _round(max(8, self.background.itemsize), 8)
+
+    @cached_property
+    def upper_table(self) -> int:
+        """Offset of the slots from an upper node."""
+        return _round(self._after_statistics(32 + 2 * UPPER_SLOTS // 8), ALIGNMENT)
+
+    @cached_property
+    def upper_size(self) -> int:
+        """Bytes of an upper node."""
+        return _round(self.upper_table + UPPER_SLOTS * self.table_stride, ALIGNMENT)
+
+    @cached_property
+    def lower_table(self) -> int:
+        """Offset of the slots from a lower node."""
+        return _round(self._after_statistics(32 + 2 * LOWER_SLOTS // 8), ALIGNMENT)
+
+    @cached_property
+    def lower_size(self) -> int:
+        """Bytes of a lower node."""
+        return _round(self.lower_table + LOWER_SLOTS * self.table_stride, ALIGNMENT)
+
+    @cached_property
+    def leaf_size(self) -> int:
+        """Bytes of a leaf; the smallest there can be where leaves differ."""
+        if self.leaf_header:
+            return self.leaf_header + max(self.leaf_bits, 1) * LEAF_VOXELS // 8
+        if self.leaf_bits == 0:
+            return 96
+        if self.leaf_bits == 1:
+            return 160
+        table = _round(self._after_statistics(80), ALIGNMENT)
+        return _round(table + self.leaf_bits * LEAF_VOXELS // 8, ALIGNMENT)
+
+    def _after_statistics(self, offset: int) -> int:
+        # Minimum and maximum are values, average and deviation are statistics, each aligned by its own size.
+        offset = _round(offset, self.align) + 2 * self.background.itemsize
+        return _round(offset, self.stat) + 2 * self.stat
+
+
+def _round(value: int, step: int) -> int:
+    return -(-value // step) * step
+
+
+def _scalar(name: str, dtype: str, stat: int, leaf_bits: int | None = None, leaf_header: int = 0) -> GridLayout:
+    kind = np.dtype(dtype)
+    bits = 8 * kind.itemsize if leaf_bits is None else leaf_bits
+    return GridLayout(name, kind, kind.itemsize, stat, bits, leaf_header)
+
+
+def _vector(name: str, dtype: str, count: int, stat: int) -> GridLayout:
+    element = np.dtype(dtype)
+    return GridLayout(name, np.dtype((element, (count,))), element.itemsize, stat, 8 * element.itemsize * count)
+
+
+GRID_TYPES: tuple[str, ...] = (
+    "unknown", "float", "double", "int16", "int32", "int64", "vec3f", "vec3d", "mask", "half", "uint32", "bool",
+    "rgba8", "fp4", "fp8", "fp16", "fpn", "vec4f", "vec4d", "index", "onindex", "indexmask", "onindexmask",
+    "pointindex", "vec3u8", "vec3u16", "uint8",
+)  # fmt: skip
+
+LAYOUTS: Mapping[str, GridLayout] = MappingProxyType(
+    {
+        layout.name: layout
+        for layout in (
+            _scalar("float", "<f4", 4),
+            _scalar("double", "<f8", 8),
+            _scalar("int16", "<i2", 4),
+            _scalar("int32", "<i4", 4),
+            _scalar("int64", "<i8", 8),
+            _vector("vec3f", "<f4", 3, 4),
+            _vector("vec3d", "<f8", 3, 8),
+            _scalar("mask", "?", 1, leaf_bits=0),
+            _scalar("half", "<f2", 4),
+            _scalar("uint32", "<u4", 4),
+            _scalar("bool", "?", 1, leaf_bits=1),
+            # Four bytes that are read and aligned as one word.
+            GridLayout("rgba8", np.dtype(("u1", (4,))), 4, 4, 32),
+            _scalar("fp4", "<f4", 4, leaf_bits=4, leaf_header=96),
+            _scalar("fp8", "<f4", 4, leaf_bits=8, leaf_header=96),
+            _scalar("fp16", "<f4", 4, leaf_bits=16, leaf_header=96),
+            _scalar("fpn", "<f4", 4, leaf_bits=-1, leaf_header=FPN_HEADER),
+            _vector("vec4f", "<f4", 4, 4),
+            _vector("vec4d", "<f8", 4, 8),
+            _vector("vec3u8", "u1", 3, 4),
+            _vector("vec3u16", "<u2", 3, 4),
+            _scalar("uint8", "u1", 4),
+        )
+    }
+)
+
+
+def type_name(grid_type: int) -> str:
+    """Name of a grid type in lower case."""
+    return GRID_TYPES[grid_type] if grid_type < len(GRID_TYPES) else f"number {grid_type}"
+
+
+def layout_of(grid_type: int, where: str) -> GridLayout:
+    """Byte layout of a grid type.
+
+    Args:
+        grid_type: NanoVDB's number of the type.
+        where: File or argument, for the message.
+
+    Raises:
+        UnsupportedGridError: Grids of that type hold no values of their own, or the type is unknown.
+    """
+    name = type_name(grid_type)
+    layout = LAYOUTS.get(name)
+    if layout is None:
+        raise UnsupportedGridError(
+            f"{where}: grids of type {name} cannot be used; convert it to one of {', '.join(LAYOUTS)}"
+        )
+    return layout

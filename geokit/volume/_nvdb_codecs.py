@@ -1,0 +1,244 @@
+"""Compression of grids in .nvdb files: none, zip (one zlib stream) and Blosc (frames of up to 1 GiB).
+
+Every size is checked against what the file can honestly hold before memory is taken for it.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError, MissingDependencyError
+
+__all__ = ["CODECS", "Fetch", "compress_into", "decompress", "decompress_head", "largest_size"]
+
+# In the order of their numbers in the file.
+CODECS = ("none", "zip", "blosc")
+
+# Deflate's limit is 1032 to 1 and LZ4's 255 to 1; what claims more was made to fill memory.
+LARGEST_RATIO = 1032
+# NanoVDB cuts a grid into Blosc frames of this many bytes.
+BLOSC_FRAME = 1 << 30
+BLOSC_HEADER = 16
+# Bit 1 of a Blosc header's flags: the bytes after the header are the data itself.
+BLOSC_STORED = 2
+# NanoVDB compresses with LZ4 at level 9 over 4-byte elements; so does geokit.
+BLOSC_LEVEL = 9
+BLOSC_TYPE_SIZE = 4
+ZIP_LEVEL = 6
+PIECE = 1 << 20
+
+Fetch = Callable[[int, int], bytes]
+
+
+class _Damaged(Exception):
+    pass
+
+
+def largest_size(stored: int) -> int:
+    """The most bytes that ``stored`` compressed bytes of an honest file can hold."""
+    return LARGEST_RATIO * stored + PIECE
+
+
+def decompress(codec: str, stored: memoryview, out: NDArray[np.uint8], where: str) -> None:
+    """Decompress a whole grid into ``out``, which it must fill exactly.
+
+    Args:
+        codec: One of :data:`CODECS`.
+        stored: The grid's bytes in the file, with the length words of its codec.
+        out: Destination, uint8.
+        where: File and grid, for the message.
+
+    Raises:
+        FileFormatError: The bytes do not decompress to exactly ``out``.
+        MissingDependencyError: Blosc is not installed.
+    """
+    try:
+        written = _decompress(codec, stored, out)
+    except (_Damaged, zlib.error, struct.error) as error:
+        raise _refusal(where, codec, str(error)) from None
+    if written != len(out):
+        raise _refusal(where, codec, f"it holds {written} bytes of {len(out)}")
+
+
+def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str) -> NDArray[np.uint8]:
+    """The first bytes of a grid, reading and decompressing no more than the block that holds them.
+
+    Args:
+        codec: One of :data:`CODECS`.
+        fetch: ``fetch(start, count)`` gives bytes of what the file stores of the grid.
+        stored: How many bytes that is.
+        size: Bytes wanted; fewer come back where the grid is shorter.
+        where: File and grid, for the message.
+
+    Raises:
+        FileFormatError: The bytes do not decompress.
+        MissingDependencyError: Blosc is not installed.
+    """
+    try:
+        if codec == "none":
+            head = fetch(0, min(size, stored))
+        elif codec == "zip":
+            head = zlib.decompressobj().decompress(fetch(8, min(stored - 8, PIECE)) if stored > 8 else b"", size)
+        else:
+            head = _blosc_first_block(fetch, stored)[:size]
+    except (_Damaged, zlib.error, struct.error) as error:
+        raise _refusal(where, codec, str(error)) from None
+    # A copy starts at a boundary where the headers may be read as records.
+    return np.frombuffer(head, np.uint8).copy()
+
+
+def compress_into(codec: str, head: NDArray[np.uint8], rest: NDArray[np.uint8], file: BinaryIO) -> int:
+    """Write a grid with the codec's length words to ``file``.
+
+    Args:
+        codec: One of :data:`CODECS`.
+        head: The grid's first bytes.
+        rest: The grid's other bytes.
+        file: Open for writing.
+
+    Returns:
+        Number of bytes written.
+
+    Raises:
+        MissingDependencyError: Blosc is not installed.
+    """
+    if codec == "none":
+        file.write(head.data)
+        file.write(rest.data)
+        return len(head) + len(rest)
+    if codec == "zip":
+        deflater = zlib.compressobj(ZIP_LEVEL)
+        parts = [deflater.compress(head.data)]
+        parts += [deflater.compress(rest[i : i + PIECE].data) for i in range(0, len(rest), PIECE)]
+        parts.append(deflater.flush())
+        file.write(struct.pack("<Q", sum(map(len, parts))))
+        file.writelines(parts)
+        return 8 + sum(map(len, parts))
+    total = 0
+    first = BLOSC_FRAME - len(head)
+    frames = [np.concatenate([head, rest[:first]])]
+    frames += [rest[i : i + BLOSC_FRAME] for i in range(first, len(rest), BLOSC_FRAME)]
+    for frame in frames:
+        packed = _blosc_pack(frame)
+        file.write(struct.pack("<Q", len(packed)))
+        file.write(packed)
+        total += 8 + len(packed)
+    return total
+
+
+def _blosc_pack(frame: NDArray[np.uint8]) -> bytes:
+    blosc = _blosc()
+    return blosc.compress(frame.data, typesize=BLOSC_TYPE_SIZE, clevel=BLOSC_LEVEL, shuffle=blosc.SHUFFLE, cname="lz4")
+
+
+def _refusal(where: str, codec: str, detail: str) -> FileFormatError:
+    return FileFormatError(f"{where}: the {codec} data is damaged ({detail}); get the file again from its source")
+
+
+def _blosc() -> Any:
+    try:
+        import blosc
+    except ImportError as error:
+        raise MissingDependencyError("blosc is not installed; install it with: pip install blosc") from error
+    return blosc
+
+
+def _length_prefixed(stored: memoryview, start: int) -> memoryview:
+    if start + 8 > len(stored):
+        raise _Damaged("a length is missing")
+    (length,) = struct.unpack_from("<Q", stored, start)
+    if length > len(stored) - start - 8:
+        raise _Damaged(f"a part of {length} bytes does not fit")
+    return stored[start + 8 : start + 8 + length]
+
+
+def _decompress(codec: str, stored: memoryview, out: NDArray[np.uint8]) -> int:
+    if codec == "none":
+        if len(stored) != len(out):
+            return len(stored)
+        out[:] = np.frombuffer(stored, np.uint8)
+        return len(out)
+    if codec == "zip":
+        return _inflate(_length_prefixed(stored, 0), out)
+    written = start = 0
+    while written < len(out):
+        frame = _length_prefixed(stored, start)
+        start += 8 + len(frame)
+        written += _blosc_frame(frame, out[written : written + BLOSC_FRAME])
+    return written
+
+
+def _inflate(stored: memoryview, out: NDArray[np.uint8]) -> int:
+    inflater = zlib.decompressobj()
+    target = out.data
+    written = 0
+    for first in range(0, len(stored), PIECE):
+        waiting: bytes | memoryview = stored[first : first + PIECE]
+        while waiting and not inflater.eof:
+            # One byte more than there is room for shows a stream that is too long.
+            piece = inflater.decompress(waiting, min(16 * PIECE, len(out) - written + 1))
+            if written + len(piece) > len(out):
+                raise _Damaged(f"it holds more than {len(out)} bytes")
+            target[written : written + len(piece)] = piece
+            written += len(piece)
+            waiting = inflater.unconsumed_tail
+    if not inflater.eof:
+        raise _Damaged("the stream ends early")
+    return written
+
+
+def _blosc_size(frame: memoryview) -> int:
+    if len(frame) < BLOSC_HEADER:
+        raise _Damaged("a Blosc frame is shorter than its header")
+    size, _, stored = struct.unpack_from("<III", frame, 4)
+    if stored != len(frame):
+        raise _Damaged(f"a Blosc frame of {len(frame)} bytes says {stored}")
+    return int(size)
+
+
+def _blosc_frame(frame: memoryview, out: NDArray[np.uint8]) -> int:
+    size = _blosc_size(frame)
+    if size != len(out):
+        raise _Damaged(f"a Blosc frame holds {size} bytes where {len(out)} belong")
+    blosc = _blosc()
+    data = bytes(frame)
+    if not blosc.cbuffer_validate(data):
+        raise _Damaged("a Blosc frame is not valid")
+    try:
+        return int(blosc.decompress_ptr(data, out.ctypes.data))
+    except (blosc.blosc_extension.error, TypeError, ValueError, RuntimeError) as error:
+        raise _Damaged(str(error)) from None
+
+
+def _blosc_first_block(fetch: Fetch, stored: int) -> bytes:
+    # A frame of one block is made from the first block of the large one, so that only that block is decompressed.
+    header = fetch(8, BLOSC_HEADER) if stored >= 8 + BLOSC_HEADER else b""
+    if len(header) < BLOSC_HEADER:
+        raise _Damaged("a Blosc frame is shorter than its header")
+    size, block, length = struct.unpack_from("<III", header, 4)
+    if length > stored - 8:
+        raise _Damaged(f"a Blosc frame of {length} bytes does not fit")
+    if header[2] & BLOSC_STORED:
+        return fetch(8 + BLOSC_HEADER, min(length - BLOSC_HEADER, PIECE)) if length > BLOSC_HEADER else b""
+    if not 0 < block <= BLOSC_FRAME or size > largest_size(length):
+        raise _Damaged("a Blosc frame's sizes contradict each other")
+    count = -(-size // block)
+    if not count or BLOSC_HEADER + 4 * count > length:
+        raise _Damaged("a Blosc frame's blocks do not fit")
+    starts = np.frombuffer(fetch(8 + BLOSC_HEADER, 4 * count), "<u4").astype(np.int64)
+    after = starts[starts > starts[0]]
+    begin, end = int(starts[0]), min(int(after.min()) if len(after) else length, length)
+    if not BLOSC_HEADER + 4 * count <= begin < end:
+        raise _Damaged("a Blosc frame's first block does not fit")
+    body = fetch(8 + begin, end - begin)
+    used = min(size, block)
+    alone = struct.pack("<IIII", used, used, BLOSC_HEADER + 4 + len(body), BLOSC_HEADER + 4)
+    out = np.empty(used, np.uint8)
+    _blosc_frame(memoryview(header[:4] + alone + body), out)
+    return out.tobytes()

@@ -1,0 +1,233 @@
+"""Slow and obviously right: float64 NumPy answers to compare geokit's with. Shares no code with geokit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = [
+    "ClosestReference",
+    "RayReference",
+    "all_ray_hits",
+    "closest_on_segments",
+    "closest_point",
+    "first_hit",
+    "neighbors_within",
+    "overlapping_triangles",
+    "signed_distance",
+    "trilinear",
+    "trilinear_gradient",
+    "winding_number",
+]
+
+# Rows of work at once: queries x triangles stay under about 100 MB of temporaries.
+_BLOCK = 400_000
+
+
+class ClosestReference(NamedTuple):
+    points: np.ndarray  # (N, 3)
+    distance: np.ndarray  # (N,)
+    triangle_id: np.ndarray  # (N,), the lowest of those at the smallest computed distance
+    barycentric: np.ndarray  # (N, 3)
+
+
+class RayReference(NamedTuple):
+    t: np.ndarray  # (N,), inf for a miss
+    triangle_id: np.ndarray  # (N,), -1 for a miss
+    barycentric: np.ndarray  # (N, 3)
+
+
+def _blocks(count: int, width: int):
+    step = max(1, _BLOCK // max(width, 1))
+    for first in range(0, count, step):
+        yield slice(first, min(first + step, count))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return (a * b).sum(axis=-1)
+
+
+def closest_point(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> ClosestReference:
+    """Closest point over all triangles: the nearest of the three edges and, where it falls inside, the plane."""
+    vertices, queries = np.asarray(vertices, np.float64), np.asarray(queries, np.float64)
+    # Differences between nearby coordinates are exact, so the origin may lie anywhere near.
+    origin = vertices.mean(axis=0)
+    corners, moved = (vertices - origin)[np.asarray(faces)], queries - origin
+    result = ClosestReference(
+        points=np.empty((len(queries), 3)),
+        distance=np.empty(len(queries)),
+        triangle_id=np.empty(len(queries), np.int64),
+        barycentric=np.empty((len(queries), 3)),
+    )
+    for rows in _blocks(len(queries), len(corners)):
+        weights = _closest_weights(corners, moved[rows])
+        points = np.einsum("qtc,tck->qtk", weights, corners)
+        distance = np.linalg.norm(points - moved[rows][:, None], axis=2)
+        best = np.argmin(distance, axis=1)
+        pick = np.arange(len(best))
+        result.points[rows] = points[pick, best] + origin
+        result.distance[rows] = distance[pick, best]
+        result.triangle_id[rows] = best
+        result.barycentric[rows] = weights[pick, best]
+    return result
+
+
+def _closest_weights(corners: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """Barycentric weights (Q, T, 3) of the point of each triangle that is closest to each query."""
+    best = np.full((len(queries), len(corners)), np.inf)
+    weights = np.zeros((len(queries), len(corners), 3))
+    target = queries[:, None]
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        a, b = corners[:, start], corners[:, end]
+        along = _segment_parameter(a, b, target)
+        candidate = np.zeros_like(weights)
+        candidate[..., start], candidate[..., end] = 1.0 - along, along
+        _keep_nearer(best, weights, candidate, corners, target)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    square = _dot(normal, normal)
+    flat = square == 0.0
+    # Each weight is the share of the area opposite to its corner, measured along the normal.
+    candidate = np.empty_like(weights)
+    for corner in range(3):
+        a, b = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3]
+        candidate[..., corner] = _dot(np.cross(b - a, target - a), normal) / np.where(flat, 1.0, square)
+    inside = (candidate >= 0.0).all(axis=2) & ~flat
+    candidate[~inside] = weights[~inside]
+    _keep_nearer(best, weights, candidate, corners, target)
+    return weights
+
+
+def _segment_parameter(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
+    length = _dot(b - a, b - a)
+    return np.clip(_dot(points - a, b - a) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+
+
+def _keep_nearer(best, weights, candidate, corners, target) -> None:
+    points = np.einsum("qtc,tck->qtk", candidate, corners)
+    distance = np.linalg.norm(points - target, axis=2)
+    nearer = distance < best
+    best[nearer], weights[nearer] = distance[nearer], candidate[nearer]
+
+
+def closest_on_segments(a: np.ndarray, b: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """Distance (N,) from each query to the nearest of the segments a[i] - b[i]."""
+    target = np.asarray(queries, np.float64)[:, None]
+    along = _segment_parameter(a, b, target)[..., None]
+    return np.linalg.norm(a + along * (b - a) - target, axis=2).min(axis=1)
+
+
+def winding_number(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """Sum of the triangles' signed solid angles over 4 pi, (N,): 1 inside of a closed, outward-wound surface.
+
+    Source:
+        Van Oosterom and Strackee, The solid angle of a plane triangle (1983).
+    """
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
+    queries = np.asarray(queries, np.float64)
+    winding = np.empty(len(queries))
+    for rows in _blocks(len(queries), len(corners)):
+        a, b, c = (corners[:, corner] - queries[rows][:, None] for corner in range(3))
+        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+        numerator = _dot(a, np.cross(b, c))
+        denominator = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+        winding[rows] = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
+    return winding
+
+
+def signed_distance(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """Closest distance (N,), negative where the winding number is over one half."""
+    distance = closest_point(vertices, faces, queries).distance
+    return np.where(winding_number(vertices, faces, queries) > 0.5, -distance, distance)
+
+
+def all_ray_hits(
+    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters t (N, T), inf for a miss, and barycentric (N, T, 3) of each ray on each triangle, edges included.
+
+    A hit is where the ray passes all three edges on the same side; t is in units of the direction's length.
+    """
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
+    origins, directions = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
+    times = np.full((len(origins), len(corners)), np.inf)
+    weights = np.zeros((len(origins), len(corners), 3))
+    for rows in _blocks(len(origins), len(corners)):
+        a, b, c = (corners[:, corner] - origins[rows][:, None] for corner in range(3))
+        d = np.broadcast_to(directions[rows][:, None], a.shape)
+        # Volumes of the ray's direction with each edge (Pluecker): all of one sign where the line crosses inside.
+        volumes = np.stack([_dot(d, np.cross(p, q)) for p, q in ((b, c), (c, a), (a, b))], axis=2)
+        total = volumes.sum(axis=2)
+        crosses = ((volumes >= 0.0).all(axis=2) | (volumes <= 0.0).all(axis=2)) & (total != 0.0)
+        share = volumes / np.where(total == 0.0, 1.0, total)[..., None]
+        point = share[..., :1] * a + share[..., 1:2] * b + share[..., 2:] * c
+        t = _dot(point, d) / _dot(d, d)
+        hit = crosses & (t >= 0.0)
+        times[rows] = np.where(hit, t, np.inf)
+        weights[rows] = np.where(hit[..., None], share, 0.0)
+    return times, weights
+
+
+def first_hit(
+    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray, max_distance: float = np.inf
+) -> RayReference:
+    """The hit of smallest t for each ray, (-1, inf) where there is none up to ``max_distance`` (inclusive)."""
+    times, weights = all_ray_hits(vertices, faces, origins, directions)
+    best = np.argmin(times, axis=1)
+    pick = np.arange(len(best))
+    reach = times[pick, best] * np.linalg.norm(np.asarray(directions, np.float64), axis=1)
+    hit = reach <= max_distance if np.isfinite(max_distance) else np.isfinite(reach)
+    return RayReference(
+        np.where(hit, times[pick, best], np.inf),
+        np.where(hit, best, -1),
+        np.where(hit[:, None], weights[pick, best], 0.0),
+    )
+
+
+def overlapping_triangles(vertices: np.ndarray, faces: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Triangles (ascending) whose bounding box meets the box [lower, upper], borders included."""
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
+    meets = (corners.min(axis=1) <= upper) & (corners.max(axis=1) >= lower)
+    return np.flatnonzero(meets.all(axis=1))
+
+
+def neighbors_within(points: np.ndarray, queries: np.ndarray, radius: float) -> list[np.ndarray]:
+    """For each query the ascending indices of the points at a distance of at most ``radius``."""
+    points = np.asarray(points, np.float64)
+    return [
+        np.flatnonzero(np.linalg.norm(points - query, axis=1) <= radius) for query in np.asarray(queries, np.float64)
+    ]
+
+
+def trilinear(values: np.ndarray, index_points: np.ndarray) -> np.ndarray:
+    """Trilinear interpolation of a dense array (I, J, K) or (I, J, K, C) at index coordinates (N, 3).
+
+    The value ``values[i, j, k]`` stands at (i, j, k); coordinates outside are clamped to the array.
+    """
+    values, at = np.asarray(values, np.float64), np.asarray(index_points, np.float64)
+    top = np.array(values.shape[:3]) - 1
+    at = np.clip(at, 0, top)
+    base = np.minimum(np.floor(at).astype(int), np.maximum(top - 1, 0))
+    share = at - base
+    result = 0.0
+    for corner in np.ndindex(2, 2, 2):
+        i, j, k = np.minimum(base + corner, top).T
+        weight = np.prod(np.where(corner, share, 1.0 - share), axis=1)
+        result = result + values[i, j, k] * (weight if values.ndim == 3 else weight[:, None])
+    return result
+
+
+def trilinear_gradient(values: np.ndarray, index_points: np.ndarray) -> np.ndarray:
+    """Gradient (N, 3), per index unit, of :func:`trilinear` of a scalar array (I, J, K), inside of the array."""
+    values, at = np.asarray(values, np.float64), np.asarray(index_points, np.float64)
+    top = np.array(values.shape) - 1
+    base = np.clip(np.floor(at).astype(int), 0, top - 1)
+    share = at - base
+    gradient = np.zeros((len(at), 3))
+    for corner in np.ndindex(2, 2, 2):
+        i, j, k = (base + corner).T
+        weights = np.where(corner, share, 1.0 - share)
+        for axis in range(3):
+            others = np.prod(np.delete(weights, axis, axis=1), axis=1)
+            gradient[:, axis] += (1.0 if corner[axis] else -1.0) * others * values[i, j, k]
+    return gradient
