@@ -141,7 +141,9 @@ def _read_numpy(values: Any, name: str, device: "wp.Device") -> Batch:
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
     # The sum is finite only if every entry is (or almost never the sum of huge ones overflows): one quick pass first.
-    if not np.isfinite(table.sum()):
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = table.sum()
+    if not np.isfinite(total):
         _refuse_nonfinite(table, name)
     host = wp.array(
         ptr=table.ctypes.data, dtype=wp.vec3d, shape=(len(table),), device="cpu", capacity=table.nbytes, copy=False

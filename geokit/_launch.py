@@ -110,7 +110,7 @@ def thread_count() -> int:
     """
     wanted = os.environ.get("GEOKIT_THREADS", "")
     if wanted:
-        if not wanted.isdigit() or int(wanted) < 1:
+        if not wanted.isdecimal() or int(wanted) < 1:
             raise InputError(f"GEOKIT_THREADS: {wanted!r} is not a positive whole number; set it to 1 or more")
         return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -60,8 +60,11 @@ class TriangleMesh:
         """Box around the vertices that faces use [world], shape (2, 3); NaN where there are no faces."""
         if len(self.faces) == 0:
             return np.full((2, 3), np.nan)
-        corners = self.vertices[self.faces.ravel()]
-        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces.ravel()] = True
+        # Axis by axis: a reduction over rows of three is many times slower.
+        axes = [axis[used] for axis in self.vertices.T]
+        return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]])
 
     @property
     def diagonal(self) -> float:

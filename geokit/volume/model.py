@@ -28,7 +28,8 @@ class GridInfo:
         transform: Index to world, shape (4, 4) float64: ``world = transform[:3, :3] @ index + transform[:3, 3]``.
         voxel_size: Edge lengths of a voxel along its index axes [world], shape (3,).
         background: Value outside every node; a float, int, bool or a tuple of them.
-        active_voxel_count: Number of active voxels, those of active tiles included.
+        active_voxel_count: Number of active voxels, those of active tiles included; None where a file's header does
+            not say.
         index_bounds: First and last active voxel, shape (2, 3) int64, both inclusive; None where none is active.
         byte_count: Size of the NanoVDB buffer, or of the grid in its file where only its header was read.
         metadata: The OpenVDB metadata of the grid (strings, numbers, tuples, bytes), read-only.
@@ -40,7 +41,7 @@ class GridInfo:
     transform: NDArray[np.float64]
     voxel_size: NDArray[np.float64]
     background: Any
-    active_voxel_count: int
+    active_voxel_count: int | None
     index_bounds: NDArray[np.int64] | None
     byte_count: int
     metadata: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))

@@ -1,0 +1,152 @@
+"""Polygon file format (.ply), ASCII and binary: the vertices and every number that goes with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError, InputError
+
+__all__ = ["read_ply", "write_ply"]
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_NAMES = {
+    "i1": "char",
+    "u1": "uchar",
+    "b1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
+    """The columns of the vertex element by name, each in the type of the file.
+
+    Raises:
+        FileFormatError: A damaged or truncated file, no vertices, or a list among their properties.
+    """
+    data = path.read_bytes()
+    order, elements, start = _header(data, path)
+    if "vertex" not in elements:
+        raise FileFormatError(f"{path}: has no vertex element; a point set needs one")
+    before = list(elements)[: list(elements).index("vertex")]
+    if before:
+        raise FileFormatError(f"{path}: element '{before[0]}' stands before the vertices; put the vertices first")
+    count, properties = elements["vertex"]
+    lists = [name for name, kind in properties if kind == "list"]
+    if lists:
+        raise FileFormatError(f"{path}: vertex property '{lists[0]}' is a list, which geokit does not read; remove it")
+    dtype = np.dtype([(name, order + kind) for name, kind in properties])
+    if order == "":
+        return _ascii(data[start:], dtype, count, path)
+    if count * dtype.itemsize > len(data) - start:
+        have = (len(data) - start) // max(dtype.itemsize, 1)
+        raise FileFormatError(f"{path}: ends in vertex {have} of the {count} it declares; get a whole copy")
+    table = np.frombuffer(data, dtype, count, start)
+    return {name: table[name].astype(dtype[name].newbyteorder("=")) for name in dtype.names or ()}
+
+
+def _header(data: bytes, path: Path) -> tuple[str, dict[str, tuple[int, list[tuple[str, str]]]], int]:
+    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
+        raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
+    end = data.find(b"end_header")
+    newline = data.find(b"\n", end)
+    if end < 0 or newline < 0:
+        raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
+    order = None
+    elements: dict[str, tuple[int, list[tuple[str, str]]]] = {}
+    properties: list[tuple[str, str]] = []
+    for line in data[:end].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        try:
+            if not words or words[0] in ("comment", "obj_info"):
+                continue
+            if words[0] == "format":
+                order = _ORDERS[words[1]]
+            elif words[0] == "element" and words[2].isdigit() and words[1] not in elements:
+                properties = []
+                elements[words[1]] = (int(words[2]), properties)
+            elif words[0] == "property" and elements and words[-1] not in dict(properties):
+                properties.append((words[-1], "list" if words[1] == "list" else _TYPES[words[1]]))
+            else:
+                raise ValueError(line)
+        except (ValueError, KeyError, IndexError):
+            raise FileFormatError(f"{path}: header line '{line[:80]}' is not understood; the file is damaged") from None
+    if order is None:
+        raise FileFormatError(f"{path}: the header names no format; the file is damaged")
+    return order, elements, newline + 1
+
+
+def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
+    names = dtype.names or ()
+    lines = [line for line in body.split(b"\n") if line.strip()][:count]
+    if len(lines) < count:
+        raise FileFormatError(f"{path}: ends in vertex {len(lines)} of the {count} it declares; get a whole copy")
+    tokens = b" ".join(lines).split()
+    try:
+        table = np.array(tokens, dtype=np.float64).reshape(count, len(names))
+        columns = {}
+        for at, name in enumerate(names):
+            with np.errstate(invalid="raise", over="ignore"):
+                columns[name] = table[:, at].astype(dtype[name])
+        return columns
+    except (ValueError, FloatingPointError):
+        pass
+    for row, line in enumerate(lines):
+        words = line.split()
+        try:
+            if len(words) == len(names):
+                list(map(float, words))
+                continue
+        except ValueError:
+            pass
+        shown = line[:60].decode("ascii", "backslashreplace").strip()
+        raise FileFormatError(f"{path}: vertex {row} ('{shown}') is not {len(names)} numbers; the file is damaged")
+    raise FileFormatError(f"{path}: a vertex has a number that its type cannot hold; the file is damaged")
+
+
+def write_ply(path: Path, names: Sequence[str], columns: Sequence[NDArray[np.generic]]) -> None:
+    """A binary little-endian file with one vertex element.
+
+    Raises:
+        InputError: A column has a type that the format lacks and that does not fit into one that it has.
+    """
+    narrow = [_fitting(column, name) for name, column in zip(names, columns, strict=True)]
+    dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in zip(names, narrow, strict=True)])
+    count = len(columns[0])
+    table = np.empty(count, dtype)
+    for name, column in zip(names, narrow, strict=True):
+        table[name] = column
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header += [f"property {_NAMES[column.dtype.str[1:]]} {name}" for name, column in zip(names, narrow, strict=True)]
+    with open(path, "wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+        file.write(table.tobytes())
+
+
+def _fitting(column: NDArray[np.generic], name: str) -> NDArray[np.generic]:
+    if column.dtype.str[1:] in _NAMES:
+        return column.astype(np.uint8) if column.dtype.kind == "b" else column
+    if column.dtype.kind == "f":
+        return column.astype(np.float64 if column.dtype.itemsize > 4 else np.float32)
+    limits = np.iinfo(np.int32)
+    if column.size and (column.min() < limits.min or column.max() > limits.max):
+        raise InputError(f"data: '{name}' has integers beyond 32 bits, which .ply cannot hold; write .npz or .vtp")
+    return column.astype(np.int32)

@@ -1,0 +1,109 @@
+"""``geokit convert``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geokit import native
+from geokit.mesh import load as load_mesh
+from geokit.volume import load as load_volume
+
+needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+
+
+@pytest.mark.parametrize("kind", ["ply", "stl", "off", "vtp"])
+def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
+    target = tmp_path / f"cube.{kind}"
+    done = geokit("convert", cube, target)
+    assert done.returncode == 0, done.stderr
+    assert str(target) in done.stdout
+    before, after = load_mesh(cube), load_mesh(target)
+    corners = [np.sort(mesh.vertices[mesh.faces].reshape(-1, 9), axis=0) for mesh in (before, after)]
+    np.testing.assert_array_equal(*corners)
+
+
+def test_mesh_to_volume(geokit, cube: Path, tmp_path: Path) -> None:
+    target = tmp_path / "cube.nvdb"
+    done = geokit("convert", cube, target, "--voxel-size", "0.125", "--half-width", "4", "--codec", "zip", "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    volume = load_volume(target)
+    assert report["active_voxels"] == volume.info.active_voxel_count
+    assert volume.info.background == pytest.approx(0.5)
+    values = volume.sample([[0.5, 0.5, 0.0], [0.5, 0.5, 0.25], [0.5, 0.5, -0.25], [0.5, 0.5, 9.0]], device="cpu")
+    np.testing.assert_allclose(values, [0.0, -0.25, 0.25, 0.5], atol=1e-6)
+
+
+def test_the_chosen_voxel_size_is_said(geokit, cube: Path, tmp_path: Path) -> None:
+    done = geokit("convert", cube, tmp_path / "cube.nvdb")
+    assert "voxel size 0.0078" in done.stderr
+    assert "--voxel-size" in done.stderr
+    assert load_volume(tmp_path / "cube.nvdb").info.voxel_size.tolist() == [0.0078] * 3
+
+
+def test_nothing_is_replaced_without_force(geokit, fails, cube: Path, tmp_path: Path) -> None:
+    target = tmp_path / "cube.off"
+    target.write_text("mine")
+    fails(geokit("convert", cube, target), 1, "cube.off", "--force")
+    assert target.read_text() == "mine"
+    assert geokit("convert", cube, target, "--force").returncode == 0
+    assert load_mesh(target).faces.shape == (12, 3)
+
+
+def test_options_without_effect_are_refused(geokit, fails, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
+    fails(geokit("convert", cube, tmp_path / "a.ply", "--voxel-size", "1"), 1, "--voxel-size", "no effect")
+    fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--isovalue", "1"), 1, "--isovalue", "no effect")
+    fails(geokit("convert", cube, tmp_path / "a.csv"), 1, "mesh cannot be converted into a cloud")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_values_are_named(geokit, fails, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
+    fails(geokit("convert", cube, tmp_path / "a.nvdb", "--voxel-size", "-1"), 1, "voxel_size")
+    fails(geokit("convert", cube, tmp_path / "a.nvdb", "--voxel-size", "1", "--codec", "rar"), 1, "rar", "zip")
+    fails(geokit("convert", cube, tmp_path / "no" / "a.ply"), 1, "does not exist")
+    fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--grid", "smoke"), 1, "smoke")
+    fails(geokit("convert", cube, tmp_path / "a.nvdb", "--device", "cuda:77", "--voxel-size", "1"), 1, "cuda:77")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_openvdb
+def test_vdb_and_back(geokit, cube_sdf: Path, tmp_path: Path) -> None:
+    vdb, again = tmp_path / "cube.vdb", tmp_path / "again.nvdb"
+    assert geokit("convert", cube_sdf, vdb).returncode == 0
+    assert geokit("convert", vdb, again, "--grid", "cube").returncode == 0
+    first, second = load_volume(cube_sdf), load_volume(again)
+    assert first.info.active_voxel_count == second.info.active_voxel_count
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.3, 1.3, (2000, 3))
+    np.testing.assert_array_equal(first.sample(points, device="cpu"), second.sample(points, device="cpu"))
+
+
+@needs_openvdb
+def test_volume_to_mesh(geokit, cube_sdf: Path, tmp_path: Path) -> None:
+    target = tmp_path / "cube.ply"
+    done = geokit("convert", cube_sdf, target, "--isovalue", "0.0625")
+    assert done.returncode == 0, done.stderr
+    mesh = load_mesh(target)
+    # The cube grown by one voxel.
+    np.testing.assert_allclose(mesh.bounds, [[-0.0625] * 3, [1.0625] * 3], atol=1e-3)
+
+
+@pytest.mark.skipif(native.available(), reason="geokit was built with OpenVDB")
+def test_without_openvdb_the_packages_are_named(geokit, fails, cube_sdf: Path, tmp_path: Path) -> None:
+    fails(geokit("convert", cube_sdf, tmp_path / "cube.vdb"), 1, "libopenvdb-dev")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cloud_to_cloud(geokit, tmp_path: Path) -> None:
+    source, target = tmp_path / "a.csv", tmp_path / "a.ply"
+    source.write_text("x,y,z,heat\n0,1,2,5\n3,4,5,6\n")
+    assert geokit("convert", source, target).returncode == 0
+    from geokit.points import load
+
+    cloud = load(target)
+    assert cloud.points.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert cloud.data["heat"].tolist() == [5, 6]

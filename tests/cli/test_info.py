@@ -1,0 +1,80 @@
+"""``geokit info``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def test_a_closed_mesh(geokit, cube: Path) -> None:
+    done = geokit("info", cube, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    report = json.loads(done.stdout)
+    assert report["kind"] == "mesh"
+    assert report["name"] == "cube"
+    assert (report["vertex_count"], report["face_count"]) == (8, 12)
+    assert report["watertight"] is True
+    assert report["manifold"] is True
+    assert report["oriented"] is True
+    assert report["bounds"] == [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
+    assert report["signed_volume"] == pytest.approx(1.0)
+    assert report["byte_count"] == cube.stat().st_size
+
+
+def test_the_same_as_text(geokit, cube: Path) -> None:
+    lines = dict(line.split(maxsplit=1) for line in geokit("info", cube).stdout.splitlines())
+    assert lines["face_count"] == "12"
+    assert lines["watertight"] == "yes"
+    assert lines["bounds"] == "((0, 0, 0), (1, 1, 1))"
+
+
+def test_an_open_mesh(geokit, tmp_path: Path) -> None:
+    path = tmp_path / "one.off"
+    path.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    report = json.loads(geokit("info", path, "--json").stdout)
+    assert report["watertight"] is False
+    assert report["boundary_edge_count"] == 3
+
+
+def test_a_volume(geokit, cube_sdf: Path) -> None:
+    report = json.loads(geokit("info", cube_sdf, "--json").stdout)
+    assert (report["kind"], report["grid_count"]) == ("volume", 1)
+    (grid,) = report["grids"]
+    assert (grid["type"], grid["class"]) == ("float", "level set")
+    assert grid["voxel_size"] == [0.0625] * 3
+    assert grid["background"] == pytest.approx(3 * 0.0625)
+    assert grid["active_voxel_count"] > 1000
+    text = geokit("info", cube_sdf).stdout
+    assert "level set" in text
+
+
+@pytest.mark.parametrize("kind", ["csv", "npy", "ply"])
+def test_a_point_cloud(geokit, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"cloud.{kind}"
+    points = np.array([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
+    if kind == "csv":
+        path.write_text("x,y,z\n0,1,2\n3,4,5\n")
+    elif kind == "npy":
+        np.save(path, points)
+    else:
+        header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+        path.write_text(header + "end_header\n0 1 2\n3 4 5\n")
+    report = json.loads(geokit("info", path, "--json").stdout)
+    assert report["kind"] == "cloud"
+    assert report["point_count"] == 2
+    assert report["bounds"] == points.tolist()
+
+
+def test_damaged_files(geokit, fails, tmp_path: Path, cube_sdf: Path) -> None:
+    truncated = tmp_path / "half.nvdb"
+    truncated.write_bytes(cube_sdf.read_bytes()[:1000])
+    fails(geokit("info", truncated), 1, "half.nvdb")
+    nonsense = tmp_path / "text.ply"
+    nonsense.write_text("this is no mesh\n")
+    fails(geokit("info", nonsense), 1, "text.ply")
+    empty = tmp_path / "empty.obj"
+    empty.write_bytes(b"")
+    fails(geokit("info", empty), 1, "empty.obj")
