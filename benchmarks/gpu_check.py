@@ -1,4 +1,4 @@
-"""A GPU's answers against the CPU's, and its rates against raw warp: ``python benchmarks/gpu_check.py [--out DIR]``.
+"""A GPU's answers against the CPU's, and its rates against raw warp: ``python -m benchmarks.gpu_check [--out DIR]``.
 
 Absolute times mean something only with the name of the GPU, which the table carries.
 """

@@ -35,3 +35,10 @@ def raw_count_kernel(grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: f
         if wp.length_sq(points[j] - points[i]) <= radius * radius:
             count += 1
     out[i] = count
+
+
+@wp.kernel
+def raw_closest_slice_kernel(first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+    i = first + wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e6)
+    out[i] = wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])

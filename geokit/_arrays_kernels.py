@@ -1,5 +1,7 @@
 """Checks and casts of arrays that already live on a GPU, so that they need not visit the host."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

@@ -197,7 +197,7 @@ def launch_queries(
     outputs: Sequence["wp.array"],
     device: "wp.Device",
     *,
-    lower: Sequence[float],
+    lower: Any,
     extent: float,
     streams: Sequence["wp.array"] = (),
 ) -> None:
@@ -211,7 +211,7 @@ def launch_queries(
         inputs: Arguments that every query shares.
         outputs: Arrays with N rows.
         device: Where the arrays are.
-        lower: Lower corner [world] of the box that the order resolves; points outside are clamped to it.
+        lower: Lower corner [world] of the box that the order resolves, three numbers; points outside are clamped to it.
         extent: Edge length [world] of that box.
         streams: Further arrays with N rows that go with the points.
     """
@@ -224,7 +224,7 @@ def launch_queries(
         launch(kernel, stop - start, [order, block, *rows[: len(streams)], *inputs], rows[len(streams) :], device)
 
 
-def _order(points: "wp.array", lower: Sequence[float], extent: float, device: "wp.Device") -> "wp.array":
+def _order(points: "wp.array", lower: Any, extent: float, device: "wp.Device") -> "wp.array":
     wp = _warp()
     from geokit._order_kernels import morton_kernel
 

@@ -1,5 +1,7 @@
 """Morton keys: queries that are near each other in space are answered near each other in time."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

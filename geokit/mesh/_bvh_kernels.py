@@ -6,6 +6,8 @@ triangles in float64, so that an answer is the float64 answer whatever the trave
 triangles' world-space corners in leaf order: a leaf is one contiguous read.
 """
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh._triangle_kernels import CLOSEST_ON_TRIANGLE

@@ -1,5 +1,7 @@
 """Closest point on a surface, one query a thread."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh._bvh_kernels import nearest_slot, triangle_in_slot

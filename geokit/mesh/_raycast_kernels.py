@@ -3,6 +3,8 @@
 Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
 """
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh._bvh_kernels import BOX_PADDING, triangle_in_slot

@@ -1,5 +1,7 @@
 """The point of a triangle that is closest to a query, in float64, slivers and triangles without area included."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

@@ -1,5 +1,7 @@
 """Generalised winding numbers by warp's tree of solid angles, and the signs that follow from them."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

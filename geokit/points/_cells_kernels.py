@@ -3,6 +3,8 @@
 Coordinates stay float64 and nothing here is hashed.
 """
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

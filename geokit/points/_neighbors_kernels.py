@@ -4,6 +4,8 @@ Every comparison is made on the caller's float64 coordinates with the roundings 
 one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere else.
 """
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.points._cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key

@@ -1,5 +1,7 @@
 """A narrow band around a surface: the tiles near its triangles, unsigned distances, and signs by flooding."""
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh._bvh_kernels import nearest_slot

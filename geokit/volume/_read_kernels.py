@@ -9,6 +9,8 @@ Nothing here checks the buffer: a grid whose offsets are damaged must have been 
 
 from typing import Any
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

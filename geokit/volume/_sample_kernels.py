@@ -6,6 +6,8 @@ formed, so that accuracy does not depend on where in index space a grid lies.
 
 from typing import Any
 
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume._read_kernels import grid_type_of, node_of, read_cell, read_voxel

@@ -1,0 +1,121 @@
+"""Builds every kernel module ahead of its first use."""
+
+from __future__ import annotations
+
+import pkgutil
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+__all__ = ["compile_all", "kernel_modules"]
+
+_SUFFIX = "_kernels"
+# Processes rather than threads: warp builds one module at a time in a process. Its cache is made for several.
+# A builder takes names from its stdin and answers each with a line: "ok", or what went wrong.
+_BUILDER = """
+import importlib, sys
+answers = sys.stdout
+sys.stdout = sys.stderr
+from geokit import _launch
+import warp as wp
+devices = [_launch.resolve_device(alias) for alias in sys.argv[1:]]
+for line in sys.stdin:
+    try:
+        name = importlib.import_module(line.strip()).__name__
+        for device in devices:
+            _launch.load_module(wp.get_module(name), device)
+        answer = "ok"
+    except Exception as error:
+        answer = " ".join(f"{type(error).__name__}: {error}".split())
+    print(answer, file=answers, flush=True)
+"""
+
+
+def kernel_modules() -> list[str]:
+    """Dotted names of every module of the package that holds kernels; packages are imported, kernels not."""
+    import geokit
+
+    modules = pkgutil.walk_packages(geokit.__path__, "geokit.")
+    return sorted(module.name for module in modules if module.name.endswith(_SUFFIX))
+
+
+def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
+    """Build every kernel module for the CPU and for every CUDA device, on all CPU cores.
+
+    Args:
+        report: Called with a line for each module.
+    Returns:
+        Counts, seconds, devices and the modules that failed.
+    """
+    from geokit import _launch
+
+    started = time.perf_counter()
+    devices = ["cpu", *_launch.cuda_devices()]
+    modules = kernel_modules()
+    waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for name in modules:
+        waiting.put(name)
+    failed: list[str] = []
+    done = 0
+    lock = threading.Lock()
+
+    def finished(name: str, answer: str, seconds: float) -> None:
+        nonlocal done
+        with lock:
+            done += 1
+            if answer != "ok":
+                failed.append(name)
+            report(f"{done}/{len(modules)} {name}: {answer} [{seconds:.1f} s]")
+
+    count = min(_launch.thread_count(), len(modules))
+    builders = [threading.Thread(target=_build_all, args=(waiting, devices, finished)) for _ in range(count)]
+    for builder in builders:
+        builder.start()
+    for builder in builders:
+        builder.join()
+    return {
+        "modules": len(modules) - len(failed),
+        "devices": devices,
+        "seconds": round(time.perf_counter() - started, 1),
+        "failed": sorted(failed),
+    }
+
+
+def _build_all(
+    waiting: "queue.SimpleQueue[str]", devices: list[str], finished: Callable[[str, str, float], None]
+) -> None:
+    """Hand modules to a process until none is left; a process that dies is replaced."""
+    while not waiting.empty():
+        with subprocess.Popen(
+            [sys.executable, "-c", _BUILDER, *devices],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        ) as process:
+            while True:
+                try:
+                    name = waiting.get_nowait()
+                except queue.Empty:
+                    break
+                started = time.perf_counter()
+                answer = _ask(process, name)
+                finished(name, answer or "the compiler ended the process", time.perf_counter() - started)
+                if not answer:
+                    break
+
+
+def _ask(process: "subprocess.Popen[str]", name: str) -> str:
+    """The builder's answer, "" where the process has ended."""
+    try:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(name + "\n")
+        process.stdin.flush()
+        return process.stdout.readline().strip()
+    except OSError:
+        return ""

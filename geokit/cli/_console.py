@@ -1,0 +1,130 @@
+"""What commands print: results on stdout, everything about the run on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+__all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_table", "step"]
+
+
+def note(message: str) -> None:
+    """A line about the run, for the person who watches."""
+    print(f"geokit: {message}", file=sys.stderr, flush=True)
+
+
+def announce_compiling() -> None:
+    """Have the first launch of a kernel that is not in the cache say why it takes so long."""
+    from geokit import _launch
+
+    said: set[str] = set()
+
+    def listener(module: str) -> None:
+        if not said:
+            note("compiling kernels for this machine; this happens once, the results are kept in the kernel cache")
+        if module not in said:
+            said.add(module)
+            note(f"compiling {module}")
+
+    _launch.on_compile(listener)
+
+
+def print_json(value: Any) -> None:
+    """``value`` as JSON: arrays as lists, dataclasses as objects, numbers that JSON lacks as null."""
+    print(json.dumps(plain(value), indent=2))
+
+
+def plain(value: Any) -> Any:
+    """``value`` in terms of dict, list, str, int, float, bool and None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if not f.name.startswith("_")}
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (str, int)):
+        return value
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def print_facts(facts: dict[str, Any], *, indent: str = "") -> None:
+    """Names and values in two columns."""
+    width = max((len(name) for name in facts), default=0)
+    for name, value in facts.items():
+        print(f"{indent}{name:<{width}}  {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if hasattr(value, "tolist"):
+        return _shown(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return "(" + ", ".join(_shown(item) for item in value) + ")"
+    return "none" if value is None else str(value)
+
+
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:
+    """A table on stdout; numbers to the right."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    for index, column in enumerate(columns):
+        numeric = all(isinstance(row[index], (int, float)) or row[index] in ("", "-") for row in rows)
+        table.add_column(column, justify="right" if numeric and rows else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*[Text(_shown(cell)) for cell in row])
+    # A pipe or a file has no width that could be too small.
+    console = Console() if sys.stdout.isatty() else Console(width=10_000, color_system=None)
+    console.print(table)
+
+
+class Step:
+    """A running step; set ``result`` to say what came of it."""
+
+    result = ""
+
+
+@contextlib.contextmanager
+def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[Step]:
+    """Show on stderr that ``title`` runs, and how long it took.
+
+    Args:
+        title: What runs.
+        quiet: Show nothing.
+        lines: Where stderr is not a terminal, print a plain line nevertheless.
+    """
+    current = Step()
+    started = time.perf_counter()
+    if quiet or not (lines or sys.stderr.isatty()):
+        yield current
+        return
+    if sys.stderr.isatty():
+        from rich.console import Console
+
+        with Console(stderr=True).status(f"{title} ..."):
+            yield current
+    else:
+        yield current
+    seconds = time.perf_counter() - started
+    tail = f": {current.result}" if current.result else ""
+    print(f"{title}{tail}  [{seconds:.2f} s]", file=sys.stderr, flush=True)

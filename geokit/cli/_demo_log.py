@@ -1,0 +1,94 @@
+"""What the demo did, step by step, and its closing table."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import io
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from geokit._files import atomic_path
+from geokit.cli._console import note, step
+
+__all__ = ["COLUMNS", "DemoLog", "Entry"]
+
+COLUMNS = ("step", "count", "items", "seconds", "rate [1/s]", "largest error", "reference")
+
+
+@dataclasses.dataclass
+class Entry:
+    """One row of the closing table.
+
+    Attributes:
+        step: What was done.
+        items: What was counted.
+        count: How many of them.
+        seconds: Wall time of the step alone, without that of its reference.
+        error: Largest deviation from the reference; None where nothing was compared.
+        reference: What it was compared with.
+        left_out: Why the step did not run, or "".
+    """
+
+    step: str
+    items: str
+    count: int = 0
+    seconds: float = 0.0
+    error: float | None = None
+    reference: str = ""
+    left_out: str = ""
+
+    def cells(self) -> tuple[str, ...]:
+        if self.left_out:
+            return (self.step, "", self.items, "", "", "", f"left out: {self.left_out.partition(' (')[0]}")
+        rate = self.count / self.seconds if self.seconds > 0.0 else 0.0
+        error = "" if self.error is None else ("0 (bit for bit)" if self.error == 0.0 else f"{self.error:.2e}")
+        return (self.step, f"{self.count:,}", self.items, f"{self.seconds:.3f}", _short(rate), error, self.reference)
+
+
+class DemoLog:
+    """Collects entries, and shows each step while it runs."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self.entries: list[Entry] = []
+        self.quiet = quiet
+
+    @contextlib.contextmanager
+    def step(self, title: str, items: str) -> Iterator[Entry]:
+        entry = Entry(title, items)
+        with step(title, quiet=self.quiet, lines=True) as shown:
+            started = time.perf_counter()
+            yield entry
+            entry.seconds = time.perf_counter() - started
+            shown.result = f"{entry.count:,} {items}"
+        self.entries.append(entry)
+
+    def leave_out(self, title: str, items: str, reason: str) -> None:
+        self.entries.append(Entry(title, items, left_out=reason))
+        if not self.quiet:
+            note(f"{title}: left out: {reason.partition(' (')[0]}; geokit doctor says more")
+
+    def write(self, folder: Path) -> None:
+        """The table as summary.csv, with bare numbers, and as summary.md."""
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow([field.name for field in dataclasses.fields(Entry)])
+        writer.writerows(dataclasses.astuple(entry) for entry in self.entries)
+        write_text(folder / "summary.csv", buffer.getvalue())
+        lines = ["| " + " | ".join(COLUMNS) + " |", "|---|---:|---|---:|---:|---:|---|"]
+        lines += ["| " + " | ".join(entry.cells()) + " |" for entry in self.entries]
+        write_text(folder / "summary.md", "\n".join(lines) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    with atomic_path(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _short(rate: float) -> str:
+    for size, suffix in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if rate >= size:
+            return f"{rate / size:.3g}{suffix}"
+    return f"{rate:.3g}"

@@ -1,0 +1,183 @@
+"""``geokit convert``: one format into another, meshes into volumes and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from geokit.cli._console import announce_compiling, note, print_json, step
+from geokit.cli._kinds import kind_of_input, kind_of_output, may_write
+from geokit.errors import InputError
+
+__all__ = ["convert"]
+
+# Voxels along the longest side where no voxel size is given: fine enough to see, a second to make.
+DEFAULT_RESOLUTION = 128
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def convert(
+    source: Annotated[Path, Parameter(name="IN")],
+    target: Annotated[Path, Parameter(name="OUT")],
+    /,
+    *,
+    voxel_size: float | None = None,
+    half_width: float | None = None,
+    isovalue: float | None = None,
+    adaptivity: float | None = None,
+    grid: str | None = None,
+    codec: str | None = None,
+    device: str | None = None,
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Convert between mesh formats, volume formats, and from one to the other.
+
+    Args:
+        source: File to read.
+        target: File to write; its extension names the format.
+        voxel_size: Mesh to volume: edge length of a voxel in world units; the longest side / 128 where not given.
+        half_width: Mesh to volume: width of the narrow band on each side, in voxels (3).
+        isovalue: Volume to mesh: value of the surface (0).
+        adaptivity: Volume to mesh: 0 keeps every face, 1 merges as many as it can (0).
+        grid: Name of the grid to take where a file holds several.
+        codec: Compression of a volume: none, zip or blosc; blosc for .vdb and none for .nvdb where not given.
+        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        force: Replace the target where it exists.
+        json: Print a summary as JSON.
+    """
+    kinds = kind_of_input(source), kind_of_output(target)
+    if kinds == ("cloud", "mesh") and target.suffix.lower() in (".ply", ".vtp"):
+        kinds = "cloud", "cloud"
+    options = {
+        "voxel-size": voxel_size,
+        "half-width": half_width,
+        "isovalue": isovalue,
+        "adaptivity": adaptivity,
+        "grid": grid,
+        "codec": codec,
+    }
+    _refuse_unused(kinds, options, target)
+    may_write(target, force=force)
+    announce_compiling()
+    if kinds == ("mesh", "mesh"):
+        summary = _mesh_to_mesh(source, target, quiet=json)
+    elif kinds == ("mesh", "volume"):
+        summary = _mesh_to_volume(source, target, voxel_size, half_width or 3.0, codec, device, quiet=json)
+    elif kinds == ("volume", "volume"):
+        summary = _volume_to_volume(source, target, grid, codec, quiet=json)
+    elif kinds == ("volume", "mesh"):
+        summary = _volume_to_mesh(source, target, isovalue or 0.0, adaptivity or 0.0, grid, quiet=json)
+    else:
+        summary = _cloud_to_cloud(source, target, quiet=json)
+    summary = {"source": str(source), "target": str(target), **summary, "byte_count": target.stat().st_size}
+    if json:
+        print_json(summary)
+    else:
+        details = ", ".join(f"{name} {value}" for name, value in summary.items() if name not in ("source", "target"))
+        print(f"{target}: {details}")
+
+
+_USES = {
+    ("mesh", "mesh"): (),
+    ("mesh", "volume"): ("voxel-size", "half-width", "codec"),
+    ("volume", "volume"): ("grid", "codec"),
+    ("volume", "mesh"): ("isovalue", "adaptivity", "grid"),
+    ("cloud", "cloud"): (),
+}
+
+
+def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path) -> None:
+    """An option that would have no effect is a misunderstanding: say so before the work."""
+    if kinds not in _USES:
+        raise InputError(f"{target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
+    for name, value in options.items():
+        if value is not None and name not in _USES[kinds]:
+            raise InputError(f"--{name}: has no effect on {kinds[0]} to {kinds[1]}; leave it out")
+
+
+def _mesh_to_mesh(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:
+    from geokit.mesh import load, save
+
+    with step(f"converting {source}", quiet=quiet):
+        mesh = load(source)
+        save(target, mesh)
+    return {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+
+
+def _mesh_to_volume(
+    source: Path,
+    target: Path,
+    voxel_size: float | None,
+    half_width: float,
+    codec: str | None,
+    device: str | None,
+    *,
+    quiet: bool,
+) -> dict[str, Any]:
+    from geokit.mesh import load
+    from geokit.volume import from_mesh, save
+
+    with step(f"reading {source}", quiet=quiet) as reading:
+        mesh = load(source)
+        reading.result = f"{len(mesh.faces)} faces"
+    if voxel_size is None:
+        longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
+        voxel_size = _rounded(longest / DEFAULT_RESOLUTION)
+        if not quiet:
+            note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
+    with step("voxelising", quiet=quiet) as voxelising:
+        volume = from_mesh(mesh, voxel_size=voxel_size, half_width=half_width, device=device)
+        voxelising.result = f"{volume.info.active_voxel_count} active voxels"
+    with step(f"writing {target}", quiet=quiet):
+        save(target, volume, codec=codec)
+    return {
+        "faces": len(mesh.faces),
+        "voxel_size": voxel_size,
+        "half_width": half_width,
+        "active_voxels": volume.info.active_voxel_count,
+    }
+
+
+def _rounded(length: float) -> float:
+    """Two significant digits: a voxel size that can be typed again."""
+    return float(f"{length:.1e}")
+
+
+def _volume_to_volume(
+    source: Path, target: Path, grid: str | None, codec: str | None, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.volume import load, load_all, save
+
+    with step(f"converting {source}", quiet=quiet):
+        volumes = list(load_all(source).values()) if grid is None else [load(source, grid=grid)]
+        save(target, *volumes, codec=codec)
+    return {"grids": ", ".join(volume.info.name or "(unnamed)" for volume in volumes)}
+
+
+def _volume_to_mesh(
+    source: Path, target: Path, isovalue: float, adaptivity: float, grid: str | None, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.cli._kinds import load_grid
+    from geokit.mesh import from_volume, save
+
+    with step(f"meshing {source}", quiet=quiet) as meshing:
+        volume = load_grid(source, grid)
+        mesh = from_volume(volume, isovalue=isovalue, adaptivity=adaptivity)
+        meshing.result = f"{len(mesh.faces)} faces"
+        if len(mesh.faces) == 0:
+            raise InputError(f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue")
+        save(target, mesh)
+    return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+
+
+def _cloud_to_cloud(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:
+    from geokit.points import load, save
+
+    with step(f"converting {source}", quiet=quiet):
+        cloud = load(source)
+        save(target, cloud.points, data=dict(cloud.data))
+    return {"points": len(cloud.points)}

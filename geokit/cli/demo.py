@@ -1,0 +1,130 @@
+"""``geokit demo``: the whole chain on a real mesh."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from geokit.cli._console import announce_compiling, note, print_json, print_table
+from geokit.errors import FileAccessError, InputError
+
+if TYPE_CHECKING:
+    from geokit.cli._demo_log import DemoLog
+
+__all__ = ["demo"]
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+OUTPUTS = (
+    "sdf.nvdb",
+    "sdf.vdb",
+    "points.vtp",
+    "mesh.vtu",
+    "surface.png",
+    "raycast.png",
+    "slice.png",
+    "neighbors.png",
+    "accuracy.csv",
+    "accuracy.png",
+    "summary.csv",
+    "summary.md",
+)
+
+
+def demo(
+    *,
+    out: Path = Path("demo"),
+    mesh: Path | None = None,
+    device: str | None = None,
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Run the whole chain on a real mesh and leave files, figures and a table of accuracy and speed.
+
+    Args:
+        out: Folder for the results; it is made where it is missing.
+        mesh: A mesh file of your own; the Stanford bunny where not given.
+        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        force: Replace earlier results in the folder.
+        json: Print the closing table as JSON.
+    """
+    existing = [name for name in OUTPUTS if (out / name).exists()]
+    if existing and not force:
+        raise InputError(f"{out}: holds {existing[0]} from an earlier run; add --force to replace it")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"{out}: cannot be made a folder ({error.strerror}); choose another --out") from error
+    started = time.perf_counter()
+    announce_compiling()
+    log = run_chain(out, mesh, device, quiet=json)
+    log.write(out)
+    if json:
+        print_json(log.entries)
+        return
+    from geokit.cli._demo_log import COLUMNS
+
+    print()
+    print_table(COLUMNS, [entry.cells() for entry in log.entries])
+    print()
+    written = [name for name in OUTPUTS if (out / name).exists()]
+    print(f"{len(written)} files in {out}: {', '.join(written)}")
+    note(f"done in {time.perf_counter() - started:.1f} s")
+
+
+def run_chain(out: Path, mesh_path: Path | None, device: str | None, *, quiet: bool) -> "DemoLog":
+    """Every step of the demo; returns its log."""
+    from geokit.cli import _demo_figures as figures
+    from geokit.cli import _demo_steps as steps
+    from geokit.cli._demo_input import load_mesh
+    from geokit.cli._demo_log import DemoLog
+    from geokit.mesh import Surface, audit
+
+    log = DemoLog(quiet=quiet)
+    with log.step("load the mesh", "faces") as entry:
+        mesh, origin = load_mesh(mesh_path)
+        entry.count = len(mesh.faces)
+    if not quiet:
+        note(f"input: {origin}")
+    with log.step("audit it", "faces") as entry:
+        report = audit(mesh)
+        entry.count = report.face_count
+    entry.reference = (
+        f"watertight: {_yes(report.watertight)}, manifold: {_yes(report.manifold)}, "
+        f"oriented: {_yes(report.oriented)}, degenerate: {report.degenerate_count}"
+    )
+    with log.step("prepare the surface", "faces") as entry:
+        surface = Surface(mesh, device=device)
+        entry.count = len(mesh.faces)
+    entry.reference = f"on {surface.device}, sign by {surface.sign_method}"
+
+    steps.warm_up(log, surface, device)
+    volume = steps.build_volume(log, surface, device)
+    volume = steps.save_and_reload(log, volume, out)
+    projection = steps.project_points(log, surface)
+    image = steps.cast_image(log, surface)
+    steps.sample_volume(log, surface, volume, device)
+    neighborhood = steps.find_neighbors(log, mesh, device)
+    extracted, deviation = steps.extract_surface(log, surface, volume)
+    steps.export(log, surface, volume, projection, out)
+    measured, exact_seconds = steps.accuracy_over_voxel_size(log, surface, device)
+    figures.accuracy_chart(out, measured, exact_seconds, steps.CHART_POINTS)
+    figures.draw_figures(
+        log,
+        out,
+        extracted=extracted,
+        deviation=deviation,
+        projection=projection,
+        image=image,
+        mesh=mesh,
+        volume=steps.build_wide_volume(surface),
+        neighborhood=neighborhood,
+    )
+    return log
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,0 +1,87 @@
+"""Which OpenGL library draws without a display.
+
+VTK looks for one by itself, but where it finds none it crashes the process instead of raising: so the choice is made
+here, before the first window, from what can be loaded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import glob
+import os
+from typing import Any
+
+from geokit.errors import MissingDependencyError
+
+__all__ = ["BACKENDS", "gl_backend", "pyvista"]
+
+EGL = "vtkEGLRenderWindow"
+OSMESA = "vtkOSOpenGLRenderWindow"
+BACKENDS = {"EGL": EGL, "OSMesa": OSMESA}
+
+_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+_LIBRARIES = {EGL: ("libEGL.so.1",), OSMESA: ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
+# Where a GPU can be reached, EGL draws on it; elsewhere OSMesa starts faster than EGL's software path.
+_GPU_NODES = ("/dev/dri/renderD*", "/dev/nvidiactl")
+
+
+@functools.lru_cache(maxsize=1)
+def gl_backend() -> str:
+    """The render window class that this process uses ("vtkEGLRenderWindow" or "vtkOSOpenGLRenderWindow").
+
+    VTK_DEFAULT_OPENGL_WINDOW, where it names a class, is tried first; otherwise it is set to what was found.
+
+    Returns:
+        The name of the VTK class.
+    Raises:
+        MissingDependencyError: Neither EGL nor OSMesa works here.
+    """
+    preferred = (EGL, OSMESA) if any(glob.glob(pattern) for pattern in _GPU_NODES) else (OSMESA, EGL)
+    wanted = os.environ.get(_VARIABLE, "")
+    for name in dict.fromkeys([*([wanted] if wanted in _LIBRARIES else []), *preferred]):
+        if _loads(name) and (name != EGL or _egl_draws()):
+            os.environ[_VARIABLE] = name
+            return name
+    raise MissingDependencyError(
+        "off-screen figures need EGL or OSMesa, and neither works here; "
+        "install the Debian packages libgl1 libegl1 (or libosmesa6)"
+    )
+
+
+def _loads(name: str) -> bool:
+    for library in _LIBRARIES[name]:
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return True
+    return False
+
+
+def _egl_draws() -> bool:
+    """Whether EGL can open a context: its library loads also where no driver stands behind it."""
+    from vtkmodules.vtkCommonCore import vtkLogger, vtkObject
+    from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
+
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    warnings = vtkObject.GetGlobalWarningDisplay()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    vtkObject.GlobalWarningDisplayOff()
+    try:
+        window = vtkEGLRenderWindow()
+        window.SetOffScreenRendering(1)
+        works = bool(window.SupportsOpenGL())
+        window.Finalize()
+        return works
+    finally:
+        vtkObject.SetGlobalWarningDisplay(warnings)
+        vtkLogger.SetStderrVerbosity(verbosity)
+
+
+def pyvista() -> Any:
+    """The pyvista module, with a working OpenGL library chosen before its first window."""
+    gl_backend()
+    import pyvista as module
+
+    return module

@@ -1,0 +1,89 @@
+"""Line charts of measured numbers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geokit.errors import InputError
+from geokit.render._checks import checked_size, checked_target
+from geokit.render._image import new_axes, save_figure
+
+__all__ = ["Series", "chart"]
+
+# Told apart by colour and by marker: Okabe and Ito's set, which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+
+class Series(NamedTuple):
+    """One line of a chart.
+
+    Attributes:
+        name: Its entry in the legend.
+        x, y: Equally many numbers.
+        notes: A short text beside each point, or nothing.
+    """
+
+    name: str
+    x: ArrayLike
+    y: ArrayLike
+    notes: Sequence[str] = ()
+
+
+def chart(
+    path: str | os.PathLike[str],
+    series: Sequence[Series],
+    *,
+    x_label: str,
+    y_label: str,
+    title: str = "",
+    logarithmic: bool = True,
+    size: tuple[int, int] = (800, 600),
+) -> Path:
+    """Draw lines with markers, on logarithmic axes where not told otherwise.
+
+    Args:
+        path: Target, a .png file.
+        series: The lines.
+        x_label, y_label: What the axes show, with units.
+        title: Text above.
+        logarithmic: Both axes; values must then be positive.
+        size: Width and height of the figure in pixels.
+    Returns:
+        The path that was written.
+    Raises:
+        InputError: No series, lengths that differ, numbers that are not finite or not positive, a wrong file name.
+        FileAccessError: The target cannot be written.
+    """
+    target = checked_target(path)
+    size = checked_size(size)
+    if not series:
+        raise InputError("series: empty; give at least one")
+    figure, (axis,) = new_axes(size, 1)
+    for index, line in enumerate(series):
+        x, y = (np.asarray(values, dtype=np.float64) for values in (line.x, line.y))
+        if x.ndim != 1 or x.shape != y.shape or (line.notes and len(line.notes) != len(x)):
+            raise InputError(f"series {line.name!r}: x has shape {x.shape}, y {y.shape}; give equally many numbers")
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise InputError(f"series {line.name!r}: holds numbers that are not finite; leave those points out")
+        if logarithmic and not ((x > 0).all() and (y > 0).all()):
+            raise InputError(f"series {line.name!r}: holds numbers that are not positive; use logarithmic=False")
+        color, marker = COLORS[index % len(COLORS)], MARKERS[index % len(MARKERS)]
+        axis.plot(x, y, color=color, marker=marker, label=line.name)
+        for note, at_x, at_y in zip(line.notes, x, y, strict=False):
+            axis.annotate(note, (at_x, at_y), xytext=(6, 6), textcoords="offset points", fontsize=8, color=color)
+    if logarithmic:
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+    axis.margins(x=0.12, y=0.1)  # room for the notes
+    axis.set(xlabel=x_label, ylabel=y_label, title=title)
+    axis.grid(visible=True, which="both", color="0.9", linewidth=0.6)
+    axis.set_axisbelow(True)
+    axis.legend(frameon=False)
+    return save_figure(figure, target)

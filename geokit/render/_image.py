@@ -1,0 +1,89 @@
+"""Pixel arrays as figures: one panel for each, with a colour bar where values are coloured."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit._files import atomic_path
+from geokit.errors import InputError
+from geokit.render._checks import SEQUENTIAL, checked_size, checked_target, value_range
+
+__all__ = ["DPI", "image", "new_axes", "save_figure"]
+
+# Text at 10 points reads well at 100 pixels an inch.
+DPI = 100
+
+
+def image(
+    path: str | os.PathLike[str],
+    panels: Mapping[str, Any] | Any,
+    *,
+    size: tuple[int, int] = (800, 600),
+    colormap: str = SEQUENTIAL,
+    value_limits: tuple[float, float] | None = None,
+    label: str = "",
+) -> Path:
+    """Draw pixel arrays side by side, the first row on top.
+
+    Args:
+        path: Target, a .png file.
+        panels: One array, or several by title: shape (H, W) of values, NaN where there is none, or (H, W, 3) of
+            colours in [0, 1].
+        size: Width and height of the figure in pixels.
+        colormap: A matplotlib colour map for arrays of values.
+        value_limits: Values at the two ends of the colour map; None takes those of each array.
+        label: Text beside the colour bar.
+    Returns:
+        The path that was written.
+    Raises:
+        InputError: A wrong shape, size, range or file name.
+        FileAccessError: The target cannot be written.
+    """
+    target = checked_target(path)
+    width, height = checked_size(size)
+    named = dict(panels) if isinstance(panels, Mapping) else {"": panels}
+    if not named:
+        raise InputError("panels: empty; give at least one array")
+    arrays = {title: _pixels(array, title) for title, array in named.items()}
+    figure, axes = new_axes((width, height), len(arrays))
+    for axis, (title, array) in zip(axes, arrays.items(), strict=True):
+        axis.set_axis_off()
+        axis.set_title(title)
+        if array.ndim == 3:
+            axis.imshow(np.clip(array, 0.0, 1.0), interpolation="none")
+            continue
+        low, high = value_range(array, value_limits)
+        drawn = axis.imshow(array, cmap=colormap, vmin=low, vmax=high, interpolation="none")
+        figure.colorbar(drawn, ax=axis, label=label, shrink=0.75)
+    return save_figure(figure, target)
+
+
+def _pixels(array: Any, title: str) -> NDArray[np.float64]:
+    pixels = np.asarray(array, dtype=np.float64)
+    if pixels.ndim not in (2, 3) or 0 in pixels.shape or (pixels.ndim == 3 and pixels.shape[2] != 3):
+        raise InputError(f"panels: {title or 'the array'} has shape {pixels.shape}, not (H, W) or (H, W, 3)")
+    return pixels
+
+
+def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
+    """A figure that no window knows of, and ``count`` axes in a row."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    # Figure without pyplot: no global state, no choice of a window system.
+    figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, count, squeeze=False)
+    return figure, list(axes[0])
+
+
+def save_figure(figure: Any, target: Path) -> Path:
+    with atomic_path(target) as part:
+        figure.savefig(part, dpi=DPI, format="png")
+    return target

@@ -1,0 +1,133 @@
+"""A plane through a volume, coloured by value, with contour lines."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.errors import InputError
+from geokit.render._checks import DIVERGING, SEQUENTIAL, checked_size, checked_target, value_range
+from geokit.render._image import new_axes, save_figure
+
+if TYPE_CHECKING:
+    from geokit.volume.model import SparseVolume
+
+__all__ = ["slice_figure"]
+
+AXES = "xyz"
+# Lines drawn where no levels are given; more of them hide the colours.
+CONTOUR_COUNT = 9
+# A level this near to zero, relative to the range, is the zero contour up to rounding.
+ZERO_LEVEL = 1e-9
+
+# Interpolated background differs from background by rounding.
+BAND_EDGE = 1.0 - 1e-6
+# Greys of the inside and the outside beyond a level set's narrow band.
+INSIDE, OUTSIDE = 0.82, 1.0
+
+
+def slice_figure(
+    path: str | os.PathLike[str],
+    volume: "SparseVolume",
+    *,
+    axis: str = "z",
+    position: float | None = None,
+    contours: Sequence[float] | None = None,
+    label: str = "",
+    title: str = "",
+    size: tuple[int, int] = (800, 600),
+    device: Any = None,
+) -> Path:
+    """Draw the values of ``volume`` on a plane across one world axis.
+
+    Level sets are coloured around white at zero, with the zero contour drawn bold, and grey or white
+    inside or outside the narrow band; other grids from low to high.
+    Vectors are drawn by their length.
+
+    Args:
+        path: Target, a .png file.
+        volume: The grid.
+        axis: "x", "y" or "z": the axis that the plane is across.
+        position: Where the plane cuts the axis [world]; None is the middle of the active voxels.
+        contours: Values of the contour lines; None spreads a few over the range.
+        label: Text beside the colour bar.
+        title: Text above.
+        size: Width and height of the figure in pixels.
+        device: Where the plane is sampled.
+    Returns:
+        The path that was written.
+    Raises:
+        InputError: An unknown axis, a grid without active voxels, a wrong size or file name.
+        FileAccessError: The target cannot be written.
+    """
+    target = checked_target(path)
+    width, height = checked_size(size)
+    if axis not in AXES:
+        raise InputError(f"axis: {axis!r} is not one of x, y, z")
+    bounds = volume.info.world_bounds
+    if bounds is None:
+        raise InputError(f"grid {volume.info.name!r} has no active voxels: there is nothing to draw")
+    across = AXES.index(axis)
+    right, up = [other for other in range(3) if other != across]
+    where = float(bounds[:, across].mean()) if position is None else float(position)
+    u, v = _samples(bounds[:, right], bounds[:, up], width, height)
+    positions = np.empty((len(v), len(u), 3))
+    positions[..., right], positions[..., up] = np.meshgrid(u, v)
+    positions[..., across] = where
+    values = np.asarray(volume.sample(positions.reshape(-1, 3), device=device), dtype=np.float64)
+    if values.ndim == 2:
+        values = np.linalg.norm(values, axis=1)
+    values = values.reshape(len(v), len(u))
+
+    signed = volume.info.grid_class == "level set"
+    low, high = value_range(values, None, centred=signed)
+    figure, (panel,) = new_axes((width, height), 1)
+    placed: dict[str, Any] = {"origin": "lower", "extent": (u[0], u[-1], v[0], v[-1])}
+    beyond = _beyond_band(values, volume.info.background) if signed else np.zeros(values.shape, dtype=bool)
+    drawn = panel.imshow(
+        np.ma.array(values, mask=beyond),
+        cmap=DIVERGING if signed else SEQUENTIAL,
+        vmin=low,
+        vmax=high,
+        interpolation="nearest",
+        **placed,
+    )
+    if beyond.any():
+        shade = np.ma.array(np.where(values < 0.0, INSIDE, OUTSIDE), mask=~beyond)
+        panel.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest", **placed)
+    _draw_contours(panel, u, v, values, contours, (low, high), signed)
+    panel.set(xlabel=AXES[right], ylabel=AXES[up], title=title or f"{volume.info.name} at {axis} = {where:.4g}")
+    figure.colorbar(drawn, ax=panel, label=label or volume.info.name)
+    return save_figure(figure, target)
+
+
+def _beyond_band(values: Any, background: Any) -> Any:
+    """Where a level set says no more than which side a sample is on."""
+    return np.abs(values) >= abs(float(background)) * BAND_EDGE
+
+
+def _samples(u_bounds: Any, v_bounds: Any, width: int, height: int) -> tuple[Any, Any]:
+    # About one sample a pixel: more would not be seen.
+    extent_u, extent_v = float(np.ptp(u_bounds)) or 1.0, float(np.ptp(v_bounds)) or 1.0
+    step = max(extent_u / width, extent_v / height)
+    count_u, count_v = (max(2, int(extent / step) + 1) for extent in (extent_u, extent_v))
+    return np.linspace(u_bounds[0], u_bounds[1], count_u), np.linspace(v_bounds[0], v_bounds[1], count_v)
+
+
+def _draw_contours(
+    panel: Any, u: Any, v: Any, values: Any, contours: Sequence[float] | None, limits: tuple[float, float], signed: bool
+) -> None:
+    low, high = limits
+    levels = np.linspace(low, high, CONTOUR_COUNT + 2)[1:-1] if contours is None else np.asarray(contours, dtype=float)
+    # A level that no sample reaches would make matplotlib warn.
+    inside = np.unique(levels[(levels > values.min()) & (levels < values.max())])
+    if signed:
+        inside = inside[np.abs(inside) > ZERO_LEVEL * high]  # drawn bold below
+    if inside.size:
+        panel.contour(u, v, values, levels=inside, colors="0.35", linewidths=0.6, linestyles="solid")
+    if signed and values.min() < 0.0 < values.max():
+        panel.contour(u, v, values, levels=[0.0], colors="black", linewidths=1.8)

@@ -1,0 +1,71 @@
+"""What the README shows is run: its Python, its commands, its two set-up commands' verbs, its links."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """An empty folder beside which the samples lie where the README says."""
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    return tmp_path
+
+
+def test_python(folder: Path) -> None:
+    (code,) = blocks("python")
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines() == ["True"]
+    assert {path.name for path in folder.iterdir()} == {"data", "torus.vdb", "closest.vtp", "torus.png"}
+
+
+def test_commands(folder: Path) -> None:
+    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("geokit ")]
+    assert len(commands) >= 8
+    for command in commands:
+        words = shlex.split(command, comments=True)
+        run = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, cwd=folder)
+        assert run.returncode == 0, f"{command}\n{run.stderr}"
+    written = {path.name for path in folder.iterdir()} - {"data"}
+    assert written == {"torus.vdb", "torus.nvdb", "torus.obj", "distances.csv", "neighbors.npz", "figure.png"}
+
+
+def test_set_up_commands_are_verbs_of_dev() -> None:
+    shown = [line.split()[:2] for block in blocks("sh") for line in block.splitlines() if line.startswith("./dev")]
+    assert shown == [["./dev", "demo"], ["./dev", "test"]]
+    listed = subprocess.run([ROOT / "dev"], capture_output=True, text=True, check=True).stdout
+    for verb in ("demo", "test", "check", "bench"):
+        assert re.search(rf"^  {verb} ", listed, re.MULTILINE)
+    unknown = subprocess.run([ROOT / "dev", "frobnicate"], capture_output=True, text=True)
+    assert unknown.returncode == 1
+    assert "no verb 'frobnicate'" in unknown.stderr
+
+
+def test_ci_runs_the_tests_and_nothing_else() -> None:
+    lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert lines[-1] == "exec ./dev test"
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda page: page.stem
+)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
