@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
     from geokit.points.io import PointCloud, load, load_rays, save
@@ -11,25 +12,14 @@ if TYPE_CHECKING:
 
 __all__ = ["NeighborGrid", "Neighbors", "PointCloud", "load", "load_rays", "save"]
 
-# Where each public name lives; a module is read when one of its names is first asked for.
-_MODULES = {
-    "NeighborGrid": "geokit.points.neighbors",
-    "Neighbors": "geokit.points.neighbors",
-    "PointCloud": "geokit.points.io",
-    "load": "geokit.points.io",
-    "load_rays": "geokit.points.io",
-    "save": "geokit.points.io",
-}
-
-
-def __getattr__(name: str) -> Any:
-    module = _MODULES.get(name)
-    if module is None:
-        raise AttributeError(f"module 'geokit.points' has no attribute {name!r}")
-    value = getattr(importlib.import_module(module), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+make_lazy(
+    __name__,
+    {
+        "NeighborGrid": "geokit.points.neighbors",
+        "Neighbors": "geokit.points.neighbors",
+        "PointCloud": "geokit.points.io",
+        "load": "geokit.points.io",
+        "load_rays": "geokit.points.io",
+        "save": "geokit.points.io",
+    },
+)
