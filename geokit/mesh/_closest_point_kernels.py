@@ -7,7 +7,8 @@ import warp as wp
 from geokit.mesh._bvh_kernels import nearest_slot, triangle_in_slot
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
 
-wp.set_module_options({"enable_backward": False})
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel

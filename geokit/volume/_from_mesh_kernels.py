@@ -9,7 +9,8 @@ from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_trian
 from geokit.mesh._winding_kernels import winding_number_at
 
 # Unrolled, the loops over voxels and sides would take half a minute to compile and gain nothing.
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 # Half the edge of the box around the 8^3 voxel centres of a tile [voxels], and half its diagonal.
 TILE_HALF = wp.constant(wp.float64(3.5))

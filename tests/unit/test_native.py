@@ -550,8 +550,8 @@ def test_level_set_and_back(adaptivity: float) -> None:
     assert len(plain.quads) > 1000
     assert (len(mesh.points) < len(plain.points) / 2) == (adaptivity > 0)
     volume = signed_volume(mesh.points, split(mesh))
-    # Outward: positive. The polygons are flat, on both sides: 3% is their share at this voxel size.
-    assert volume == pytest.approx(signed_volume(vertices, faces), rel=0.03)
+    # Outward: positive. Chords of a sphere lie inside it; merged polygons have long ones.
+    assert volume == pytest.approx(signed_volume(vertices, faces), rel=0.1 if adaptivity else 0.03)
     radii = np.linalg.norm(mesh.points, axis=1)
     assert abs(radii - 1).max() < 0.05
 
@@ -674,7 +674,7 @@ def test_buffers_whose_offsets_lead_astray_are_refused(tmp_path: Path) -> None:
     # A child mask that names children that are not there.
     bad = make_buffer("float")
     bad[upper + 32 + 4096 :][:4096] = 255
-    with pytest.raises(InputError, match="more nodes"):
+    with pytest.raises(InputError, match=r"more nodes|outside the grid"):
         native.volume_to_mesh(bad)
     for size in (0, 100, 672, 735, 736, len(good) - 1):
         with pytest.raises(InputError):
@@ -846,7 +846,8 @@ def test_rocks_from_warp(tmp_path: Path) -> None:
     if not path.exists():
         pytest.skip("warp's rocks.nvdb is not installed")
     with open(path, "rb") as file:
-        buffer = warp.Volume.load_from_nvdb(file, device="cpu").array().numpy()
+        volume = warp.Volume.load_from_nvdb(file, device="cpu")
+    buffer = volume.array().numpy().copy()  # the array is the volume's own memory
     (first,) = round_trip(tmp_path, VdbGrid(buffer, {}))
     (second,) = round_trip(tmp_path, first, compression="zip")
     assert np.array_equal(first.nanovdb, second.nanovdb)

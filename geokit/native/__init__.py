@@ -1,0 +1,388 @@
+"""OpenVDB <-> NanoVDB: reading and writing .vdb files, and OpenVDB's conversions between volumes and meshes.
+
+The only importer of the compiled extension, which is there where geokit was built with OpenVDB installed; elsewhere
+``available()`` is False and every other function raises ``MissingDependencyError``.
+
+Files are read by a separate worker process by default: OpenVDB crashes on damaged files, and then only the worker does.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geokit._files import atomic_path, require_file
+from geokit.errors import (
+    DeviceMemoryError,
+    FileAccessError,
+    InputError,
+    MissingDependencyError,
+)
+from geokit.native import _worker
+from geokit.native._failures import raise_failure
+from geokit.native._metadata import RawMetadata, decode_all, decode_header, encode_all
+
+__all__ = [
+    "PolygonMesh",
+    "RawMetadata",
+    "VdbGrid",
+    "available",
+    "inspect_vdb",
+    "mesh_to_level_set",
+    "read_vdb",
+    "require",
+    "versions",
+    "volume_to_mesh",
+    "write_vdb",
+]
+
+_PACKAGES = "g++ libopenvdb-dev libnanovdb-dev libtbb-dev libblosc-dev libboost-iostreams-dev libimath-dev"
+
+# Alignment of a NanoVDB buffer.
+_ALIGNMENT = 32
+
+_Result = TypeVar("_Result")
+
+
+class VdbGrid(NamedTuple):
+    """One grid.
+
+    Attributes:
+        nanovdb: NanoVDB buffer: uint8, starting at a 32-byte boundary, one grid, no file header. It holds the values,
+            the name, the class, the transform and the background.
+        metadata: The other OpenVDB metadata by name. The type of a value says its OpenVDB type, see
+            ``geokit.native._metadata``. Three keys are special: "name" overrides the buffer's name on writing; "class"
+            overrides its class, and is there after reading where a NanoVDB grid of this type cannot hold the class
+            (a level set of integers); "geokit:value_type" is "vec3i" where the file holds integer vectors, which
+            NanoVDB has not and the buffer holds as vec3d.
+    """
+
+    nanovdb: NDArray[np.uint8]
+    metadata: dict[str, Any]
+
+
+class PolygonMesh(NamedTuple):
+    """Output of :func:`volume_to_mesh`: points (V, 3) float64 [world], triangles (T, 3) and quads (Q, 4) int32."""
+
+    points: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    quads: NDArray[np.int32]
+
+
+@functools.cache
+def _load() -> tuple[ModuleType | None, str]:
+    try:
+        return importlib.import_module("geokit.native._bridge"), ""
+    except ImportError as error:
+        return None, str(error)
+
+
+def _extension() -> ModuleType:
+    require()
+    return _load()[0]  # type: ignore[return-value]
+
+
+def _worker_path() -> Path:
+    return Path(str(_extension().__file__)).with_name("geokit_vdb_worker")
+
+
+def available() -> bool:
+    """Whether the extension was built and can be loaded."""
+    return _load()[0] is not None
+
+
+def require() -> None:
+    """Does nothing where the extension is there.
+
+    Raises:
+        MissingDependencyError: It is not; the message names the packages to install and the command to build it.
+    """
+    module, reason = _load()
+    if module is None:
+        raise MissingDependencyError(
+            f"geokit was built without OpenVDB ({reason}), which .vdb files and OpenVDB operations need; on Debian or "
+            f"Ubuntu: apt install {_PACKAGES}; then, in geokit's source folder: pip install --force-reinstall "
+            "--no-deps --config-settings=cmake.define.GEOKIT_REQUIRE_OPENVDB=ON ."
+        )
+
+
+def versions() -> dict[str, str]:
+    """Versions that the extension was built with, by "openvdb" and "nanovdb".
+
+    Raises:
+        MissingDependencyError: The extension is not there.
+    """
+    openvdb, nanovdb = _extension().versions()
+    return {"openvdb": openvdb, "nanovdb": nanovdb}
+
+
+def read_vdb(
+    path: str | os.PathLike[str],
+    *,
+    grids: Sequence[str] | None = None,
+    trusted: bool = False,
+    time_limit: float = 120.0,
+    memory_limit: int | None = None,
+) -> list[VdbGrid]:
+    """Grids of a .vdb file as NanoVDB buffers.
+
+    Exact: every value (active or not), state, tile, transform and metadata item is kept bit for bit.
+
+    Args:
+        path: The file.
+        grids: Names of the grids wanted: all of a name where several share it, or "name[1]" for the second. None reads
+            every grid.
+        trusted: Read in this process. A little quicker; a damaged file can then crash it. Limits do not apply.
+        time_limit: Wall-clock limit of the worker [s].
+        memory_limit: Memory limit of the worker, and of what it hands back [bytes]; three quarters of the machine's
+            memory by default.
+
+    Returns:
+        The grids in the order of the file.
+
+    Raises:
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: It is not a .vdb file, is damaged, or reading it exceeded a limit.
+        UnsupportedGridError: A wanted grid has a type (points, strings) or a transform (frustum) that NanoVDB has
+            not. A grid that was not asked for does not matter: name the others in ``grids``.
+        InputError: No grid has one of the names; the message lists those there are. A limit that is not positive.
+        MissingDependencyError: The extension is not there.
+    """
+    source = require_file(path)
+    names = _checked_names(grids)
+    if grids is not None and not names:
+        return []
+    if trusted:
+        extension = _extension()
+        output, buffers = _call(source, lambda: extension.read(os.fsencode(source), names))
+        descriptions = json.loads(output.decode("utf-8", "surrogateescape"))["grids"]
+    else:
+        descriptions, buffers = _read_in_worker(source, names, time_limit, memory_limit)
+    return [
+        VdbGrid(buffer, decode_all(description["metadata"]))
+        for buffer, description in zip(buffers, descriptions, strict=True)
+    ]
+
+
+def inspect_vdb(
+    path: str | os.PathLike[str], *, time_limit: float = 120.0, memory_limit: int | None = None
+) -> list[dict[str, Any]]:
+    """Headers of a .vdb file's grids, read by the worker without their voxels.
+
+    Args:
+        path: The file.
+        time_limit: Wall-clock limit of the worker [s].
+        memory_limit: Memory limit of the worker [bytes].
+
+    Returns:
+        A dict per grid, in the order of the file: "name", "grid_type" ("float", "vec3f", ...; OpenVDB's own name
+        for one that geokit does not read), "grid_class", "transform" ((4, 4) float64, None for a frustum),
+        "background" (None where unknown), "active_voxel_count" and "index_bounds" ((2, 3) int64) where the file
+        holds them, else None, "compression" (text from the file), "half", "convertible", "byte_count" (in the
+        file), "metadata".
+
+    Raises:
+        FileAccessError, FileFormatError, InputError, MissingDependencyError: As :func:`read_vdb`.
+    """
+    source = require_file(path)
+    limits = _checked_limits(time_limit, memory_limit)
+    result = _worker.run_worker(_worker_path(), "inspect", source, [], time_limit=limits[0], memory_limit=limits[1])
+    if "error" in result:
+        raise_failure(result["error"], str(source))
+    return [decode_header(description) for description in result["grids"]]
+
+
+def write_vdb(
+    path: str | os.PathLike[str], grids: Sequence[VdbGrid], *, compression: str = "blosc", half: bool = False
+) -> None:
+    """Writes grids into a .vdb file: the old file or the whole new one is there, whatever happens.
+
+    Exact, but for quantised grids (fp4, fp8, fp16, fpn), which become float grids of the values they stand for, and
+    with ``half``. Types vec4f, vec4d and uint32 are written although other programs may not know them.
+
+    Args:
+        path: The file, replaced where it exists.
+        grids: At least one grid.
+        compression: "blosc" (with OpenVDB's active mask), "zip" (the same) or "none".
+        half: Store real values with 16 bits.
+
+    Raises:
+        InputError: No grid, a buffer that is none, an unknown compression, metadata that has no OpenVDB type, or a
+            transform that OpenVDB takes as singular.
+        UnsupportedGridError: A grid type without an OpenVDB counterpart.
+        FileAccessError: The target cannot be written.
+        MissingDependencyError: The extension is not there.
+    """
+    extension = _extension()
+    if not grids:
+        raise InputError(f"{path}: no grids to write; pass at least one")
+    if compression not in ("blosc", "zip", "none"):
+        raise InputError(f"compression is {compression!r}; use 'blosc', 'zip' or 'none'")
+    prepared = [(_aligned(grid.nanovdb), encode_all(grid.metadata)) for grid in grids]
+    with atomic_path(path) as part:
+        _call(path, lambda: extension.write(os.fsencode(part), prepared, compression, bool(half)), is_argument=True)
+
+
+def volume_to_mesh(nanovdb: NDArray[np.uint8], *, isovalue: float = 0.0, adaptivity: float = 0.0) -> PolygonMesh:
+    """Isosurface by OpenVDB's dual contouring.
+
+    Points are computed in index space relative to the grid's corner as float32 and taken to world space in float64:
+    their rounding is about 1e-5 voxel wherever the grid lies.
+
+    Args:
+        nanovdb: Buffer of a float, double or quantised grid.
+        isovalue: Value of the surface.
+        adaptivity: 0 keeps one point per voxel that the surface crosses, 1 merges the most.
+
+    Returns:
+        PolygonMesh. Polygons run counter-clockwise seen from the side of greater values: the outside of a signed
+        distance field.
+
+    Raises:
+        InputError: isovalue is not finite, adaptivity outside 0..1, or the buffer is not a NanoVDB grid.
+        UnsupportedGridError: A grid type that has no isosurface.
+        MissingDependencyError: The extension is not there.
+    """
+    extension = _extension()
+    if not math.isfinite(isovalue):
+        raise InputError(f"isovalue is {isovalue}; pass a finite number")
+    if not 0.0 <= adaptivity <= 1.0:
+        raise InputError(f"adaptivity is {adaptivity}; pass a number from 0 to 1")
+    buffer = _aligned(nanovdb)
+    return PolygonMesh(
+        *_call(
+            "nanovdb", lambda: extension.volume_to_mesh(buffer, float(isovalue), float(adaptivity)), is_argument=True
+        )
+    )
+
+
+def mesh_to_level_set(
+    vertices: ArrayLike, faces: ArrayLike, *, voxel_size: float, half_width: float = 3.0
+) -> NDArray[np.uint8]:
+    """OpenVDB's own narrow-band signed distance field of a closed mesh: negative inside.
+
+    For comparison. Its band is not exact: up to 0.4 voxel off after its renormalisation.
+
+    Args:
+        vertices: Positions [world], shape (V, 3).
+        faces: Vertex indices, shape (F, 3).
+        voxel_size: Edge length of a voxel [world].
+        half_width: Width of the band on either side of the surface [voxels], at least 1.
+
+    Returns:
+        NanoVDB buffer of a float level set.
+
+    Raises:
+        InputError: Wrong shapes, no faces, indices out of range, values that are not finite, a voxel size that is not
+            positive or too small for OpenVDB or for the mesh's extent, or a half width below 1.
+        DeviceMemoryError: The field needs more memory than there is.
+        MissingDependencyError: The extension is not there.
+    """
+    extension = _extension()
+    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    triangles = np.asarray(faces)
+    if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise InputError(f"vertices {points.shape} and faces {triangles.shape} must have shapes (V, 3) and (F, 3)")
+    if triangles.dtype.kind not in "iu":
+        raise InputError(f"faces have type {triangles.dtype}; pass integers")
+    if len(triangles) == 0:
+        raise InputError("the mesh has no faces; pass at least one triangle")
+    if not np.isfinite(points).all():
+        raise InputError(f"vertices: row {int(np.argmin(np.isfinite(points).all(axis=1)))} is not finite; remove it")
+    bad = ((triangles < 0) | (triangles >= len(points))).any(axis=1)
+    if bad.any():
+        raise InputError(f"faces: row {int(np.argmax(bad))} names a vertex outside 0..{len(points) - 1}; correct it")
+    if not (math.isfinite(voxel_size) and voxel_size > 0.0):
+        raise InputError(f"voxel_size is {voxel_size}; pass a positive number")
+    if not (math.isfinite(half_width) and half_width >= 1.0):
+        raise InputError(f"half_width is {half_width}; pass a number of voxels of at least 1")
+    # OpenVDB's voxel coordinates are 32-bit integers; beyond them its flood fill runs over other memory.
+    if np.abs(points).max() / voxel_size + half_width > 2**30:
+        raise InputError(
+            f"voxel_size {voxel_size} is too small for vertices this far from the origin; use a larger one"
+        )
+    indices = np.ascontiguousarray(triangles, dtype=np.int32)
+    return _call(
+        "mesh",
+        lambda: extension.mesh_to_level_set(points, indices, float(voxel_size), float(half_width)),
+        is_argument=True,
+    )
+
+
+def _read_in_worker(
+    path: Path, names: list[str], time_limit: float, memory_limit: int | None
+) -> tuple[list[dict[str, Any]], list[NDArray[np.uint8]]]:
+    extension, worker = _extension(), _worker_path()
+    limits = _checked_limits(time_limit, memory_limit)
+    for parent in _worker.spool_folders(path.stat().st_size):
+        with _worker.spool(parent) as folder:
+            result = _worker.run_worker(
+                worker, "read", path, [folder, *names], time_limit=limits[0], memory_limit=limits[1]
+            )
+            if "error" not in result:
+                buffers = [_worker.map_file(grid["path"], grid["size"]) for grid in result["grids"]]
+                for buffer in buffers:
+                    # A worker whose memory a damaged file has overwritten may hand back a tree that leads astray.
+                    _call(path, functools.partial(extension.check, buffer))
+                return result["grids"], buffers
+            if result["error"]["kind"] != "spool":
+                raise_failure(result["error"], str(path))
+    raise FileAccessError(
+        f"{path}: no room for the voxels in shared memory or in the temporary folder ({result['error']['message']}); "
+        "free some, set TMPDIR to a larger folder, or pass trusted=True for a file you trust"
+    )
+
+
+def _checked_names(grids: Sequence[str] | None) -> list[str]:
+    if isinstance(grids, str):
+        raise InputError(f"grids is the string {grids!r}; pass a list of names")
+    names = list(grids or [])
+    for name in names:
+        if not isinstance(name, str) or "\0" in name:
+            raise InputError(f"grids: {name!r} is not a grid name; pass strings")
+    return names
+
+
+def _checked_limits(time_limit: float, memory_limit: int | None) -> tuple[float, int]:
+    if not (math.isfinite(time_limit) and time_limit > 0.0):
+        raise InputError(f"time_limit is {time_limit}; pass a positive number of seconds")
+    if memory_limit is not None and memory_limit <= 0:
+        raise InputError(f"memory_limit is {memory_limit}; pass a positive number of bytes")
+    return float(time_limit), int(memory_limit or _worker.default_memory_limit())
+
+
+def _aligned(nanovdb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    buffer = np.ascontiguousarray(nanovdb)
+    if buffer.dtype != np.uint8 or buffer.ndim != 1:
+        raise InputError(f"nanovdb has type {buffer.dtype} and shape {buffer.shape}; pass one dimension of uint8")
+    if buffer.ctypes.data % _ALIGNMENT == 0:
+        return buffer
+    room = np.empty(buffer.size + _ALIGNMENT, dtype=np.uint8)
+    start = -room.ctypes.data % _ALIGNMENT
+    room[start : start + buffer.size] = buffer
+    return room[start : start + buffer.size]
+
+
+def _call(what: str | os.PathLike[str], function: Callable[[], _Result], *, is_argument: bool = False) -> _Result:
+    """Runs a function of the extension and turns its errors into geokit's."""
+    extension = _extension()
+    try:
+        return function()
+    except extension.BridgeError as error:
+        raise_failure(
+            json.loads(error.args[0].decode("utf-8", "surrogateescape"))["error"], os.fspath(what), is_argument
+        )
+    except MemoryError as error:
+        raise DeviceMemoryError(
+            f"{os.fspath(what)}: more memory is needed than there is; use a coarser grid"
+        ) from error

@@ -1,0 +1,40 @@
+"""Errors of the extension and of the worker as geokit's exceptions."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+from geokit.errors import (
+    DeviceMemoryError,
+    FileAccessError,
+    FileFormatError,
+    InputError,
+    UnsupportedGridError,
+)
+
+__all__ = ["raise_failure"]
+
+
+def raise_failure(error: dict[str, Any], what: str, is_argument: bool = False) -> NoReturn:
+    """Raises the exception for a failure that the C++ side reports.
+
+    Args:
+        error: "kind" and "message", as in src/errors.h, and "names" of the grids that are there where one is missing.
+        what: The file or the argument that it is about.
+        is_argument: Whether the caller passed the bytes at fault, instead of a file's name.
+    """
+    kind, message = error["kind"], error["message"]
+    if kind == "missing":
+        there = ", ".join(repr(name) for name in error["names"])
+        raise InputError(f"{what}: {message}; the file holds {there}")
+    if kind == "unsupported":
+        raise UnsupportedGridError(f"{what}: {message}; leave it out or convert it in the program that made it")
+    if kind == "access":
+        raise FileAccessError(f"{what}: {message}; check the path, its permissions and the disk")
+    if kind == "memory" and is_argument:
+        raise DeviceMemoryError(f"{what}: {message}")
+    if kind == "memory":
+        raise FileFormatError(f"{what}: {message}; the file is damaged, or pass a larger memory_limit")
+    if kind == "damaged" and not is_argument:
+        raise FileFormatError(f"{what}: not a sound .vdb file: {message}; restore it from its source")
+    raise InputError(f"{what}: {message}")

@@ -1,0 +1,106 @@
+"""Runs the worker process that reads .vdb files which nobody vouches for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError
+from geokit.native._metadata import raw
+
+__all__ = ["SpoolFullError", "default_memory_limit", "map_file", "run_worker", "spool_folders"]
+
+# The worker may take this share of the machine's memory where the caller names no limit.
+_MEMORY_SHARE = 0.75
+
+# A .vdb of compressed values becomes a NanoVDB buffer several times its size; where less than this times the file's
+# size is free in shared memory, the buffers go through a folder on disk from the start.
+_EXPANSION = 8
+
+# The clock of the kernel's CPU limit is a second line, behind the wall clock here: it counts all threads and has to let
+# a run through that keeps this many busy.
+_MAX_THREADS = 8
+
+
+class SpoolFullError(Exception):
+    """The folder for the worker's results had too little room."""
+
+
+def default_memory_limit() -> int:
+    """Bytes that a worker may use where the caller names no limit."""
+    return int(_MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+
+
+def spool_folders(file_size: int) -> list[str]:
+    """Parent folders for the worker's results, best first: shared memory where it has room, then the temporary one."""
+    folders = [tempfile.gettempdir()]
+    with contextlib.suppress(OSError):
+        if shutil.disk_usage("/dev/shm").free > _EXPANSION * file_size and os.access("/dev/shm", os.W_OK):
+            folders.insert(0, "/dev/shm")
+    return folders
+
+
+@contextlib.contextmanager
+def spool(parent: str) -> Iterator[str]:
+    """A folder for the worker's results that is gone afterwards; a file mapped meanwhile lives on without a name."""
+    with tempfile.TemporaryDirectory(prefix="geokit-vdb-", dir=parent) as folder:
+        yield folder
+
+
+def map_file(path: str, size: int) -> NDArray[np.uint8]:
+    """A file's bytes without a copy; they outlive the file's name."""
+    with open(path, "r+b") as file:
+        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.uint8)
+
+
+def run_worker(
+    worker: Path, verb: str, path: Path, arguments: Sequence[str], *, time_limit: float, memory_limit: int
+) -> dict[str, Any]:
+    """The worker's JSON, which may hold an error.
+
+    Raises:
+        FileFormatError: The worker crashed, ran out of time, or wrote something else than JSON.
+    """
+    cpu_seconds = int(time_limit * min(os.cpu_count() or 1, _MAX_THREADS)) + 2
+    command: list[str | bytes] = [str(worker), verb, str(memory_limit), str(cpu_seconds), os.fsencode(path)]
+    process = subprocess.Popen(
+        command + [raw(argument) for argument in arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    with process:
+        try:
+            output, _ = process.communicate(timeout=time_limit)
+        except subprocess.TimeoutExpired:
+            raise FileFormatError(
+                f"{path}: reading took more than {time_limit:g} s and was stopped; the file is damaged, or pass a "
+                "larger time_limit"
+            ) from None
+        finally:
+            process.kill()  # does nothing once it has ended; an interrupt must not leave it running
+    return _parse(path, output, process.returncode)
+
+
+def _parse(path: Path, output: bytes, status: int) -> dict[str, Any]:
+    if status in (0, 1):
+        with contextlib.suppress(ValueError):
+            result = json.loads(output.decode("utf-8", "surrogateescape"))
+            if isinstance(result, dict) and ("grids" in result if status == 0 else "error" in result):
+                return result
+    what = f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
+    raise FileFormatError(
+        f"{path}: damaged: OpenVDB crashed on it, in a separate process ({what}); restore the file from its source"
+    )

@@ -1,0 +1,130 @@
+// Python's view of the bridge: arrays in, arrays out, nothing else. geokit/native/__init__.py is its only importer.
+
+#include "bridge.h"
+#include "buffer.h"
+#include "check.h"
+#include "errors.h"
+#include "mesh.h"
+#include "write.h"
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
+#include <new>
+#include <tuple>
+
+namespace nb = nanobind;
+
+namespace {
+
+using Bytes = nb::ndarray<nb::numpy, uint8_t, nb::ndim<1>>;
+using ConstBytes = nb::ndarray<const uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Points = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Triangles = nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Item = std::tuple<std::string, std::string, nb::bytes>; // name, OpenVDB type, value
+
+// One array that owns what it shows.
+Bytes to_array(geokit::MappedBuffer&& buffer)
+{
+    auto* owned = new geokit::MappedBuffer(std::move(buffer));
+    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<geokit::MappedBuffer*>(pointer); });
+    return Bytes(owned->data(), {owned->size()}, owner);
+}
+
+template<typename T, size_t N>
+nb::ndarray<nb::numpy, T, nb::shape<-1, N>> to_array(std::vector<std::array<T, N>>&& rows)
+{
+    auto* owned = new std::vector<std::array<T, N>>(std::move(rows));
+    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::vector<std::array<T, N>>*>(pointer); });
+    return nb::ndarray<nb::numpy, T, nb::shape<-1, N>>(owned->data(), {owned->size(), N}, owner);
+}
+
+auto read_grids(nb::bytes path, const std::vector<std::string>& names)
+{
+    const std::string source(path.c_str(), path.size());
+    std::vector<geokit::MappedBuffer> buffers;
+    std::string json;
+    {
+        nb::gil_scoped_release release;
+        json = geokit::read_vdb(source, names, buffers);
+    }
+    std::vector<Bytes> arrays;
+    for (auto& buffer : buffers) arrays.push_back(to_array(std::move(buffer)));
+    // Bytes, not str: names in the file need not be UTF-8.
+    return std::make_pair(nb::bytes(json.data(), json.size()), std::move(arrays));
+}
+
+void check_buffer(ConstBytes buffer)
+{
+    nb::gil_scoped_release release;
+    geokit::check_nanovdb(buffer.data(), buffer.size());
+}
+
+void write_grids(nb::bytes path, const std::vector<std::pair<ConstBytes, std::vector<Item>>>& grids,
+    const std::string& compression, bool half)
+{
+    std::vector<geokit::WriteGrid> sources;
+    for (const auto& [buffer, items] : grids) {
+        geokit::WriteGrid source{buffer.data(), {}};
+        for (const auto& [name, type, value] : items) {
+            source.metadata.push_back({name, type, std::string(value.c_str(), value.size())});
+        }
+        sources.push_back(std::move(source));
+    }
+    const std::string target(path.c_str(), path.size());
+    nb::gil_scoped_release release;
+    for (size_t i = 0; i < grids.size(); ++i) geokit::check_nanovdb(grids[i].first.data(), grids[i].first.size());
+    geokit::write_vdb(target, sources, compression, half);
+}
+
+auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
+{
+    geokit::PolygonMesh mesh;
+    {
+        nb::gil_scoped_release release;
+        geokit::check_nanovdb(buffer.data(), buffer.size());
+        mesh = geokit::volume_to_mesh(buffer.data(), isovalue, adaptivity);
+    }
+    return std::make_tuple(
+        to_array(std::move(mesh.points)), to_array(std::move(mesh.triangles)), to_array(std::move(mesh.quads)));
+}
+
+Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, double half_width)
+{
+    geokit::MappedBuffer buffer;
+    {
+        nb::gil_scoped_release release;
+        buffer = geokit::mesh_to_level_set(
+            points.data(), points.shape(0), triangles.data(), triangles.shape(0), voxel_size, half_width);
+    }
+    return to_array(std::move(buffer));
+}
+
+} // namespace
+
+NB_MODULE(_bridge, module)
+{
+    // Raised with one argument: the JSON of json.h, from which __init__.py makes geokit's own exceptions.
+    static nb::object bridge_error = nb::exception<geokit::BridgeError>(module, "BridgeError");
+    nb::register_exception_translator([](const std::exception_ptr& pointer, void*) {
+        try {
+            std::rethrow_exception(pointer);
+        } catch (const geokit::BridgeError& error) {
+            const std::string json = geokit::to_json(error);
+            PyErr_SetObject(bridge_error.ptr(), nb::bytes(json.data(), json.size()).ptr());
+        }
+    });
+
+    module.def("versions", [] { return std::make_pair(geokit::openvdb_version(), geokit::nanovdb_version()); });
+    module.def("read", &read_grids, nb::arg("path"), nb::arg("names"));
+    module.def("check", &check_buffer, nb::arg("buffer").noconvert());
+    module.def("write", &write_grids, nb::arg("path"), nb::arg("grids"), nb::arg("compression"), nb::arg("half"));
+    module.def("volume_to_mesh", &volume_to_mesh, nb::arg("buffer").noconvert(), nb::arg("isovalue"), nb::arg("adaptivity"));
+    module.def("mesh_to_level_set", &mesh_to_level_set, nb::arg("points").noconvert(), nb::arg("triangles").noconvert(),
+        nb::arg("voxel_size"), nb::arg("half_width"));
+}

@@ -1,0 +1,22 @@
+// What the bindings call beside mesh.h and write.h. Includes no OpenVDB header: see CMakeLists.txt on visibility.
+#pragma once
+
+#include "buffer.h"
+#include "errors.h"
+
+#include <string>
+#include <vector>
+
+namespace geokit {
+
+// Reads a trusted file (see VdbFile::read) into memory. Returns the JSON of json.h; the buffers are in its order.
+std::string read_vdb(const std::string& path, const std::vector<std::string>& names, std::vector<MappedBuffer>& buffers);
+
+// {"error": {"kind": ..., "message": ..., "names": [...]}}
+std::string to_json(const BridgeError& error);
+
+// Versions that this was built with.
+std::string openvdb_version();
+std::string nanovdb_version();
+
+} // namespace geokit

@@ -1,0 +1,13 @@
+// Structural check of a NanoVDB buffer, before anything follows its offsets.
+#pragma once
+
+#include <cstdint>
+
+namespace geokit {
+
+// Throws BridgeError("damaged") unless `data` holds exactly one grid whose nodes, root table, blind data and name all
+// lie inside `size` bytes, and BridgeError("unsupported") for a type that the bridge cannot convert. Values are not
+// looked at. Takes a few milliseconds for a grid of some hundred megabytes: only inner nodes and leaf headers are read.
+void check_nanovdb(const uint8_t* data, uint64_t size);
+
+} // namespace geokit

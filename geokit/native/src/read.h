@@ -1,0 +1,84 @@
+// Reading .vdb files, with checks that OpenVDB's own io::File leaves out.
+#pragma once
+
+#include "buffer.h"
+#include "metadata.h"
+#include "transform.h"
+
+#include <openvdb/io/Archive.h>
+#include <openvdb/io/GridDescriptor.h>
+#include <openvdb/io/io.h>
+
+#include <fstream>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace geokit {
+
+// One grid of a file, as its header tells.
+struct GridHeader {
+    std::string name;
+    std::string grid_type;  // "Tree_float_5_4_3"
+    std::string grid_class; // "level set", "fog volume", "staggered", "unknown"
+    std::optional<Affine> transform; // none for a frustum
+    std::vector<MetadataItem> metadata;
+    std::optional<MetadataItem> background; // only from inspect()
+    std::optional<int64_t> active_voxel_count; // where the file says
+    std::optional<openvdb::CoordBBox> index_bounds;
+    std::string compression;
+    bool is_half = false;
+    bool is_convertible = false;
+    uint64_t byte_count = 0; // in the file
+};
+
+// A grid that was read: its NanoVDB buffer, in memory or in `path`.
+struct ReadGrid {
+    GridHeader header;
+    MappedBuffer buffer;
+    uint64_t size = 0;
+    std::string path;
+};
+
+// An open .vdb file. OpenVDB's io::File ignores the state of its stream, so that a truncated or damaged file can load
+// as whatever lay in memory. This reader uses the same parts of OpenVDB (io::Archive, io::GridDescriptor) on a stream
+// that throws at a premature end, and checks that every grid ends where its descriptor says. It does NOT make OpenVDB
+// safe: files that are not trusted are read in a process of their own.
+class VdbFile : private openvdb::io::Archive {
+public:
+    // Throws BridgeError("access") or ("damaged").
+    explicit VdbFile(const std::string& path);
+
+    // Headers of all grids, no voxels.
+    std::vector<GridHeader> inspect();
+
+    // The named grids (all of one name where a name is there twice; "name[1]" for one of them), in the file's order;
+    // every grid where `names` is empty. With a spool folder the buffers go into files in it ("0", "1", ...), whose
+    // sizes may sum to `spool_limit`, and are unmapped. Throws BridgeError("missing"), ("unsupported"), ("damaged").
+    std::vector<ReadGrid> read(
+        const std::vector<std::string>& names, const std::string& spool = "", uint64_t spool_limit = UINT64_MAX);
+
+private:
+    struct Entry {
+        openvdb::io::GridDescriptor descriptor;
+        openvdb::GridBase::Ptr grid; // only where the file has no offsets and had to be read in one go
+    };
+
+    void read_descriptors();
+    openvdb::io::GridDescriptor read_descriptor();
+    void require_inside(const openvdb::io::GridDescriptor& descriptor) const;
+    std::vector<size_t> select(const std::vector<std::string>& names) const;
+    std::string display_name(size_t i) const;
+    openvdb::GridBase::Ptr read_grid(size_t i);
+    GridHeader read_header(size_t i);
+    GridHeader describe(const openvdb::GridBase& grid, size_t i) const;
+
+    std::vector<char> stream_buffer_;
+    openvdb::io::StreamMetadata::Ptr stream_metadata_ = std::make_shared<openvdb::io::StreamMetadata>();
+    std::ifstream stream_;
+    int64_t file_size_ = 0;
+    std::vector<Entry> entries_;
+};
+
+} // namespace geokit

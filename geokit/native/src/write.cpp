@@ -1,0 +1,95 @@
+#include "write.h"
+
+#include "convert.h"
+#include "errors.h"
+#include "metadata.h"
+
+#include <openvdb/io/Archive.h>
+#include <openvdb/io/Compression.h>
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+
+namespace geokit {
+namespace {
+
+uint32_t compression_flags(const std::string& name)
+{
+    using openvdb::io::Archive;
+    if (name == "none") return openvdb::io::COMPRESS_NONE;
+    if (name == "zip" && Archive::hasZLibCompression()) {
+        return openvdb::io::COMPRESS_ZIP | openvdb::io::COMPRESS_ACTIVE_MASK;
+    }
+    if (name == "blosc" && Archive::hasBloscCompression()) {
+        return openvdb::io::COMPRESS_BLOSC | openvdb::io::COMPRESS_ACTIVE_MASK;
+    }
+    throw BridgeError("input", "compression '" + name + "' is not one of none, zip, blosc, or OpenVDB was built without it");
+}
+
+// io::File ignores errors of its stream; a stream of our own throws when the disk is full.
+class VdbWriter : public openvdb::io::Archive {
+public:
+    // What OpenVDB adds on writing, done here: it would copy the grid first, and a copy rounds the transform.
+    void add_statistics(openvdb::GridBase& grid) const
+    {
+        const auto grid_class = grid.getGridClass();
+        uint32_t flags = compression();
+        // OpenVDB does not use ZIP on these two.
+        if (grid_class == openvdb::GRID_LEVEL_SET || grid_class == openvdb::GRID_FOG_VOLUME) {
+            flags &= ~uint32_t(openvdb::io::COMPRESS_ZIP);
+        }
+        grid.addStatsMetadata();
+        grid.insertMeta(openvdb::GridBase::META_FILE_COMPRESSION,
+            openvdb::StringMetadata(openvdb::io::compressionToString(flags)));
+    }
+
+    void save(std::ostream& stream, const openvdb::GridCPtrVec& grids) const
+    {
+        openvdb::io::Archive::write(stream, grids, /*seekable=*/true, openvdb::MetaMap());
+    }
+};
+
+bool take_vec3i_mark(std::vector<MetadataItem>& items)
+{
+    for (auto it = items.begin(); it != items.end(); ++it) {
+        if (it->name != "geokit:value_type") continue;
+        const bool is_vec3i = it->bytes == "vec3i";
+        items.erase(it);
+        return is_vec3i;
+    }
+    return false;
+}
+
+} // namespace
+
+void write_vdb(const std::string& path, const std::vector<WriteGrid>& sources, const std::string& compression, bool half)
+{
+    initialize();
+    VdbWriter writer;
+    writer.setCompression(compression_flags(compression));
+    writer.setGridStatsMetadataEnabled(false);
+    openvdb::GridCPtrVec grids;
+    for (const auto& source : sources) {
+        auto items = source.metadata;
+        const bool as_vec3i = take_vec3i_mark(items);
+        const auto grid = to_openvdb(source.nanovdb, as_vec3i);
+        set_metadata(*grid, items);
+        grid->setSaveFloatAsHalf(half);
+        writer.add_statistics(*grid);
+        grids.push_back(grid);
+    }
+    try {
+        std::ofstream stream;
+        std::vector<char> buffer(size_t(1) << 20);
+        stream.rdbuf()->pubsetbuf(buffer.data(), std::streamsize(buffer.size()));
+        stream.exceptions(std::ios::failbit | std::ios::badbit);
+        stream.open(path, std::ios::binary | std::ios::trunc);
+        writer.save(stream, grids);
+        stream.close();
+    } catch (const std::ios_base::failure&) {
+        throw BridgeError("access", std::string("writing failed (") + std::strerror(errno) + ")");
+    }
+}
+
+} // namespace geokit
