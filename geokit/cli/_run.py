@@ -29,6 +29,9 @@ def run(arguments: list[str]) -> int:
         return _fail(_usage_message(error), USAGE, hint=" (see geokit --help)")
     except GeokitError as error:
         return _fail(str(error), FAILURE)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0] or str(error)
+        return _fail(f"the Python package {package} is not installed; pip install geokit brings it along", FAILURE)
     except KeyboardInterrupt:
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:

@@ -99,6 +99,18 @@ def test_an_unexpected_exception_is_one_line() -> None:
     assert done.stderr == "geokit: internal error: RuntimeError: gears jammed; GEOKIT_DEBUG=1 shows where\n"
 
 
+def test_a_missing_package_is_named(cube: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys, geokit.cli\n"
+        "sys.modules['trimesh'] = None\n"
+        f"sys.exit(geokit.cli.main(['convert', {str(cube)!r}, {str(tmp_path / 'cube.glb')!r}]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr == "geokit: the Python package trimesh is not installed; pip install geokit brings it along\n"
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_interrupt_is_code_130() -> None:
     code = (
         "import sys, geokit.cli, geokit.cli.info as info\n"
