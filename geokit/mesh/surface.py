@@ -69,6 +69,9 @@ class Surface:
     Args:
         mesh: The triangles; at least one.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
+    Attributes:
+        mesh: The triangles.
+        bounds: Box around them [world], shape (2, 3).
     Raises:
         InputError: The mesh has no faces, or there is no such device.
         DeviceMemoryError: The device cannot hold the mesh.
@@ -83,7 +86,8 @@ class Surface:
         self._device = _launch.resolve_device(device)
         import warp as wp
 
-        self._frame = Frame.around(*mesh.bounds)
+        self.bounds = mesh.bounds
+        self._frame = Frame.around(*self.bounds)
         try:
             self._prepare(wp)
         except RuntimeError as error:
@@ -107,7 +111,7 @@ class Surface:
 
         device, mesh = self._device, self.mesh
         # Vertices that no face uses may lie anywhere; in the frame of the faces they could overflow float32.
-        local = self._frame.to_local(np.clip(mesh.vertices, *mesh.bounds))
+        local = self._frame.to_local(np.clip(mesh.vertices, *self.bounds))
         faces = wp.array(mesh.faces.reshape(-1), dtype=wp.int32, device=device)
         self._warp_mesh = wp.Mesh(
             points=wp.array(local, dtype=wp.vec3, device=device),

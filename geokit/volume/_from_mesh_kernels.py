@@ -45,6 +45,31 @@ def tile_center(x: int, y: int, z: int) -> wp.vec3d:
 
 
 @wp.kernel
+def measure_kernel(
+    first: int,
+    corners: wp.array(dtype=wp.vec3d),
+    translation: wp.vec3d,
+    voxel_size: wp.float64,
+    reach: wp.float64,
+    out_tiles: wp.array(dtype=wp.float64),
+    out_area: wp.array(dtype=wp.float64),
+):
+    """Tiles in the box that a triangle reaches, as a float that cannot overflow, and its area [voxels^2]."""
+    i = first + wp.tid()
+    a = (corners[3 * i] - translation) / voxel_size
+    b = (corners[3 * i + 1] - translation) / voxel_size
+    c = (corners[3 * i + 2] - translation) / voxel_size
+    low = wp.min(wp.min(a, b), c)
+    high = wp.max(wp.max(a, b), c)
+    tiles = wp.float64(1.0)
+    for k in range(3):
+        first_tile = wp.floor((low[k] - reach) / wp.float64(8.0))
+        tiles *= wp.floor((high[k] + reach) / wp.float64(8.0)) - first_tile + wp.float64(1.0)
+    out_tiles[i] = tiles
+    out_area[i] = wp.float64(0.5) * wp.length(wp.cross(b - a, c - a))
+
+
+@wp.kernel
 def count_tiles_kernel(
     first: int,
     corners: wp.array(dtype=wp.vec3d),

@@ -105,7 +105,8 @@ class _Band:
         self.voxel_size = voxel_size
         self.half_width = half_width
         self.background = float(np.float32(half_width * voxel_size))
-        self.translation = _translation(surface.mesh.bounds, voxel_size)
+        self.bounds = surface.bounds
+        self.translation = _translation(surface.bounds, voxel_size)
         self.transform = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
         self.transform[:3, 3] = self.translation
         self._grid = [wp.vec3d(*self.translation.tolist()), wp.float64(voxel_size)]
@@ -195,28 +196,50 @@ class _Band:
 
     def _tile_range(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Lowest tile and number of tiles along each axis of the box around the band."""
-        corners = self.surface.mesh.vertices[self.surface.mesh.faces]
-        low, high = corners.min(axis=1) - self.translation, corners.max(axis=1) - self.translation
-        # A surface meets at least a tile for each 8 x 8 voxels; duplicates may make it look four times as large.
-        with np.errstate(over="ignore", under="ignore"):
-            tiles = np.square(np.sqrt(_area(corners)) / self.voxel_size / 16.0)
-        self._require_memory(int(min(tiles, 1e18)) * LEAF_BYTES)
-        lowest, size, fits = _tile_box(low, high, self.voxel_size, self.half_width)
-        if not fits:
-            across = 8.0 * float(size.max())
+        lowest, size = self._tile_box(self.voxel_size)
+        tests, area = self._measure(self.voxel_size)
+        if not _is_countable(size, tests):
             enough = self.voxel_size
-            while not fits:
-                enough = max(2.0 * enough, float((high.max(axis=0) - low.min(axis=0)).max()) / (8.0 * TILES_PER_AXIS))
-                _, _, fits = _tile_box(low, high, enough, self.half_width)
+            while not _is_countable(size, tests):
+                enough = max(2.0 * enough, float((self.bounds[1] - self.bounds[0]).max()) / (8.0 * TILES_PER_AXIS))
+                size = self._tile_box(enough)[1]
+                tests, area = self._measure(enough)
+            enough *= math.sqrt(max(1.0, _least_bytes(area) / max(self._free_memory(), 1)))
+            across = float(np.max(self.bounds[1] - self.bounds[0])) / self.voxel_size
             raise DeviceMemoryError(
                 f"voxel_size: {self.voxel_size:g} makes the mesh {across:.3g} voxels across, more than can be "
-                f"counted; use at least {enough:.2g}"
+                f"counted; use at least {1.05 * enough:.2g}"
             )
+        self._require_memory(_least_bytes(area))
         return lowest.astype(np.int32), size.astype(np.int32)
 
-    def _require_memory(self, need: int) -> None:
+    def _tile_box(self, voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            index = (self.bounds - self.translation) / voxel_size
+            lowest = np.floor((index[0] - self.half_width) / 8.0)
+            return lowest, np.floor((index[1] + self.half_width) / 8.0) - lowest + 1.0
+
+    def _measure(self, voxel_size: float) -> tuple[float, float]:
+        """Tiles to be tested and the surface's area [voxels^2], each summed over the triangles."""
+        import warp as wp
+
+        from geokit.volume._from_mesh_kernels import measure_kernel
+
+        count = len(self.surface.mesh.faces)
+        tiles = wp.empty(count, dtype=wp.float64, device=self.device)
+        area = wp.empty(count, dtype=wp.float64, device=self.device)
+        inputs = [self.surface._corners, self._grid[0], wp.float64(voxel_size), wp.float64(self.half_width)]
+        _launch.launch(measure_kernel, count, inputs, [tiles, area], self.device)
+        # Indices beyond 1e308 are infinite, and their differences NaN: too many in either case.
+        test_count, voxel_area = (float(np.nan_to_num(wp.utils.array_sum(each), nan=np.inf)) for each in (tiles, area))
+        return test_count, voxel_area
+
+    def _free_memory(self) -> int:
         # Host copies of distances and signs stand beside the device's: what the device holds the host must hold too.
-        have = min(_memory.available(self.device), _memory.available_host())
+        return min(_memory.available(self.device), _memory.available_host())
+
+    def _require_memory(self, need: int) -> None:
+        have = self._free_memory()
         if need > have:
             # Tiles cover a surface: their number goes with the square of the resolution.
             enough = self.voxel_size * math.sqrt(need / max(have, 1)) * 1.05
@@ -226,21 +249,13 @@ class _Band:
             )
 
 
-def _area(corners: NDArray[np.float64]) -> np.float64:
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * np.linalg.norm(normals, axis=1).sum()
+def _least_bytes(area: float) -> int:
+    """Lower bound of a band's memory: a surface meets a tile for each 8 x 8 voxels; duplicates may count four times."""
+    return int(area / 256.0) * LEAF_BYTES
 
 
-def _tile_box(
-    low: NDArray[np.float64], high: NDArray[np.float64], voxel_size: float, half_width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Lowest tile, tiles along each axis, and whether so many can be numbered and tested one by one."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        first = np.floor((low / voxel_size - half_width) / 8.0)
-        last = np.floor((high / voxel_size + half_width) / 8.0)
-        size = last.max(axis=0) - first.min(axis=0) + 1.0
-        tests = float(np.prod(last - first + 1.0, axis=1).sum())
-    return first.min(axis=0), size, bool(size.max() < TILES_PER_AXIS and tests <= MOST_TILE_TESTS)
+def _is_countable(size: NDArray[np.float64], tests: float) -> bool:
+    return bool(size.max() < TILES_PER_AXIS) and tests <= MOST_TILE_TESTS
 
 
 def _translation(bounds: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
