@@ -78,7 +78,7 @@ def audit(mesh: TriangleMesh) -> MeshAudit:
     Returns:
         MeshAudit.
     Example:
-        >>> audit(load("data/samples/bracket.obj")).watertight
+        >>> audit(geokit.mesh.load("data/samples/bracket.obj")).watertight
         True
     """
     _, group = merge_equal_points(mesh.vertices)

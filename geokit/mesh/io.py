@@ -120,7 +120,8 @@ def save(
         FileAccessError: The target cannot be written.
         MissingDependencyError: A USD file without usd-core installed.
     Example:
-        >>> save("out.vtp", mesh, point_data={"distance": distance})
+        >>> bracket = load("data/samples/bracket.obj")
+        >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
     """
     kind = require_extension(path, WRITABLE, "mesh")
     if not isinstance(mesh, TriangleMesh):

@@ -51,7 +51,8 @@ def chart(
     Args:
         path: Target, a .png file.
         series: The lines.
-        x_label, y_label: What the axes show, with units.
+        x_label: What the horizontal axis shows, with its unit.
+        y_label: The same for the vertical axis.
         title: Text above.
         logarithmic: Both axes; values must then be positive.
         size: Width and height of the figure in pixels.

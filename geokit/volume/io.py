@@ -52,7 +52,8 @@ def load(path: str | os.PathLike[str], *, grid: str | None = None, trusted: bool
         DeviceMemoryError: The grid does not fit into memory.
 
     Example:
-        >>> smoke = geokit.volume.load("smoke.vdb", grid="density")  # doctest: +SKIP
+        >>> load("data/samples/smoke.vdb", grid="density").info.grid_class
+        'fog volume'
     """
     path = _known(path)
     if extension(path) == ".nvdb":
@@ -139,7 +140,7 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
         MissingDependencyError: .vdb without the OpenVDB extension, or codec "blosc" without blosc.
 
     Example:
-        >>> geokit.volume.save("out.nvdb", sdf, codec="zip")  # doctest: +SKIP
+        >>> save("out.nvdb", load("data/samples/torus.vdb"), codec="zip")
     """
     kind = require_extension(path, EXTENSIONS, "volume")
     if codec is not None and codec not in CODECS:

@@ -1,0 +1,49 @@
+"""Examples in docstrings run, and what public functions promise is written down in the house's form."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import inspect
+from pathlib import Path
+
+import pytest
+
+import geokit
+
+ROOT = Path(__file__).resolve().parents[2]
+WITH_EXAMPLES = sorted(path for path in (ROOT / "geokit").rglob("*.py") if ">>>" in path.read_text(encoding="utf-8"))
+PUBLIC = [
+    pytest.param(getattr(namespace, name), id=f"{namespace.__name__}.{name}")
+    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render)
+    for name in namespace.__all__
+]
+
+
+def test_there_are_examples():
+    assert len(WITH_EXAMPLES) >= 3
+
+
+@pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run(path, monkeypatch, tmp_path):
+    # Some read data/samples, some write beside it.
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    failed, tried = doctest.testmod(module, extraglobs={"gk": geokit, "geokit": geokit})
+    assert tried > 0
+    assert failed == 0
+
+
+@pytest.mark.parametrize("thing", PUBLIC)
+def test_public_names_are_documented(thing):
+    text = inspect.getdoc(thing) or ""
+    assert text
+    if inspect.isfunction(thing):
+        assert "Raises:" in text or not _raises(thing), f"{thing.__name__} does not say what it raises"
+        missing = [name for name in inspect.signature(thing).parameters if f"{name}:" not in text]
+        assert not missing, f"{thing.__name__} does not describe {missing}"
+
+
+def _raises(function) -> bool:
+    return "raise " in inspect.getsource(function)
