@@ -35,7 +35,7 @@ from geokit.volume._nanovdb import (
 from geokit.volume._nanovdb_checks import check_grid, check_head
 from geokit.volume._nanovdb_checksum import checksum_matches, checksum_mode, full_checksum, partial_checksum
 from geokit.volume._nanovdb_layout import GRID_TYPES
-from geokit.volume._nvdb_codecs import CODECS, decompress, decompress_head, largest_size
+from geokit.volume._nvdb_codecs import BLOSC_FRAME, CODECS, decompress, decompress_head, largest_size
 from geokit.volume.model import GridInfo
 
 __all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read"]
@@ -214,7 +214,8 @@ def _segment(file: BufferedReader, at: int, size: int, path: Path) -> tuple[list
         found.append((block, name))
     entries = []
     for block, name in found:
-        grid_size, stored = int(block["grid_size"]), int(block["file_size"])
+        grid_size = int(block["grid_size"])
+        stored = _stored_size(file, at, int(block["file_size"]), grid_size, codec)
         if stored > size - at:
             raise FileFormatError(
                 f"{path}: grid {name!r} needs {stored} bytes and the file has {size - at} left; {REMEDY}"
@@ -226,6 +227,20 @@ def _segment(file: BufferedReader, at: int, size: int, path: Path) -> tuple[list
         entries.append(_Entry(name, codec, grid_size, at, stored, int(block["grid_type"])))
         at += stored
     return entries, at
+
+
+def _stored_size(file: BufferedReader, at: int, declared: int, grid_size: int, codec: str) -> int:
+    """Bytes of a grid in the file; warp's writer leaves the length words of compressed blocks out of its count."""
+    if codec == "none" or grid_size > largest_size(declared):
+        return declared
+    frames = -(-grid_size // BLOSC_FRAME) if codec == "blosc" else 1
+    followed = at
+    for _ in range(frames):
+        # No further than the count that is to be tested: a damaged length must not be believed.
+        if followed - at > declared:
+            return declared
+        followed += 8 + int.from_bytes(os.pread(file.fileno(), 8, followed), "little")
+    return declared + 8 * frames if followed - at == declared + 8 * frames else declared
 
 
 def _metadata(file: BufferedReader, at: int, size: int, path: Path) -> tuple[Any, str, int]:

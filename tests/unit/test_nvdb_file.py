@@ -131,6 +131,18 @@ def test_nanovdb_validate_accepts_what_is_written(tmp_path, codec):
     assert done.stdout.count("passed") == 3, done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("codec", ["none", "zip", "blosc"])
+def test_what_warp_saves_is_read(tmp_path, codec):
+    # Its count of compressed bytes leaves the length words out.
+    values = np.random.default_rng(5).random((20, 30, 17)).astype(np.float32)
+    made = wp.Volume.load_from_numpy(values, min_world=(-1.0, 2.0, 3.0), voxel_size=0.1, bg_value=0.5, device="cpu")
+    path = tmp_path / "warp.nvdb"
+    made.save_to_nvdb(path, codec=codec)
+    (grid,) = read(path)
+    np.testing.assert_array_equal(grid.buffer, made.array().numpy())
+    assert len(inspect(path)) == 1
+
+
 def test_files_of_other_writers_are_read():
     grid = read(ROCKS)[0]
     info = info_of(grid.buffer, name=grid.name)
