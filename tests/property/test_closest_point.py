@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geokit import _launch
 from geokit.mesh import Surface, TriangleMesh
 from tests import catalogue, reference
 
@@ -91,6 +92,19 @@ def test_order_threads_and_repetition_change_no_bit(monkeypatch):
         again = surface.closest_point(queries[shuffle])
         for a, b in zip(first, again, strict=True):
             np.testing.assert_array_equal(a[shuffle], b)
+
+
+def test_blocks_change_no_bit(monkeypatch):
+    surface = Surface(catalogue.torus(20, 10), device="cpu")
+    queries = queries_around(surface.mesh, 3000, seed=13)
+    rays = queries[::-1] - queries
+    rays[np.abs(rays).max(axis=1) == 0] = 1.0
+    whole = (*surface.signed_distance(queries), *surface.raycast(queries, rays))
+    # Blocks of a size that does not divide the queries, above and below what is ordered.
+    for block in (2500, 700):
+        monkeypatch.setattr(_launch, "BLOCK", block)
+        for a, b in zip(whole, (*surface.signed_distance(queries), *surface.raycast(queries, rays)), strict=True):
+            np.testing.assert_array_equal(a, b)
 
 
 def test_permuted_faces_give_the_same_distances():
