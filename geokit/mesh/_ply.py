@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._ply_header import PlyElement, PlyProperty, read_header
 from geokit.errors import FileFormatError
 from geokit.mesh._polygons import Body
 from geokit.mesh._text import numbers
@@ -17,37 +17,13 @@ from geokit.mesh.model import TriangleMesh
 
 __all__ = ["read_ply", "write_ply"]
 
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
-
-@dataclass
-class _Property:
-    name: str
-    type: str
-    count_type: str = ""  # of a list; empty for a scalar
-
-
-@dataclass
-class _Element:
-    name: str
-    count: int
-    properties: list[_Property] = field(default_factory=list)
-
 
 def read_ply(path: Path) -> list[Body]:
     """Body of a .ply file: ``x y z`` of its vertices, ``vertex_indices`` of its faces; the rest is left out."""
     data = path.read_bytes()
-    order, elements, start = _header(data, path)
+    order, elements, start = read_header(data, path)
+    if any(element.count and not element.properties for element in elements):
+        raise FileFormatError(f"{path}: the header declares an element without properties; the file is damaged")
     names = [element.name for element in elements]
     if "vertex" not in names:
         raise FileFormatError(f"{path}: has no vertex element; a mesh needs vertices and faces")
@@ -73,39 +49,7 @@ def read_ply(path: Path) -> list[Body]:
     return [Body(points, counts, indices)]
 
 
-def _header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
-    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
-        raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
-    end = data.find(b"end_header")
-    newline = data.find(b"\n", end)
-    if end < 0 or newline < 0:
-        raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
-    order, elements = None, []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
-        words = line.split()
-        try:
-            if not words or words[0] in ("comment", "obj_info"):
-                continue
-            if words[0] == "format":
-                order = _ORDERS[words[1]]
-            elif words[0] == "element":
-                elements.append(_Element(words[1], int(words[2])))
-            elif words[0] == "property" and words[1] == "list":
-                elements[-1].properties.append(_Property(words[4], _TYPES[words[3]], _TYPES[words[2]]))
-            elif words[0] == "property":
-                elements[-1].properties.append(_Property(words[2], _TYPES[words[1]]))
-            else:
-                raise ValueError(line)
-        except (ValueError, KeyError, IndexError):
-            raise FileFormatError(f"{path}: header line '{line[:80]}' is not understood; the file is damaged") from None
-    if order is None or any(element.count < 0 for element in elements):
-        raise FileFormatError(f"{path}: the header names no format or a negative count; the file is damaged")
-    if any(element.count and not element.properties for element in elements):
-        raise FileFormatError(f"{path}: the header declares an element without properties; the file is damaged")
-    return order, elements, newline + 1
-
-
-def _truncated(path: Path, element: _Element) -> FileFormatError:
+def _truncated(path: Path, element: PlyElement) -> FileFormatError:
     return FileFormatError(
         f"{path}: ends within the {element.count} {element.name} entries it declares; it is truncated, get a whole copy"
     )
@@ -117,7 +61,7 @@ class _Text:
     def __init__(self, body: bytes, path: Path) -> None:
         self.tokens, self.at, self.path = body.split(), 0, path
 
-    def read(self, element: _Element) -> dict[str, Any]:
+    def read(self, element: PlyElement) -> dict[str, Any]:
         table = self._uniform(element)
         if table is not None:
             return table
@@ -140,13 +84,13 @@ class _Text:
                 f"{self.path}: holds {len(self.tokens) - self.at} values more than it declares; the file is damaged"
             )
 
-    def _take(self, count: int, element: _Element) -> list[bytes]:
+    def _take(self, count: int, element: PlyElement) -> list[bytes]:
         if self.at + count > len(self.tokens):
             raise _truncated(self.path, element)
         self.at += count
         return self.tokens[self.at - count : self.at]
 
-    def _uniform(self, element: _Element) -> dict[str, Any] | None:
+    def _uniform(self, element: PlyElement) -> dict[str, Any] | None:
         """The element as one table, where all its lists have the length that the first ones have."""
         stride, places = 0, []
         for item in element.properties:
@@ -175,7 +119,7 @@ class _Text:
         self.at += used
         return columns
 
-    def _column(self, item: _Property, tokens: list[bytes], sizes: list[int] | None) -> Any:
+    def _column(self, item: PlyProperty, tokens: list[bytes], sizes: list[int] | None) -> Any:
         # The text holds more digits than a float32 property keeps: nothing is gained by rounding them away.
         dtype = np.float64 if item.type.startswith("f") else np.int64
         values = numbers(tokens, dtype, self.path, f"property {item.name}")
@@ -188,7 +132,7 @@ class _Binary:
     def __init__(self, data: bytes, start: int, order: str, path: Path) -> None:
         self.data, self.at, self.order, self.path = data, start, order, path
 
-    def read(self, element: _Element) -> dict[str, Any]:
+    def read(self, element: PlyElement) -> dict[str, Any]:
         sizes = self._first_sizes(element)
         columns = self._table(element, sizes)
         return self._walk(element) if columns is None else columns
@@ -199,7 +143,7 @@ class _Binary:
                 f"{self.path}: holds {len(self.data) - self.at} bytes more than it declares; the file is damaged"
             )
 
-    def _first_sizes(self, element: _Element) -> list[int]:
+    def _first_sizes(self, element: PlyElement) -> list[int]:
         at, sizes = self.at, []
         for item in element.properties:
             size = 1
@@ -210,7 +154,7 @@ class _Binary:
             sizes.append(size)
         return sizes
 
-    def _table(self, element: _Element, sizes: list[int]) -> dict[str, Any] | None:
+    def _table(self, element: PlyElement, sizes: list[int]) -> dict[str, Any] | None:
         """The element as one structured array; None where a list has another length than its first."""
         fields: list[Any] = []
         for number, (item, size) in enumerate(zip(element.properties, sizes, strict=True)):
@@ -238,7 +182,7 @@ class _Binary:
         self.at += dtype.itemsize * element.count
         return columns
 
-    def _walk(self, element: _Element) -> dict[str, Any]:
+    def _walk(self, element: PlyElement) -> dict[str, Any]:
         """Entry by entry: lists of several lengths have no other order than the file's."""
         pieces: dict[str, list[bytes]] = {item.name: [] for item in element.properties}
         sizes: dict[str, list[int]] = {item.name: [] for item in element.properties}
@@ -262,7 +206,7 @@ class _Binary:
             columns[item.name] = (counts, self._integers(values)) if item.count_type else values
         return columns
 
-    def _count(self, at: int, item: _Property, element: _Element) -> int:
+    def _count(self, at: int, item: PlyProperty, element: PlyElement) -> int:
         code = self.order + np.dtype(item.count_type).char
         try:
             size = struct.unpack_from(code, self.data, at)[0]

@@ -80,7 +80,7 @@ def write_usd(path: Path, mesh: TriangleMesh) -> None:
     stage = Usd.Stage.CreateInMemory()
     root = UsdGeom.Xform.Define(stage, "/root")
     stage.SetDefaultPrim(root.GetPrim())
-    prim = UsdGeom.Mesh.Define(stage, f"/root/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
+    prim = UsdGeom.Mesh.Define(stage, f"/World/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
     points = np.ascontiguousarray(mesh.vertices, np.float32)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces).reshape(-1)))

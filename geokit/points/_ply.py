@@ -8,20 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._ply_header import read_header
 from geokit.errors import FileFormatError, InputError
 
 __all__ = ["read_ply", "write_ply"]
 
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
 _NAMES = {
     "i1": "char",
     "u1": "uchar",
@@ -33,7 +24,6 @@ _NAMES = {
     "f4": "float",
     "f8": "double",
 }
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
@@ -43,17 +33,17 @@ def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
         FileFormatError: A damaged or truncated file, no vertices, or a list among their properties.
     """
     data = path.read_bytes()
-    order, elements, start = _header(data, path)
-    if "vertex" not in elements:
+    order, elements, start = read_header(data, path)
+    if "vertex" not in [element.name for element in elements]:
         raise FileFormatError(f"{path}: has no vertex element; a point set needs one")
-    before = list(elements)[: list(elements).index("vertex")]
-    if before:
-        raise FileFormatError(f"{path}: element '{before[0]}' stands before the vertices; put the vertices first")
-    count, properties = elements["vertex"]
-    lists = [name for name, kind in properties if kind == "list"]
+    vertex = elements[0]
+    if vertex.name != "vertex":
+        raise FileFormatError(f"{path}: element '{vertex.name}' stands before the vertices; put the vertices first")
+    count = vertex.count
+    lists = [item.name for item in vertex.properties if item.count_type]
     if lists:
         raise FileFormatError(f"{path}: vertex property '{lists[0]}' is a list, which geokit does not read; remove it")
-    dtype = np.dtype([(name, order + kind) for name, kind in properties])
+    dtype = np.dtype([(item.name, order + item.type) for item in vertex.properties])
     if order == "":
         return _ascii(data[start:], dtype, count, path)
     if count * dtype.itemsize > len(data) - start:
@@ -61,37 +51,6 @@ def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
         raise FileFormatError(f"{path}: ends in vertex {have} of the {count} it declares; get a whole copy")
     table = np.frombuffer(data, dtype, count, start)
     return {name: table[name].astype(dtype[name].newbyteorder("=")) for name in dtype.names or ()}
-
-
-def _header(data: bytes, path: Path) -> tuple[str, dict[str, tuple[int, list[tuple[str, str]]]], int]:
-    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
-        raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
-    end = data.find(b"end_header")
-    newline = data.find(b"\n", end)
-    if end < 0 or newline < 0:
-        raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
-    order = None
-    elements: dict[str, tuple[int, list[tuple[str, str]]]] = {}
-    properties: list[tuple[str, str]] = []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
-        words = line.split()
-        try:
-            if not words or words[0] in ("comment", "obj_info"):
-                continue
-            if words[0] == "format":
-                order = _ORDERS[words[1]]
-            elif words[0] == "element" and words[2].isdigit() and words[1] not in elements:
-                properties = []
-                elements[words[1]] = (int(words[2]), properties)
-            elif words[0] == "property" and elements and words[-1] not in dict(properties):
-                properties.append((words[-1], "list" if words[1] == "list" else _TYPES[words[1]]))
-            else:
-                raise ValueError(line)
-        except (ValueError, KeyError, IndexError):
-            raise FileFormatError(f"{path}: header line '{line[:80]}' is not understood; the file is damaged") from None
-    if order is None:
-        raise FileFormatError(f"{path}: the header names no format; the file is damaged")
-    return order, elements, newline + 1
 
 
 def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
