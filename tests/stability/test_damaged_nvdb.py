@@ -21,7 +21,8 @@ CODECS = ("none", "zip", "blosc")
 HEAD = 16 + 176 + len("sphere") + 1
 ACCEPTED = (FileFormatError, UnsupportedGridError)
 # Far above what a file of this size needs, far below what a hang takes.
-SECONDS = 5.0
+# A hang, not a time: a good run takes milliseconds, also on a busy machine far less than this.
+SECONDS = 60.0
 
 
 @pytest.fixture(scope="module", params=CODECS)

@@ -72,7 +72,7 @@ def outcome(path: Path) -> str:
             # What a reader relies on still holds: the tree is whole.
             native.volume_to_mesh(grid.nanovdb)
         result = "loaded"
-    assert time.monotonic() - start < TIME_LIMIT + 5.0
+    assert time.monotonic() - start < TIME_LIMIT + 40.0
     return result
 
 
@@ -207,7 +207,7 @@ def test_every_end_of_the_worker_has_a_name(
     start = time.monotonic()
     with pytest.raises(FileFormatError, match=match):
         native.read_vdb(path, time_limit=1.5)
-    assert time.monotonic() - start < 10.0
+    assert time.monotonic() - start < 40.0  # the worker sleeps for 60
     assert list(spool_root.iterdir()) == []
 
 
