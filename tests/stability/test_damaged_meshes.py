@@ -16,7 +16,6 @@ import geokit as gk
 from tests import catalogue
 
 MESH = catalogue.l_profile()
-# A whole file is read in milliseconds; a mutant must not make its reader walk in circles.
 # A hang, not a time: a good run takes milliseconds, also on a busy machine far less than this.
 SLOWEST_SECONDS = 60.0
 

@@ -20,7 +20,6 @@ from tests.volume_samples import sphere
 CODECS = ("none", "zip", "blosc")
 HEAD = 16 + 176 + len("sphere") + 1
 ACCEPTED = (FileFormatError, UnsupportedGridError)
-# Far above what a file of this size needs, far below what a hang takes.
 # A hang, not a time: a good run takes milliseconds, also on a busy machine far less than this.
 SECONDS = 60.0
 
