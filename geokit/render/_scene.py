@@ -28,6 +28,8 @@ FEATURE_ANGLE = 35.0
 # Samples along the longest side: fine enough for 800 pixels, 10 MB at most.
 SURFACE_RESOLUTION = 160
 FOG_RESOLUTION = 128
+# Share of the longest side over which the densest fog hides what is behind it.
+FOG_DEPTH = 0.05
 # Where the camera looks from, in units of right, up and towards the viewer.
 VIEW = (0.55, 0.35, 1.0)
 VIEW_ANGLE = 28.0
@@ -212,20 +214,31 @@ def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
 
 def _add_fog(pv: Any, plotter: Any, volume: "SparseVolume", look: _Look) -> None:
     field = dense_field(volume, resolution=FOG_RESOLUTION, margin=1)
-    low, high = value_range(field.values, look.limits)
+    low, high = value_range(field.values, look.limits or _fog_limits(field.values))
     named = look._replace(label=look.label or volume.info.name)
-    plotter.add_volume(
+    depth = float(np.max(np.multiply(field.spacing, field.values.shape)))
+    actor = plotter.add_volume(
         _image_data(pv, field),
         scalars="value",
         cmap=look.colormap,
         clim=(low, high),
-        opacity="sigmoid_5",
-        opacity_unit_distance=float(field.spacing[0]) * 4.0,
+        # From nothing at the lowest value: any opacity there would show the box of the grid.
+        opacity=[0.0, 1.0],
+        opacity_unit_distance=FOG_DEPTH * depth,
         shade=False,
         # The mapper on the GPU draws nothing where the picture is super-sampled.
         mapper="fixed_point",
         scalar_bar_args=named.bar(),
     )
+    # The mapper's own distance between samples along a ray is one world unit, whatever the size of the volume.
+    actor.mapper.SetAutoAdjustSampleDistances(False)
+    actor.mapper.SetSampleDistance(0.5 * float(np.min(field.spacing)))
+
+
+def _fog_limits(values: np.ndarray) -> tuple[float, float] | None:
+    """From zero to what all but the densest hundredth of the fog stays below; None where there is no fog."""
+    fog = values[values > 0.0]
+    return (0.0, float(np.quantile(fog, 0.99))) if fog.size and values.min() >= 0.0 else None
 
 
 def _image_data(pv: Any, field: Any) -> Any:

@@ -141,6 +141,29 @@ def test_other_grids_are_drawn_as_fog(tmp_path: Path, ball) -> None:
     assert mask[:, :320].mean() > 0.1
 
 
+def test_fog_shows_its_density_and_not_its_box(tmp_path: Path) -> None:
+    from geokit.volume._build import build_float_grid
+    from geokit.volume._nanovdb import info_of
+    from geokit.volume.model import SparseVolume
+
+    # A soft ball of radius 10 in the middle of a block of 32^3 voxels that are zero around it, 0.01 wide each.
+    origins = 8 * np.stack(np.meshgrid(*[np.arange(-2, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    radius = np.linalg.norm(origins[:, None] + inside + 0.5, axis=2)
+    values = np.clip(1.0 - radius / 10.0, 0.0, None).astype(np.float32)
+    buffer = build_float_grid(
+        origins.astype(np.int32), values, np.ones(values.shape, bool), background=0.0,
+        transform=np.diag([0.01, 0.01, 0.01, 1.0]), name="ball", grid_class="fog volume", signed_fill=False,
+    )  # fmt: skip
+    target = render.figure(tmp_path / "fog.png", volume=SparseVolume(buffer, info_of(buffer, {})), size=SIZE)
+    mask = drawn(target)[:, :320]
+    rows, columns = np.nonzero(mask)
+    # Round: a disc, neither the hexagon of a box nor a few displaced slabs.
+    height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
+    assert height == pytest.approx(width, rel=0.1)
+    assert mask.sum() == pytest.approx(np.pi / 4 * height * width, rel=0.08)
+
+
 def test_without_a_surface_at_the_isovalue_nothing_is_drawn(tmp_path: Path, ball) -> None:
     with pytest.raises(InputError, match="no surface at 9"):
         render.figure(tmp_path / "none.png", volume=ball, isovalue=9.0, size=SIZE)
