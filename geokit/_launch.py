@@ -30,6 +30,8 @@ __all__ = [
 MINIMUM_SLICE = 512
 # More slices than threads, so that a slice of hard queries does not keep the others waiting.
 SLICES_PER_THREAD = 8
+# Fewest groups of queries worth a slice.
+GROUP_GRAIN = 16
 # Sorting fewer queries than this costs more than their order gives back.
 MINIMUM_ORDERED = 2048
 # Queries per launch: bounds the memory of keys and order (16 bytes each, twice) to 128 MiB.
@@ -200,13 +202,16 @@ def launch_queries(
     lower: Any,
     extent: float,
     streams: Sequence["wp.array"] = (),
+    group: int = 0,
 ) -> None:
     """Run a query kernel over ``points`` in blocks, each in Morton order where that pays.
 
     Answers do not depend on the order: it only decides which queries share the caches.
 
     Args:
-        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
+        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``. Where
+            ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
+            queries are ``order[k]`` for ``k`` from ``group * (first + wp.tid())`` on.
         points: Positions (N,) of vec3d that decide the order [world].
         inputs: Arguments that every query shares.
         outputs: Arrays with N rows.
@@ -214,17 +219,30 @@ def launch_queries(
         lower: Lower corner [world] of the box that the order resolves, three numbers; points outside are clamped to it.
         extent: Edge length [world] of that box.
         streams: Further arrays with N rows that go with the points.
+        group: Queries of a thread, one after the other; neighbours then start from each other's answers.
     """
     total = len(points)
     for start in range(0, total, BLOCK):
         stop = min(total, start + BLOCK)
-        block = points if stop - start == total else points[start:stop]
-        rows = [a if stop - start == total else a[start:stop] for a in (*streams, *outputs)]
-        order = _order(block, lower, extent, device)
-        launch(kernel, stop - start, [order, block, *rows[: len(streams)], *inputs], rows[len(streams) :], device)
+        whole = stop - start == total
+        block = points if whole else points[start:stop]
+        rows = [a if whole else a[start:stop] for a in (*streams, *outputs)]
+        inner, outer = rows[: len(streams)], rows[len(streams) :]
+        order = morton_order(block, lower, extent, device)
+        if group:
+            launch(
+                kernel,
+                -(-(stop - start) // group),
+                [group, order, block, *inner, *inputs],
+                outer,
+                device,
+                grain=GROUP_GRAIN,
+            )
+        else:
+            launch(kernel, stop - start, [order, block, *inner, *inputs], outer, device)
 
 
-def _order(points: "wp.array", lower: Any, extent: float, device: "wp.Device") -> "wp.array":
+def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Device") -> "wp.array":
     wp = _warp()
     from geokit._order_kernels import morton_kernel
 

@@ -17,7 +17,7 @@ from geokit.cli._demo_steps import AccuracyPoint, Neighborhood, Projection
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
-    from geokit.mesh.surface import RayHits
+    from geokit.mesh import RayHits
     from geokit.volume.model import SparseVolume
 
 __all__ = ["FIGURES", "accuracy_chart", "draw_figures"]

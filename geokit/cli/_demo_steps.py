@@ -17,7 +17,7 @@ from geokit.errors import MissingDependencyError
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
-    from geokit.mesh.surface import RayHits, Surface
+    from geokit.mesh import RayHits, Surface
     from geokit.volume.model import SparseVolume
 
 __all__ = [

@@ -11,12 +11,16 @@ if TYPE_CHECKING:
     from geokit.mesh.from_volume import from_volume
     from geokit.mesh.io import load, save
     from geokit.mesh.model import MeshPart, TriangleMesh
-    from geokit.mesh.surface import ClosestPoints, RayHits, SignedDistances, Surface
+    from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
+    from geokit.mesh._ray_queries import RayHitLists, RayHits
+    from geokit.mesh.surface import Surface
 
 __all__ = [
     "ClosestPoints",
+    "FurthestPoints",
     "MeshAudit",
     "MeshPart",
+    "RayHitLists",
     "RayHits",
     "SignedDistances",
     "Surface",
@@ -30,11 +34,13 @@ __all__ = [
 make_lazy(
     __name__,
     {
-        "ClosestPoints": "geokit.mesh.surface",
+        "ClosestPoints": "geokit.mesh._point_queries",
+        "FurthestPoints": "geokit.mesh._point_queries",
         "MeshAudit": "geokit.mesh.audit",
         "MeshPart": "geokit.mesh.model",
-        "RayHits": "geokit.mesh.surface",
-        "SignedDistances": "geokit.mesh.surface",
+        "RayHitLists": "geokit.mesh._ray_queries",
+        "RayHits": "geokit.mesh._ray_queries",
+        "SignedDistances": "geokit.mesh._point_queries",
         "Surface": "geokit.mesh.surface",
         "TriangleMesh": "geokit.mesh.model",
         "audit": "geokit.mesh.audit",

@@ -4,7 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh._bvh_kernels import nearest_slot, triangle_in_slot
+from geokit.mesh._nearest_kernels import nearest_slot
+from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
 
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
@@ -14,33 +15,35 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def closest_point_kernel(
     first: int,
+    group: int,
     order: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3d),
-    mesh: wp.uint64,
-    corners: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    scale: wp.float64,
+    tree: SurfaceTree,
     max_distance: wp.float64,
     out_points: wp.array(dtype=wp.vec3d),
     out_distance: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
 ):
-    i = order[first + wp.tid()]
-    p = points[i]
-    slot = nearest_slot(mesh, corners, origin, scale, p, max_distance * max_distance)
-    if slot < 0:
-        none = wp.float64(wp.nan)
-        out_points[i] = wp.vec3d(none, none, none)
-        out_distance[i] = wp.float64(wp.inf)
-        out_triangle_id[i] = -1
-        out_barycentric[i] = wp.vec3d(none, none, none)
-    else:
-        a = corners[3 * slot]
-        b = corners[3 * slot + 1]
-        c = corners[3 * slot + 2]
-        barycentric = closest_on_triangle(p, a, b, c)
-        out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
-        out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
-        out_triangle_id[i] = triangle_in_slot(mesh, slot)
-        out_barycentric[i] = barycentric
+    """A group of queries that are near each other a thread: each starts from the answer of the one before."""
+    begin = (first + wp.tid()) * group
+    slot = int(-1)
+    for k in range(begin, wp.min(begin + group, points.shape[0])):
+        i = order[k]
+        p = points[i]
+        slot = nearest_slot(tree, p, max_distance * max_distance, slot)
+        if slot < 0:
+            none = wp.float64(wp.nan)
+            out_points[i] = wp.vec3d(none, none, none)
+            out_distance[i] = wp.float64(wp.inf)
+            out_triangle_id[i] = -1
+            out_barycentric[i] = wp.vec3d(none, none, none)
+        else:
+            a = tree.corners[3 * slot]
+            b = tree.corners[3 * slot + 1]
+            c = tree.corners[3 * slot + 2]
+            barycentric = closest_on_triangle(p, a, b, c)
+            out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
+            out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
+            out_triangle_id[i] = tree.slot_triangle[slot]
+            out_barycentric[i] = barycentric

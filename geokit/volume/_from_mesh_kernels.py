@@ -4,7 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh._bvh_kernels import nearest_slot
+from geokit.mesh._nearest_kernels import nearest_slot
+from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh._winding_kernels import winding_number_at
 
@@ -47,7 +48,8 @@ def tile_center(x: int, y: int, z: int) -> wp.vec3d:
 @wp.kernel
 def measure_kernel(
     first: int,
-    corners: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
     translation: wp.vec3d,
     voxel_size: wp.float64,
     reach: wp.float64,
@@ -56,9 +58,9 @@ def measure_kernel(
 ):
     """Tiles in the box that a triangle reaches, as a float that cannot overflow, and its area [voxels^2]."""
     i = first + wp.tid()
-    a = (corners[3 * i] - translation) / voxel_size
-    b = (corners[3 * i + 1] - translation) / voxel_size
-    c = (corners[3 * i + 2] - translation) / voxel_size
+    a = (vertices[faces[3 * i]] - translation) / voxel_size
+    b = (vertices[faces[3 * i + 1]] - translation) / voxel_size
+    c = (vertices[faces[3 * i + 2]] - translation) / voxel_size
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
     tiles = wp.float64(1.0)
@@ -72,16 +74,17 @@ def measure_kernel(
 @wp.kernel
 def count_tiles_kernel(
     first: int,
-    corners: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
     translation: wp.vec3d,
     voxel_size: wp.float64,
     reach: wp.float64,
     out_count: wp.array(dtype=wp.int64),
 ):
     i = first + wp.tid()
-    a = (corners[3 * i] - translation) / voxel_size
-    b = (corners[3 * i + 1] - translation) / voxel_size
-    c = (corners[3 * i + 2] - translation) / voxel_size
+    a = (vertices[faces[3 * i]] - translation) / voxel_size
+    b = (vertices[faces[3 * i + 1]] - translation) / voxel_size
+    c = (vertices[faces[3 * i + 2]] - translation) / voxel_size
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
     count = int(0)
@@ -96,7 +99,8 @@ def count_tiles_kernel(
 @wp.kernel
 def fill_tiles_kernel(
     first: int,
-    corners: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
     translation: wp.vec3d,
     voxel_size: wp.float64,
     reach: wp.float64,
@@ -106,9 +110,9 @@ def fill_tiles_kernel(
     out_key: wp.array(dtype=wp.int64),
 ):
     i = first + wp.tid()
-    a = (corners[3 * i] - translation) / voxel_size
-    b = (corners[3 * i + 1] - translation) / voxel_size
-    c = (corners[3 * i + 2] - translation) / voxel_size
+    a = (vertices[faces[3 * i]] - translation) / voxel_size
+    b = (vertices[faces[3 * i + 1]] - translation) / voxel_size
+    c = (vertices[faces[3 * i + 2]] - translation) / voxel_size
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
     at = offsets[i]
@@ -138,10 +142,7 @@ def band_distance_kernel(
     leaves: wp.array(dtype=wp.vec3i),
     translation: wp.vec3d,
     voxel_size: wp.float64,
-    mesh: wp.uint64,
-    corners: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    scale: wp.float64,
+    tree: SurfaceTree,
     background: wp.float64,
     out_distance: wp.array2d(dtype=wp.float32),
 ):
@@ -154,15 +155,17 @@ def band_distance_kernel(
     leaf = i >> 6
     row = i & 63
     reach = background
+    near = int(-1)
     for k in range(8):
         voxel = 8 * row + k
         p = voxel_position(leaves[leaf], voxel, translation, voxel_size)
-        slot = nearest_slot(mesh, corners, origin, scale, p, reach * reach)
+        slot = nearest_slot(tree, p, reach * reach, near)
         distance = background
         if slot >= 0:
-            a = corners[3 * slot]
-            b = corners[3 * slot + 1]
-            c = corners[3 * slot + 2]
+            near = slot
+            a = tree.corners[3 * slot]
+            b = tree.corners[3 * slot + 1]
+            c = tree.corners[3 * slot + 2]
             distance = wp.length(offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c)))
         out_distance[leaf, voxel] = wp.float32(wp.min(distance, background))
         # A little more than one voxel: the next search must not lose its answer to rounding.

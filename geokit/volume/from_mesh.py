@@ -119,7 +119,7 @@ class _Band:
 
         lowest, size = self._tile_range()
         faces = len(self.surface.mesh.faces)
-        shared = [self.surface._corners, *self._grid, wp.float64(self.half_width)]
+        shared = [self.surface._vertices, self.surface._faces, *self._grid, wp.float64(self.half_width)]
         count = wp.empty(faces, dtype=wp.int64, device=self.device)
         _launch.launch(count_tiles_kernel, faces, shared, [count], self.device)
         offsets = wp.empty(faces, dtype=wp.int64, device=self.device)
@@ -151,7 +151,7 @@ class _Band:
             return
         leaves = wp.array(grid.leaf_origins, dtype=wp.vec3i, device=self.device)
         distance = wp.empty((count, 512), dtype=wp.float32, device=self.device)
-        surface = [*self.surface._tree, wp.float64(self.background)]
+        surface = [self.surface._tree, wp.float64(self.background)]
         _launch.launch(band_distance_kernel, 64 * count, [leaves, *self._grid, *surface], [distance], self.device)
         signs = self._signs(grid.leaf_origins, leaves, distance)
         unsigned = distance.numpy()
@@ -228,7 +228,8 @@ class _Band:
         count = len(self.surface.mesh.faces)
         tiles = wp.empty(count, dtype=wp.float64, device=self.device)
         area = wp.empty(count, dtype=wp.float64, device=self.device)
-        inputs = [self.surface._corners, self._grid[0], wp.float64(voxel_size), wp.float64(self.half_width)]
+        triangles = [self.surface._vertices, self.surface._faces]
+        inputs = [*triangles, self._grid[0], wp.float64(voxel_size), wp.float64(self.half_width)]
         _launch.launch(measure_kernel, count, inputs, [tiles, area], self.device)
         # Indices beyond 1e308 are infinite, and their differences NaN: too many in either case.
         test_count, voxel_area = (float(np.nan_to_num(wp.utils.array_sum(each), nan=np.inf)) for each in (tiles, area))

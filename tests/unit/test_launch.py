@@ -37,24 +37,43 @@ def ask_kernel(
     out_rank[i] = first + wp.tid()
 
 
+@wp.kernel
+def ask_group_kernel(
+    first: int,
+    group: int,
+    order: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3d),
+    weight: wp.array(dtype=wp.float64),
+    shared: wp.float64,
+    out_value: wp.array(dtype=wp.float64),
+    out_rank: wp.array(dtype=int),
+):
+    begin = (first + wp.tid()) * group
+    for k in range(begin, wp.min(begin + group, points.shape[0])):
+        i = order[k]
+        out_value[i] = (points[i][0] + wp.float64(10.0) * points[i][1]) * weight[i] + shared
+        out_rank[i] = k
+
+
 @pytest.fixture(scope="module")
 def cpu():
     return _launch.resolve_device("cpu")
 
 
-def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0):
+def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0, group=0):
     count = len(points)
     weight = np.linspace(1.0, 2.0, count)
     value = wp.full(count, -1.0, dtype=wp.float64, device=cpu)
     rank = wp.full(count, -1, dtype=int, device=cpu)
     _launch.launch_queries(
-        ask_kernel,
+        ask_group_kernel if group else ask_kernel,
         wp.array(points, dtype=wp.vec3d, device=cpu),
         [wp.float64(0.25)],
         [value, rank],
         cpu,
         lower=lower,
         extent=extent,
+        group=group,
         streams=[wp.array(weight, dtype=wp.float64, device=cpu)],
     )
     np.testing.assert_array_equal(value.numpy(), (points[:, 0] + 10.0 * points[:, 1]) * weight + 0.25)
@@ -226,3 +245,11 @@ def test_warp_speaks_as_before_afterwards(cpu):
     before = wp.config.log_level
     _launch.launch(mark_kernel, 1, [1], [wp.zeros(1, dtype=int, device=cpu) for _ in range(2)], cpu)
     assert wp.config.log_level == before
+
+
+@pytest.mark.parametrize("group", [1, 7, 32])
+@pytest.mark.parametrize("count", [1, 31, 5000])
+def test_groups_answer_every_query_once(cpu, count, group):
+    points = np.random.default_rng(3).random((count, 3))
+    assert sorted(ask(points, cpu, group=group)) == list(range(count))
+    np.testing.assert_array_equal(ask(points, cpu, group=group), ask(points, cpu))

@@ -1,44 +1,16 @@
-"""Search over the tree of a warp Mesh: float32 boxes, widened by their rounding, around float64 triangles.
+"""C++ text of the nearest-triangle search over the tree of a warp Mesh, on CUDA, with boxes widened by their rounding."""
 
-Warp's own mesh queries answer in float32, skip slivers and test unpadded boxes. The native snippets here walk the
-same tree (``node_lowers``, ``node_uppers``, ``primitive_indices`` of ``wp::BVH``) with conservative boxes and evaluate
-triangles in float64, so that an answer is the float64 answer whatever the traversal order was. ``corners`` holds the
-triangles' world-space corners in leaf order: a leaf is one contiguous read.
-"""
+from geokit.mesh._tree_kernels import BOX_PADDING
 
-# mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
-import warp as wp
-
-from geokit.mesh._triangle_kernels import CLOSEST_ON_TRIANGLE
-
-wp.set_module_options({"enable_backward": False})
-
-# Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) an axis;
-# 2e-7 covers that in three axes, and the rounding of the box distance itself, about twice over.
-BOX_PADDING = 2.0e-7
-
-_LEAF_ORDER = """
-    wp::Mesh mesh = wp::mesh_get(id);
-    return wp::bvh_load_int(mesh.bvh.primitive_indices, slot);
-"""
-
-
-@wp.func_native(_LEAF_ORDER)
-def triangle_in_slot(id: wp.uint64, slot: int) -> int: ...
-
-
-# Distances in world units: `scale` is the size of a local unit. The stack holds what warp's own queries need: its
-# builders bound the depth of the tree by 32.
-_NEAREST = f"""
-    {CLOSEST_ON_TRIANGLE}
-    const wp::Mesh mesh = wp::mesh_get(id);
-    const double qx = (p[0] - origin[0]) / scale, qy = (p[1] - origin[1]) / scale, qz = (p[2] - origin[2]) / scale;
+# Names as in WIDE_NEAREST; the seed is of no use here. Distances in world units. The stack holds what warp's own
+# queries need: its builders bound the depth of the tree by 32.
+BINARY_NEAREST = f"""
+    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
+    const double qx = (p[0] - tree.origin[0]) / tree.scale, qy = (p[1] - tree.origin[1]) / tree.scale, qz = (p[2] - tree.origin[2]) / tree.scale;
     const double far = (qx < 0 ? -qx : qx) + (qy < 0 ? -qy : qy) + (qz < 0 ? -qz : qz);
     const double padding = {BOX_PADDING} + 1e-15 * far;
     const wp::BVHPackedNodeHalf* lowers = mesh.bvh.node_lowers;
     const wp::BVHPackedNodeHalf* uppers = mesh.bvh.node_uppers;
-    auto triangle_in = [&](int slot) {{ return wp::bvh_load_int(mesh.bvh.primitive_indices, slot); }};
     auto box_squared = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
         double x = l.x - qx, y = l.y - qy, z = l.z - qz;
         const double x1 = qx - u.x, y1 = qy - u.y, z1 = qz - u.z;
@@ -49,7 +21,7 @@ _NEAREST = f"""
     double best = max_squared;         // world units squared
     int winner = -1;
     auto reach_of = [&](double squared) {{
-        const double reach = sqrt(squared) / scale + padding;
+        const double reach = sqrt(squared) / tree.scale + padding;
         return reach * reach;
     }};
     double reach = reach_of(best);     // local units squared, widened
@@ -81,12 +53,12 @@ _NEAREST = f"""
         }}
         if (!l.b) continue;
         for (int slot = l.i; slot < (int)u.i; ++slot) {{
-            const point a = corners.data[3 * slot], b = corners.data[3 * slot + 1], c = corners.data[3 * slot + 2];
+            const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1], c = tree.corners.data[3 * slot + 2];
             double v, w;
             const double squared = closest_on_triangle(p - a, b - a, c - a, v, w);
             if (squared > best) continue;
             // Ties go to the lowest triangle: the answer must not depend on the order of the walk.
-            if (squared == best && winner >= 0 && triangle_in(slot) > triangle_in(winner)) continue;
+            if (squared == best && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) continue;
             if (squared < best) reach = reach_of(squared);
             best = squared;
             winner = slot;
@@ -94,28 +66,3 @@ _NEAREST = f"""
     }}
     return winner;
 """
-
-
-@wp.func_native(_NEAREST)
-def nearest_slot(
-    id: wp.uint64,
-    corners: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    scale: wp.float64,
-    p: wp.vec3d,
-    max_squared: wp.float64,
-) -> int: ...
-
-
-@wp.kernel
-def gather_corners_kernel(
-    first: int,
-    id: wp.uint64,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    out_corners: wp.array(dtype=wp.vec3d),
-):
-    slot = first + wp.tid()
-    triangle = triangle_in_slot(id, slot)
-    for k in range(3):
-        out_corners[3 * slot + k] = vertices[faces[3 * triangle + k]]

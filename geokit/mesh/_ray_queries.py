@@ -1,0 +1,240 @@
+"""What rays hit on a prepared surface: first hits, all hits, occlusion."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from geokit import _arrays, _launch
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit._frame import Frame
+
+__all__ = ["RayHitLists", "RayHits", "RayQueries"]
+
+# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+SHORTEST_DIRECTION = 1e-150
+# Rays of a thread on a CPU, where several are in flight at once; a GPU has a thread for each.
+RAY_GROUP = 256
+# Local coordinates that the order of rays resolves: they are where rays enter the cube [-1, 1]^3, or start near it.
+ORDER_HALF_WIDTH = 2.0
+
+
+class RayHits(NamedTuple):
+    """t (N,) in units of the ray's direction, triangle_id (N,), barycentric (N, 3).
+
+    A miss has triangle_id -1, t inf, and NaN elsewhere.
+    """
+
+    t: Any
+    triangle_id: Any
+    barycentric: Any
+
+
+class RayHitLists(NamedTuple):
+    """All hits of each ray: those of ray i are rows ``offsets[i]`` to ``offsets[i + 1]`` of the rest, by ascending t.
+
+    offsets (N + 1,), t (H,) in units of the ray's direction, triangle_id (H,), barycentric (H, 3).
+    """
+
+    offsets: Any
+    t: Any
+    triangle_id: Any
+    barycentric: Any
+
+
+class RayQueries:
+    """Ray queries of a :class:`geokit.mesh.Surface`."""
+
+    _device: "wp.Device"
+    _frame: Frame
+    _tree: Any
+
+    def raycast(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        watertight: bool = True,
+    ) -> RayHits:
+        """First hit of each ray.
+
+        Watertight: no ray passes between triangles through an edge or a vertex that they share
+        (tests/stability/test_ray_leaks.py). Ties go to the lowest triangle_id.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Hits nearer than this are passed over, in units of the direction; for rays that start on the surface.
+            max_distance: Length of the rays [world]; farther hits are misses.
+            watertight: False lets hits be decided in float32, quicker: rays within a few 1e-7 of the mesh's size of an
+                edge may pass through it, and of two surfaces as near to each other the farther may be hit.
+        Returns:
+            RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
+        Raises:
+            InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
+                negative or not finite, or max_distance is negative or not a number.
+        Source:
+            Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013). Differs: float64 throughout.
+        """
+        import warp as wp
+
+        from geokit.mesh._raycast_kernels import quick_raycast_kernel, raycast_kernel
+
+        rays, directions = self._rays(origins, directions)
+        t = wp.empty(len(rays), dtype=wp.float64, device=self._device)
+        triangle_id = wp.empty(len(rays), dtype=wp.int32, device=self._device)
+        barycentric = wp.empty(len(rays), dtype=wp.vec3d, device=self._device)
+        kernel = raycast_kernel if watertight else quick_raycast_kernel
+        self._cast(kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric])
+        return RayHits(rays.give(t), rays.give(triangle_id), rays.give(barycentric))
+
+    def raycast_all(
+        self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
+    ) -> RayHitLists:
+        """Every crossing of each ray with the surface, by ascending t.
+
+        A passage through an edge or a vertex is one crossing, of one of the triangles there; touching an edge or a
+        vertex from one side is none or two, as if the ray ran an infinitesimal beside it. A line crosses a closed
+        surface an even number of times, always (tests/property/test_crossings.py). Rays within a triangle's plane do
+        not cross it.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer crossings are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+        Returns:
+            RayHitLists with offsets (N + 1,), t, triangle_id and barycentric.
+        Raises:
+            InputError: As for :meth:`raycast`.
+        Source:
+            Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
+        """
+        import warp as wp
+
+        from geokit.mesh._crossing_kernels import list_crossings_kernel
+
+        rays, directions = self._rays(origins, directions)
+        count = self._count_crossings(rays, directions, t_min, max_distance)
+        offsets = wp.zeros(len(rays) + 1, dtype=wp.int64, device=self._device)
+        if len(rays):
+            wp.utils.array_scan(_widened(count), offsets[1:], inclusive=True)
+        total = int(offsets[-1:].numpy()[0])
+        t = wp.empty(total, dtype=wp.float64, device=self._device)
+        triangle_id = wp.empty(total, dtype=wp.int32, device=self._device)
+        barycentric = wp.empty(total, dtype=wp.vec3d, device=self._device)
+        self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
+        return RayHitLists(rays.give(offsets), rays.give(t), rays.give(triangle_id), rays.give(barycentric))
+
+    def crossing_count(
+        self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
+    ) -> Any:
+        """How often each ray crosses the surface: the lengths of the lists of :meth:`raycast_all`.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer crossings are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+        Returns:
+            int (N,).
+        Raises:
+            InputError: As for :meth:`raycast`.
+        """
+        rays, directions = self._rays(origins, directions)
+        return rays.give(self._count_crossings(rays, directions, t_min, max_distance))
+
+    def occluded(self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf) -> Any:
+        """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer hits are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+        Returns:
+            bool (N,).
+        Raises:
+            InputError: As for :meth:`raycast`.
+        """
+        import warp as wp
+
+        from geokit.mesh._raycast_kernels import occluded_kernel
+
+        rays, directions = self._rays(origins, directions)
+        occluded = wp.empty(len(rays), dtype=wp.bool, device=self._device)
+        self._cast(occluded_kernel, rays, directions, t_min, max_distance, [occluded])
+        return rays.give(occluded)
+
+    def _count_crossings(
+        self, rays: _arrays.Batch, directions: _arrays.Batch, t_min: float, max_distance: float
+    ) -> "wp.array":
+        import warp as wp
+
+        from geokit.mesh._crossing_kernels import count_crossings_kernel
+
+        count = wp.empty(len(rays), dtype=wp.int32, device=self._device)
+        self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
+        return count
+
+    def _rays(self, origins: Any, directions: Any) -> tuple[_arrays.Batch, _arrays.Batch]:
+        rays = _arrays.read_vectors(origins, "origins", self._device)
+        heading = _arrays.read_vectors(directions, "directions", self._device)
+        if len(rays) != len(heading):
+            raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
+        _arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
+        return rays, heading
+
+    def _cast(
+        self,
+        kernel: Any,
+        rays: _arrays.Batch,
+        heading: _arrays.Batch,
+        t_min: float,
+        max_distance: float,
+        outputs: list[Any],
+        *streams: "wp.array",
+    ) -> None:
+        import warp as wp
+
+        lowest = -math.ulp(0.0)
+        start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
+        reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+        group = RAY_GROUP if self._device.is_cpu else 1
+        count = len(rays)
+        inputs = [group, self._order(rays, heading), rays.array, heading.array, *streams, self._tree, start, reach]
+        _launch.launch(kernel, -(-count // group), inputs, outputs, self._device, grain=1)
+
+    def _order(self, rays: _arrays.Batch, heading: _arrays.Batch) -> "wp.array":
+        """The order of rays on a GPU; empty on a CPU, where fetching them out of order costs more than it gives."""
+        import warp as wp
+
+        from geokit.mesh._ray_order_kernels import entry_kernel
+
+        if self._device.is_cpu:
+            return _no_order(self._device.alias)
+        entries = wp.empty(len(rays), dtype=wp.vec3d, device=self._device)
+        frame = [self._tree.origin, self._tree.scale]
+        _launch.launch(entry_kernel, len(rays), [rays.array, heading.array, *frame], [entries], self._device)
+        lower, extent = (-ORDER_HALF_WIDTH,) * 3, 2.0 * ORDER_HALF_WIDTH
+        return _launch.morton_order(entries, lower, extent, self._device)
+
+
+def _no_order(alias: str) -> "wp.array":
+    import warp as wp
+
+    return wp.empty(0, dtype=wp.int32, device=alias)
+
+
+def _widened(count: "wp.array") -> "wp.array":
+    import warp as wp
+
+    wide = wp.empty(len(count), dtype=wp.int64, device=count.device)
+    wp.utils.array_cast(count, wide)
+    return wide

@@ -1,0 +1,126 @@
+"""The wide tree that CPU queries walk: eight children a node, eight triangles a leaf, one vector operation for all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit import _launch
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit._frame import Frame
+
+__all__ = ["build_wide_tree", "fill_leaves", "refit_wide_tree"]
+
+# References of a subtree that one thread builds. Smaller ones balance better, larger ones leave less to the top,
+# which one thread builds alone.
+SMALLEST_SUBTREE = 2048
+SUBTREES = 128
+# Nodes of the top; with more, its last subtrees are larger instead.
+TOP_CAPACITY = 4096
+# 32-bit words of a range that waits to be opened, and its depth.
+WAITING_WORDS = 19
+# A node of at least nine references that is lowest, or one of seven leaves and a node: fewer than this many nodes.
+NODE_SHARE = 3
+
+
+def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> dict[str, Any]:
+    """Boxes, children and slots of the wide tree over triangles, on the CPU.
+
+    Args:
+        vertices: Vertex positions [world], (V,) of vec3d.
+        faces: Vertex indices, (3 F,) of int32, F at least 1.
+        frame: The local frame.
+    Returns:
+        ``boxes``, ``children`` and ``slot_triangle``, as :class:`SurfaceTree` describes them.
+    Source:
+        Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007), for the bins; Wald, Benthin,
+        Boulos, "Getting rid of packets" (2008), for wide nodes by opening the child of largest area.
+    """
+    import warp as wp
+
+    from geokit.mesh import _wide_build_kernels as kernels
+
+    device = wp.get_device("cpu")
+    count = len(faces) // 3
+
+    def empty(size: int, dtype: Any = wp.int32) -> "wp.array":
+        return wp.empty(size, dtype=dtype, device=device)
+
+    references = empty(kernels.REFERENCE * count, wp.float32)
+    placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
+    _launch.launch(kernels.references_kernel, count, [vertices, faces, *placed], [references], device)
+
+    limit = max(SMALLEST_SUBTREE, count // SUBTREES)
+    capacity = min(TOP_CAPACITY, count // limit + 8)
+    top = empty(48 * capacity, wp.float32), empty(8 * capacity)
+    subtree, top_size = empty(3 * 8 * capacity), empty(2)
+    scratch = empty(WAITING_WORDS * capacity)
+    _launch.launch(
+        kernels.top_kernel, 1, [references, count, limit, capacity, scratch], [*top, subtree, top_size], device
+    )
+    top_count, subtrees = (int(n) for n in top_size.numpy())
+    ranges = subtree.numpy()[: 3 * subtrees].reshape(-1, 3)
+
+    # Untouched pages of these arrays cost nothing: only what is used is ever written.
+    room = (ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2
+    node_base = _offsets(room)
+    parts = empty(48 * int(node_base[-1]), wp.float32), empty(8 * int(node_base[-1]))
+    leaf = empty(count), empty(count)
+    size = empty(2 * subtrees)
+    base = wp.array(node_base[:-1], dtype=wp.int32, device=device)
+    _launch.launch(
+        kernels.subtree_kernel, subtrees, [references, subtree, base], [*parts, *leaf, size], device, grain=1
+    )
+
+    sizes = size.numpy().reshape(-1, 2)
+    node_offset, leaf_offset = top_count + _offsets(sizes[:, 0]), _offsets(sizes[:, 1])
+    node_count, leaf_count = int(node_offset[-1]), int(leaf_offset[-1])
+    boxes, children = empty(48 * node_count, wp.float32), empty(8 * node_count)
+    slot_triangle = empty(8 * leaf_count)
+    offsets = [wp.array(a[:-1], dtype=wp.int32, device=device) for a in (node_offset, leaf_offset)]
+    _launch.launch(
+        kernels.join_kernel,
+        subtrees,
+        [references, subtree, base, size, *offsets, *parts, *leaf],
+        [boxes, children, slot_triangle],
+        device,
+        grain=1,
+    )
+    _launch.launch(kernels.link_top_kernel, top_count, [size, *offsets, *top], [boxes, children], device)
+    return {"boxes": boxes, "children": children, "slot_triangle": slot_triangle}
+
+
+def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame) -> "wp.array":
+    """The float32 frames of the triangles in the leaves, from their world ``corners``."""
+    import warp as wp
+
+    from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, leaf_planes_kernel
+
+    device = slot_triangle.device
+    leaves = wp.empty(PLANE_ROWS * len(slot_triangle), dtype=wp.float32, device=device)
+    placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
+    _launch.launch(leaf_planes_kernel, len(slot_triangle), [slot_triangle, corners, *placed], [leaves], device)
+    return leaves
+
+
+def refit_wide_tree(tree: Any, frame: Frame) -> None:
+    """New boxes for the tree's nodes after its ``corners`` have moved."""
+    import warp as wp
+
+    from geokit.mesh._wide_build_kernels import WIDTH, block_boxes_kernel, refit_kernel
+
+    device = tree.corners.device
+    blocks = len(tree.slot_triangle) // WIDTH
+    boxes = wp.empty(6 * blocks, dtype=wp.float32, device=device)
+    placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
+    _launch.launch(block_boxes_kernel, blocks, [tree.slot_triangle, tree.corners, *placed], [boxes], device)
+    count = len(tree.children) // WIDTH
+    _launch.launch(refit_kernel, 1, [count, tree.children, boxes], [tree.boxes], device)
+
+
+def _offsets(counts: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
