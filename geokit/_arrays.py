@@ -20,7 +20,7 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Batch", "read_vectors", "require_finite_scalar", "require_length"]
+__all__ = ["Batch", "read_vectors", "require_finite", "require_finite_scalar", "require_length"]
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,15 @@ class Batch:
         return len(self.array)
 
 
-def read_vectors(values: Any, name: str, device: "wp.Device") -> Batch:
+def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = False) -> Batch:
     """Rows of three from any supported container, on ``device``.
 
     Args:
         values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or a DLPack or CUDA-array exporter.
         name: The argument's name for messages.
         device: The query device; rows that live elsewhere are copied to it, results are copied back.
+        defer: Leave it to the query's kernel to see rows on a GPU that are not finite, and to :func:`require_finite`
+            to name them: a pass over the rows and a wait for its answer are saved.
     Returns:
         A Batch.
     Raises:
@@ -71,7 +73,8 @@ def read_vectors(values: Any, name: str, device: "wp.Device") -> Batch:
         rows = _widen(rows)
     if not rows.is_contiguous:
         rows = rows.contiguous()
-    _require_finite(rows, name)
+    if not (defer and rows.device.is_cuda):
+        _require_finite(rows, name)
     return Batch(rows, single, lambda out: give(_narrowed(out, single)))
 
 
@@ -90,6 +93,15 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
         above = f" greater than {low:g}" if low > -np.inf else ""
         raise InputError(f"{name}: {number} is not usable; give {kind}{above}")
     return number
+
+
+def require_finite(batch: Batch, name: str) -> None:
+    """Refuse rows that are not finite.
+
+    Raises:
+        InputError: There is such a row; the first is named.
+    """
+    _require_finite(batch.array, name)
 
 
 def require_length(batch: Batch, name: str, shortest: float) -> None:

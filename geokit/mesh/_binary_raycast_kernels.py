@@ -1,63 +1,105 @@
-"""C++ text of ray queries over the tree of a warp Mesh, on CUDA: float32 boxes widened by their rounding.
+"""C++ text of ray queries over the tree of a warp Mesh, on CUDA: float32 tests with margins, decided in float64.
 
 Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
 """
 
-from geokit.mesh._tree_kernels import BOX_PADDING
+from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
+from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
 
 # Names as in WIDE_WALK. A thread has one ray: begin + 1 is end.
 BINARY_WALK = f"""
     struct Ray {{
         point start, direction;
-        double best, weight_b, weight_c;
+        double best, enter, unit, weight_b, weight_c;
+        float last;
         int id, winner, height, count;
     }};
-    auto shorten = [](Ray&) {{}};
     const wp::Mesh mesh = wp::mesh_get(tree.mesh);
     Ray r;
-    r.winner = -1; r.count = 0; r.weight_b = 0.0; r.weight_c = 0.0;
+    r.winner = -1; r.count = 0; r.weight_b = 0.0; r.weight_c = 0.0; r.height = 0;
     fetch(begin, r.id, r.start, r.direction, r.best);
-    double inverse[3], from[3], far = 0.0, largest = 0.0;
-    for (int k = 0; k < 3; ++k) largest = wp::max(largest, wp::abs(r.direction[k]));
-    for (int k = 0; k < 3; ++k) {{
-        from[k] = (r.start[k] - tree.origin[k]) / tree.scale;
-        far += wp::abs(from[k]);
-        // A component that is zero, or too small to matter, must not make 0 * inf in the slab test.
-        const double least = 1e-200 * largest, d = r.direction[k];
-        inverse[k] = tree.scale / (wp::abs(d) > least ? d : (d < 0.0 ? -least : least));
+    // The ray as from + s * along in local units, the largest component of along being 1: s = unit * t.
+    const double largest = wp::max(wp::max(wp::abs(r.direction[0]), wp::abs(r.direction[1])), wp::abs(r.direction[2]));
+    const double local = 1.0 / tree.scale, shrink = 1.0 / largest;
+    const point from = (r.start - tree.origin) * local, along = r.direction * shrink;
+    r.unit = largest * local;
+    r.enter = t_min * r.unit;
+    // Finite, so that its product with a zero is zero.
+    auto shorten = [](Ray& r) {{
+        r.last = fminf((float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f, {ENDLESS}f);
+    }};
+    auto reciprocal_of = [](double component) {{
+        return 1.f / copysignf(fmaxf(fabsf((float)component), {LEAST_COMPONENT}f), (float)component);
+    }};
+    const float ix = reciprocal_of(along[0]), iy = reciprocal_of(along[1]), iz = reciprocal_of(along[2]);
+    const double far = wp::max(wp::max(wp::abs(from[0]), wp::abs(from[1])), wp::abs(from[2]));
+    bool reached = true;
+    if (far > {NEAR_START}) {{
+        // A little early and late: these reciprocals have the digits of float32, and the cube has a margin.
+        const double edge = 1.0 + 1e-5 + 1e-6 * far;
+        double leave = INFINITY;
+        const double rate[3] = {{ix, iy, iz}};
+        for (int k = 0; k < 3; ++k) {{
+            const double t0 = (-edge - from[k]) * rate[k], t1 = (edge - from[k]) * rate[k];
+            r.enter = wp::max(r.enter, wp::min(t0, t1));
+            leave = wp::min(leave, wp::max(t0, t1));
+        }}
+        reached = r.enter <= leave;
     }}
-    const double padding = {BOX_PADDING} + 1e-15 * far;
+    shorten(r);
+    const float sx = (float)(from[0] + r.enter * along[0]), sy = (float)(from[1] + r.enter * along[1]),
+                sz = (float)(from[2] + r.enter * along[2]);
+    const float tx = (float)along[0], ty = (float)along[1], tz = (float)along[2];
+    // Planes that are met first get the margin on one side, the others on the other.
+    const float mx = copysignf({BOX_MARGIN}f, ix), my = copysignf({BOX_MARGIN}f, iy), mz = copysignf({BOX_MARGIN}f, iz);
+    const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
+    const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
     // Where the ray enters the widened box, or infinity.
     auto entry_of = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
-        const double x0 = (l.x - padding - from[0]) * inverse[0], x1 = (u.x + padding - from[0]) * inverse[0];
-        const double y0 = (l.y - padding - from[1]) * inverse[1], y1 = (u.y + padding - from[1]) * inverse[1];
-        const double z0 = (l.z - padding - from[2]) * inverse[2], z1 = (u.z + padding - from[2]) * inverse[2];
-        double in = t_min, out = r.best;
-        in = wp::max(in, wp::min(x0, x1)); out = wp::min(out, wp::max(x0, x1));
-        in = wp::max(in, wp::min(y0, y1)); out = wp::min(out, wp::max(y0, y1));
-        in = wp::max(in, wp::min(z0, z1)); out = wp::min(out, wp::max(z0, z1));
-        return in <= out ? in : (double)INFINITY;
+        const bool bx = ix < 0.f, by = iy < 0.f, bz = iz < 0.f;
+        const float in = fmaxf(fmaxf((bx ? u.x : l.x) * ix + nx, (by ? u.y : l.y) * iy + ny),
+                               fmaxf((bz ? u.z : l.z) * iz + nz, 0.f));
+        const float out = fminf(fminf((bx ? l.x : u.x) * ix + fx, (by ? l.y : u.y) * iy + fy),
+                                fminf((bz ? l.z : u.z) * iz + fz, r.last));
+        return in <= out ? in : (float)INFINITY;
+    }};
+    // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+    auto may_hit = [&](int slot) {{
+        const float4* row = (const float4*)(tree.leaves.data + {SLOT_WORDS} * slot);
+        const float4 r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
+        const float ax = sx - r0.x, ay = sy - r0.y, az = sz - r0.z;
+        const float oz = ax * r2.y + ay * r2.z + az * r2.w, dz = tx * r2.y + ty * r2.z + tz * r2.w;
+        const float depth = dz < 0.f ? oz : -oz, down = fabsf(dz);
+        if (!(depth >= -{PLANE_MARGIN}f && depth <= r.last * down + {PLANE_MARGIN}f)) return false;
+        const float ox = ax * r0.w + ay * r1.x + az * r1.y, dx = tx * r0.w + ty * r1.x + tz * r1.y;
+        const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
+        const float x = ox * down + dx * depth, y = oy * down + dy * depth;
+        const float longest = r3.x, cx = r3.y, cy = r3.z, margin = -{PLANE_MARGIN}f * longest;
+        return y >= -{PLANE_MARGIN}f && cy * x - cx * y >= margin
+               && (cx - longest) * y - cy * (x - longest * down) >= margin;
     }};
     int stack[64];
-    double entry[64];
-    r.height = 1;
-    stack[0] = *mesh.bvh.root;
-    entry[0] = 0.0;
+    float entry[64];
+    if (reached) {{
+        stack[0] = *mesh.bvh.root;
+        entry[0] = 0.f;
+        r.height = 1;
+    }}
     while (r.height > 0) {{
         --r.height;
-        if (entry[r.height] > r.best) continue;
+        if (entry[r.height] > r.last) continue;
         wp::BVHPackedNodeHalf l = wp::bvh_load_node(mesh.bvh.node_lowers, stack[r.height]);
         wp::BVHPackedNodeHalf u = wp::bvh_load_node(mesh.bvh.node_uppers, stack[r.height]);
-        bool reached = true;
+        reached = true;
         while (!l.b && reached) {{
             const int left = l.i, right = u.i;
             const wp::BVHPackedNodeHalf ll = wp::bvh_load_node(mesh.bvh.node_lowers, left);
             const wp::BVHPackedNodeHalf lu = wp::bvh_load_node(mesh.bvh.node_uppers, left);
             const wp::BVHPackedNodeHalf rl = wp::bvh_load_node(mesh.bvh.node_lowers, right);
             const wp::BVHPackedNodeHalf ru = wp::bvh_load_node(mesh.bvh.node_uppers, right);
-            const double tl = entry_of(ll, lu), tr = entry_of(rl, ru);
+            const float tl = entry_of(ll, lu), tr = entry_of(rl, ru);
             const bool left_first = tl <= tr;
-            const double later = left_first ? tr : tl;
+            const float later = left_first ? tr : tl;
             reached = (left_first ? tl : tr) < INFINITY;
             if (later < INFINITY) {{
                 stack[r.height] = left_first ? right : left;
@@ -69,7 +111,7 @@ BINARY_WALK = f"""
         if (!reached) continue;
         for (int slot = l.i; slot < (int)u.i && r.height >= 0; ++slot) {{
             double t, v, w;
-            if (!hit(r.start, r.direction, slot, t, v, w) || t > r.best) continue;
+            if (!may_hit(slot) || !hit(r.start, r.direction, slot, t, v, w) || t > r.best) continue;
             ON_HIT
         }}
     }}

@@ -41,6 +41,7 @@ def count_crossings(
     t_min: wp.float64,
     max_distance: wp.float64,
     out_count: wp.array(dtype=int),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -58,6 +59,7 @@ def list_crossings(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -72,10 +74,11 @@ def count_crossings_kernel(
     t_min: wp.float64,
     max_distance: wp.float64,
     out_count: wp.array(dtype=int),
+    out_bad: wp.array(dtype=int),
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
-    count_crossings(begin, end, order, origins, directions, tree, t_min, max_distance, out_count)
+    count_crossings(begin, end, order, origins, directions, tree, t_min, max_distance, out_count, out_bad)
 
 
 @wp.kernel
@@ -92,6 +95,7 @@ def list_crossings_kernel(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
@@ -108,4 +112,5 @@ def list_crossings_kernel(
         out_t,
         out_triangle_id,
         out_barycentric,
+        out_bad,
     )

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
-# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
-SHORTEST_DIRECTION = 1e-150
 # Rays of a thread on a CPU, where several are in flight at once; a GPU has a thread for each.
 RAY_GROUP = 256
 # Local coordinates that the order of rays resolves: they are where rays enter the cube [-1, 1]^3, or start near it.
@@ -184,11 +182,10 @@ class RayQueries:
         return count
 
     def _rays(self, origins: Any, directions: Any) -> tuple[_arrays.Batch, _arrays.Batch]:
-        rays = _arrays.read_vectors(origins, "origins", self._device)
-        heading = _arrays.read_vectors(directions, "directions", self._device)
+        rays = _arrays.read_vectors(origins, "origins", self._device, defer=True)
+        heading = _arrays.read_vectors(directions, "directions", self._device, defer=True)
         if len(rays) != len(heading):
             raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
-        _arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
         return rays, heading
 
     def _cast(
@@ -203,13 +200,20 @@ class RayQueries:
     ) -> None:
         import warp as wp
 
+        from geokit.mesh._raycast_kernels import SHORTEST_DIRECTION
+
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
         group = RAY_GROUP if self._device.is_cpu else 1
         count = len(rays)
         inputs = [group, self._order(rays, heading), rays.array, heading.array, *streams, self._tree, start, reach]
-        _launch.launch(kernel, -(-count // group), inputs, outputs, self._device, grain=1)
+        bad = wp.zeros(1, dtype=wp.int32, device=self._device)
+        _launch.launch(kernel, -(-count // group), inputs, [*outputs, bad], self._device, grain=1)
+        if bad.numpy()[0]:
+            _arrays.require_finite(rays, "origins")
+            _arrays.require_finite(heading, "directions")
+            _arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
 
     def _order(self, rays: _arrays.Batch, heading: _arrays.Batch) -> "wp.array":
         """The order of rays on a GPU; empty on a CPU, where fetching them out of order costs more than it gives."""

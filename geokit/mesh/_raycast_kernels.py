@@ -11,6 +11,9 @@ from geokit.mesh._wide_raycast_kernels import WIDE_QUICK_WALK, WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
 
+# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+SHORTEST_DIRECTION = 1e-150
+
 # Rays are fetched in the order given, or as they stand where the order is empty. What lies ahead is asked of memory in
 # time: rays that were put into an order lie far apart.
 _FETCH = """
@@ -25,7 +28,17 @@ _FETCH = """
         #endif
         start = origins.data[id];
         direction = directions.data[id];
-        t_max = max_distance < (double)INFINITY ? max_distance / wp::length(direction) : max_distance;
+        const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
+        // A number minus itself is zero, unless it is infinite or none.
+        const point none = (start - start) + (direction - direction);
+        if (!(largest >= SHORTEST && none[0] + none[1] + none[2] == 0.0)) {
+            // The host refuses the whole batch and says which row is to blame; until then nothing must go astray.
+            out_bad.data[0] = 1;
+            start = tree.origin;
+            direction = point(1.0, 0.0, 0.0);
+        }
+        t_max = max_distance;
+        if (max_distance < (double)INFINITY) t_max /= wp::length(direction);
     };
 """
 
@@ -39,7 +52,7 @@ def ray_walk(hit: str, on_hit: str, on_end: str, wide: str = WIDE_WALK) -> str:
         {wide}
         #endif
     """
-    return hit + _FETCH + walk.replace("ON_HIT", on_hit).replace("ON_END", on_end)
+    return hit + _FETCH.replace("SHORTEST", str(SHORTEST_DIRECTION)) + walk.replace("ON_HIT", on_hit).replace("ON_END", on_end)
 
 
 # Ties go to the lowest triangle: the answer must not depend on the order of the walk.
@@ -82,6 +95,7 @@ def cast_rays(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -106,6 +120,7 @@ def cast_rays_quickly(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -120,6 +135,7 @@ def test_rays(
     t_min: wp.float64,
     max_distance: wp.float64,
     out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -136,11 +152,12 @@ def raycast_kernel(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
     cast_rays(
-        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric
+        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric, out_bad
     )
 
 
@@ -157,11 +174,12 @@ def quick_raycast_kernel(
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
     cast_rays_quickly(
-        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric
+        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric, out_bad
     )
 
 
@@ -176,7 +194,8 @@ def occluded_kernel(
     t_min: wp.float64,
     max_distance: wp.float64,
     out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
-    test_rays(begin, end, order, origins, directions, tree, t_min, max_distance, out_occluded)
+    test_rays(begin, end, order, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)

@@ -15,6 +15,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 # Rows of eight in a block: origin 0-2, x 3-5, y 6-8, z 9-11, length of the edge along x 12, third corner 13 14,
 # 1 / squared length of the edges first to third corner 15 and second to third corner 16.
 PLANE_ROWS = 17
+# On CUDA each slot has its numbers in a row, filled up to whole 16-byte words.
+SLOT_WORDS = 20
 # Where an empty slot stands: its square is finite in float32 and beyond any search.
 NOWHERE = 1.0e18
 # Height of a triangle, as a share of its longest edge, below which it is taken for a segment: its points are then off
@@ -23,8 +25,8 @@ FLAT = wp.constant(wp.float64(1.0e-13))
 
 
 @wp.func
-def put(out: wp.array(dtype=wp.float32), block: int, row: int, lane: int, value: wp.float64):
-    out[(block * PLANE_ROWS + row) * 8 + lane] = wp.float32(value)
+def put(out: wp.array(dtype=wp.float32), start: int, row: int, lanes: int, value: wp.float64):
+    out[start + row * lanes] = wp.float32(value)
 
 
 @wp.func
@@ -63,11 +65,13 @@ def leaf_planes_kernel(
     corners: wp.array(dtype=wp.vec3d),
     origin: wp.vec3d,
     scale: wp.float64,
+    lanes: int,
+    rows: int,
     out_leaves: wp.array(dtype=wp.float32),
 ):
     slot = first + wp.tid()
-    block = slot / 8
-    lane = slot % 8
+    # Blocks of `lanes` slots side by side, `rows` numbers each.
+    start = slot / lanes * rows * lanes + slot % lanes
     zero = wp.float64(0.0)
     a = wp.vec3d(wp.float64(NOWHERE), zero, zero)
     b = a
@@ -102,13 +106,16 @@ def leaf_planes_kernel(
     z = wp.cross(x, y)
     cy = wp.dot(c - a, y)
     length = wp.dot(b - a, x)
+    if slot_triangle[slot] < 0:
+        # No point is inside an edge of negative length, whatever the margin.
+        length = wp.float64(-1.0)
     for k in range(3):
-        put(out_leaves, block, k, lane, a[k])
-        put(out_leaves, block, 3 + k, lane, x[k])
-        put(out_leaves, block, 6 + k, lane, y[k])
-        put(out_leaves, block, 9 + k, lane, z[k])
-    put(out_leaves, block, 12, lane, length)
-    put(out_leaves, block, 13, lane, cx)
-    put(out_leaves, block, 14, lane, cy)
-    put(out_leaves, block, 15, lane, reciprocal_or_zero(cx * cx + cy * cy))
-    put(out_leaves, block, 16, lane, reciprocal_or_zero((cx - length) * (cx - length) + cy * cy))
+        put(out_leaves, start, k, lanes, a[k])
+        put(out_leaves, start, 3 + k, lanes, x[k])
+        put(out_leaves, start, 6 + k, lanes, y[k])
+        put(out_leaves, start, 9 + k, lanes, z[k])
+    put(out_leaves, start, 12, lanes, length)
+    put(out_leaves, start, 13, lanes, cx)
+    put(out_leaves, start, 14, lanes, cy)
+    put(out_leaves, start, 15, lanes, reciprocal_or_zero(cx * cx + cy * cy))
+    put(out_leaves, start, 16, lanes, reciprocal_or_zero((cx - length) * (cx - length) + cy * cy))

@@ -10,6 +10,8 @@ of the caches, not arithmetic, is what a single ray waits for.
 from geokit.mesh._wide_build_kernels import STACK
 from geokit.mesh._wide_leaf_kernels import PLANE_ROWS
 
+# Cache lines of a leaf that are asked for ahead; the hardware goes on where it sees a stream.
+PREFETCHED_LINES = 8
 # Rays in flight on a thread.
 IN_FLIGHT = 8
 # Rays that start farther out than this, in local units, are tested from where they enter the cube around the mesh.
@@ -19,6 +21,8 @@ NEAR_START = 2.0
 BOX_MARGIN = 1.0e-6
 # The same for a point on the ray in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR.
 PLANE_MARGIN = 8.0e-6
+# Rays without an end are this long, in local units.
+ENDLESS = 1.0e30
 # Direction components, where the largest is 1, that are smaller count as this: its reciprocal must not overflow.
 LEAST_COMPONENT = 1.0e-18
 
@@ -50,13 +54,16 @@ _WALK = f"""
     Ray rays[{IN_FLIGHT}];
     int next = begin, flying = 0;
     const double local = 1.0 / tree.scale;
-    auto shorten = [&](Ray& r) {{ r.last = (float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f; }};
+    // Finite, so that its product with a zero is zero.
+    auto shorten = [&](Ray& r) {{
+        r.last = __builtin_fminf((float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f, {ENDLESS}f);
+    }};
     // False where the ray passes by the mesh.
-    auto set_up = [&](Ray& r) {{
+    auto set_up = [&](Ray& r, const point& start, const point& direction) {{
         r.winner = -1; r.count = 0; r.node = 0; r.height = 0; r.hits = 0; r.weight_b = 0.0; r.weight_c = 0.0;
         // The ray as from + s * along in local units, the largest component of along being 1: s = unit * t.
-        const d4 heading = {{r.direction[0], r.direction[1], r.direction[2], 0.0}};
-        const d4 begin = {{r.start[0] - tree.origin[0], r.start[1] - tree.origin[1], r.start[2] - tree.origin[2], 0.0}};
+        const d4 heading = {{direction[0], direction[1], direction[2], 0.0}};
+        const d4 begin = {{start[0] - tree.origin[0], start[1] - tree.origin[1], start[2] - tree.origin[2], 0.0}};
         const double largest = __builtin_reduce_max(__builtin_elementwise_abs(heading));
         const d4 from = begin * local, along = heading * (1.0 / largest);
         r.unit = largest * local;
@@ -91,8 +98,14 @@ _WALK = f"""
     // The next ray that may hit something takes the place of one that is done; false where there is none.
     auto refill = [&](Ray& r) {{
         while (next < end) {{
-            fetch(next++, r.id, r.start, r.direction, r.best);
-            if (set_up(r)) return true;
+            // In registers: what was just stored is slow to load again in other pieces.
+            point start, direction;
+            fetch(next++, r.id, start, direction, r.best);
+            if (set_up(r, start, direction)) {{
+                r.start = start;
+                r.direction = direction;
+                return true;
+            }}
             finish(r);
         }}
         return false;
@@ -100,7 +113,7 @@ _WALK = f"""
     auto prefetch = [&](int node) {{
         const char* data = node < 0 ? (const char*)(tree.leaves.data + {8 * PLANE_ROWS} * (-1 - node))
                                     : (const char*)(tree.boxes.data + 48 * node);
-        const int lines = node < 0 ? {-(-32 * PLANE_ROWS // 64)} : 3;
+        const int lines = node < 0 ? {PREFETCHED_LINES} : 3;
         for (int i = 0; i < lines; ++i) __builtin_prefetch(data + 64 * i);
         if (node >= 0) __builtin_prefetch(tree.children.data + 8 * node);
     }};
@@ -197,15 +210,18 @@ _DECIDE_EXACTLY = """
 
 # The nearest lane is the hit, to float32. What lies in the margins of two triangles at an edge is hit in one of them.
 _DECIDE_QUICKLY = """
+            r.hits &= mask_of((cy > zero) & (depth >= zero));
             if (r.hits) {
                 float t[8];
                 *(v8*)t = depth / down;
                 for (; r.hits; r.hits &= r.hits - 1) {
                     const int j = __builtin_ctz(r.hits);
-                    if (t[j] > r.last || !(t[j] >= 0.f)) continue;
+                    if (!(t[j] <= r.last)) continue;
                     r.last = t[j];
                     r.winner = 8 * block + j;
                 }
+                __builtin_prefetch(tree.corners.data + 3 * r.winner);
+                __builtin_prefetch((const char*)(tree.corners.data + 3 * r.winner) + 64);
             }
 """
 

@@ -25,6 +25,8 @@ TOP_CAPACITY = 4096
 WAITING_WORDS = 19
 # A node of at least nine references that is lowest, or one of seven leaves and a node: fewer than this many nodes.
 NODE_SHARE = 3
+# Triangles side by side in a leaf on a CPU.
+WIDTH = 8
 
 
 def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> dict[str, Any]:
@@ -95,15 +97,17 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
 
 
 def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame) -> "wp.array":
-    """The float32 frames of the triangles in the leaves, from their world ``corners``."""
+    """The float32 frames of the triangles in the slots, from their world ``corners``: by eights on a CPU."""
     import warp as wp
 
-    from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, leaf_planes_kernel
+    from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
 
     device = slot_triangle.device
-    leaves = wp.empty(PLANE_ROWS * len(slot_triangle), dtype=wp.float32, device=device)
+    lanes, rows = (WIDTH, PLANE_ROWS) if device.is_cpu else (1, SLOT_WORDS)
+    leaves = wp.empty(rows * len(slot_triangle), dtype=wp.float32, device=device)
     placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
-    _launch.launch(leaf_planes_kernel, len(slot_triangle), [slot_triangle, corners, *placed], [leaves], device)
+    inputs = [slot_triangle, corners, *placed, lanes, rows]
+    _launch.launch(leaf_planes_kernel, len(slot_triangle), inputs, [leaves], device)
     return leaves
 
 
@@ -111,7 +115,7 @@ def refit_wide_tree(tree: Any, frame: Frame) -> None:
     """New boxes for the tree's nodes after its ``corners`` have moved."""
     import warp as wp
 
-    from geokit.mesh._wide_build_kernels import WIDTH, block_boxes_kernel, refit_kernel
+    from geokit.mesh._wide_build_kernels import block_boxes_kernel, refit_kernel
 
     device = tree.corners.device
     blocks = len(tree.slot_triangle) // WIDTH

@@ -80,13 +80,12 @@ class Surface(PointQueries, RayQueries):
 
     def _build_wide_tree(self) -> None:
         from geokit.mesh._tree_kernels import SurfaceTree
-        from geokit.mesh._wide_tree import build_wide_tree, fill_leaves
+        from geokit.mesh._wide_tree import build_wide_tree
 
         self._tree = SurfaceTree()
         for name, array in build_wide_tree(self._vertices, self._faces, self._frame).items():
             setattr(self._tree, name, array)
         self._place_triangles()
-        self._tree.leaves = fill_leaves(self._tree.slot_triangle, self._tree.corners, self._frame)
 
     def _take_warp_tree(self) -> None:
         import warp as wp
@@ -101,10 +100,11 @@ class Surface(PointQueries, RayQueries):
         self._place_triangles()
 
     def _place_triangles(self) -> None:
-        """The frame and the triangles' world corners in the order of the slots."""
+        """The frame, and the triangles in the order of the slots: world corners, and planes in float32."""
         import warp as wp
 
         from geokit.mesh._tree_kernels import gather_corners_kernel
+        from geokit.mesh._wide_tree import fill_leaves
 
         tree = self._tree
         tree.origin = wp.vec3d(*map(float, self._frame.origin))
@@ -113,6 +113,7 @@ class Surface(PointQueries, RayQueries):
         tree.corners = wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
         inputs = [tree.slot_triangle, self._vertices, self._faces]
         _launch.launch(gather_corners_kernel, slots, inputs, [tree.corners], self._device)
+        tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame)
 
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":
@@ -142,21 +143,20 @@ class Surface(PointQueries, RayQueries):
         Raises:
             InputError: Another number of vertices, or a row that is not finite; the surface is then as it was.
         """
-        mesh = TriangleMesh(vertices, self.mesh.faces, name=self.mesh.name, parts=self.mesh.parts)
-        if len(mesh.vertices) != len(self.mesh.vertices):
+        given, expected = np.shape(vertices), self.mesh.vertices.shape
+        if len(given) == 2 and given[0] != expected[0]:
             raise InputError(
-                f"vertices: {len(mesh.vertices)} rows for a mesh of {len(self.mesh.vertices)} vertices; "
-                "make a new Surface for another mesh"
+                f"vertices: {given[0]} rows for a mesh of {expected[0]} vertices; make a new Surface for another mesh"
             )
+        mesh = TriangleMesh(vertices, self.mesh.faces, name=self.mesh.name, parts=self.mesh.parts)
         for name in self._cached_names():
             self.__dict__.pop(name, None)
         self._set_mesh(mesh)
         self._upload()
         if self._device.is_cpu:
-            from geokit.mesh._wide_tree import fill_leaves, refit_wide_tree
+            from geokit.mesh._wide_tree import refit_wide_tree
 
             self._place_triangles()
-            self._tree.leaves = fill_leaves(self._tree.slot_triangle, self._tree.corners, self._frame)
             refit_wide_tree(self._tree, self._frame)
         else:
             # A GPU builds as quickly as it would refit and copy.
