@@ -31,17 +31,19 @@ class Batch:
         array: The rows as warp vec3d, shape (N,), contiguous, on the query device.
         single: True where the caller's rows were float32 (results are then float32 too).
         give: Turns a warp result array on the query device into the caller's kind of array.
+        first_row: Where the rows stand among the caller's, for messages.
     """
 
     array: "wp.array"
     single: bool
     give: Callable[["wp.array"], Any]
+    first_row: int = 0
 
     def __len__(self) -> int:
         return len(self.array)
 
 
-def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = False) -> Batch:
+def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = False, first_row: int = 0) -> Batch:
     """Rows of three from any supported container, on ``device``.
 
     Args:
@@ -50,6 +52,7 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         device: The query device; rows that live elsewhere are copied to it, results are copied back.
         defer: Leave it to the query's kernel to see rows on a GPU that are not finite, and to :func:`require_finite`
             to name them: a pass over the rows and a wait for its answer are saved.
+        first_row: Where the rows stand among the caller's, for messages.
     Returns:
         A Batch.
     Raises:
@@ -62,7 +65,7 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         vectors = values.ndim == 1
         give = _giver(source, lambda out: out if vectors else _as_table(out))
     elif isinstance(values, np.ndarray) or not _exports(values):
-        return _read_numpy(values, name, device)
+        return _read_numpy(values, name, device, first_row)
     else:
         source = _import_exporter(values, name)
         give = _giver(source, _reexporter(values))
@@ -74,8 +77,8 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
     if not rows.is_contiguous:
         rows = rows.contiguous()
     if not (defer and rows.device.is_cuda):
-        _require_finite(rows, name)
-    return Batch(rows, single, lambda out: give(_narrowed(out, single)))
+        _require_finite(rows, name, first_row)
+    return Batch(rows, single, lambda out: give(_narrowed(out, single)), first_row)
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
@@ -101,7 +104,7 @@ def require_finite(batch: Batch, name: str) -> None:
     Raises:
         InputError: There is such a row; the first is named.
     """
-    _require_finite(batch.array, name)
+    _require_finite(batch.array, name, batch.first_row)
 
 
 def require_length(batch: Batch, name: str, shortest: float) -> None:
@@ -116,7 +119,7 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
 
     row = _first_row(first_short_kernel, batch.array, [wp.float64(shortest)])
     if row >= 0:
-        raise InputError(f"{name}: row {row} is zero or too short for a direction; give it a length")
+        raise InputError(f"{name}: row {row + batch.first_row} is zero or too short for a direction; give it a length")
 
 
 def _first_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
@@ -135,7 +138,7 @@ def _exports(values: Any) -> bool:
     return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
 
 
-def _read_numpy(values: Any, name: str, device: "wp.Device") -> Batch:
+def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int) -> Batch:
     import warp as wp
 
     try:
@@ -156,20 +159,22 @@ def _read_numpy(values: Any, name: str, device: "wp.Device") -> Batch:
     with np.errstate(over="ignore", invalid="ignore"):
         total = table.sum()
     if not np.isfinite(total):
-        _refuse_nonfinite(table, name)
+        _refuse_nonfinite(table, name, first_row)
     host = wp.array(
         ptr=table.ctypes.data, dtype=wp.vec3d, shape=(len(table),), device="cpu", capacity=table.nbytes, copy=False
     )
     host._geokit_source = table  # the array does not own the memory it points to
     rows = host if device.is_cpu else host.to(device)
-    return Batch(rows, single, lambda out: _to_numpy(out, single))
+    return Batch(rows, single, lambda out: _to_numpy(out, single), first_row)
 
 
-def _refuse_nonfinite(table: np.ndarray, name: str) -> None:
+def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:
     bad = ~np.isfinite(table).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
-        raise InputError(f"{name}: row {row} is not finite ({table[row].tolist()}); remove or replace such rows")
+        raise InputError(
+            f"{name}: row {row + first_row} is not finite ({table[row].tolist()}); remove or replace such rows"
+        )
 
 
 def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
@@ -244,18 +249,18 @@ def _widen(rows: "wp.array") -> "wp.array":
     return out
 
 
-def _require_finite(rows: "wp.array", name: str) -> None:
+def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
     if len(rows) == 0:
         return
     if rows.device.is_cpu:
-        _refuse_nonfinite(rows.numpy(), name)
+        _refuse_nonfinite(rows.numpy(), name, first_row)
         return
     from geokit._arrays_kernels import first_nonfinite_kernel
 
     row = _first_row(first_nonfinite_kernel, rows, [])
     if row >= 0:
         bad = rows[row : row + 1].numpy()[0].tolist()
-        raise InputError(f"{name}: row {row} is not finite ({bad}); remove or replace such rows")
+        raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")
 
 
 def _narrowed(out: "wp.array", single: bool) -> "wp.array":

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
+    from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
+    from geokit.mesh._ray_queries import RayHitLists, RayHits
     from geokit.mesh.audit import MeshAudit, audit
     from geokit.mesh.from_volume import from_volume
     from geokit.mesh.io import load, save
     from geokit.mesh.model import MeshPart, TriangleMesh
-    from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
-    from geokit.mesh._ray_queries import RayHitLists, RayHits
     from geokit.mesh.surface import Surface
 
 __all__ = [

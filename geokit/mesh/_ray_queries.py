@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit import _arrays, _launch
+from geokit._blocks import Progress, in_blocks
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class RayQueries:
         t_min: float = 0.0,
         max_distance: float = math.inf,
         watertight: bool = True,
+        progress: Progress | None = None,
     ) -> RayHits:
         """First hit of each ray.
 
@@ -72,6 +74,7 @@ class RayQueries:
             max_distance: Length of the rays [world]; farther hits are misses.
             watertight: False lets hits be decided in float32, quicker: rays within a few 1e-7 of the mesh's size of an
                 edge may pass through it, and of two surfaces as near to each other the farther may be hit.
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
         Raises:
@@ -84,13 +87,18 @@ class RayQueries:
 
         from geokit.mesh._raycast_kernels import quick_raycast_kernel, raycast_kernel
 
-        rays, directions = self._rays(origins, directions)
-        t = wp.empty(len(rays), dtype=wp.float64, device=self._device)
-        triangle_id = wp.empty(len(rays), dtype=wp.int32, device=self._device)
-        barycentric = wp.empty(len(rays), dtype=wp.vec3d, device=self._device)
         kernel = raycast_kernel if watertight else quick_raycast_kernel
-        self._cast(kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric])
-        return RayHits(rays.give(t), rays.give(triangle_id), rays.give(barycentric))
+
+        def query(rays: _arrays.Batch, heading: _arrays.Batch) -> RayHits:
+            found = RayHits(
+                t=wp.empty(len(rays), dtype=wp.float64, device=self._device),
+                triangle_id=wp.empty(len(rays), dtype=wp.int32, device=self._device),
+                barycentric=wp.empty(len(rays), dtype=wp.vec3d, device=self._device),
+            )
+            self._cast(kernel, rays, heading, t_min, max_distance, list(found))
+            return RayHits(*(rays.give(array) for array in found))
+
+        return self._in_blocks(query, origins, directions, progress)
 
     def raycast_all(
         self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
@@ -118,7 +126,8 @@ class RayQueries:
 
         from geokit.mesh._crossing_kernels import list_crossings_kernel
 
-        rays, directions = self._rays(origins, directions)
+        rays = _arrays.read_vectors(origins, "origins", self._device, defer=True)
+        directions = _arrays.read_vectors(directions, "directions", self._device, defer=True)
         count = self._count_crossings(rays, directions, t_min, max_distance)
         offsets = wp.zeros(len(rays) + 1, dtype=wp.int64, device=self._device)
         if len(rays):
@@ -131,7 +140,13 @@ class RayQueries:
         return RayHitLists(rays.give(offsets), rays.give(t), rays.give(triangle_id), rays.give(barycentric))
 
     def crossing_count(
-        self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        progress: Progress | None = None,
     ) -> Any:
         """How often each ray crosses the surface: the lengths of the lists of :meth:`raycast_all`.
 
@@ -140,15 +155,27 @@ class RayQueries:
             directions: Their directions, of any length, shape (N, 3).
             t_min: Nearer crossings are passed over, in units of the direction.
             max_distance: Length of the rays [world].
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             int (N,).
         Raises:
             InputError: As for :meth:`raycast`.
         """
-        rays, directions = self._rays(origins, directions)
-        return rays.give(self._count_crossings(rays, directions, t_min, max_distance))
 
-    def occluded(self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf) -> Any:
+        def query(rays: _arrays.Batch, heading: _arrays.Batch) -> Any:
+            return rays.give(self._count_crossings(rays, heading, t_min, max_distance))
+
+        return self._in_blocks(query, origins, directions, progress)
+
+    def occluded(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        progress: Progress | None = None,
+    ) -> Any:
         """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
 
         Args:
@@ -156,6 +183,7 @@ class RayQueries:
             directions: Their directions, of any length, shape (N, 3).
             t_min: Nearer hits are passed over, in units of the direction.
             max_distance: Length of the rays [world].
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             bool (N,).
         Raises:
@@ -165,10 +193,12 @@ class RayQueries:
 
         from geokit.mesh._raycast_kernels import occluded_kernel
 
-        rays, directions = self._rays(origins, directions)
-        occluded = wp.empty(len(rays), dtype=wp.bool, device=self._device)
-        self._cast(occluded_kernel, rays, directions, t_min, max_distance, [occluded])
-        return rays.give(occluded)
+        def query(rays: _arrays.Batch, heading: _arrays.Batch) -> Any:
+            occluded = wp.empty(len(rays), dtype=wp.bool, device=self._device)
+            self._cast(occluded_kernel, rays, heading, t_min, max_distance, [occluded])
+            return rays.give(occluded)
+
+        return self._in_blocks(query, origins, directions, progress)
 
     def _count_crossings(
         self, rays: _arrays.Batch, directions: _arrays.Batch, t_min: float, max_distance: float
@@ -181,12 +211,9 @@ class RayQueries:
         self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
         return count
 
-    def _rays(self, origins: Any, directions: Any) -> tuple[_arrays.Batch, _arrays.Batch]:
-        rays = _arrays.read_vectors(origins, "origins", self._device, defer=True)
-        heading = _arrays.read_vectors(directions, "directions", self._device, defer=True)
-        if len(rays) != len(heading):
-            raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
-        return rays, heading
+    def _in_blocks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
+        names = ["origins", "directions"]
+        return in_blocks(query, [origins, directions], names, self._device, progress, defer=True)
 
     def _cast(
         self,
@@ -202,6 +229,8 @@ class RayQueries:
 
         from geokit.mesh._raycast_kernels import SHORTEST_DIRECTION
 
+        if len(rays) != len(heading):
+            raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))

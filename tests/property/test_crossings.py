@@ -24,7 +24,9 @@ def aimed(mesh, rng, count):
     directions = targets - outside
     along = rng.random(count) < 0.2
     directions[along] = (b - a)[along]
-    outside[along] = a[along] - 8.0 * directions[along] * mesh.diagonal / np.linalg.norm(directions[along], axis=1)[:, None]
+    outside[along] = (
+        a[along] - 8.0 * directions[along] * mesh.diagonal / np.linalg.norm(directions[along], axis=1)[:, None]
+    )
     return outside, directions
 
 

@@ -20,6 +20,7 @@ LAYERS = [
     ("kernels",),
     ("_launch",),
     ("_arrays",),
+    ("_blocks",),
     ("native",),
     ("mesh", "volume", "points"),
     ("render",),

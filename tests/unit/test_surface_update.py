@@ -14,11 +14,18 @@ def bent(mesh, amount):
     x, y, z = mesh.vertices.T
     angle = amount * z
     return (1.0 + amount) * np.stack(
-        [x * np.cos(angle) - y * np.sin(angle) + 5.0 * amount, x * np.sin(angle) + y * np.cos(angle), z + amount * x * y], axis=1
+        [
+            x * np.cos(angle) - y * np.sin(angle) + 5.0 * amount,
+            x * np.sin(angle) + y * np.cos(angle),
+            z + amount * x * y,
+        ],
+        axis=1,
     )
 
 
-@pytest.mark.parametrize("make", [catalogue.torus, catalogue.icosphere, catalogue.open_shell, catalogue.collapsed_faces])
+@pytest.mark.parametrize(
+    "make", [catalogue.torus, catalogue.icosphere, catalogue.open_shell, catalogue.collapsed_faces]
+)
 @pytest.mark.parametrize("amount", [1e-3, 0.4, 30.0])
 def test_refit_equals_rebuild(make, amount):
     surface = gk.mesh.Surface(make(), device="cpu")
