@@ -209,8 +209,8 @@ def launch_queries(
     Answers do not depend on the order: it only decides which queries share the caches.
 
     Args:
-        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``. Where
-            ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
+        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
+            Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
             queries are ``order[k]`` for ``k`` from ``group * (first + wp.tid())`` on.
         points: Positions (N,) of vec3d that decide the order [world].
         inputs: Arguments that every query shares.

@@ -52,7 +52,11 @@ def ray_walk(hit: str, on_hit: str, on_end: str, wide: str = WIDE_WALK) -> str:
         {wide}
         #endif
     """
-    return hit + _FETCH.replace("SHORTEST", str(SHORTEST_DIRECTION)) + walk.replace("ON_HIT", on_hit).replace("ON_END", on_end)
+    return (
+        hit
+        + _FETCH.replace("SHORTEST", str(SHORTEST_DIRECTION))
+        + walk.replace("ON_HIT", on_hit).replace("ON_END", on_end)
+    )
 
 
 # Ties go to the lowest triangle: the answer must not depend on the order of the walk.
@@ -157,7 +161,18 @@ def raycast_kernel(
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
     cast_rays(
-        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric, out_bad
+        begin,
+        end,
+        order,
+        origins,
+        directions,
+        tree,
+        t_min,
+        max_distance,
+        out_t,
+        out_triangle_id,
+        out_barycentric,
+        out_bad,
     )
 
 
@@ -179,7 +194,18 @@ def quick_raycast_kernel(
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
     cast_rays_quickly(
-        begin, end, order, origins, directions, tree, t_min, max_distance, out_t, out_triangle_id, out_barycentric, out_bad
+        begin,
+        end,
+        order,
+        origins,
+        directions,
+        tree,
+        t_min,
+        max_distance,
+        out_t,
+        out_triangle_id,
+        out_barycentric,
+        out_bad,
     )
 
 

@@ -72,7 +72,9 @@ _BARYCENTRIC = (
     + """
     double v, w;
     closest_on_triangle(p - a, b - a, c - a, v, w);
-    return point(1.0 - v - w, v, w);
+    // Zero exactly on the edge opposite the first corner: who asks for a normal there must know that it is an edge.
+    const double rest = 1.0 - w;
+    return point(v == rest ? 0.0 : rest - v, v, w);
 """
 )
 
