@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "cuda_devices",
+    "in_order",
     "launch",
     "launch_queries",
     "load_module",
+    "morton_order",
     "on_compile",
     "resolve_device",
     "thread_count",
@@ -221,25 +223,34 @@ def launch_queries(
         streams: Further arrays with N rows that go with the points.
         group: Queries of a thread, one after the other; neighbours then start from each other's answers.
     """
+
+    def answer(order: "wp.array", block: "wp.array", rows: list["wp.array"]) -> None:
+        inner, outer = rows[: len(streams)], rows[len(streams) :]
+        if group:
+            groups = -(-len(block) // group)
+            launch(kernel, groups, [group, order, block, *inner, *inputs], outer, device, grain=GROUP_GRAIN)
+        else:
+            launch(kernel, len(block), [order, block, *inner, *inputs], outer, device)
+
+    in_order(answer, points, [*streams, *outputs], device, lower, extent)
+
+
+def in_order(
+    answer: Callable[["wp.array", "wp.array", list["wp.array"]], None],
+    points: "wp.array",
+    arrays: Sequence["wp.array"],
+    device: "wp.Device",
+    lower: Any,
+    extent: float,
+) -> None:
+    """``answer(order, points, arrays)`` for blocks of the points and of the arrays that have a row for each."""
     total = len(points)
     for start in range(0, total, BLOCK):
         stop = min(total, start + BLOCK)
         whole = stop - start == total
         block = points if whole else points[start:stop]
-        rows = [a if whole else a[start:stop] for a in (*streams, *outputs)]
-        inner, outer = rows[: len(streams)], rows[len(streams) :]
-        order = morton_order(block, lower, extent, device)
-        if group:
-            launch(
-                kernel,
-                -(-(stop - start) // group),
-                [group, order, block, *inner, *inputs],
-                outer,
-                device,
-                grain=GROUP_GRAIN,
-            )
-        else:
-            launch(kernel, stop - start, [order, block, *inner, *inputs], outer, device)
+        rows = [a if whole else a[start:stop] for a in arrays]
+        answer(morton_order(block, lower, extent, device), block, rows)
 
 
 def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Device") -> "wp.array":

@@ -34,7 +34,6 @@ _INSERT = """
 def count_crossings(
     begin: int,
     end: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -49,7 +48,6 @@ def count_crossings(
 def list_crossings(
     begin: int,
     end: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     offsets: wp.array(dtype=wp.int64),
@@ -67,7 +65,6 @@ def list_crossings(
 def count_crossings_kernel(
     first: int,
     group: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -78,14 +75,13 @@ def count_crossings_kernel(
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
-    count_crossings(begin, end, order, origins, directions, tree, t_min, max_distance, out_count, out_bad)
+    count_crossings(begin, end, origins, directions, tree, t_min, max_distance, out_count, out_bad)
 
 
 @wp.kernel
 def list_crossings_kernel(
     first: int,
     group: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     offsets: wp.array(dtype=wp.int64),
@@ -102,7 +98,6 @@ def list_crossings_kernel(
     list_crossings(
         begin,
         end,
-        order,
         origins,
         directions,
         offsets,

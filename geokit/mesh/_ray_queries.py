@@ -18,8 +18,8 @@ __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
 # Rays of a thread on a CPU, where several are in flight at once; a GPU has a thread for each.
 RAY_GROUP = 256
-# Local coordinates that the order of rays resolves: they are where rays enter the cube [-1, 1]^3, or start near it.
-ORDER_HALF_WIDTH = 2.0
+# Rays on a GPU for which three launches are quicker than one.
+FEWEST_IN_PASSES = 1 << 14
 
 
 class RayHits(NamedTuple):
@@ -87,7 +87,8 @@ class RayQueries:
 
         from geokit.mesh._raycast_kernels import quick_raycast_kernel, raycast_kernel
 
-        kernel = raycast_kernel if watertight else quick_raycast_kernel
+        # On a GPU the exact way is the quick one.
+        kernel = raycast_kernel if watertight or self._device.is_cuda else quick_raycast_kernel
 
         def query(rays: _arrays.Batch, heading: _arrays.Batch) -> RayHits:
             found = RayHits(
@@ -227,42 +228,36 @@ class RayQueries:
     ) -> None:
         import warp as wp
 
-        from geokit.mesh._raycast_kernels import SHORTEST_DIRECTION
+        from geokit.mesh._ray_triangle_kernels import SHORTEST_DIRECTION
 
         if len(rays) != len(heading):
             raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        group = RAY_GROUP if self._device.is_cpu else 1
-        count = len(rays)
-        inputs = [group, self._order(rays, heading), rays.array, heading.array, *streams, self._tree, start, reach]
         bad = wp.zeros(1, dtype=wp.int32, device=self._device)
-        _launch.launch(kernel, -(-count // group), inputs, [*outputs, bad], self._device, grain=1)
+        count = len(rays)
+        shared = [rays.array, heading.array, *streams, self._tree, start, reach]
+        if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
+            self._cast_in_passes(count, shared, outputs, bad)
+        else:
+            group = RAY_GROUP if self._device.is_cpu else 1
+            _launch.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
         if bad.numpy()[0]:
             _arrays.require_finite(rays, "origins")
             _arrays.require_finite(heading, "directions")
             _arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
 
-    def _order(self, rays: _arrays.Batch, heading: _arrays.Batch) -> "wp.array":
-        """The order of rays on a GPU; empty on a CPU, where fetching them out of order costs more than it gives."""
+    def _cast_in_passes(self, count: int, shared: list[Any], outputs: list[Any], bad: "wp.array") -> None:
         import warp as wp
 
-        from geokit.mesh._ray_order_kernels import entry_kernel
+        from geokit.mesh._ray_candidate_kernels import CANDIDATES, first_candidate_kernel, ray_candidates_kernel
+        from geokit.mesh._raycast_kernels import raycast_undecided_kernel
 
-        if self._device.is_cpu:
-            return _no_order(self._device.alias)
-        entries = wp.empty(len(rays), dtype=wp.vec3d, device=self._device)
-        frame = [self._tree.origin, self._tree.scale]
-        _launch.launch(entry_kernel, len(rays), [rays.array, heading.array, *frame], [entries], self._device)
-        lower, extent = (-ORDER_HALF_WIDTH,) * 3, 2.0 * ORDER_HALF_WIDTH
-        return _launch.morton_order(entries, lower, extent, self._device)
-
-
-def _no_order(alias: str) -> "wp.array":
-    import warp as wp
-
-    return wp.empty(0, dtype=wp.int32, device=alias)
+        candidates = wp.empty((count, CANDIDATES), dtype=wp.int32, device=self._device)
+        _launch.launch(ray_candidates_kernel, count, shared, [candidates, bad], self._device)
+        _launch.launch(first_candidate_kernel, count, [*shared, candidates], outputs, self._device)
+        _launch.launch(raycast_undecided_kernel, count, [*shared, candidates], [*outputs, bad], self._device)
 
 
 def _widened(count: "wp.array") -> "wp.array":

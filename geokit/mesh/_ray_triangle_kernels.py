@@ -1,5 +1,8 @@
 """C++ text of the exact test of a ray against a triangle, in float64."""
 
+# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+SHORTEST_DIRECTION = 1e-150
+
 # Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
 # round the two products of each differently, and a ray through the edge could miss both (Woop, Benthin, Wald,
 # "Watertight Ray/Triangle Intersection", JCGT 2013). Differs: all in float64, no fall-back needed.

@@ -5,27 +5,16 @@
 import warp as wp
 
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
-from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_PLANE
-from geokit.mesh._tree_kernels import SurfaceTree
+from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_PLANE, SHORTEST_DIRECTION
+from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
 from geokit.mesh._wide_raycast_kernels import WIDE_QUICK_WALK, WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
 
-# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
-SHORTEST_DIRECTION = 1e-150
-
-# Rays are fetched in the order given, or as they stand where the order is empty. What lies ahead is asked of memory in
-# time: rays that were put into an order lie far apart.
+# Rays are taken as they stand: putting them in order costs more than it gives, on a CPU and on a GPU.
 _FETCH = """
     auto fetch = [&](int number, int& id, point& start, point& direction, double& t_max) {
-        id = order.data ? order.data[number] : number;
-        #if !defined(__CUDA_ARCH__)
-        if (order.data && number + 8 < end) {
-            const int later = order.data[number + 8];
-            __builtin_prefetch(origins.data + later);
-            __builtin_prefetch(directions.data + later);
-        }
-        #endif
+        id = number;
         start = origins.data[id];
         direction = directions.data[id];
         const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
@@ -90,7 +79,6 @@ _WRITE_ANY = "out_occluded.data[r.id] = r.winner >= 0;"
 def cast_rays(
     begin: int,
     end: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -115,7 +103,6 @@ def cast_rays(
 def cast_rays_quickly(
     begin: int,
     end: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -132,7 +119,6 @@ def cast_rays_quickly(
 def test_rays(
     begin: int,
     end: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -147,7 +133,6 @@ def test_rays(
 def raycast_kernel(
     first: int,
     group: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -163,7 +148,6 @@ def raycast_kernel(
     cast_rays(
         begin,
         end,
-        order,
         origins,
         directions,
         tree,
@@ -180,7 +164,6 @@ def raycast_kernel(
 def quick_raycast_kernel(
     first: int,
     group: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -196,7 +179,6 @@ def quick_raycast_kernel(
     cast_rays_quickly(
         begin,
         end,
-        order,
         origins,
         directions,
         tree,
@@ -213,7 +195,6 @@ def quick_raycast_kernel(
 def occluded_kernel(
     first: int,
     group: int,
-    order: wp.array(dtype=int),
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
@@ -224,4 +205,36 @@ def occluded_kernel(
 ):
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
-    test_rays(begin, end, order, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)
+    test_rays(begin, end, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)
+
+
+@wp.kernel
+def raycast_undecided_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    candidates: wp.array2d(dtype=int),
+    out_t: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
+):
+    """Third pass on CUDA: the rays that the search for candidates left undecided."""
+    k = first + wp.tid()
+    if candidates[k, 0] == UNDECIDED:
+        cast_rays(
+            k,
+            k + 1,
+            origins,
+            directions,
+            tree,
+            t_min,
+            max_distance,
+            out_t,
+            out_triangle_id,
+            out_barycentric,
+            out_bad,
+        )

@@ -10,6 +10,10 @@ wp.set_module_options({"enable_backward": False})
 # 2e-7 covers that in three axes, and the rounding of the box distance itself, about twice over.
 BOX_PADDING = 2.0e-7
 
+# In the first place of a query's candidates: there is none; and: ask the search that does all at once.
+NO_CANDIDATE = wp.constant(-1)
+UNDECIDED = wp.constant(-2)
+
 
 @wp.struct
 class SurfaceTree:

@@ -96,14 +96,14 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     return {"boxes": boxes, "children": children, "slot_triangle": slot_triangle}
 
 
-def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame) -> "wp.array":
-    """The float32 frames of the triangles in the slots, from their world ``corners``: by eights on a CPU."""
+def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *, wide: bool) -> "wp.array":
+    """The float32 frames of the triangles in the slots, from their world ``corners``: by eights where ``wide``."""
     import warp as wp
 
     from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
 
     device = slot_triangle.device
-    lanes, rows = (WIDTH, PLANE_ROWS) if device.is_cpu else (1, SLOT_WORDS)
+    lanes, rows = (WIDTH, PLANE_ROWS) if wide else (1, SLOT_WORDS)
     leaves = wp.empty(rows * len(slot_triangle), dtype=wp.float32, device=device)
     placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
     inputs = [slot_triangle, corners, *placed, lanes, rows]

@@ -113,7 +113,7 @@ class Surface(PointQueries, RayQueries):
         tree.corners = wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
         inputs = [tree.slot_triangle, self._vertices, self._faces]
         _launch.launch(gather_corners_kernel, slots, inputs, [tree.corners], self._device)
-        tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame)
+        tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame, wide=not tree.mesh)
 
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":

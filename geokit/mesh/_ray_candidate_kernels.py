@@ -1,0 +1,273 @@
+"""First hits on CUDA in two passes: a float32 walk that leaves a few candidates, then float64 for those.
+
+See _nearest_candidate_kernels for why. A triangle that the ray meets well inside ends the search behind it; one that
+it meets within the margins of an edge does not, and is decided with the others.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
+from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
+from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
+from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
+
+wp.set_module_options({"enable_backward": False})
+
+# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it.
+CANDIDATES = 4
+
+_SEARCH = f"""
+    struct alignas(16) Four {{ float x, y, z, w; }};
+    int* found = out_candidates.data + {CANDIDATES} * ray;
+    found[0] = {NO_CANDIDATE};
+    float sx, sy, sz, tx, ty, tz, last;
+    {{
+        const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
+        const double local = 1.0 / tree.scale, shrink = 1.0 / largest, unit = largest * local;
+        const double fx = (start[0] - tree.origin[0]) * local, fy = (start[1] - tree.origin[1]) * local,
+                     fz = (start[2] - tree.origin[2]) * local;
+        const double ax = direction[0] * shrink, ay = direction[1] * shrink, az = direction[2] * shrink;
+        tx = (float)ax; ty = (float)ay; tz = (float)az;
+        double enter = t_min * unit;
+        const float far = fmaxf(fmaxf(fabsf((float)fx), fabsf((float)fy)), fabsf((float)fz));
+        if (!(far < 1e30f && largest < 1e300)) {{
+            found[0] = {UNDECIDED};
+            return;
+        }}
+        if (far > {NEAR_START}f) {{
+            // How far in the ray is near the cube, for certain before it enters: far from it nothing is missed.
+            const float length = sqrtf(tx * tx + ty * ty + tz * tz);
+            const float middle = -((float)fx * tx + (float)fy * ty + (float)fz * tz) / (length * length);
+            enter = wp::max(enter, (double)(middle - (1.75f + 1e-5f * far) / length));
+        }}
+        sx = (float)(fx + enter * ax); sy = (float)(fy + enter * ay); sz = (float)(fz + enter * az);
+        last = fminf((float)(t_max * unit - enter) * 1.000001f + {PLANE_MARGIN}f, {ENDLESS}f);
+        if (last < 0.f) return;
+        // Beside the ball around the cube; or still so far from it that float32 has too few digits.
+        const float beside = fmaxf(fmaxf(fabsf(sx), fabsf(sy)), fabsf(sz));
+        if (beside > 4.f) {{
+            found[0] = far > 1e4f ? {UNDECIDED} : {NO_CANDIDATE};
+            return;
+        }}
+    }}
+    auto reciprocal_of = [](float component) {{
+        return 1.f / copysignf(fmaxf(fabsf(component), {LEAST_COMPONENT}f), component);
+    }};
+    const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
+    // Planes that are met first get the margin on one side, the others on the other.
+    const float mx = copysignf({BOX_MARGIN * 2}f, ix), my = copysignf({BOX_MARGIN * 2}f, iy),
+                mz = copysignf({BOX_MARGIN * 2}f, iz);
+    const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
+    const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
+    // Where the ray enters the widened box, or infinity.
+    auto entry_of = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
+        const float x0 = l.x * ix, x1 = u.x * ix, y0 = l.y * iy, y1 = u.y * iy, z0 = l.z * iz, z1 = u.z * iz;
+        const float in = fmaxf(fmaxf(fminf(x0, x1) + nx, fminf(y0, y1) + ny), fmaxf(fminf(z0, z1) + nz, 0.f));
+        const float out = fminf(fminf(fmaxf(x0, x1) + fx, fmaxf(y0, y1) + fy), fminf(fmaxf(z0, z1) + fz, last));
+        return in <= out ? in : (float)INFINITY;
+    }};
+    int slot_of[{CANDIDATES}];
+    float nearest_of[{CANDIDATES}];
+    int count = 0;
+    bool full = false;
+    auto prune = [&]() {{
+        int kept = 0;
+        for (int i = 0; i < count; ++i)
+            if (nearest_of[i] <= last) {{
+                slot_of[kept] = slot_of[i];
+                nearest_of[kept++] = nearest_of[i];
+            }}
+        count = kept;
+    }};
+    // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+    auto test = [&](int slot) {{
+        const Four* row = (const Four*)(tree.leaves.data + {SLOT_WORDS} * slot);
+        const Four r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
+        const float ax = sx - r0.x, ay = sy - r0.y, az = sz - r0.z;
+        const float oz = ax * r2.y + ay * r2.z + az * r2.w, dz = tx * r2.y + ty * r2.z + tz * r2.w;
+        const float depth = dz < 0.f ? oz : -oz, down = fabsf(dz);
+        if (!(depth >= -{PLANE_MARGIN}f && depth <= last * down + {PLANE_MARGIN}f)) return;
+        const float ox = ax * r0.w + ay * r1.x + az * r1.y, dx = tx * r0.w + ty * r1.x + tz * r1.y;
+        const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
+        const float x = ox * down + dx * depth, y = oy * down + dy * depth;
+        const float longest = r3.x, cx = r3.y, cy = r3.z, margin = {PLANE_MARGIN}f * longest;
+        const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
+        if (!(y >= -{PLANE_MARGIN}f && ca >= -margin && bc >= -margin)) return;
+        const float farthest = (depth + {PLANE_MARGIN}f) / down * 1.000001f;
+        if (y > {PLANE_MARGIN}f && ca > margin && bc > margin && depth > {PLANE_MARGIN}f && farthest < last)
+            last = farthest;
+        if (count == {CANDIDATES}) prune();
+        if (count == {CANDIDATES}) {{
+            full = true;
+            return;
+        }}
+        slot_of[count] = slot;
+        nearest_of[count++] = (depth - {PLANE_MARGIN}f) / down * 0.999999f;
+    }};
+    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
+    const wp::BVHPackedNodeHalf* lowers = mesh.bvh.node_lowers;
+    const wp::BVHPackedNodeHalf* uppers = mesh.bvh.node_uppers;
+    int stack[64], height = 1;
+    float entry[64];
+    stack[0] = *mesh.bvh.root;
+    entry[0] = 0.f;
+    while (height > 0) {{
+        --height;
+        if (entry[height] > last) continue;
+        wp::BVHPackedNodeHalf l = wp::bvh_load_node(lowers, stack[height]);
+        wp::BVHPackedNodeHalf u = wp::bvh_load_node(uppers, stack[height]);
+        bool reached = true;
+        while (!l.b && reached) {{
+            const int left = l.i, right = u.i;
+            const wp::BVHPackedNodeHalf ll = wp::bvh_load_node(lowers, left), lu = wp::bvh_load_node(uppers, left);
+            const wp::BVHPackedNodeHalf rl = wp::bvh_load_node(lowers, right), ru = wp::bvh_load_node(uppers, right);
+            const float tl = entry_of(ll, lu), tr = entry_of(rl, ru);
+            const bool left_first = tl <= tr;
+            const float later = left_first ? tr : tl;
+            reached = (left_first ? tl : tr) < INFINITY;
+            if (later < INFINITY) {{
+                stack[height] = left_first ? right : left;
+                entry[height++] = later;
+            }}
+            l = left_first ? ll : rl;
+            u = left_first ? lu : ru;
+        }}
+        if (!reached) continue;
+        for (int slot = l.i; slot < (int)u.i; ++slot) test(slot);
+    }}
+    prune();
+    if (full) {{
+        found[0] = {UNDECIDED};
+        return;
+    }}
+    for (int i = 0; i < count; ++i) found[i] = slot_of[i];
+    if (count < {CANDIDATES}) found[count] = {NO_CANDIDATE};
+"""
+
+_DECIDE = f"""
+    {RAY_HIT}
+    double best = t_max, weight_b = 0.0, weight_c = 0.0;
+    int winner = -1;
+    for (int i = 0; i < {CANDIDATES}; ++i) {{
+        const int slot = candidates.data[{CANDIDATES} * ray + i];
+        if (slot < 0) break;
+        double t, v, w;
+        if (!hit(start, direction, slot, t, v, w) || t > best) continue;
+        // Ties go to the lowest triangle.
+        if (t == best && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) continue;
+        best = t;
+        weight_b = v;
+        weight_c = w;
+        winner = slot;
+    }}
+    const double none = (double)NAN;
+    out_t.data[ray] = winner < 0 ? (double)INFINITY : best;
+    out_triangle_id.data[ray] = winner < 0 ? -1 : tree.slot_triangle.data[winner];
+    out_barycentric.data[ray] = winner < 0 ? point(none, none, none)
+                                           : point(1.0 - weight_b - weight_c, weight_b, weight_c);
+"""
+
+
+@wp.func_native(_SEARCH)
+def search_candidates(
+    tree: SurfaceTree,
+    start: wp.vec3d,
+    direction: wp.vec3d,
+    t_min: wp.float64,
+    t_max: wp.float64,
+    ray: int,
+    out_candidates: wp.array2d(dtype=int),
+): ...
+
+
+@wp.func_native(_DECIDE)
+def first_candidate(
+    tree: SurfaceTree,
+    start: wp.vec3d,
+    direction: wp.vec3d,
+    t_min: wp.float64,
+    t_max: wp.float64,
+    ray: int,
+    candidates: wp.array2d(dtype=int),
+    out_t: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+): ...
+
+
+@wp.func_native(
+    """
+    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
+    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
+"""
+)
+def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
+    """Whether all is finite (a number minus itself is zero, unless it is infinite or none) and the ray has a length."""
+    ...
+
+
+@wp.func
+def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
+    t_max = max_distance
+    if wp.isfinite(max_distance):
+        t_max = max_distance / wp.length(direction)
+    return t_max
+
+
+@wp.kernel
+def ray_candidates_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    out_candidates: wp.array2d(dtype=int),
+    out_bad: wp.array(dtype=int),
+):
+    """First pass: slots that may be hit first, CANDIDATES places a ray."""
+    ray = first + wp.tid()
+    start = origins[ray]
+    direction = directions[ray]
+    largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
+    if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
+        t_max = length_in_t(max_distance, direction)
+        search_candidates(tree, start, direction, t_min, t_max, ray, out_candidates)
+    else:
+        # The host refuses the whole batch and says which row is to blame.
+        out_bad[0] = 1
+        out_candidates[ray, 0] = NO_CANDIDATE
+
+
+@wp.kernel
+def first_candidate_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    candidates: wp.array2d(dtype=int),
+    out_t: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+):
+    """Second pass: the first hit among the candidates, in float64; rays that are undecided are left alone."""
+    ray = first + wp.tid()
+    if candidates[ray, 0] != UNDECIDED:
+        direction = directions[ray]
+        t_max = length_in_t(max_distance, direction)
+        first_candidate(
+            tree,
+            origins[ray],
+            direction,
+            t_min,
+            t_max,
+            ray,
+            candidates,
+            out_t,
+            out_triangle_id,
+            out_barycentric,
+        )
