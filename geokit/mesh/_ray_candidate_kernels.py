@@ -16,9 +16,17 @@ from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONE
 wp.set_module_options({"enable_backward": False})
 
 # Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it.
-CANDIDATES = 4
+CANDIDATES = 8
 
 _SEARCH = f"""
+    #if !defined(__CUDA_ARCH__)
+    // Warp's CPU compiler has these as built-ins only; tests run the search there.
+    auto fminf = [](float a, float b) {{ return __builtin_fminf(a, b); }};
+    auto fmaxf = [](float a, float b) {{ return __builtin_fmaxf(a, b); }};
+    auto fabsf = [](float a) {{ return __builtin_fabsf(a); }};
+    auto sqrtf = [](float a) {{ return __builtin_sqrtf(a); }};
+    auto copysignf = [](float a, float b) {{ return __builtin_copysignf(a, b); }};
+    #endif
     struct alignas(16) Four {{ float x, y, z, w; }};
     int* found = out_candidates.data + {CANDIDATES} * ray;
     found[0] = {NO_CANDIDATE};
@@ -52,7 +60,7 @@ _SEARCH = f"""
             return;
         }}
     }}
-    auto reciprocal_of = [](float component) {{
+    auto reciprocal_of = [&](float component) {{
         return 1.f / copysignf(fmaxf(fabsf(component), {LEAST_COMPONENT}f), component);
     }};
     const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
