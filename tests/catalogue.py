@@ -273,3 +273,88 @@ DEFECTIVE: tuple[Callable[[], TriangleMesh], ...] = (
     three_on_an_edge,
     unreferenced_vertices,
 )
+
+
+def cone(around: int, height: float) -> TriangleMesh:
+    """Closed; a regular polygon of circumradius 1 around the origin and an apex above it: needles if there are many."""
+    angle = 2 * np.pi * np.arange(around) / around
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(around)], axis=1)
+    i, apex, middle = np.arange(around), np.full(around, around), np.full(around, around + 1)
+    j = (i + 1) % around
+    faces = np.concatenate([np.stack([i, j, apex], axis=1), np.stack([j, i, middle], axis=1)])
+    return TriangleMesh(np.concatenate([ring, [[0, 0, height], [0, 0, 0]]]), faces, name=f"cone_{around}_{height:g}")
+
+
+# What files in the field have done to a good mesh, for queries that must bear it. Seeded: the same mesh every time.
+
+
+def with_holes(mesh: TriangleMesh, share: float, seed: int = 71) -> TriangleMesh:
+    """Without this share of its faces, here and there."""
+    keep = np.random.default_rng(seed).random(len(mesh.faces)) >= share
+    return TriangleMesh(mesh.vertices, mesh.faces[keep], name=f"{mesh.name}_holes")
+
+
+def with_large_hole(mesh: TriangleMesh, share: float = 0.15, seed: int = 72) -> TriangleMesh:
+    """Without this share of its faces, all around one of them."""
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    middle = centres[np.random.default_rng(seed).integers(len(centres))]
+    distance = np.linalg.norm(centres - middle, axis=1)
+    keep = distance > np.quantile(distance, share)
+    return TriangleMesh(mesh.vertices, mesh.faces[keep], name=f"{mesh.name}_large_hole")
+
+
+def with_flips(mesh: TriangleMesh, share: float = 0.05, seed: int = 73) -> TriangleMesh:
+    """This share of its faces wound the other way."""
+    flipped = np.random.default_rng(seed).random(len(mesh.faces)) < share
+    faces = np.where(flipped[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return TriangleMesh(mesh.vertices, faces, name=f"{mesh.name}_flips")
+
+
+def with_duplicates(mesh: TriangleMesh, share: float = 0.05, seed: int = 74) -> TriangleMesh:
+    """This share of its faces a second time."""
+    twice = np.random.default_rng(seed).random(len(mesh.faces)) < share
+    return TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[twice]]), name=f"{mesh.name}_duplicates")
+
+
+def with_fins(mesh: TriangleMesh, share: float = 0.05, seed: int = 75) -> TriangleMesh:
+    """A triangle that stands out from an edge of each of this share of its faces, up to 2% of the diagonal high."""
+    rng = np.random.default_rng(seed)
+    chosen = mesh.faces[rng.random(len(mesh.faces)) < share]
+    a, b, c = (mesh.vertices[chosen[:, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    tips = (a + b) / 2 + normal * (0.02 * mesh.diagonal * rng.random((len(chosen), 1)))
+    fins = np.stack([chosen[:, 0], chosen[:, 1], len(mesh.vertices) + np.arange(len(chosen))], axis=1)
+    vertices = np.concatenate([mesh.vertices, tips])
+    return TriangleMesh(vertices, np.concatenate([mesh.faces, fins]), name=f"{mesh.name}_fins")
+
+
+def overlapping_copies(mesh: TriangleMesh, count: int = 3, seed: int = 76) -> TriangleMesh:
+    """Copies of it, each moved by a tenth of its diagonal or so: winding number 3 where they all overlap."""
+    rng = np.random.default_rng(seed)
+    copies = [moved(mesh, tuple(rng.normal(0, 0.1 * mesh.diagonal, 3))) for _ in range(count - 1)]
+    return join(mesh, *copies)
+
+
+def inside_out(mesh: TriangleMesh) -> TriangleMesh:
+    """All faces wound the other way."""
+    return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1], name=f"{mesh.name}_inside_out")
+
+
+def half_shell(mesh: TriangleMesh) -> TriangleMesh:
+    """Its faces above the median height along y: an open bowl."""
+    height = mesh.vertices[mesh.faces].mean(axis=1)[:, 1]
+    return TriangleMesh(mesh.vertices, mesh.faces[height > np.median(height)], name=f"{mesh.name}_half_shell")
+
+
+BROKEN: dict[str, Callable[[TriangleMesh], TriangleMesh]] = {
+    "1% holes": lambda mesh: with_holes(mesh, 0.01),
+    "10% holes": lambda mesh: with_holes(mesh, 0.1),
+    "one large hole": with_large_hole,
+    "5% flips": with_flips,
+    "duplicates": with_duplicates,
+    "fins": with_fins,
+    "overlapping copies": overlapping_copies,
+    "inside-out": inside_out,
+    "open shell": half_shell,
+}

@@ -297,7 +297,9 @@ class PointQueries:
             if _sign.any_missed(closest.triangle_id):
                 _sign.missed_by_winding(self._winding(points), closest, device)
         elif method == "winding":
-            _sign.by_winding(self._winding(points), closest.distance, self._device)
+            from geokit.mesh._wide_winding_kernels import sign_kernel
+
+            self._query(sign_kernel, points, self._winding_arguments(), [closest.distance])
         else:
             _sign.by_parity(self, points, closest.distance)
 
@@ -331,27 +333,32 @@ class PointQueries:
     def _winding(self, points: "wp.array") -> "wp.array":
         import warp as wp
 
-        from geokit.mesh._winding_kernels import winding_number_kernel
+        from geokit.mesh._wide_winding_kernels import winding_number_kernel
 
         winding = wp.empty(len(points), dtype=wp.float64, device=self._device)
         self._query(winding_number_kernel, points, self._winding_arguments(), [winding])
         return winding
 
     @cached_property
-    def _oriented_warp_mesh(self) -> "wp.Mesh":
+    def _winding_tree(self) -> Any:
+        from geokit.mesh._wide_winding import build_winding_tree, winding_tree_of_mesh
+
         flipped: NDArray[np.bool_] = self._orientation.flipped
-        if not flipped.any():
-            return self._warp_mesh  # type: ignore[attr-defined]
-        faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces)
-        return self._make_warp_mesh(faces)  # type: ignore[attr-defined]
+        if self._device.is_cpu:
+            return build_winding_tree(self._tree, flipped)
+        # The handle keeps no mesh alive: the surface must.
+        self._turned_mesh = self._warp_mesh  # type: ignore[attr-defined]
+        if flipped.any():
+            faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces)
+            self._turned_mesh = self._make_warp_mesh(faces)  # type: ignore[attr-defined]
+        return winding_tree_of_mesh(self._turned_mesh)
 
     def _winding_arguments(self) -> list[Any]:
         import warp as wp
 
         # A closed mesh winds around nothing outside its box.
         empty = 1.0 if self.is_closed else math.inf
-        mesh = wp.uint64(self._oriented_warp_mesh.id)
-        return [mesh, self._tree.origin, self._tree.scale, wp.float64(empty), 1.0]
+        return [self._tree, self._winding_tree, wp.float64(empty)]
 
 
 def _radius(max_distance: float) -> float:

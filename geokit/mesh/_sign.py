@@ -109,12 +109,6 @@ def by_pseudonormal(found: list[Any], tables: list["wp.array"], distance: "wp.ar
     _launch.launch(pseudonormal_sign_kernel, len(distance), [*found, *tables], [distance], device)
 
 
-def by_winding(winding: "wp.array", distance: "wp.array", device: "wp.Device") -> None:
-    from geokit.mesh._sign_kernels import winding_sign_kernel
-
-    _launch.launch(winding_sign_kernel, len(distance), [winding], [distance], device)
-
-
 def any_missed(triangle_id: "wp.array") -> bool:
     import warp as wp
 

@@ -80,21 +80,13 @@ def pseudonormal_sign_kernel(
 
 
 @wp.kernel
-def winding_sign_kernel(first: int, winding: wp.array(dtype=wp.float64), out_distance: wp.array(dtype=wp.float64)):
-    """Turns the distance of points with a winding number above 1/2 negative, in place."""
-    i = first + wp.tid()
-    if winding[i] > wp.float64(0.5):
-        out_distance[i] = -out_distance[i]
-
-
-@wp.kernel
 def missed_sign_kernel(
     first: int,
     winding: wp.array(dtype=wp.float64),
     triangle_id: wp.array(dtype=int),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """The same for those points only that found no triangle."""
+    """Turns the distance negative of points that found no triangle and have a winding number above 1/2, in place."""
     i = first + wp.tid()
     if triangle_id[i] < 0 and winding[i] > wp.float64(0.5):
         out_distance[i] = -out_distance[i]

@@ -7,7 +7,7 @@ import warp as wp
 from geokit.mesh._nearest_kernels import nearest_slot
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
-from geokit.mesh._winding_kernels import winding_number_at
+from geokit.mesh._wide_winding_kernels import WindingTree, is_inside
 
 # Unrolled, the loops over voxels and sides would take half a minute to compile and gain nothing.
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
@@ -184,11 +184,9 @@ def seed_kernel(
     leaves: wp.array(dtype=wp.vec3i),
     translation: wp.vec3d,
     voxel_size: wp.float64,
-    mesh: wp.uint64,
-    origin: wp.vec3d,
-    scale: wp.float64,
+    tree: SurfaceTree,
+    winding: WindingTree,
     empty: wp.float64,
-    orientation: float,
     distance: wp.array2d(dtype=wp.float32),
     out_sign: wp.array2d(dtype=wp.int8),
 ):
@@ -202,7 +200,7 @@ def seed_kernel(
             farthest = voxel
     if farthest >= 0:
         p = voxel_position(leaves[leaf], farthest, translation, voxel_size)
-        inside = orientation * winding_number_at(mesh, origin, scale, empty, p) > 0.5
+        inside = is_inside(tree, winding, empty, p)
         out_sign[leaf, farthest] = wp.where(inside, wp.int8(-1), wp.int8(1))
 
 
@@ -291,11 +289,9 @@ def decide_kernel(
     leaves: wp.array(dtype=wp.vec3i),
     translation: wp.vec3d,
     voxel_size: wp.float64,
-    mesh: wp.uint64,
-    origin: wp.vec3d,
-    scale: wp.float64,
+    tree: SurfaceTree,
+    winding: WindingTree,
     empty: wp.float64,
-    orientation: float,
     out_sign: wp.array2d(dtype=wp.int8),
 ):
     """Asks the winding number at each of the listed voxels, ``512 leaf + voxel``."""
@@ -303,7 +299,7 @@ def decide_kernel(
     leaf = int(voxels[i] / wp.int64(512))
     voxel = int(voxels[i] % wp.int64(512))
     p = voxel_position(leaves[leaf], voxel, translation, voxel_size)
-    inside = orientation * winding_number_at(mesh, origin, scale, empty, p) > 0.5
+    inside = is_inside(tree, winding, empty, p)
     out_sign[leaf, voxel] = wp.where(inside, wp.int8(-1), wp.int8(1))
 
 

@@ -1,4 +1,4 @@
-"""How far from the origin, how large and how thin a mesh may be: distances and hits stay within a millionth of its size.
+"""How far from the origin, how large and how thin a mesh may be: distances and hits stay exact to 1e-6 of its size.
 
 What float64 coordinates cannot hold is not the query's error: the reference sees the same rounded vertices.
 """

@@ -109,7 +109,8 @@ def test_unknown_sign_is_refused():
 def test_furthest_point_is_that_of_brute_force(make, offset):
     mesh = catalogue.moved(make(), (offset, -offset, offset))
     surface = gk.mesh.Surface(mesh, device="cpu")
-    points = np.concatenate([points_of(mesh, 150), mesh.bounds.mean(axis=0) + [[1e5 * mesh.diagonal, 0, 0]]])
+    far = mesh.bounds.mean(axis=0) + np.array([1e5 * mesh.diagonal, 0.0, 0.0])
+    points = np.concatenate([points_of(mesh, 150), far[None]])
     found = surface.furthest_point(points)
     used = mesh.vertices[np.unique(mesh.faces)]
     expected = np.linalg.norm(points[:, None] - used[None], axis=2).max(axis=1)

@@ -42,7 +42,13 @@ def test_refit_equals_rebuild(make, amount):
     for one, other in zip(surface.raycast(points, directions), fresh.raycast(points, directions), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(surface.furthest_point(points).distance, fresh.furthest_point(points).distance)
-    np.testing.assert_array_equal(surface.signed_distance(points).distance, fresh.signed_distance(points).distance)
+    # The winding number's far field goes by clusters, which are others in a new tree: where it hovers around 1/2, in the
+    # opening of a shell, either sign may come out.
+    clear = fresh.sign_confidence(points) > 0.01
+    assert clear.mean() > 0.95
+    signed = [s.signed_distance(points).distance[clear] for s in (surface, fresh)]
+    np.testing.assert_array_equal(*signed)
+    np.testing.assert_allclose(surface.winding_number(points), fresh.winding_number(points), atol=0.01)
     np.testing.assert_array_equal(surface.bounds, fresh.bounds)
 
 
