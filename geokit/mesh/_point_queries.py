@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import warp as wp
 
     from geokit._frame import Frame
-    from geokit.mesh.audit import MeshAudit
     from geokit.mesh.model import TriangleMesh
 
 __all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "SignedDistances"]
@@ -129,12 +128,13 @@ class PointQueries:
     ) -> SignedDistances:
         """Distance to the surface for each query point, negative inside.
 
-        The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``, after the faces were made to wind
-        alike and outwards in each component (:func:`geokit.mesh.orient`); the mesh itself stays as it is:
+        The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``; a closed mesh that is inside out
+        counts as turned (``orientation``):
 
-        - "auto": "pseudonormal" where the mesh is proven clean, else "winding"; ``sign_method`` says which.
+        - "auto": what ``sign_method`` says: "winding", the one that needs no promise about the mesh.
         - "pseudonormal": from the angle-weighted normal at the closest face, edge or vertex, in float64. Exact on
-          clean meshes: closed, manifold, consistently wound, without degenerate faces and self-intersections.
+          clean meshes: closed, manifold, consistently wound, without degenerate faces and self-intersections; that a
+          mesh is clean is the caller's promise.
         - "winding": the generalised winding number against 1/2. On clean meshes right for points farther than 1e-6
           diagonals from the surface; on meshes with holes, flips, duplicates or overlaps it degrades gently
           (tests/stability/test_sign.py). :meth:`sign_confidence` says how firmly it decides.
@@ -201,9 +201,8 @@ class PointQueries:
     def winding_number(self, points: Any, *, progress: Progress | None = None) -> Any:
         """Generalised winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
-        Summed in float32 with distant triangles as dipoles: within 0.02 of the exact sum
-        (tests/stability/test_sign.py). It is that of the mesh with its components wound alike and outwards, see
-        :func:`geokit.mesh.orient`.
+        Within 0.005 of the exact sum on a CPU, 0.02 on CUDA (tests/stability/test_sign.py, tests/unit/test_winding.py).
+        Negated where ``orientation`` is -1.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -243,18 +242,14 @@ class PointQueries:
         _launch.launch(confidence_kernel, len(batch), [winding], [confidence], self._device)
         return batch.give(confidence)
 
-    @cached_property
+    @property
     def sign_method(self) -> str:
-        """What ``sign="auto"`` is: "pseudonormal" where the mesh is proven clean, else "winding".
-
-        Clean is closed, manifold and consistently wound (after :func:`geokit.mesh.orient`), without degenerate or
-        duplicate faces, and without two triangles that meet where they share nothing. Found out when first asked for.
-        """
-        return "pseudonormal" if self._is_clean else "winding"
+        """What ``sign="auto"`` is: "winding", the generalised winding number against 1/2."""
+        return "winding"
 
     @property
     def is_closed(self) -> bool:
-        """True where every edge joins two triangles that can wind alike: winding numbers are whole, zero far away."""
+        """True where every edge joins two triangles that wind alike: winding numbers are whole, zero far away."""
         return self._orientation.closed
 
     @property
@@ -267,13 +262,6 @@ class PointQueries:
         from geokit.mesh._sign import find_orientation
 
         return find_orientation(self.mesh)
-
-    @cached_property
-    def _is_clean(self) -> bool:
-        audit: MeshAudit = self.audit
-        sound = audit.watertight and audit.manifold and not audit.degenerate_count and not audit.duplicate_count
-        # Not proven yet: whether triangles meet where they share nothing.
-        return sound and False
 
     @cached_property
     def _pseudonormals(self) -> list["wp.array"]:

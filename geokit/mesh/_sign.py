@@ -25,17 +25,14 @@ PARITY_DIRECTIONS = (
 
 
 class Orientation(NamedTuple):
-    """What must be turned for all components to wind alike and outwards, and whether that leaves a closed mesh.
-
-    flipped (F,) bool; closed: every edge joins two triangles, which then wind alike.
-    """
+    """Which faces count as turned, (F,) bool, and whether every edge joins two triangles that wind alike."""
 
     flipped: NDArray[np.bool_]
     closed: bool
 
 
 def find_orientation(mesh: TriangleMesh) -> Orientation:
-    """The faces that :func:`geokit.mesh.orient` turns, without making a mesh of them."""
+    """All faces of a closed mesh that is inside out are turned, those of others are not."""
     from geokit.mesh.audit import audit
 
     report = audit(mesh)

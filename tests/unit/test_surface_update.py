@@ -42,8 +42,8 @@ def test_refit_equals_rebuild(make, amount):
     for one, other in zip(surface.raycast(points, directions), fresh.raycast(points, directions), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(surface.furthest_point(points).distance, fresh.furthest_point(points).distance)
-    # The winding number's far field goes by clusters, which are others in a new tree: where it hovers around 1/2, in the
-    # opening of a shell, either sign may come out.
+    # The winding number's far field goes by clusters, which are others in a new tree: where it hovers around 1/2, in
+    # the opening of a shell, either sign may come out.
     clear = fresh.sign_confidence(points) > 0.01
     assert clear.mean() > 0.95
     signed = [s.signed_distance(points).distance[clear] for s in (surface, fresh)]
