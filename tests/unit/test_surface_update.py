@@ -56,11 +56,13 @@ def test_what_was_derived_is_derived_anew():
     surface = gk.mesh.Surface(catalogue.box(), device="cpu")
     assert surface.audit.signed_volume == pytest.approx(1.0)
     assert surface.orientation == 1
-    before = surface.id
+    before = surface._warp_mesh  # kept, so that its address cannot be given out again
+    handle = surface.id
     surface.update(surface.mesh.vertices * [-2.0, 1.0, 1.0])
     assert surface.audit.signed_volume == pytest.approx(-2.0)
     assert surface.orientation == -1
-    assert surface.id != before
+    assert surface._warp_mesh is not before
+    assert surface.id != handle
     assert surface.signed_distance([[-1.0, 0.5, 0.5]]).distance[0] == pytest.approx(-0.5)
 
 
