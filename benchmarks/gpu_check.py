@@ -62,6 +62,20 @@ def compare(mesh, device, rows):
     rows.append(("first hit: t / diagonal", int(both.sum()), np.abs(a.t[both] - b.t[both]).max() / diagonal))
     occluded = gpu.occluded(origins, directions)
     rows.append(("occluded: differs from first hit", len(hit), int((occluded != (b.triangle_id >= 0)).sum())))
+    a, b = cpu.crossing_count(origins, directions), gpu.crossing_count(origins, directions)
+    rows.append(("crossing counts that differ", len(a), int((a != b).sum())))
+    a, b = cpu.raycast_all(origins, directions), gpu.raycast_all(origins, directions)
+    rows.append(("all hits: t / diagonal", len(a.t), np.abs(a.t - b.t).max() / diagonal))
+    for sign in ("pseudonormal", "parity", "winding"):
+        a, b = (s.signed_distance(points, sign=sign).distance for s in (cpu, gpu))
+        rows.append((f"signed distance by {sign}: differs", len(points), int((a != b).sum())))
+    far = mesh.bounds.mean(axis=0) + np.random.default_rng(4).normal(size=(100_000, 3)) * 1000 * diagonal
+    a, b = cpu.closest_point(far), gpu.closest_point(far)
+    rows.append(("closest point from 1000 diagonals: differs", len(far), int((a.distance != b.distance).sum())))
+    a, b = cpu.raycast(far, points[: len(far)] - far), gpu.raycast(far, points[: len(far)] - far)
+    rows.append(("first hit from there: other triangle", len(far), int((a.triangle_id != b.triangle_id).sum())))
+    a, b = cpu.furthest_point(points), gpu.furthest_point(points)
+    rows.append(("furthest point: differs", len(points), int((a.distance != b.distance).sum())))
     voxel = float((mesh.bounds[1] - mesh.bounds[0]).max()) / 128
     a, b = gk.volume.from_mesh(cpu, voxel), gk.volume.from_mesh(gpu, voxel)
     rows.append(("narrow band 128^3: bytes that differ", len(a.nanovdb), int((a.nanovdb != b.nanovdb).sum())))

@@ -135,8 +135,9 @@ class Surface(PointQueries, RayQueries):
     def update(self, vertices: ArrayLike) -> None:
         """Move the vertices; the tree is refitted, which takes a fraction of building it.
 
-        Answers are those of a new Surface, to the last bit, except that its tree was made for the new shape and may be
-        faster: build a new one after large deformations (tests/unit/test_surface_update.py).
+        Answers are those of a new Surface, to the last bit, but for winding numbers, whose clusters follow the tree:
+        they stay within the error that they are given with (tests/unit/test_surface_update.py). The tree of a new
+        Surface is made for the new shape and may be faster: build one after large deformations.
 
         Args:
             vertices: New vertex positions [world], shape (V, 3), as many as before.
