@@ -89,6 +89,9 @@ WIDE_NEAREST = f"""
         }}
         return winner;
     }}
+    {{
+    // What follows only selects: fused products round less, and are quicker.
+    #pragma clang fp contract(fast)
     const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
     const v8 zero = 0.f, one = 1.f;
     const float slack = 2.f * {DISTANCE_ERROR}f * ((float)size + 1.f);
@@ -193,5 +196,6 @@ WIDE_NEAREST = f"""
         }}
     }}
     settle();
+    }}
     return winner;
 """
