@@ -20,7 +20,7 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Batch", "read_vectors", "require_finite", "require_finite_scalar", "require_length"]
+__all__ = ["Batch", "read_vectors", "reported_row", "require_finite", "require_finite_scalar", "require_length"]
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
 
     from geokit._arrays_kernels import first_short_kernel
 
-    row = _first_row(first_short_kernel, batch.array, [wp.float64(shortest)])
+    row = reported_row(first_short_kernel, batch.array, [wp.float64(shortest)])
     if row >= 0:
         raise InputError(f"{name}: row {row + batch.first_row} is zero or too short for a direction; give it a length")
 
 
-def _first_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
+def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
     """Lowest row that a checking kernel reports, -1 for none."""
     import warp as wp
 
@@ -257,7 +257,7 @@ def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
         return
     from geokit._arrays_kernels import first_nonfinite_kernel
 
-    row = _first_row(first_nonfinite_kernel, rows, [])
+    row = reported_row(first_nonfinite_kernel, rows, [])
     if row >= 0:
         bad = rows[row : row + 1].numpy()[0].tolist()
         raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")

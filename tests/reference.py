@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +13,14 @@ __all__ = [
     "all_ray_hits",
     "closest_on_segments",
     "closest_point",
+    "common_points",
     "first_hit",
+    "intersecting_pairs",
+    "meet_beyond_shared",
     "neighbors_within",
-    "overlapping_triangles",
     "signed_distance",
+    "triangle_meets_box",
+    "triangles_meet",
     "trilinear",
     "trilinear_gradient",
     "winding_number",
@@ -184,13 +189,6 @@ def first_hit(
     )
 
 
-def overlapping_triangles(vertices: np.ndarray, faces: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Triangles (ascending) whose bounding box meets the box [lower, upper], borders included."""
-    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
-    meets = (corners.min(axis=1) <= upper) & (corners.max(axis=1) >= lower)
-    return np.flatnonzero(meets.all(axis=1))
-
-
 def neighbors_within(points: np.ndarray, queries: np.ndarray, radius: float) -> list[np.ndarray]:
     """For each query the ascending indices of the points at a distance of at most ``radius``."""
     points = np.asarray(points, np.float64)
@@ -231,3 +229,103 @@ def trilinear_gradient(values: np.ndarray, index_points: np.ndarray) -> np.ndarr
             others = np.prod(np.delete(weights, axis, axis=1), axis=1)
             gradient[:, axis] += (1.0 if corner[axis] else -1.0) * others * values[i, j, k]
     return gradient
+
+
+# Exact rational geometry: a polygon (a triangle, a segment, a point) clipped by the half-spaces that make up a set.
+
+
+def _rational(points: np.ndarray) -> list[tuple[Fraction, ...]]:
+    return [tuple(Fraction(float(x)) for x in point) for point in np.asarray(points, np.float64)]
+
+
+def _minus(a: tuple, b: tuple) -> tuple:
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def _rational_dot(a: tuple, b: tuple) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+
+
+def _cross(a: tuple, b: tuple) -> tuple:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _clip(polygon: list, normal: tuple, point: tuple) -> list:
+    """What of the polygon lies where ``normal . (x - point) >= 0``."""
+    kept = []
+    heights = [_rational_dot(normal, _minus(x, point)) for x in polygon]
+    for k in range(len(polygon)):
+        a, b, ha, hb = polygon[k - 1], polygon[k], heights[k - 1], heights[k]
+        if ha * hb < 0:
+            share = ha / (ha - hb)
+            kept.append(tuple(x + share * (y - x) for x, y in zip(a, b, strict=True)))
+        if hb >= 0:
+            kept.append(b)
+    return kept
+
+
+def _half_spaces(triangle: list) -> list[tuple[tuple, tuple]]:
+    """Normals and points of half-spaces whose intersection is the triangle, be it a segment or a point."""
+    a, b, c = triangle
+    normal = _cross(_minus(b, a), _minus(c, a))
+    axes = [tuple(Fraction(int(i == k)) for i in range(3)) for k in range(3)]
+    if any(normal):
+        planes = [(normal, a), (tuple(-x for x in normal), a)]
+        return planes + [(_cross(normal, _minus(q, p)), p) for p, q in ((a, b), (b, c), (c, a))]
+    ends = max(((a, b), (b, c), (c, a)), key=lambda pair: _rational_dot(_minus(*pair), _minus(*pair)))
+    along = _minus(ends[1], ends[0])
+    around = [_cross(along, axis) for axis in axes] if any(along) else axes
+    planes = [(side, ends[0]) for normal in around for side in (normal, tuple(-x for x in normal))]
+    return [*planes, (along, ends[0]), (tuple(-x for x in along), ends[1])]
+
+
+def common_points(t: np.ndarray, u: np.ndarray) -> list[tuple[Fraction, ...]]:
+    """Corners of what two closed triangles (3, 3) have in common, exactly; empty where they do not meet."""
+    polygon = _rational(t)
+    for normal, point in _half_spaces(_rational(u)):
+        polygon = _clip(polygon, normal, point)
+    return polygon
+
+
+def triangles_meet(t: np.ndarray, u: np.ndarray) -> bool:
+    return bool(common_points(t, u))
+
+
+def meet_beyond_shared(t: np.ndarray, u: np.ndarray) -> bool:
+    """Whether two triangles meet elsewhere than on the vertex or edge whose positions they share; equal ones do."""
+    corners, others = set(_rational(t)), set(_rational(u))
+    if corners == others:
+        return True
+    shared = sorted(corners & others)
+    if len(shared) == 3:
+        return False
+    return not all(_on_segment(x, shared) for x in common_points(t, u))
+
+
+def intersecting_pairs(corners: np.ndarray, others: np.ndarray | None = None) -> list[list[int]]:
+    """Pairs of triangles (N, 3, 3) that meet those of ``others``, or each other beyond what they share."""
+    itself = others is None
+    u = corners if itself else others
+    pairs = []
+    for i, t in enumerate(corners):
+        near = (u.min(axis=1) <= t.max(axis=0)) & (u.max(axis=1) >= t.min(axis=0))
+        for j in np.flatnonzero(near.all(axis=1)).tolist():
+            if (j > i and meet_beyond_shared(t, u[j])) if itself else triangles_meet(t, u[j]):
+                pairs.append([i, j])
+    return pairs
+
+
+def _on_segment(x: tuple, ends: list) -> bool:
+    if len(ends) < 2:
+        return x in ends
+    along, towards = _minus(ends[1], ends[0]), _minus(x, ends[0])
+    return not any(_cross(along, towards)) and 0 <= _rational_dot(along, towards) <= _rational_dot(along, along)
+
+
+def triangle_meets_box(triangle: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether a closed triangle (3, 3) and a closed box have a common point, exactly."""
+    polygon, (low, high) = _rational(triangle), _rational(np.stack([lower, upper]))
+    for k in range(3):
+        axis = tuple(Fraction(int(i == k)) for i in range(3))
+        polygon = _clip(_clip(polygon, axis, low), tuple(-x for x in axis), high)
+    return bool(polygon)

@@ -1,34 +1,18 @@
 """C++ text of the exact test of a ray against a triangle, in float64."""
 
+from geokit.mesh._predicates_kernels import EXACT
+
 # Directions shorter than this would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
 
 # Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
 # round the two products of each differently, and a ray through the edge could miss both (Woop, Benthin, Wald,
 # "Watertight Ray/Triangle Intersection", JCGT 2013). Differs: all in float64, no fall-back needed.
-_EXACT = """
-    typedef wp::vec_t<3, wp::float64> point;
-    #if defined(__CUDA_ARCH__)
-    auto product = [](double x, double y) { return __dmul_rn(x, y); };
-    auto minus = [](double x, double y) { return __dsub_rn(x, y); };
-    auto fused = [](double x, double y, double z) { return __fma_rn(x, y, z); };
-    #else
-    auto product = [](double x, double y) {
-        #pragma clang fp contract(off)
-        return x * y;
-    };
-    auto minus = [](double x, double y) {
-        #pragma clang fp contract(off)
-        return x - y;
-    };
-    auto fused = [](double x, double y, double z) { return __builtin_fma(x, y, z); };
-    #endif
-"""
 
 # Names that the text expects: tree and t_min. `hit` is false where the ray misses the triangle in a slot; t in units of
 # the direction, v and w the weights of b and c.
 _HIT = (
-    _EXACT
+    EXACT
     + """
     auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
         double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],

@@ -10,6 +10,7 @@ import numpy as np
 from geokit import _launch
 from geokit._frame import Frame
 from geokit.errors import DeviceMemoryError, InputError
+from geokit.mesh._overlap_queries import OverlapQueries
 from geokit.mesh._point_queries import PointQueries
 from geokit.mesh._ray_queries import RayQueries
 from geokit.mesh.model import TriangleMesh
@@ -28,7 +29,7 @@ LEAF_SIZE_CPU = 8
 LEAF_SIZE_CUDA = 1
 
 
-class Surface(PointQueries, RayQueries):
+class Surface(PointQueries, RayQueries, OverlapQueries):
     """A mesh prepared once for many queries on one device.
 
     On a CPU queries walk a tree of eight children a node; on a GPU they walk the tree of a warp ``Mesh``. Answers are
