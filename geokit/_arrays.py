@@ -15,12 +15,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _launch
+from geokit._host_array import HostArray
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Batch", "read_vectors", "reported_row", "require_finite", "require_finite_scalar", "require_length"]
+__all__ = [
+    "Batch",
+    "empty",
+    "read_vectors",
+    "reported_row",
+    "require_finite",
+    "require_finite_scalar",
+    "require_length",
+    "zeros",
+]
+
+# Numbers that are looked at one by one as quickly as warnings are held back around their sum.
+SMALL = 4096
 
 
 @dataclass(frozen=True)
@@ -28,19 +41,25 @@ class Batch:
     """Rows of three on the query device, and how results go back to where the rows came from.
 
     Attributes:
-        array: The rows as warp vec3d, shape (N,), contiguous, on the query device.
+        rows: The rows as kernels take them: vec3d, shape (N,), contiguous, on the query device; a HostArray where they
+            are NumPy's and stay on the host.
         single: True where the caller's rows were float32 (results are then float32 too).
         give: Turns a warp result array on the query device into the caller's kind of array.
         first_row: Where the rows stand among the caller's, for messages.
     """
 
-    array: "wp.array"
+    rows: Any
     single: bool
     give: Callable[["wp.array"], Any]
     first_row: int = 0
 
     def __len__(self) -> int:
-        return len(self.array)
+        return len(self.rows)
+
+    @property
+    def array(self) -> "wp.array":
+        """The rows as a warp array of vec3d, shape (N,)."""
+        return self.rows.warp if isinstance(self.rows, HostArray) else self.rows
 
 
 def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = False, first_row: int = 0) -> Batch:
@@ -81,6 +100,36 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
     return Batch(rows, single, lambda out: give(_narrowed(out, single)), first_row)
 
 
+def empty(count: int, dtype: Any, like: Any) -> Any:
+    """Room for ``count`` results of a kernel, where ``like``, the rows of a Batch, are.
+
+    Args:
+        count: Number of results.
+        dtype: ``wp.vec3d``, or a warp scalar type.
+        like: ``Batch.rows``.
+    Returns:
+        A HostArray if ``like`` is one, else a warp array on its device.
+    """
+    import warp as wp
+
+    if not isinstance(like, HostArray):
+        return wp.empty(count, dtype=dtype, device=like.device)
+    if dtype is wp.vec3d:
+        return HostArray(np.empty((count, 3)))
+    return HostArray(np.empty(count, wp.dtype_to_numpy(dtype)))
+
+
+def zeros(count: int, dtype: Any, like: Any) -> Any:
+    """As :func:`empty`, filled with zeros."""
+    import warp as wp
+
+    if not isinstance(like, HostArray):
+        return wp.zeros(count, dtype=dtype, device=like.device)
+    room = empty(count, dtype, like)
+    room.values.fill(0)
+    return room
+
+
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
     """``value`` as a float that is a number, above ``low``, and finite unless ``infinite``.
 
@@ -104,7 +153,7 @@ def require_finite(batch: Batch, name: str) -> None:
     Raises:
         InputError: There is such a row; the first is named.
     """
-    _require_finite(batch.array, name, batch.first_row)
+    _require_finite(batch.rows, name, batch.first_row)
 
 
 def require_length(batch: Batch, name: str, shortest: float) -> None:
@@ -117,7 +166,7 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
 
     from geokit._arrays_kernels import first_short_kernel
 
-    row = reported_row(first_short_kernel, batch.array, [wp.float64(shortest)])
+    row = reported_row(first_short_kernel, batch.rows, [wp.float64(shortest)])
     if row >= 0:
         raise InputError(f"{name}: row {row + batch.first_row} is zero or too short for a direction; give it a length")
 
@@ -139,7 +188,6 @@ def _exports(values: Any) -> bool:
 
 
 def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int) -> Batch:
-    import warp as wp
 
     try:
         given = np.asarray(values)
@@ -155,17 +203,19 @@ def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int) -> 
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
-    # The sum is finite only if every entry is (or almost never the sum of huge ones overflows): one quick pass first.
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = table.sum()
-    if not np.isfinite(total):
+    if not _all_finite(table):
         _refuse_nonfinite(table, name, first_row)
-    host = wp.array(
-        ptr=table.ctypes.data, dtype=wp.vec3d, shape=(len(table),), device="cpu", capacity=table.nbytes, copy=False
-    )
-    host._geokit_source = table  # the array does not own the memory it points to
-    rows = host if device.is_cpu else host.to(device)
+    host = HostArray(table)
+    rows = host if device.is_cpu else host.warp.to(device)
     return Batch(rows, single, lambda out: _to_numpy(out, single), first_row)
+
+
+def _all_finite(table: np.ndarray) -> bool:
+    if table.size <= SMALL:
+        return bool(np.isfinite(table).all())
+    # The sum is finite only if every entry is (or almost never the sum of huge ones overflows): one quick pass.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(table.sum()))
 
 
 def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
+from geokit._host_array import unwrapped
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -191,7 +192,8 @@ def launch(
 def _launch_slice(
     wp: Any, kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
 ) -> None:
-    wp.launch(kernel, dim=count, inputs=[first, *inputs], outputs=list(outputs), device=device, record_tape=False)
+    given = [first, *map(unwrapped, inputs), *map(unwrapped, outputs)]
+    wp.launch(kernel, dim=count, inputs=given, device=device, record_tape=False)
 
 
 def launch_queries(

@@ -69,7 +69,7 @@ class OverlapQueries:
         low = _arrays.read_vectors(lower, "lower", device)
         high = _arrays.read_vectors(upper, "upper", device)
         _require_boxes(low, high)
-        boxes, tree = [low.array, high.array], [self._tree, self._slot_boxes]
+        boxes, tree = [low.rows, high.rows], [self._tree, self._slot_boxes]
         offsets = wp.zeros(len(low) + 1, dtype=wp.int64, device=device)
         if len(low):
             count = wp.empty(len(low), dtype=wp.int64, device=device)
@@ -194,9 +194,9 @@ def _require_boxes(lower: _arrays.Batch, upper: _arrays.Batch) -> None:
 
     if len(lower) != len(upper):
         raise InputError(f"upper: {len(upper)} rows for {len(lower)} of lower; give one for each")
-    row = _arrays.reported_row(first_inverted_kernel, lower.array, [upper.array])
+    row = _arrays.reported_row(first_inverted_kernel, lower.rows, [upper.rows])
     if row >= 0:
-        low, high = (batch.array[row : row + 1].numpy()[0].tolist() for batch in (lower, upper))
+        low, high = (batch.rows[row : row + 1].numpy()[0].tolist() for batch in (lower, upper))
         raise InputError(f"upper: row {row} {high} is below lower {low}; swap them where they are")
 
 

@@ -94,7 +94,7 @@ class PointQueries:
         reach = _radius(max_distance)
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
-            return ClosestPoints(*(batch.give(array) for array in self._closest(batch.array, reach)))
+            return ClosestPoints(*(batch.give(array) for array in self._closest(batch.rows, reach)))
 
         return in_blocks(query, [points], ["points"], self._device, progress)
 
@@ -116,11 +116,11 @@ class PointQueries:
 
         batch = _arrays.read_vectors(points, "points", self._device)
         found = FurthestPoints(
-            points=wp.empty(len(batch), dtype=wp.vec3d, device=self._device),
-            distance=wp.empty(len(batch), dtype=wp.float64, device=self._device),
-            triangle_id=wp.empty(len(batch), dtype=wp.int32, device=self._device),
+            points=_arrays.empty(len(batch), wp.vec3d, batch.rows),
+            distance=_arrays.empty(len(batch), wp.float64, batch.rows),
+            triangle_id=_arrays.empty(len(batch), wp.int32, batch.rows),
         )
-        self._query(furthest_point_kernel, batch.array, [self._tree], list(found))
+        self._query(furthest_point_kernel, batch.rows, [self._tree], list(found))
         return FurthestPoints(*(batch.give(array) for array in found))
 
     def signed_distance(
@@ -160,8 +160,8 @@ class PointQueries:
         method, reach = self._method(sign), _radius(max_distance)
 
         def query(batch: _arrays.Batch) -> SignedDistances:
-            closest = self._closest(batch.array, reach)
-            self._sign(method, batch.array, closest)
+            closest = self._closest(batch.rows, reach)
+            self._sign(method, batch.rows, closest)
             found = closest.distance, closest.points, closest.triangle_id, closest.barycentric
             return SignedDistances(*(batch.give(array) for array in found))
 
@@ -188,11 +188,11 @@ class PointQueries:
         def query(batch: _arrays.Batch) -> Any:
             count = len(batch)
             if method == "pseudonormal":
-                found = self._closest(batch.array, math.inf)
+                found = self._closest(batch.rows, math.inf)
             else:
                 found = ClosestPoints(None, wp.full(count, wp.float64(1.0), device=device), None, None)
-            self._sign(method, batch.array, found)
-            inside = wp.empty(count, dtype=wp.bool, device=device)
+            self._sign(method, batch.rows, found)
+            inside = _arrays.empty(count, wp.bool, batch.rows)
             _launch.launch(is_negative_kernel, count, [found.distance], [inside], device)
             return batch.give(inside)
 
@@ -217,7 +217,7 @@ class PointQueries:
         """
 
         def query(batch: _arrays.Batch) -> Any:
-            return batch.give(self._winding(batch.array))
+            return batch.give(self._winding(batch.rows))
 
         return in_blocks(query, [points], ["points"], self._device, progress)
 
@@ -238,8 +238,8 @@ class PointQueries:
         from geokit.mesh._sign_kernels import confidence_kernel
 
         batch = _arrays.read_vectors(points, "points", self._device)
-        confidence = wp.empty(len(batch), dtype=wp.float64, device=self._device)
-        winding = self._winding(batch.array)
+        confidence = _arrays.empty(len(batch), wp.float64, batch.rows)
+        winding = self._winding(batch.rows)
         _launch.launch(confidence_kernel, len(batch), [winding], [confidence], self._device)
         return batch.give(confidence)
 
@@ -299,10 +299,10 @@ class PointQueries:
 
         count, device = len(points), self._device
         found = ClosestPoints(
-            points=wp.empty(count, dtype=wp.vec3d, device=device),
-            distance=wp.empty(count, dtype=wp.float64, device=device),
-            triangle_id=wp.empty(count, dtype=wp.int32, device=device),
-            barycentric=wp.empty(count, dtype=wp.vec3d, device=device),
+            points=_arrays.empty(count, wp.vec3d, points),
+            distance=_arrays.empty(count, wp.float64, points),
+            triangle_id=_arrays.empty(count, wp.int32, points),
+            barycentric=_arrays.empty(count, wp.vec3d, points),
         )
         group = QUERY_GROUP if device.is_cpu else 1
         self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group)
@@ -324,7 +324,7 @@ class PointQueries:
 
         from geokit.mesh._wide_winding_kernels import winding_number_kernel
 
-        winding = wp.empty(len(points), dtype=wp.float64, device=self._device)
+        winding = _arrays.empty(len(points), wp.float64, points)
         self._query(winding_number_kernel, points, self._winding_arguments(), [winding])
         return winding
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
+from geokit._host_array import HostArray
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,9 +93,9 @@ class RayQueries:
 
         def query(rays: _arrays.Batch, heading: _arrays.Batch) -> RayHits:
             found = RayHits(
-                t=wp.empty(len(rays), dtype=wp.float64, device=self._device),
-                triangle_id=wp.empty(len(rays), dtype=wp.int32, device=self._device),
-                barycentric=wp.empty(len(rays), dtype=wp.vec3d, device=self._device),
+                t=_arrays.empty(len(rays), wp.float64, rays.rows),
+                triangle_id=_arrays.empty(len(rays), wp.int32, rays.rows),
+                barycentric=_arrays.empty(len(rays), wp.vec3d, rays.rows),
             )
             self._cast(kernel, rays, heading, t_min, max_distance, list(found))
             return RayHits(*(rays.give(array) for array in found))
@@ -134,9 +135,9 @@ class RayQueries:
         if len(rays):
             wp.utils.array_scan(_widened(count), offsets[1:], inclusive=True)
         total = int(offsets[-1:].numpy()[0])
-        t = wp.empty(total, dtype=wp.float64, device=self._device)
-        triangle_id = wp.empty(total, dtype=wp.int32, device=self._device)
-        barycentric = wp.empty(total, dtype=wp.vec3d, device=self._device)
+        t = _arrays.empty(total, wp.float64, rays.rows)
+        triangle_id = _arrays.empty(total, wp.int32, rays.rows)
+        barycentric = _arrays.empty(total, wp.vec3d, rays.rows)
         self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
         return RayHitLists(rays.give(offsets), rays.give(t), rays.give(triangle_id), rays.give(barycentric))
 
@@ -195,7 +196,7 @@ class RayQueries:
         from geokit.mesh._raycast_kernels import occluded_kernel
 
         def query(rays: _arrays.Batch, heading: _arrays.Batch) -> Any:
-            occluded = wp.empty(len(rays), dtype=wp.bool, device=self._device)
+            occluded = _arrays.empty(len(rays), wp.bool, rays.rows)
             self._cast(occluded_kernel, rays, heading, t_min, max_distance, [occluded])
             return rays.give(occluded)
 
@@ -208,7 +209,7 @@ class RayQueries:
 
         from geokit.mesh._crossing_kernels import count_crossings_kernel
 
-        count = wp.empty(len(rays), dtype=wp.int32, device=self._device)
+        count = _arrays.empty(len(rays), wp.int32, rays.rows)
         self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
         return count
 
@@ -235,9 +236,9 @@ class RayQueries:
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        bad = wp.zeros(1, dtype=wp.int32, device=self._device)
+        bad = _arrays.zeros(1, wp.int32, rays.rows)
         count = len(rays)
-        shared = [rays.array, heading.array, *streams, self._tree, start, reach]
+        shared = [rays.rows, heading.rows, *streams, self._tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
             self._cast_in_passes(count, shared, outputs, bad)
         else:
@@ -263,6 +264,7 @@ class RayQueries:
 def _widened(count: "wp.array") -> "wp.array":
     import warp as wp
 
+    count = count.warp if isinstance(count, HostArray) else count
     wide = wp.empty(len(count), dtype=wp.int64, device=count.device)
     wp.utils.array_cast(count, wide)
     return wide

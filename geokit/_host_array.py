@@ -1,0 +1,86 @@
+"""NumPy memory as kernels on the CPU take it, without a warp array around it."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["HostArray", "unwrapped"]
+
+
+class HostArray:
+    """Contiguous rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) for what it takes as vec3d.
+
+    To make and drop a warp array takes as long as a query of one point does; this takes a fifth of it. It goes where
+    :func:`geokit._launch.launch` passes it on to a kernel; for anything else there is :attr:`warp`.
+    """
+
+    __slots__ = ("_descriptor", "_warp", "values")
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values = values
+        self._descriptor: Any = None
+        self._warp: Any = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __getitem__(self, rows: slice) -> HostArray:
+        return HostArray(self.values[rows])
+
+    def numpy(self) -> np.ndarray:
+        return self.values
+
+    @property
+    def device(self) -> "wp.Device":
+        import warp as wp
+
+        return wp.get_device("cpu")
+
+    @property
+    def descriptor(self) -> Any:
+        """What a kernel's launch passes for an array: where it is and how long."""
+        if self._descriptor is None:
+            descriptor = _descriptor_type()()
+            descriptor.data = self.values.__array_interface__["data"][0]
+            descriptor.ndim = 1
+            descriptor.shape[0] = len(self.values)
+            descriptor.strides[0] = self.values.strides[0]
+            self._descriptor = descriptor
+        return self._descriptor
+
+    @property
+    def warp(self) -> "wp.array":
+        """The same memory as a warp array."""
+        import warp as wp
+
+        if self._warp is None:
+            values = self.values
+            dtype = wp.vec3d if values.ndim == 2 else wp.dtype_from_numpy(values.dtype)
+            self._warp = wp.array(
+                ptr=values.ctypes.data,
+                dtype=dtype,
+                shape=(len(values),),
+                device="cpu",
+                capacity=values.nbytes,
+                copy=False,
+            )
+            self._warp._geokit_source = values  # the array does not own the memory it points to
+        return self._warp
+
+
+def unwrapped(argument: Any) -> Any:
+    """A kernel's argument as warp's launch takes it."""
+    return argument.descriptor if type(argument) is HostArray else argument
+
+
+@functools.lru_cache(maxsize=1)
+def _descriptor_type() -> Any:
+    import warp as wp
+
+    return type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())
