@@ -131,10 +131,10 @@ class PointQueries:
         The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``; a closed mesh that is inside out
         counts as turned (``orientation``):
 
-        - "auto": what ``sign_method`` says: "winding", the one that needs no promise about the mesh.
+        - "auto": what ``sign_method`` says: "pseudonormal" where the mesh is proven clean, else "winding";
+          ``sign_reason`` says why.
         - "pseudonormal": from the angle-weighted normal at the closest face, edge or vertex, in float64. Exact on
-          clean meshes: closed, manifold, consistently wound, without degenerate faces and self-intersections; that a
-          mesh is clean is the caller's promise.
+          clean meshes; that a mesh is clean is then the caller's promise.
         - "winding": the generalised winding number against 1/2. On clean meshes right for points farther than 1e-6
           diagonals from the surface; on meshes with holes, flips, duplicates or overlaps it degrades gently
           (tests/stability/test_sign.py). :meth:`sign_confidence` says how firmly it decides.
@@ -245,8 +245,24 @@ class PointQueries:
 
     @property
     def sign_method(self) -> str:
-        """What ``sign="auto"`` is: "winding", the generalised winding number against 1/2."""
-        return "winding"
+        """What ``sign="auto"`` is for this mesh: "pseudonormal" where it is proven clean, else "winding".
+
+        Proven is that every edge joins two faces that wind alike (turned where ``orientation`` says so), that the
+        faces around each vertex are one fan, that none is without area, twice there, or cuts another, and that parts
+        within each other are cavities. Decided when first asked for (tests/unit/test_sign_choice.py).
+        """
+        return self._sign_choice.method
+
+    @property
+    def sign_reason(self) -> str:
+        """Why ``sign_method`` is what it is: what was proven, or the first defect that was found."""
+        return self._sign_choice.reason
+
+    @cached_property
+    def _sign_choice(self) -> Any:
+        from geokit.mesh._sign_choice import choose_sign
+
+        return choose_sign(self)  # type: ignore[arg-type]
 
     @property
     def is_closed(self) -> bool:

@@ -202,6 +202,14 @@ class _Topology:
         return int(np.count_nonzero(label == np.arange(len(label)))) == self.vertex_count
 
 
+def face_parts(mesh: TriangleMesh) -> NDArray[Any]:
+    """For each face the label of its piece of the mesh, (F,): pieces share no vertex position with each other."""
+    _, group = merge_equal_points(mesh.vertices)
+    faces = group[mesh.faces]
+    label = _components(int(faces.max()) + 1, faces[:, (0, 1)].ravel(), faces[:, (1, 2)].ravel())
+    return label[faces[:, 0]]
+
+
 def _next_corner(corner: NDArray[np.int64]) -> NDArray[np.int64]:
     return corner - corner % 3 + (corner + 1) % 3
 

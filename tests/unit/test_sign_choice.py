@@ -1,0 +1,93 @@
+"""What "auto" is, and why: proven clean or not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from tests import catalogue
+
+
+def surface(mesh):
+    return gk.mesh.Surface(mesh, device="cpu")
+
+
+def boxes(*, inner_inward, offset=(0.25, 0.25, 0.25)):
+    inner = catalogue.moved(catalogue.scaled(catalogue.box(), 0.5), offset)
+    return catalogue.join(catalogue.box(), catalogue.inside_out(inner) if inner_inward else inner)
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        catalogue.tetrahedron(),
+        catalogue.box(),
+        catalogue.icosphere(),
+        catalogue.torus(),
+        catalogue.l_profile(),
+        catalogue.cone(200, 1e4),
+        catalogue.inside_out_box(),
+        catalogue.soup(catalogue.icosphere()),
+        boxes(inner_inward=True),
+        catalogue.join(catalogue.box(), catalogue.moved(catalogue.box(), (3, 0, 0))),
+        catalogue.scaled(boxes(inner_inward=True), 1e-200),
+        catalogue.far_away(boxes(inner_inward=True), 1e6),
+    ],
+    ids=lambda mesh: mesh.name,
+)
+def test_clean_meshes_have_pseudonormals(mesh):
+    s = surface(mesh)
+    assert (s.sign_method, s.sign_reason) == ("pseudonormal", "closed, manifold, wound alike, no intersections")
+
+
+@pytest.mark.parametrize(
+    ("mesh", "reason"),
+    [
+        (catalogue.single_triangle(), "boundary edges: 3"),
+        (catalogue.holed_sphere(1), "boundary edges: 3"),
+        (catalogue.three_on_an_edge(), "boundary edges"),
+        (catalogue.join(catalogue.box(), catalogue.moved(catalogue.box(), (1, 0, 0))), "edges of three faces or more"),
+        (catalogue.two_boxes_touching_at_a_vertex(), "vertices that separate fans share"),
+        (catalogue.overlapping_spheres(), "faces that intersect"),
+        (boxes(inner_inward=False), "parts within each other that are not cavities"),
+        (boxes(inner_inward=False, offset=(0.75, 0.2, 0.2)), "faces that intersect"),
+        (catalogue.join(boxes(inner_inward=True), catalogue.moved(boxes(inner_inward=False), (3, 0, 0))), "cavities"),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_others_have_winding_numbers_and_say_why(mesh, reason):
+    s = surface(mesh)
+    assert s.sign_method == "winding"
+    assert reason in s.sign_reason
+
+
+def test_a_cap_without_area_is_a_defect():
+    mesh = catalogue.box()
+    # An edge of the box cut in two by a triangle without area: closed by its edges all the same.
+    a, b, c = mesh.faces[0]
+    middle = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, [(mesh.vertices[a] + mesh.vertices[b]) / 2]])
+    faces = np.concatenate([[[a, middle, c], [middle, b, c], [b, middle, a]], mesh.faces[1:]])
+    s = surface(gk.mesh.TriangleMesh(vertices, faces))
+    assert s.audit.watertight
+    assert (s.sign_method, s.sign_reason) == ("winding", "faces without area: 1")
+
+
+@pytest.mark.parametrize("make", [catalogue.torus, lambda: boxes(inner_inward=True)])
+def test_auto_is_the_method_that_it_names(make):
+    s = surface(make())
+    points = s.bounds[0] + np.random.default_rng(0).random((500, 3)) * np.ptp(s.bounds, axis=0)
+    for found, named in zip(s.signed_distance(points), s.signed_distance(points, sign=s.sign_method), strict=True):
+        np.testing.assert_array_equal(found, named)
+    np.testing.assert_array_equal(s.contains(points), s.contains(points, sign="winding"))
+
+
+def test_a_moved_mesh_is_judged_again():
+    mesh = boxes(inner_inward=True)
+    s = surface(mesh)
+    assert s.sign_method == "pseudonormal"
+    vertices = mesh.vertices.copy()
+    vertices[8:] += [0.4, 0, 0]
+    s.update(vertices)
+    assert (s.sign_method, s.sign_reason) == ("winding", "faces that intersect")
