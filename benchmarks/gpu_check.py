@@ -16,6 +16,7 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.raw_kernels import raw_closest_kernel, raw_count_kernel, raw_ray_kernel, raw_sample_kernel
+from geokit.mesh._sign_choice import choose_sign
 
 
 class CudaExporter:
@@ -91,8 +92,28 @@ def compare(mesh, device, rows):
     rows.append(("neighbours: lists that differ", len(a.indices), 0 if same else 1))
     counts = [grid.count(cloud) for grid in grids]
     rows.append(("neighbour counts that differ", len(cloud), int((counts[0] != counts[1]).sum())))
+    check_overlaps(cpu, gpu, points, rows)
     check_containers(gpu, points[:1000], device, rows)
     check_leaks(gpu, device, rows)
+
+
+def check_overlaps(cpu, gpu, points, rows):
+    half = 0.02 * cpu.mesh.diagonal * np.random.default_rng(6).random((len(points), 1)) ** 2
+    a, b = (s.overlapping(points - half, points + half) for s in (cpu, gpu))
+    same = all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    rows.append(("boxes' triangles: lists that differ", len(a.triangle_id), 0 if same else 1))
+    moved = gk.mesh.TriangleMesh(cpu.mesh.vertices + 0.01 * cpu.mesh.diagonal, cpu.mesh.faces)
+    both = gk.mesh.TriangleMesh(
+        np.concatenate([cpu.mesh.vertices, moved.vertices]),
+        np.concatenate([cpu.mesh.faces, moved.faces + len(moved.vertices)]),
+    )
+    for what, ask in (
+        ("pairs of two meshes", lambda s: s.intersecting_triangles(gk.mesh.Surface(moved, device=s.device))),
+        ("pairs within one mesh", lambda s: gk.mesh.Surface(both, device=s.device).self_intersections()),
+    ):
+        a, b = ask(cpu), ask(gpu)
+        rows.append((f"{what}: differ", len(a), 0 if np.array_equal(a, b) else 1))
+    rows.append(("what auto is: differs", 1, 0 if cpu.sign_method == gpu.sign_method else 1))
 
 
 def check_containers(gpu, points, device, rows):
@@ -166,6 +187,21 @@ def rates(mesh, device, rows, count):
             lambda local=local: wp.launch(raw_ray_kernel, count, [surface.id, *local], [out], device=device), device
         )
         rows.append((f"first hit, {name}, {size}", count, ours, raw))
+    for calls in (1, 100):
+        few = on_device(inputs.uniform(mesh, calls), wp.vec3d)
+        local = wp.array((few.numpy() - centre) / scale, dtype=wp.vec3, device=device)
+        ours = median_seconds(lambda few=few: surface.closest_point(few), device, runs=200)
+        raw = median_seconds(
+            lambda local=local: wp.launch(raw_closest_kernel, len(local), [surface.id, local], [out], device=device),
+            device,
+            runs=200,
+        )
+        rows.append((f"{calls} closest points, {size}", calls, ours, raw))
+    for name, ask in (
+        ("self-intersections", surface.self_intersections),
+        ("what auto is", lambda: choose_sign(surface)),
+    ):
+        rows.append((f"{name}, {size}", len(mesh.faces), median_seconds(ask, device, runs=3), None))
     prepare = median_seconds(lambda: gk.mesh.Surface(mesh, device=device), device, runs=3)
     rows.append((f"Surface, {size}", len(mesh.faces), prepare, None))
     for voxels in (128, 256, 512):

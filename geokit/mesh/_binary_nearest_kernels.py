@@ -4,6 +4,7 @@ As on the CPU the search runs in float32 and keeps what its rounding leaves poss
 float64, where ties go to the lowest.
 """
 
+from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._tree_kernels import BOX_PADDING
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED
@@ -14,9 +15,8 @@ CANDIDATES = 8
 # Names as in WIDE_NEAREST; the seed is of no use here. The stack holds what warp's own queries need: its builders bound
 # the depth of the tree by 32.
 BINARY_NEAREST = f"""
-    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
-    const wp::BVHPackedNodeHalf* lowers = mesh.bvh.node_lowers;
-    const wp::BVHPackedNodeHalf* uppers = mesh.bvh.node_uppers;
+    {LOAD_NODE}
+    const float* nodes = tree.boxes.data;
     double exact = max_squared;  // world units squared
     int winner = -1;
     auto evaluate = [&](int slot) {{
@@ -33,30 +33,36 @@ BINARY_NEAREST = f"""
     const double qx = (p[0] - tree.origin[0]) / tree.scale, qy = (p[1] - tree.origin[1]) / tree.scale,
                  qz = (p[2] - tree.origin[2]) / tree.scale;
     const double size = wp::max(wp::max(wp::abs(qx), wp::abs(qy)), wp::abs(qz));
-    int stack[64], depth = 1;
-    stack[0] = *mesh.bvh.root;
+    int stack[64], depth = 0, node = tree.children.data[0];
     if (size > {FAR}) {{
         // Far out all in float64, with the boxes' own rounding as slack.
         const double padding = {BOX_PADDING} + 3e-15 * size;
-        auto box_squared = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
-            const double x = wp::max(wp::max(l.x - qx, qx - u.x), 0.0), y = wp::max(wp::max(l.y - qy, qy - u.y), 0.0),
-                         z = wp::max(wp::max(l.z - qz, qz - u.z), 0.0);
+        double entry[64];
+        auto box_squared = [&](double lx, double ly, double lz, double ux, double uy, double uz) {{
+            const double x = wp::max(wp::max(lx - qx, qx - ux), 0.0), y = wp::max(wp::max(ly - qy, qy - uy), 0.0),
+                         z = wp::max(wp::max(lz - qz, qz - uz), 0.0);
             return x * x + y * y + z * z;
         }};
-        while (depth > 0) {{
-            const int node = stack[--depth];
-            const wp::BVHPackedNodeHalf l = wp::bvh_load_node(lowers, node), u = wp::bvh_load_node(uppers, node);
-            const double reach = sqrt(exact) / tree.scale + padding;
-            if (box_squared(l, u) > reach * reach) continue;
-            if (l.b) {{
-                for (int slot = l.i; slot < (int)u.i; ++slot) evaluate(slot);
-                continue;
+        while (true) {{
+            const double reach = sqrt(exact) / tree.scale + padding, limit = reach * reach;
+            if (node >= 0) {{
+                const Node n = load_node(nodes, node);
+                const double dl = box_squared(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
+                const double dr = box_squared(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
+                const bool left_first = dl <= dr;
+                if ((left_first ? dr : dl) <= limit) {{
+                    stack[depth] = left_first ? n.right : n.left;
+                    entry[depth++] = left_first ? dr : dl;
+                }}
+                node = left_first ? n.left : n.right;
+                if ((left_first ? dl : dr) <= limit) continue;
+            }} else {{
+                for (int slot = first_slot(node); slot < end_slot(node); ++slot) evaluate(slot);
             }}
-            const int left = l.i, right = u.i;
-            const bool left_first = box_squared(wp::bvh_load_node(lowers, left), wp::bvh_load_node(uppers, left))
-                                    <= box_squared(wp::bvh_load_node(lowers, right), wp::bvh_load_node(uppers, right));
-            stack[depth++] = left_first ? right : left;
-            stack[depth++] = left_first ? left : right;
+            const double now = sqrt(exact) / tree.scale + padding;
+            do --depth; while (depth >= 0 && entry[depth] > now * now);
+            if (depth < 0) break;
+            node = stack[depth];
         }}
         return winner;
     }}
@@ -112,36 +118,31 @@ BINARY_NEAREST = f"""
         candidate[candidates] = slot;
         candidate_squared[candidates++] = d2;
     }};
-    auto box_squared = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
-        const float x = fmaxf(fmaxf(l.x - X, X - u.x), 0.f), y = fmaxf(fmaxf(l.y - Y, Y - u.y), 0.f),
-                    z = fmaxf(fmaxf(l.z - Z, Z - u.z), 0.f);
+    auto box_squared = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
+        const float x = fmaxf(fmaxf(lx - X, X - ux), 0.f), y = fmaxf(fmaxf(ly - Y, Y - uy), 0.f),
+                    z = fmaxf(fmaxf(lz - Z, Z - uz), 0.f);
         return x * x + y * y + z * z;
     }};
     float entry[64];
-    entry[0] = 0.f;
-    while (depth > 0) {{
-        --depth;
-        if (entry[depth] > reach) continue;
-        wp::BVHPackedNodeHalf l = wp::bvh_load_node(lowers, stack[depth]);
-        wp::BVHPackedNodeHalf u = wp::bvh_load_node(uppers, stack[depth]);
-        bool reached = true;
-        while (!l.b && reached) {{
-            const int left = l.i, right = u.i;
-            const wp::BVHPackedNodeHalf ll = wp::bvh_load_node(lowers, left), lu = wp::bvh_load_node(uppers, left);
-            const wp::BVHPackedNodeHalf rl = wp::bvh_load_node(lowers, right), ru = wp::bvh_load_node(uppers, right);
-            const float dl = box_squared(ll, lu), dr = box_squared(rl, ru);
+    while (true) {{
+        if (node >= 0) {{
+            const Node n = load_node(nodes, node);
+            const float dl = box_squared(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
+            const float dr = box_squared(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = dl <= dr;
             const float later = left_first ? dr : dl;
-            reached = (left_first ? dl : dr) <= reach;
             if (later <= reach) {{
-                stack[depth] = left_first ? right : left;
+                stack[depth] = left_first ? n.right : n.left;
                 entry[depth++] = later;
             }}
-            l = left_first ? ll : rl;
-            u = left_first ? lu : ru;
+            node = left_first ? n.left : n.right;
+            if ((left_first ? dl : dr) <= reach) continue;
+        }} else {{
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         }}
-        if (!reached) continue;
-        for (int slot = l.i; slot < (int)u.i; ++slot) test(slot);
+        do --depth; while (depth >= 0 && entry[depth] > reach);
+        if (depth < 0) break;
+        node = stack[depth];
     }}
     settle();
     return winner;

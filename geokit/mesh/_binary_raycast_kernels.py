@@ -3,6 +3,7 @@
 Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
 """
 
+from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
 
@@ -14,7 +15,7 @@ BINARY_WALK = f"""
         float last;
         int id, winner, height, count;
     }};
-    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
+    {LOAD_NODE}
     Ray r;
     r.winner = -1; r.count = 0; r.weight_b = 0.0; r.weight_c = 0.0; r.height = 0;
     fetch(begin, r.id, r.start, r.direction, r.best);
@@ -55,12 +56,12 @@ BINARY_WALK = f"""
     const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
     const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
     // Where the ray enters the widened box, or infinity.
-    auto entry_of = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
+    auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
         const bool bx = ix < 0.f, by = iy < 0.f, bz = iz < 0.f;
-        const float in = fmaxf(fmaxf((bx ? u.x : l.x) * ix + nx, (by ? u.y : l.y) * iy + ny),
-                               fmaxf((bz ? u.z : l.z) * iz + nz, 0.f));
-        const float out = fminf(fminf((bx ? l.x : u.x) * ix + fx, (by ? l.y : u.y) * iy + fy),
-                                fminf((bz ? l.z : u.z) * iz + fz, r.last));
+        const float in = fmaxf(fmaxf((bx ? ux : lx) * ix + nx, (by ? uy : ly) * iy + ny),
+                               fmaxf((bz ? uz : lz) * iz + nz, 0.f));
+        const float out = fminf(fminf((bx ? lx : ux) * ix + fx, (by ? ly : uy) * iy + fy),
+                                fminf((bz ? lz : uz) * iz + fz, r.last));
         return in <= out ? in : (float)INFINITY;
     }};
     // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
@@ -78,42 +79,32 @@ BINARY_WALK = f"""
         return y >= -{PLANE_MARGIN}f && cy * x - cx * y >= margin
                && (cx - longest) * y - cy * (x - longest * down) >= margin;
     }};
-    int stack[64];
+    int stack[64], node = tree.children.data[0];
     float entry[64];
-    if (reached) {{
-        stack[0] = *mesh.bvh.root;
-        entry[0] = 0.f;
-        r.height = 1;
-    }}
-    while (r.height > 0) {{
-        --r.height;
-        if (entry[r.height] > r.last) continue;
-        wp::BVHPackedNodeHalf l = wp::bvh_load_node(mesh.bvh.node_lowers, stack[r.height]);
-        wp::BVHPackedNodeHalf u = wp::bvh_load_node(mesh.bvh.node_uppers, stack[r.height]);
-        reached = true;
-        while (!l.b && reached) {{
-            const int left = l.i, right = u.i;
-            const wp::BVHPackedNodeHalf ll = wp::bvh_load_node(mesh.bvh.node_lowers, left);
-            const wp::BVHPackedNodeHalf lu = wp::bvh_load_node(mesh.bvh.node_uppers, left);
-            const wp::BVHPackedNodeHalf rl = wp::bvh_load_node(mesh.bvh.node_lowers, right);
-            const wp::BVHPackedNodeHalf ru = wp::bvh_load_node(mesh.bvh.node_uppers, right);
-            const float tl = entry_of(ll, lu), tr = entry_of(rl, ru);
+    // Below zero where the walk is over.
+    r.height = reached ? 0 : -1;
+    while (r.height >= 0) {{
+        if (node >= 0) {{
+            const Node n = load_node(tree.boxes.data, node);
+            const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
+            const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
             const float later = left_first ? tr : tl;
-            reached = (left_first ? tl : tr) < INFINITY;
             if (later < INFINITY) {{
-                stack[r.height] = left_first ? right : left;
+                stack[r.height] = left_first ? n.right : n.left;
                 entry[r.height++] = later;
             }}
-            l = left_first ? ll : rl;
-            u = left_first ? lu : ru;
+            node = left_first ? n.left : n.right;
+            if ((left_first ? tl : tr) < INFINITY) continue;
+        }} else {{
+            for (int slot = first_slot(node); slot < end_slot(node) && r.height >= 0; ++slot) {{
+                double t, v, w;
+                if (!may_hit(slot) || !hit(r.start, r.direction, slot, t, v, w) || t > r.best) continue;
+                ON_HIT
+            }}
         }}
-        if (!reached) continue;
-        for (int slot = l.i; slot < (int)u.i && r.height >= 0; ++slot) {{
-            double t, v, w;
-            if (!may_hit(slot) || !hit(r.start, r.direction, slot, t, v, w) || t > r.best) continue;
-            ON_HIT
-        }}
+        do --r.height; while (r.height >= 0 && entry[r.height] > r.last);
+        if (r.height >= 0) node = stack[r.height];
     }}
     ON_END
 """

@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._tree_kernels import BOX_PADDING, SurfaceTree
 from geokit.mesh._wide_build_kernels import STACK
 
@@ -34,19 +35,20 @@ BOX_WALK = f"""
     {{
     int stack[{STACK}], height = 1;
     #if defined(__CUDA_ARCH__)
-    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
-    stack[0] = *mesh.bvh.root;
+    {LOAD_NODE}
+    auto reaches = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
+        return lx <= high[0] && ly <= high[1] && lz <= high[2] && ux >= low[0] && uy >= low[1] && uz >= low[2];
+    }};
+    stack[0] = tree.children.data[0];
     while (height > 0) {{
         const int node = stack[--height];
-        const wp::BVHPackedNodeHalf l = wp::bvh_load_node(mesh.bvh.node_lowers, node);
-        const wp::BVHPackedNodeHalf u = wp::bvh_load_node(mesh.bvh.node_uppers, node);
-        if (l.x > high[0] || l.y > high[1] || l.z > high[2] || u.x < low[0] || u.y < low[1] || u.z < low[2]) continue;
-        if (l.b) {{
-            for (int first = l.i; first < (int)u.i; ++first) {{ VISIT }}
+        if (node < 0) {{
+            for (int first = first_slot(node); first < end_slot(node); ++first) {{ VISIT }}
             continue;
         }}
-        stack[height++] = l.i;
-        stack[height++] = u.i;
+        const Node n = load_node(tree.boxes.data, node);
+        if (reaches(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ)) stack[height++] = n.right;
+        if (reaches(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ)) stack[height++] = n.left;
     }}
     #else
     typedef float v8 __attribute__((ext_vector_type(8), aligned(4)));

@@ -8,6 +8,7 @@ it meets within the margins of an edge does not, and is decided with the others.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
@@ -27,6 +28,7 @@ _SEARCH = f"""
     auto sqrtf = [](float a) {{ return __builtin_sqrtf(a); }};
     auto copysignf = [](float a, float b) {{ return __builtin_copysignf(a, b); }};
     #endif
+    {LOAD_NODE}
     struct alignas(16) Four {{ float x, y, z, w; }};
     int* found = out_candidates.data + {CANDIDATES} * ray;
     found[0] = {NO_CANDIDATE};
@@ -70,8 +72,8 @@ _SEARCH = f"""
     const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
     const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
     // Where the ray enters the widened box, or infinity.
-    auto entry_of = [&](const wp::BVHPackedNodeHalf& l, const wp::BVHPackedNodeHalf& u) {{
-        const float x0 = l.x * ix, x1 = u.x * ix, y0 = l.y * iy, y1 = u.y * iy, z0 = l.z * iz, z1 = u.z * iz;
+    auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
+        const float x0 = lx * ix, x1 = ux * ix, y0 = ly * iy, y1 = uy * iy, z0 = lz * iz, z1 = uz * iz;
         const float in = fmaxf(fmaxf(fminf(x0, x1) + nx, fminf(y0, y1) + ny), fmaxf(fminf(z0, z1) + nz, 0.f));
         const float out = fminf(fminf(fmaxf(x0, x1) + fx, fmaxf(y0, y1) + fy), fminf(fmaxf(z0, z1) + fz, last));
         return in <= out ? in : (float)INFINITY;
@@ -114,36 +116,27 @@ _SEARCH = f"""
         slot_of[count] = slot;
         nearest_of[count++] = (depth - {PLANE_MARGIN}f) / down * 0.999999f;
     }};
-    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
-    const wp::BVHPackedNodeHalf* lowers = mesh.bvh.node_lowers;
-    const wp::BVHPackedNodeHalf* uppers = mesh.bvh.node_uppers;
-    int stack[64], height = 1;
+    int stack[64], height = 0, node = tree.children.data[0];
     float entry[64];
-    stack[0] = *mesh.bvh.root;
-    entry[0] = 0.f;
-    while (height > 0) {{
-        --height;
-        if (entry[height] > last) continue;
-        wp::BVHPackedNodeHalf l = wp::bvh_load_node(lowers, stack[height]);
-        wp::BVHPackedNodeHalf u = wp::bvh_load_node(uppers, stack[height]);
-        bool reached = true;
-        while (!l.b && reached) {{
-            const int left = l.i, right = u.i;
-            const wp::BVHPackedNodeHalf ll = wp::bvh_load_node(lowers, left), lu = wp::bvh_load_node(uppers, left);
-            const wp::BVHPackedNodeHalf rl = wp::bvh_load_node(lowers, right), ru = wp::bvh_load_node(uppers, right);
-            const float tl = entry_of(ll, lu), tr = entry_of(rl, ru);
+    while (true) {{
+        if (node >= 0) {{
+            const Node n = load_node(tree.boxes.data, node);
+            const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
+            const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
             const float later = left_first ? tr : tl;
-            reached = (left_first ? tl : tr) < INFINITY;
             if (later < INFINITY) {{
-                stack[height] = left_first ? right : left;
+                stack[height] = left_first ? n.right : n.left;
                 entry[height++] = later;
             }}
-            l = left_first ? ll : rl;
-            u = left_first ? lu : ru;
+            node = left_first ? n.left : n.right;
+            if ((left_first ? tl : tr) < INFINITY) continue;
+        }} else {{
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         }}
-        if (!reached) continue;
-        for (int slot = l.i; slot < (int)u.i; ++slot) test(slot);
+        do --height; while (height >= 0 && entry[height] > last);
+        if (height < 0) break;
+        node = stack[height];
     }}
     prune();
     if (full) {{

@@ -17,7 +17,7 @@ UNDECIDED = wp.constant(-2)
 
 @wp.struct
 class SurfaceTree:
-    """A surface as its kernels see it. On a CPU the wide tree is filled, on CUDA the tree of the warp Mesh is used.
+    """A surface as its kernels see it: on a CPU through the wide tree, on CUDA through the tree of the warp Mesh.
 
     A slot is a place in a leaf: triangles that are near each other in space stand in slots that are near each other.
     """
@@ -31,8 +31,10 @@ class SurfaceTree:
     # Handle of the warp Mesh; 0 on a CPU.
     mesh: wp.uint64
     # Wide tree: for each node the boxes of its eight children, six rows of eight (lower x, y, z, upper x, y, z), local.
+    # On CUDA: the nodes of _packed_nodes_kernels.
     boxes: wp.array(dtype=wp.float32)
     # Eight a node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
+    # On CUDA: one, the root as a child would be referred to.
     children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see _wide_leaf_kernels.
     leaves: wp.array(dtype=wp.float32)

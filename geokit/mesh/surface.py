@@ -91,6 +91,7 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
     def _take_warp_tree(self) -> None:
         import warp as wp
 
+        from geokit.mesh._packed_nodes import pack_nodes
         from geokit.mesh._tree_kernels import SurfaceTree, leaf_order_kernel
 
         self._tree = SurfaceTree()
@@ -98,6 +99,7 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
         self._tree.slot_triangle = wp.empty(len(self.mesh.faces), dtype=wp.int32, device=self._device)
         inputs, outputs = [self._tree.mesh], [self._tree.slot_triangle]
         _launch.launch(leaf_order_kernel, len(self.mesh.faces), inputs, outputs, self._device)
+        self._tree.boxes, self._tree.children = pack_nodes(self._warp_mesh)
         self._place_triangles()
 
     def _place_triangles(self) -> None:
