@@ -42,3 +42,55 @@ def raw_closest_slice_kernel(first: int, mesh: wp.uint64, points: wp.array(dtype
     i = first + wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e6)
     out[i] = wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
+
+
+@wp.kernel
+def raw_signed_normal_slice_kernel(
+    first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)
+):
+    i = first + wp.tid()
+    query = wp.mesh_query_point_sign_normal(mesh, points[i], 1.0e6)
+    out[i] = query.sign * wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
+
+
+@wp.kernel
+def raw_signed_parity_slice_kernel(
+    first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)
+):
+    i = first + wp.tid()
+    query = wp.mesh_query_point(mesh, points[i], 1.0e6)
+    out[i] = query.sign * wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
+
+
+@wp.kernel
+def raw_signed_winding_slice_kernel(
+    first: int, mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)
+):
+    i = first + wp.tid()
+    query = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0e6, 2.0, 0.5)
+    out[i] = query.sign * wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
+
+
+@wp.kernel
+def raw_ray_slice_kernel(
+    first: int,
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    out: wp.array(dtype=float),
+):
+    i = first + wp.tid()
+    query = wp.mesh_query_ray(mesh, origins[i], directions[i], 1.0e6)
+    out[i] = wp.where(query.result, query.t, float(wp.inf))
+
+
+@wp.kernel
+def raw_occluded_slice_kernel(
+    first: int,
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    out: wp.array(dtype=wp.bool),
+):
+    i = first + wp.tid()
+    out[i] = wp.mesh_query_ray_anyhit(mesh, origins[i], directions[i], 1.0e6)

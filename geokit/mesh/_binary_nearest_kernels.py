@@ -125,7 +125,9 @@ BINARY_NEAREST = f"""
     }};
     float entry[64];
     while (true) {{
-        if (node >= 0) {{
+        // Down to a leaf first: threads that are there wait for the others, and all test triangles together.
+        bool reached = true;
+        while (node >= 0 && reached) {{
             const Node n = load_node(nodes, node);
             const float dl = box_squared(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float dr = box_squared(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
@@ -136,10 +138,10 @@ BINARY_NEAREST = f"""
                 entry[depth++] = later;
             }}
             node = left_first ? n.left : n.right;
-            if ((left_first ? dl : dr) <= reach) continue;
-        }} else {{
-            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
+            reached = (left_first ? dl : dr) <= reach;
         }}
+        if (reached)
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         do --depth; while (depth >= 0 && entry[depth] > reach);
         if (depth < 0) break;
         node = stack[depth];

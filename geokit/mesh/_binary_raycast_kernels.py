@@ -84,7 +84,8 @@ BINARY_WALK = f"""
     // Below zero where the walk is over.
     r.height = reached ? 0 : -1;
     while (r.height >= 0) {{
-        if (node >= 0) {{
+        bool in_box = true;
+        while (node >= 0 && in_box) {{
             const Node n = load_node(tree.boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
@@ -95,8 +96,9 @@ BINARY_WALK = f"""
                 entry[r.height++] = later;
             }}
             node = left_first ? n.left : n.right;
-            if ((left_first ? tl : tr) < INFINITY) continue;
-        }} else {{
+            in_box = (left_first ? tl : tr) < INFINITY;
+        }}
+        if (in_box) {{
             for (int slot = first_slot(node); slot < end_slot(node) && r.height >= 0; ++slot) {{
                 double t, v, w;
                 if (!may_hit(slot) || !hit(r.start, r.direction, slot, t, v, w) || t > r.best) continue;

@@ -41,14 +41,18 @@ LOAD_NODE = f"""
 """
 
 
-@wp.func_native("return wp::mesh_get(id).bvh.num_nodes;")
+# Warp's builders on a GPU leave the number of nodes at zero: they make one less than twice the triangles.
+_COUNT = "const int nodes = bvh.num_nodes > 0 ? bvh.num_nodes : 2 * bvh.num_items - 1;"
+
+
+@wp.func_native("const wp::BVH& bvh = wp::mesh_get(id).bvh;" + _COUNT + "return nodes;")
 def node_count(id: wp.uint64) -> int: ...
 
 
 @wp.func_native(
     """
     const wp::BVH& bvh = wp::mesh_get(id).bvh;
-    return node < bvh.num_nodes && !wp::bvh_load_node(bvh.node_lowers, node).b;
+    return !wp::bvh_load_node(bvh.node_lowers, node).b;
 """
 )
 def is_inner(id: wp.uint64, node: int) -> bool: ...
@@ -57,6 +61,7 @@ def is_inner(id: wp.uint64, node: int) -> bool: ...
 @wp.func_native(
     f"""
     const wp::BVH& bvh = wp::mesh_get(id).bvh;
+    {_COUNT}
     auto reference = [&](int child) {{
         const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child);
         const int slots = (int)wp::bvh_load_node(bvh.node_uppers, child).i - (int)l.i;
@@ -70,7 +75,7 @@ def is_inner(id: wp.uint64, node: int) -> bool: ...
     float* row = out_nodes.data + {NODE_FLOATS} * (place.data[node] - 1);
     for (int k = 0; k < 2; ++k) {{
         // A node that the tree does not use may point anywhere.
-        if (child[k] < 0 || child[k] >= bvh.num_nodes) return;
+        if (child[k] < 0 || child[k] >= nodes) return;
         const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child[k]);
         const wp::BVHPackedNodeHalf u = wp::bvh_load_node(bvh.node_uppers, child[k]);
         row[6 * k] = l.x; row[6 * k + 1] = l.y; row[6 * k + 2] = l.z;

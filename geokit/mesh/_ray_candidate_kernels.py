@@ -119,7 +119,8 @@ _SEARCH = f"""
     int stack[64], height = 0, node = tree.children.data[0];
     float entry[64];
     while (true) {{
-        if (node >= 0) {{
+        bool in_box = true;
+        while (node >= 0 && in_box) {{
             const Node n = load_node(tree.boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
@@ -130,8 +131,9 @@ _SEARCH = f"""
                 entry[height++] = later;
             }}
             node = left_first ? n.left : n.right;
-            if ((left_first ? tl : tr) < INFINITY) continue;
-        }} else {{
+            in_box = (left_first ? tl : tr) < INFINITY;
+        }}
+        if (in_box) {{
             for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         }}
         do --height; while (height >= 0 && entry[height] > last);
