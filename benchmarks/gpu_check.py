@@ -97,6 +97,27 @@ def compare(mesh, device, rows):
     check_leaks(gpu, device, rows)
 
 
+def compare_deep(mesh, device, rows):
+    """Trees that end before every triangle has a leaf of its own: very many triangles, or all in one place."""
+    large = inputs.subdivided(mesh, 4)
+    heap = gk.mesh.TriangleMesh(
+        np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[0]]]),
+        np.concatenate([mesh.faces, np.tile(len(mesh.vertices) + np.arange(3), (5000, 1))]),
+    )
+    for name, one in (("3.1 M triangles", large), ("5,000 triangles in one place", heap)):
+        cpu, gpu = gk.mesh.Surface(one, device="cpu"), gk.mesh.Surface(one, device=device)
+        points = np.concatenate([inputs.uniform(one, 50_000), inputs.near(one, 50_000)])
+        a, b = cpu.closest_point(points), gpu.closest_point(points)
+        rows.append((f"{name}: closest triangle differs", len(points), int((a.triangle_id != b.triangle_id).sum())))
+        rays = inputs.random_rays(one, 200_000)
+        aimed = one.vertices[one.faces[0]].mean(axis=0) - rays[0]
+        for what, directions in (("random", rays[1]), ("aimed", aimed)):
+            a, b = cpu.raycast(rays[0], directions), gpu.raycast(rays[0], directions)
+            rows.append(
+                (f"{name}: first hit, {what}: differs", len(aimed), int((a.triangle_id != b.triangle_id).sum()))
+            )
+
+
 def check_overlaps(cpu, gpu, points, rows):
     half = 0.02 * cpu.mesh.diagonal * np.random.default_rng(6).random((len(points), 1)) ** 2
     a, b = (s.overlapping(points - half, points + half) for s in (cpu, gpu))
@@ -256,6 +277,7 @@ def main():
     lines = [f"Device: {device.name}; geokit {gk.__version__}, warp {wp.__version__}", ""]
     answers: list[tuple] = []
     compare(mesh, device.alias, answers)
+    compare_deep(mesh, device.alias, answers)
     lines += ["| compared with the CPU | count | difference |", "|---|---:|---:|"]
     lines += [
         f"| {what} | {n:,} | {d:.2g} |" if isinstance(d, float) else f"| {what} | {n:,} | {d} |"

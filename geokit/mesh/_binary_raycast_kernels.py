@@ -79,14 +79,14 @@ BINARY_WALK = f"""
         return y >= -{PLANE_MARGIN}f && cy * x - cx * y >= margin
                && (cx - longest) * y - cy * (x - longest * down) >= margin;
     }};
-    int stack[64], node = tree.children.data[0];
+    int stack[64], node = tree.ray_children.data[0];
     float entry[64];
     // Below zero where the walk is over.
     r.height = reached ? 0 : -1;
     while (r.height >= 0) {{
         bool in_box = true;
         while (node >= 0 && in_box) {{
-            const Node n = load_node(tree.boxes.data, node);
+            const Node n = load_node(tree.ray_boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;

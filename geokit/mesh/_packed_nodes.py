@@ -12,8 +12,16 @@ if TYPE_CHECKING:
 __all__ = ["pack_nodes"]
 
 
-def pack_nodes(mesh: "wp.Mesh") -> tuple["wp.array", "wp.array"]:
-    """The inner nodes of the mesh's tree in rows, float32, and the reference of its root, (1,) of int32."""
+def pack_nodes(mesh: "wp.Mesh", most: int, leaves: "wp.array") -> tuple["wp.array", "wp.array"]:
+    """The tree with its small subtrees as leaves.
+
+    Args:
+        mesh: The mesh.
+        most: Triangles in a leaf, 7 at most.
+        leaves: The triangles' rows; those of leaves that warp has left larger are given their number.
+    Returns:
+        Its nodes in rows, float32, and the reference of its root, (1,) of int32.
+    """
     import warp as wp
 
     from geokit.mesh import _packed_nodes_kernels as kernels
@@ -22,11 +30,11 @@ def pack_nodes(mesh: "wp.Mesh") -> tuple["wp.array", "wp.array"]:
     root = wp.empty(1, dtype=wp.int32, device=device)
     _launch.launch(kernels.node_count_kernel, 1, [handle], [root], device)
     count = int(root.numpy()[0])
-    inner = wp.empty(count, dtype=wp.int32, device=device)
+    kept = wp.empty(count, dtype=wp.int32, device=device)
     place = wp.empty(count, dtype=wp.int32, device=device)
-    _launch.launch(kernels.mark_inner_kernel, count, [handle], [inner], device)
-    wp.utils.array_scan(inner, place, inclusive=True)
+    _launch.launch(kernels.mark_kept_kernel, count, [handle, most], [kept], device)
+    wp.utils.array_scan(kept, place, inclusive=True)
     rows = int(place[-1:].numpy()[0])
     nodes = wp.empty(kernels.NODE_FLOATS * rows, dtype=wp.float32, device=device)
-    _launch.launch(kernels.pack_nodes_kernel, count, [handle, place], [nodes, root], device)
+    _launch.launch(kernels.pack_nodes_kernel, count, [handle, most, kept, place], [leaves, nodes, root], device)
     return nodes, root

@@ -1,23 +1,28 @@
-"""The inner nodes of a warp Mesh's tree as CUDA queries read them: both children's boxes in one row of 64 bytes.
+"""The tree of a warp Mesh as CUDA queries read it: both children's boxes in one row of 64 bytes.
 
 Warp keeps a node's lower and upper corner in two arrays, and its children anywhere in them: a step down reads four
 places, half of each of their sectors for nothing, and a node that comes back from the stack must be read before its
-children can be. Here a step reads one place.
+children can be. Here a step reads one place, and small subtrees are leaves, as large as suits the query.
 """
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
+
 wp.set_module_options({"enable_backward": False})
 
 # Floats of a node: left lower x y z, left upper x y z, right lower x y z, right upper x y z, left and right child (as
 # the bits of integers), two of nothing.
 NODE_FLOATS = 16
-# A child that is a leaf is -1 - (slot << LEAF_BITS | triangles - 1).
+# A child that is a leaf is -1 - (slot << LEAF_BITS | triangles - 1). Warp ends branches at a certain depth, with all
+# triangles that are left in one leaf: where that is MANY or more, their number stands in the last word of the first
+# one's row in the leaves.
 LEAF_BITS = 3
+MANY = 1 << LEAF_BITS
 
-# load_node(tree, node) -> Node; for_each_slot's pieces: first_slot(child), last_slot(child) of a leaf's reference.
+# load_node(nodes, node) -> Node; first_slot(child) and end_slot(child) of a leaf of `tree`.
 LOAD_NODE = f"""
     struct alignas(16) Node {{
         float lx, ly, lz, lX, lY, lZ, rx, ry, rz, rX, rY, rZ;
@@ -35,11 +40,11 @@ LOAD_NODE = f"""
         return n;
     }};
     auto first_slot = [](int leaf) {{ return (-1 - leaf) >> {LEAF_BITS}; }};
-    auto end_slot = [](int leaf) {{
-        return ((-1 - leaf) >> {LEAF_BITS}) + ((-1 - leaf) & {(1 << LEAF_BITS) - 1}) + 1;
+    auto end_slot = [&](int leaf) {{
+        const int first = (-1 - leaf) >> {LEAF_BITS}, count = ((-1 - leaf) & {MANY - 1}) + 1;
+        return first + (count < {MANY} ? count : ((const int*)tree.leaves.data)[{SLOT_WORDS} * (first + 1) - 1]);
     }};
 """
-
 
 # Warp's builders on a GPU leave the number of nodes at zero: they make one less than twice the triangles.
 _COUNT = "const int nodes = bvh.num_nodes > 0 ? bvh.num_nodes : 2 * bvh.num_items - 1;"
@@ -49,33 +54,46 @@ _COUNT = "const int nodes = bvh.num_nodes > 0 ? bvh.num_nodes : 2 * bvh.num_item
 def node_count(id: wp.uint64) -> int: ...
 
 
-@wp.func_native(
-    """
-    const wp::BVH& bvh = wp::mesh_get(id).bvh;
-    return !wp::bvh_load_node(bvh.node_lowers, node).b;
+# The triangles under a node stand in slots in a row: from the leftmost leaf's first to the rightmost one's last.
+_RANGE = """
+    auto is_leaf = [&](int at) { return (bool)wp::bvh_load_node(bvh.node_lowers, at).b; };
+    auto begin_of = [&](int at) {
+        while (!is_leaf(at)) at = wp::bvh_load_node(bvh.node_lowers, at).i;
+        return (int)wp::bvh_load_node(bvh.node_lowers, at).i;
+    };
+    auto end_of = [&](int at) {
+        while (!is_leaf(at)) at = wp::bvh_load_node(bvh.node_uppers, at).i;
+        return (int)wp::bvh_load_node(bvh.node_uppers, at).i;
+    };
 """
-)
-def is_inner(id: wp.uint64, node: int) -> bool: ...
 
 
 @wp.func_native(
-    f"""
-    const wp::BVH& bvh = wp::mesh_get(id).bvh;
-    {_COUNT}
+    "const wp::BVH& bvh = wp::mesh_get(id).bvh;"
+    + _RANGE
+    + "return !is_leaf(node) && end_of(node) - begin_of(node) > most;"
+)
+def is_kept(id: wp.uint64, node: int, most: int) -> bool:
+    """Whether a node has more triangles than a leaf may."""
+    ...
+
+
+@wp.func_native(
+    "const wp::BVH& bvh = wp::mesh_get(id).bvh;"
+    + _RANGE
+    + f"""
     auto reference = [&](int child) {{
-        const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child);
-        const int slots = (int)wp::bvh_load_node(bvh.node_uppers, child).i - (int)l.i;
-        return l.b ? -1 - ((int)l.i << {LEAF_BITS} | (slots - 1)) : place.data[child] - 1;
+        const int begin = begin_of(child), count = end_of(child) - begin;
+        if (count > most && !is_leaf(child)) return place.data[child] - 1;
+        if (count >= {MANY}) ((int*)out_leaves.data)[{SLOT_WORDS} * (begin + 1) - 1] = count;
+        return -1 - (begin << {LEAF_BITS} | (wp::min(count, {MANY}) - 1));
     }};
     if (node == *bvh.root) out_root.data[0] = reference(node);
-    const wp::BVHPackedNodeHalf lower = wp::bvh_load_node(bvh.node_lowers, node);
-    const wp::BVHPackedNodeHalf upper = wp::bvh_load_node(bvh.node_uppers, node);
-    if (lower.b) return;
-    const int child[2] = {{(int)lower.i, (int)upper.i}};
+    if (!kept.data[node]) return;
+    const int child[2] = {{(int)wp::bvh_load_node(bvh.node_lowers, node).i,
+                          (int)wp::bvh_load_node(bvh.node_uppers, node).i}};
     float* row = out_nodes.data + {NODE_FLOATS} * (place.data[node] - 1);
     for (int k = 0; k < 2; ++k) {{
-        // A node that the tree does not use may point anywhere.
-        if (child[k] < 0 || child[k] >= nodes) return;
         const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child[k]);
         const wp::BVHPackedNodeHalf u = wp::bvh_load_node(bvh.node_uppers, child[k]);
         row[6 * k] = l.x; row[6 * k + 1] = l.y; row[6 * k + 2] = l.z;
@@ -87,7 +105,10 @@ def is_inner(id: wp.uint64, node: int) -> bool: ...
 def pack_node(
     id: wp.uint64,
     node: int,
+    most: int,
+    kept: wp.array(dtype=int),
     place: wp.array(dtype=int),
+    out_leaves: wp.array(dtype=wp.float32),
     out_nodes: wp.array(dtype=wp.float32),
     out_root: wp.array(dtype=int),
 ): ...
@@ -99,19 +120,22 @@ def node_count_kernel(first: int, mesh: wp.uint64, out_count: wp.array(dtype=int
 
 
 @wp.kernel
-def mark_inner_kernel(first: int, mesh: wp.uint64, out_inner: wp.array(dtype=int)):
-    """1 for nodes that have children, 0 for leaves."""
+def mark_kept_kernel(first: int, mesh: wp.uint64, most: int, out_kept: wp.array(dtype=int)):
+    """1 for nodes that get a row, 0 for those that are leaves or within one."""
     node = first + wp.tid()
-    out_inner[node] = wp.where(is_inner(mesh, node), 1, 0)
+    out_kept[node] = wp.where(is_kept(mesh, node, most), 1, 0)
 
 
 @wp.kernel
 def pack_nodes_kernel(
     first: int,
     mesh: wp.uint64,
+    most: int,
+    kept: wp.array(dtype=int),
     place: wp.array(dtype=int),
+    out_leaves: wp.array(dtype=wp.float32),
     out_nodes: wp.array(dtype=wp.float32),
     out_root: wp.array(dtype=int),
 ):
-    """Rows of the inner nodes at their places (counted from one), and the reference of the root."""
-    pack_node(mesh, first + wp.tid(), place, out_nodes, out_root)
+    """Rows of the nodes that are kept at their places (counted from one), and the reference of the root."""
+    pack_node(mesh, first + wp.tid(), most, kept, place, out_leaves, out_nodes, out_root)

@@ -1,7 +1,8 @@
-"""First hits on CUDA in two passes: a float32 walk that leaves a few candidates, then float64 for those.
+"""First hits on CUDA: a float32 walk that leaves a few candidates, then float64 for those.
 
-See _nearest_candidate_kernels for why. A triangle that the ray meets well inside ends the search behind it; one that
-it meets within the margins of an edge does not, and is decided with the others.
+Deciding in float64 on the way would make threads wait for each other at every triangle. A triangle that the ray meets
+well inside ends the search behind it; one that it meets within the margins of an edge does not, and is decided with the
+others.
 """
 
 # mypy: ignore-errors
@@ -30,8 +31,9 @@ _SEARCH = f"""
     #endif
     {LOAD_NODE}
     struct alignas(16) Four {{ float x, y, z, w; }};
-    int* found = out_candidates.data + {CANDIDATES} * ray;
+    int found[{CANDIDATES}];
     found[0] = {NO_CANDIDATE};
+    auto search = [&]() {{
     float sx, sy, sz, tx, ty, tz, last;
     {{
         const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
@@ -116,12 +118,12 @@ _SEARCH = f"""
         slot_of[count] = slot;
         nearest_of[count++] = (depth - {PLANE_MARGIN}f) / down * 0.999999f;
     }};
-    int stack[64], height = 0, node = tree.children.data[0];
+    int stack[64], height = 0, node = tree.ray_children.data[0];
     float entry[64];
     while (true) {{
         bool in_box = true;
         while (node >= 0 && in_box) {{
-            const Node n = load_node(tree.boxes.data, node);
+            const Node n = load_node(tree.ray_boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
@@ -147,14 +149,21 @@ _SEARCH = f"""
     }}
     for (int i = 0; i < count; ++i) found[i] = slot_of[i];
     if (count < {CANDIDATES}) found[count] = {NO_CANDIDATE};
+    }};
+    search();
 """
 
 _DECIDE = f"""
     {RAY_HIT}
+    if (found[0] == {UNDECIDED}) {{
+        out_triangle_id.data[ray] = {UNDECIDED};
+        out_bad.data[1] = 1;
+        return;
+    }}
     double best = t_max, weight_b = 0.0, weight_c = 0.0;
     int winner = -1;
     for (int i = 0; i < {CANDIDATES}; ++i) {{
-        const int slot = candidates.data[{CANDIDATES} * ray + i];
+        const int slot = found[i];
         if (slot < 0) break;
         double t, v, w;
         if (!hit(start, direction, slot, t, v, w) || t > best) continue;
@@ -173,30 +182,18 @@ _DECIDE = f"""
 """
 
 
-@wp.func_native(_SEARCH)
-def search_candidates(
+@wp.func_native(_SEARCH + _DECIDE)
+def first_hit(
     tree: SurfaceTree,
     start: wp.vec3d,
     direction: wp.vec3d,
     t_min: wp.float64,
     t_max: wp.float64,
     ray: int,
-    out_candidates: wp.array2d(dtype=int),
-): ...
-
-
-@wp.func_native(_DECIDE)
-def first_candidate(
-    tree: SurfaceTree,
-    start: wp.vec3d,
-    direction: wp.vec3d,
-    t_min: wp.float64,
-    t_max: wp.float64,
-    ray: int,
-    candidates: wp.array2d(dtype=int),
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ): ...
 
 
@@ -220,57 +217,27 @@ def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
 
 
 @wp.kernel
-def ray_candidates_kernel(
+def first_hit_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
     t_min: wp.float64,
     max_distance: wp.float64,
-    out_candidates: wp.array2d(dtype=int),
+    out_t: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """First pass: slots that may be hit first, CANDIDATES places a ray."""
+    """First hits; rays with more candidates than fit, or from too far away for float32, have triangle UNDECIDED."""
     ray = first + wp.tid()
     start = origins[ray]
     direction = directions[ray]
     largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
     if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
         t_max = length_in_t(max_distance, direction)
-        search_candidates(tree, start, direction, t_min, t_max, ray, out_candidates)
+        first_hit(tree, start, direction, t_min, t_max, ray, out_t, out_triangle_id, out_barycentric, out_bad)
     else:
         # The host refuses the whole batch and says which row is to blame.
         out_bad[0] = 1
-        out_candidates[ray, 0] = NO_CANDIDATE
-
-
-@wp.kernel
-def first_candidate_kernel(
-    first: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    candidates: wp.array2d(dtype=int),
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-):
-    """Second pass: the first hit among the candidates, in float64; rays that are undecided are left alone."""
-    ray = first + wp.tid()
-    if candidates[ray, 0] != UNDECIDED:
-        direction = directions[ray]
-        t_max = length_in_t(max_distance, direction)
-        first_candidate(
-            tree,
-            origins[ray],
-            direction,
-            t_min,
-            t_max,
-            ray,
-            candidates,
-            out_t,
-            out_triangle_id,
-            out_barycentric,
-        )
+        out_triangle_id[ray] = NO_CANDIDATE

@@ -19,7 +19,7 @@ __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
 # Rays of a thread on a CPU, where several are in flight at once; a GPU has a thread for each.
 RAY_GROUP = 256
-# Rays on a GPU for which three launches are quicker than one.
+# Rays on a GPU for which two launches are quicker than one.
 FEWEST_IN_PASSES = 1 << 14
 
 
@@ -236,7 +236,8 @@ class RayQueries:
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        bad = _arrays.zeros(1, wp.int32, rays.rows)
+        # Set by kernels: there is a bad ray; some are undecided. One look at both costs half of two.
+        bad = _arrays.zeros(2, wp.int32, rays.rows)
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
@@ -250,15 +251,12 @@ class RayQueries:
             _arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
 
     def _cast_in_passes(self, count: int, shared: list[Any], outputs: list[Any], bad: "wp.array") -> None:
-        import warp as wp
-
-        from geokit.mesh._ray_candidate_kernels import CANDIDATES, first_candidate_kernel, ray_candidates_kernel
+        from geokit.mesh._ray_candidate_kernels import first_hit_kernel
         from geokit.mesh._raycast_kernels import raycast_undecided_kernel
 
-        candidates = wp.empty((count, CANDIDATES), dtype=wp.int32, device=self._device)
-        _launch.launch(ray_candidates_kernel, count, shared, [candidates, bad], self._device)
-        _launch.launch(first_candidate_kernel, count, [*shared, candidates], outputs, self._device)
-        _launch.launch(raycast_undecided_kernel, count, [*shared, candidates], [*outputs, bad], self._device)
+        _launch.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
+        if bad.numpy()[1]:
+            _launch.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
 
 
 def _widened(count: "wp.array") -> "wp.array":

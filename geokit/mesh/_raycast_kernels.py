@@ -216,15 +216,14 @@ def raycast_undecided_kernel(
     tree: SurfaceTree,
     t_min: wp.float64,
     max_distance: wp.float64,
-    candidates: wp.array2d(dtype=int),
     out_t: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """Third pass on CUDA: the rays that the search for candidates left undecided."""
+    """Second pass on CUDA: the rays that the search for candidates left undecided."""
     k = first + wp.tid()
-    if candidates[k, 0] == UNDECIDED:
+    if out_triangle_id[k] == UNDECIDED:
         cast_rays(
             k,
             k + 1,

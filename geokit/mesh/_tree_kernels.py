@@ -36,6 +36,9 @@ class SurfaceTree:
     # Eight a node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
     # On CUDA: one, the root as a child would be referred to.
     children: wp.array(dtype=int)
+    # The same for rays, on CUDA only: with smaller leaves.
+    ray_boxes: wp.array(dtype=wp.float32)
+    ray_children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see _wide_leaf_kernels.
     leaves: wp.array(dtype=wp.float32)
 

@@ -15,19 +15,18 @@ from tests import catalogue
 def in_passes(surface, origins, directions, t_min=0.0, max_distance=np.inf):
     """t, triangle_id, barycentric, and which rays were left undecided."""
     count, device = len(origins), surface._device
-    candidates = wp.empty((count, kernels.CANDIDATES), dtype=wp.int32, device=device)
-    bad = wp.zeros(1, dtype=wp.int32, device=device)
+    bad = wp.zeros(2, dtype=wp.int32, device=device)
     rays = [wp.array(a, dtype=wp.vec3d, device=device) for a in (origins, directions)]
     shared = [*rays, surface._tree, wp.float64(t_min), wp.float64(max_distance)]
-    _launch.launch(kernels.ray_candidates_kernel, count, shared, [candidates, bad], device)
     out = [
         wp.zeros(count, dtype=wp.float64, device=device),
         wp.zeros(count, dtype=wp.int32, device=device),
         wp.zeros(count, dtype=wp.vec3d, device=device),
     ]
-    _launch.launch(kernels.first_candidate_kernel, count, [*shared, candidates], out, device)
+    _launch.launch(kernels.first_hit_kernel, count, shared, [*out, bad], device)
     assert not bad.numpy()[0]
-    undecided = candidates.numpy()[:, 0] == kernels.UNDECIDED
+    undecided = out[1].numpy() == kernels.UNDECIDED
+    assert bool(bad.numpy()[1]) == undecided.any()
     return [a.numpy() for a in out], undecided
 
 

@@ -1,0 +1,113 @@
+"""Dart throwing: candidates are taken one after the other where none taken before is nearer than the radius.
+
+One thread goes through all of them: which candidates are taken depends on those before, and a serial sweep over a hash
+grid takes about 0.2 us a candidate.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+# Fused multiply-adds would round squared distances differently from what callers can compute themselves.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+
+@wp.struct
+class DartGrid:
+    """The taken points in chains, one for each bucket of hashed cells; -1 ends a chain.
+
+    A cell is at least twice as long as the radius, so that a ball touches two cells an axis. Cells that share a bucket
+    cost time, nothing else: every point of a chain is measured.
+    """
+
+    points: wp.array(dtype=wp.vec3d)
+    head: wp.array(dtype=int)
+    next: wp.array(dtype=int)
+    lower: wp.vec3d
+    cells_per_unit: wp.float64
+    bucket_mask: wp.int64
+
+
+@wp.func
+def cell_of(grid: DartGrid, offset: wp.float64) -> wp.int64:
+    return wp.int64(wp.floor(offset * grid.cells_per_unit))
+
+
+@wp.func
+def bucket_of(grid: DartGrid, x: wp.int64, y: wp.int64, z: wp.int64) -> wp.int32:
+    # Large odd factors spread neighbouring cells; the high half takes part, as the mask keeps low bits only.
+    mixed = (x * wp.int64(73856093)) ^ (y * wp.int64(19349663)) ^ (z * wp.int64(83492791))
+    mixed = mixed ^ (mixed >> wp.int64(17))
+    return wp.int32(mixed & grid.bucket_mask)
+
+
+@wp.func
+def insert(grid: DartGrid, slot: wp.int32):
+    offset = grid.points[slot] - grid.lower
+    bucket = bucket_of(grid, cell_of(grid, offset[0]), cell_of(grid, offset[1]), cell_of(grid, offset[2]))
+    grid.next[slot] = grid.head[bucket]
+    grid.head[bucket] = slot
+
+
+@wp.func
+def nearest_squared(grid: DartGrid, p: wp.vec3d, reach: wp.float64, enough: wp.float64) -> wp.float64:
+    """Squared distance to the nearest taken point within ``reach``, or to any that is nearer than ``enough``."""
+    offset = p - grid.lower
+    least = wp.float64(wp.inf)
+    # Nothing is assigned after the search has ended: a kernel's loops over wp.int64 have no break of three levels.
+    for x in range(cell_of(grid, offset[0] - reach), cell_of(grid, offset[0] + reach) + wp.int64(1)):
+        for y in range(cell_of(grid, offset[1] - reach), cell_of(grid, offset[1] + reach) + wp.int64(1)):
+            for z in range(cell_of(grid, offset[2] - reach), cell_of(grid, offset[2] + reach) + wp.int64(1)):
+                slot = int(-1)
+                if least >= enough:
+                    slot = grid.head[bucket_of(grid, wp.int64(x), wp.int64(y), wp.int64(z))]
+                while slot >= 0:
+                    d = p - grid.points[slot]
+                    squared = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]
+                    least = wp.min(least, squared)
+                    slot = grid.next[slot]
+                    if least < enough:
+                        slot = -1
+    return least
+
+
+@wp.kernel
+def insert_kernel(first: int, count: int, grid: DartGrid):
+    """Chains for the points ``0 .. count - 1``; one thread, whose order makes the chains those of the darts."""
+    for slot in range(count):
+        insert(grid, slot)
+
+
+@wp.kernel
+def throw_kernel(
+    first: int,
+    candidates: wp.array(dtype=wp.vec3d),
+    grid: DartGrid,
+    radius_squared: wp.float64,
+    reach: wp.float64,
+    wanted: int,
+    out_nearest: wp.array(dtype=wp.float64),
+    out_taken: wp.array(dtype=int),
+    out_count: wp.array(dtype=int),
+):
+    """Takes candidates, in their order, until ``wanted`` are taken.
+
+    ``out_nearest`` holds a squared distance that a candidate has from some taken point: one that is below the radius
+    already need not be looked at. ``out_taken`` are the candidates of the points, ``out_count[0]`` their number.
+    """
+    count = out_count[0]
+    i = int(0)
+    while i < candidates.shape[0] and count < wanted:
+        if out_nearest[i] >= radius_squared:
+            p = candidates[i]
+            squared = nearest_squared(grid, p, reach, radius_squared)
+            out_nearest[i] = wp.min(out_nearest[i], squared)
+            if squared >= radius_squared:
+                # Zero: taken, and never looked at again.
+                out_nearest[i] = wp.float64(0.0)
+                grid.points[count] = p
+                out_taken[count] = i
+                insert(grid, count)
+                count += 1
+        i += 1
+    out_count[0] = count
