@@ -227,6 +227,7 @@ def launch_queries(
     extent: float,
     streams: Sequence["wp.array"] = (),
     group: int = 0,
+    flags: Sequence[Any] = (),
 ) -> None:
     """Run a query kernel over ``points`` in blocks, each in Morton order where that pays.
 
@@ -244,15 +245,16 @@ def launch_queries(
         extent: Edge length [world] of that box.
         streams: Further arrays with N rows that go with the points.
         group: Queries of a thread, one after the other; neighbours then start from each other's answers.
+        flags: Further outputs, after the others, that all queries share.
     """
 
     def answer(order: "wp.array", block: "wp.array", rows: list["wp.array"]) -> None:
         inner, outer = rows[: len(streams)], rows[len(streams) :]
         if group:
             groups = -(-len(block) // group)
-            launch(kernel, groups, [group, order, block, *inner, *inputs], outer, device, grain=GROUP_GRAIN)
+            launch(kernel, groups, [group, order, block, *inner, *inputs], [*outer, *flags], device, grain=GROUP_GRAIN)
         else:
-            launch(kernel, len(block), [order, block, *inner, *inputs], outer, device)
+            launch(kernel, len(block), [order, block, *inner, *inputs], [*outer, *flags], device)
 
     in_order(answer, points, [*streams, *outputs], device, lower, extent)
 

@@ -24,14 +24,22 @@ def closest_point_kernel(
     out_distance: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
 ):
-    """A group of queries that are near each other a thread: each starts from the answer of the one before."""
+    """A group of queries that are near each other a thread: each starts from the answer of the one before.
+
+    A query that is not finite is a miss, and raises ``out_bad`` for the host to see which row it is.
+    """
     begin = (first + wp.tid()) * group
     slot = int(-1)
     for k in range(begin, wp.min(begin + group, points.shape[0])):
         i = order[k]
         p = points[i]
-        slot = nearest_slot(tree, p, max_distance * max_distance, slot)
+        if wp.isfinite(p):
+            slot = nearest_slot(tree, p, max_distance * max_distance, slot)
+        else:
+            slot = int(-1)
+            out_bad[0] = 1
         if slot < 0:
             none = wp.float64(wp.nan)
             out_points[i] = wp.vec3d(none, none, none)

@@ -91,12 +91,19 @@ class PointQueries:
             >>> surface.closest_point([[0.25, 0.25, 2.0]]).distance
             array([2.])
         """
+        import warp as wp
+
         reach = _radius(max_distance)
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
-            return ClosestPoints(*(batch.give(array) for array in self._closest(batch.rows, reach)))
+            # On a GPU the search itself sees what is not finite: a pass over the points, and a wait for it, are saved.
+            bad = _arrays.zeros(1, wp.int32, batch.rows)
+            found = self._closest(batch.rows, reach, bad)
+            if bad.numpy()[0]:
+                _arrays.require_finite(batch, "points")
+            return ClosestPoints(*(batch.give(array) for array in found))
 
-        return in_blocks(query, [points], ["points"], self._device, progress)
+        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
 
     def furthest_point(self, points: Any) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
@@ -308,7 +315,8 @@ class PointQueries:
         else:
             _sign.by_parity(self, points, closest.distance)
 
-    def _closest(self, points: "wp.array", max_distance: float) -> ClosestPoints:
+    def _closest(self, points: Any, max_distance: float, bad: Any = None) -> ClosestPoints:
+        """``bad``, (1,) of int32, is set to 1 where a point is not finite."""
         import warp as wp
 
         from geokit.mesh._closest_point_kernels import closest_point_kernel
@@ -321,7 +329,8 @@ class PointQueries:
             barycentric=_arrays.empty(count, wp.vec3d, points),
         )
         group = QUERY_GROUP if device.is_cpu else 1
-        self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group)
+        bad = _arrays.zeros(1, wp.int32, points) if bad is None else bad
+        self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group, bad)
         return found
 
     def _order_box(self) -> tuple[NDArray[np.float64], float]:
@@ -330,10 +339,20 @@ class PointQueries:
         return self._frame.origin - half, 2.0 * half
 
     def _query(
-        self, kernel: Any, points: "wp.array", inputs: list[Any], outputs: list["wp.array"], group: int = 0
+        self,
+        kernel: Any,
+        points: Any,
+        inputs: list[Any],
+        outputs: list[Any],
+        group: int = 0,
+        flag: Any = None,
     ) -> None:
+        """``flag`` is a further output that all queries share."""
         lower, extent = self._order_box()
-        _launch.launch_queries(kernel, points, inputs, outputs, self._device, lower=lower, extent=extent, group=group)
+        flags = [] if flag is None else [flag]
+        _launch.launch_queries(
+            kernel, points, inputs, outputs, self._device, lower=lower, extent=extent, group=group, flags=flags
+        )
 
     def _winding(self, points: "wp.array") -> "wp.array":
         import warp as wp
