@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["merge_equal_points", "merge_equal_rows"]
+__all__ = ["count_equal_triples", "merge_equal_points", "merge_equal_rows"]
 
 # Odd 64-bit constants with mixed bits (from the golden ratio and two primes): one for each column of a row's hash.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+# Odd constants with mixed bits: the factors of _scrambled.
+_SCRAMBLE = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], dtype=np.uint64)
 
 
 def merge_equal_points(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -33,8 +35,11 @@ def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
     if count == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     # One sort of one hash is three times faster than np.lexsort and twenty times faster than np.unique(axis=0).
-    mixed = keys[:, 0] * _MIX[0] ^ keys[:, 1] * _MIX[1] ^ keys[:, 2] * _MIX[2]
-    mixed ^= mixed >> np.uint64(32)
+    mixed = _mixed(keys)
+    if count > 1 and not _any_equal(mixed):
+        # Nothing is equal to anything, as in most indexed meshes: the values alone sort four times faster than indices.
+        rows_in_order = np.arange(count)
+        return rows_in_order, rows_in_order.copy()
     order = np.argsort(mixed)
     ordered = keys[order]
     differs = _steps(ordered)
@@ -51,6 +56,50 @@ def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
     group = np.empty(count, np.int64)
     group[order] = np.repeat(rank, np.diff(np.append(starts, count)))
     return first_unordered[by_appearance].astype(np.int64), group
+
+
+def count_equal_triples(rows: NDArray[np.int32]) -> int:
+    """How many rows (N, 3) hold the same three numbers as an earlier row, in any order."""
+    if len(rows) < 2:
+        return 0
+    mixed = _scrambled(int(rows.max()) + 1)
+    # A sum has no order.
+    sums = np.take(mixed, rows[:, 0])
+    for column in (1, 2):
+        sums += np.take(mixed, rows[:, column])
+    ordered = np.sort(sums)
+    equal = ordered[1:] == ordered[:-1]
+    if not equal.any():
+        return 0
+    # Rows that are alone with their sum are equal to none; the others are compared.
+    candidates = np.sort(rows[np.isin(sums, ordered[1:][equal])], axis=1)
+    return len(candidates) - len(merge_equal_rows(candidates.astype(np.int64))[0])
+
+
+def _scrambled(count: int) -> NDArray[np.uint64]:
+    """A number for each of ``0 .. count - 1`` whose bits look random."""
+    numbers = np.arange(1, count + 1, dtype=np.uint64) * _SCRAMBLE[0]
+    for factor in _SCRAMBLE[1:]:
+        numbers ^= numbers >> np.uint64(31)
+        numbers *= factor
+    return numbers ^ (numbers >> np.uint64(32))
+
+
+def _mixed(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """A hash of each row, (N,)."""
+    mixed = np.zeros(len(keys), np.uint64)
+    for column, factor in enumerate(_MIX):
+        # The low bits of coordinates of few digits are all zero, and stay so in products.
+        key = keys[:, column] ^ (keys[:, column] >> np.uint64(32))
+        key *= factor
+        mixed ^= key
+    mixed ^= mixed >> np.uint64(32)
+    return mixed
+
+
+def _any_equal(values: NDArray[np.uint64]) -> bool:
+    ordered = np.sort(values)
+    return bool(np.any(ordered[1:] == ordered[:-1]))
 
 
 def _steps(rows: NDArray[np.uint64]) -> NDArray[np.bool_]:

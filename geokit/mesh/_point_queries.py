@@ -66,6 +66,8 @@ class PointQueries:
     _device: "wp.Device"
     _frame: Frame
     _tree: Any
+    _vertices: "wp.array"
+    _faces: "wp.array"
 
     def closest_point(
         self, points: Any, *, max_distance: float = math.inf, progress: Progress | None = None
@@ -289,9 +291,9 @@ class PointQueries:
 
     @cached_property
     def _pseudonormals(self) -> list["wp.array"]:
-        from geokit.mesh._sign import pseudonormal_tables
+        from geokit.mesh._pseudonormals import pseudonormal_tables
 
-        return pseudonormal_tables(self.mesh, self._orientation.flipped, self._device)
+        return pseudonormal_tables(self.mesh, self._orientation.flipped, self._vertices, self._faces)
 
     def _method(self, sign: str) -> str:
         if sign not in SIGN_METHODS:
@@ -301,11 +303,12 @@ class PointQueries:
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints) -> None:
         """Turns the distances of inside points negative, in place."""
         from geokit.mesh import _sign
+        from geokit.mesh._pseudonormals import by_pseudonormal
 
         if method == "pseudonormal":
             tables, device = self._pseudonormals, self._device
             found = [points, closest.points, closest.triangle_id, closest.barycentric]
-            _sign.by_pseudonormal(found, tables, closest.distance, device)
+            by_pseudonormal(found, tables, closest.distance, device)
             if _sign.any_missed(closest.triangle_id):
                 _sign.missed_by_winding(self._winding(points), closest, device)
         elif method == "winding":

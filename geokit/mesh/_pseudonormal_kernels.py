@@ -1,0 +1,107 @@
+"""Angle-weighted normals at vertices, and signs of distances by the normal at the closest point."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+
+@wp.func
+def unit_normal(
+    vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=int), flipped: wp.array(dtype=wp.bool), triangle: int
+) -> wp.vec3d:
+    a = vertices[faces[3 * triangle]]
+    ab = vertices[faces[3 * triangle + 1]] - a
+    ac = vertices[faces[3 * triangle + 2]] - a
+    # At unit size: products of small edges would underflow.
+    size = wp.max(wp.length(ab), wp.length(ac))
+    normal = wp.normalize(wp.cross(ab / size, ac / size))
+    if flipped[triangle]:
+        normal = -normal
+    return normal
+
+
+@wp.kernel
+def corner_normals_kernel(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    flipped: wp.array(dtype=wp.bool),
+    out_normals: wp.array(dtype=wp.vec3d),
+):
+    """For each corner its triangle's unit normal times the angle there; zero where there is no triangle to speak of."""
+    triangle = first + wp.tid()
+    normal = unit_normal(vertices, faces, flipped, triangle)
+    # Not so if a number, but none.
+    usable = wp.dot(normal, normal) > wp.float64(0.0)
+    for k in range(3):
+        a = vertices[faces[3 * triangle + k]]
+        towards = vertices[faces[3 * triangle + (k + 1) % 3]] - a
+        back = vertices[faces[3 * triangle + (k + 2) % 3]] - a
+        # At unit size: products of small edges would underflow.
+        towards = towards / wp.max(wp.max(wp.abs(towards[0]), wp.abs(towards[1])), wp.abs(towards[2]))
+        back = back / wp.max(wp.max(wp.abs(back[0]), wp.abs(back[1])), wp.abs(back[2]))
+        # The angle from both its sine and its cosine is good to rounding, for slivers too.
+        angle = wp.atan2(wp.length(wp.cross(towards, back)), wp.dot(towards, back))
+        weighted = wp.vec3d()
+        if usable and angle > wp.float64(0.0):
+            weighted = angle * normal
+        out_normals[3 * triangle + k] = weighted
+
+
+@wp.func
+def pseudonormal(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    flipped: wp.array(dtype=wp.bool),
+    across: wp.array(dtype=int),
+    corner_normal: wp.array(dtype=int),
+    vertex_normals: wp.array(dtype=wp.vec3d),
+    triangle: int,
+    barycentric: wp.vec3d,
+) -> wp.vec3d:
+    """Angle-weighted normal of the face, edge or vertex of ``triangle`` that the point lies on, of any length."""
+    zero = wp.float64(0.0)
+    zeros = int(0)
+    last_zero = int(0)
+    largest = int(0)
+    for k in range(3):
+        if barycentric[k] == zero:
+            zeros += 1
+            last_zero = k
+        if barycentric[k] > barycentric[largest]:
+            largest = k
+    if zeros == 2:
+        return vertex_normals[corner_normal[3 * triangle + largest]]
+    normal = unit_normal(vertices, faces, flipped, triangle)
+    if zeros == 1:
+        # The edge opposite the corner whose weight is zero begins at the next corner.
+        beyond = across[3 * triangle + (last_zero + 1) % 3]
+        if beyond >= 0:
+            normal += unit_normal(vertices, faces, flipped, beyond)
+    return normal
+
+
+@wp.kernel
+def pseudonormal_sign_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    closest: wp.array(dtype=wp.vec3d),
+    triangle_id: wp.array(dtype=int),
+    barycentric: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    flipped: wp.array(dtype=wp.bool),
+    across: wp.array(dtype=int),
+    corner_normal: wp.array(dtype=int),
+    vertex_normals: wp.array(dtype=wp.vec3d),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Turns the distance of inside points negative, in place; misses stay."""
+    i = first + wp.tid()
+    triangle = triangle_id[i]
+    if triangle >= 0:
+        normal = pseudonormal(vertices, faces, flipped, across, corner_normal, vertex_normals, triangle, barycentric[i])
+        if wp.dot(points[i] - closest[i], normal) < wp.float64(0.0):
+            out_distance[i] = -out_distance[i]

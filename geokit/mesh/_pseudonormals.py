@@ -1,0 +1,75 @@
+"""The normals that tell inside from outside at faces, edges and vertices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit import _launch
+from geokit._host_array import HostArray
+from geokit.mesh._topology import Topology, position_corners
+from geokit.mesh.model import TriangleMesh
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["by_pseudonormal", "pseudonormal_tables"]
+
+
+def pseudonormal_tables(
+    mesh: TriangleMesh, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"
+) -> list["wp.array"]:
+    """What :func:`pseudonormal` reads: vertices, faces, flipped, the triangle across each edge (-1 for none), the
+    vertex normal of each corner, and the angle-weighted vertex normals, one for each position.
+
+    Args:
+        mesh: The mesh.
+        flipped: Its faces that count as turned, (F,).
+        vertices: Its vertices where the tables are to be, (V,) of vec3d.
+        faces: Its faces there, (3 F,).
+    Source:
+        Baerentzen, Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005).
+    """
+    import warp as wp
+
+    device = vertices.device
+
+    def on_device(values: NDArray[Any], dtype: Any) -> "wp.array":
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+    corners, position_count = position_corners(mesh)
+    normals = _vertex_normals(mesh, flipped, corners, position_count)
+    twin = Topology(corners, position_count).twin
+    return [
+        vertices,
+        faces,
+        on_device(flipped, wp.bool),
+        on_device(np.where(twin < 0, -1, twin // 3), wp.int32),
+        on_device(corners.ravel(), wp.int32),
+        on_device(normals, wp.vec3d),
+    ]
+
+
+def _vertex_normals(
+    mesh: TriangleMesh, flipped: NDArray[np.bool_], corners: NDArray[np.int32], position_count: int
+) -> NDArray[np.float64]:
+    """On the host for all devices, and summed in the order of the corners: the same bits everywhere."""
+    import warp as wp
+
+    from geokit.mesh._pseudonormal_kernels import corner_normals_kernel
+
+    host = wp.get_device("cpu")
+    weighted = np.empty((len(mesh.faces) * 3, 3))
+    inputs = [HostArray(mesh.vertices), HostArray(mesh.faces.reshape(-1)), HostArray(flipped)]
+    _launch.launch(corner_normals_kernel, len(mesh.faces), inputs, [HostArray(weighted)], host)
+    at = corners.ravel()
+    return np.stack([np.bincount(at, weighted[:, axis], minlength=position_count) for axis in range(3)], axis=1)
+
+
+def by_pseudonormal(found: list[Any], tables: list["wp.array"], distance: "wp.array", device: "wp.Device") -> None:
+    """Turns the distances of inside points negative, in place; ``found`` are points and their closest points."""
+    from geokit.mesh._pseudonormal_kernels import pseudonormal_sign_kernel
+
+    _launch.launch(pseudonormal_sign_kernel, len(distance), [*found, *tables], [distance], device)
