@@ -41,7 +41,7 @@ def occupied(device: wp.Device, rest: float) -> wp.array | None:
     """An array that leaves ``rest`` GiB of the device free."""
     if device.is_cpu or not rest:
         return None
-    return wp.empty(int(device.free_memory - rest * 2**30), dtype=wp.uint8, device=device)
+    return wp.empty(int(device.free_memory - rest * 2**30) // 64, dtype=wp.mat44, device=device)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     device = wp.get_device(options.device)
     kept = occupied(device, options.device_memory)
-    taken = 0 if kept is None else len(kept)
+    taken = 0 if kept is None else 64 * len(kept)
     mesh = inputs.bumpy_torus(AROUND, AROUND // 2)
     lower, upper = mesh.bounds
     count = options.queries

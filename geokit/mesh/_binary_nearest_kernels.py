@@ -146,6 +146,13 @@ BINARY_NEAREST = f"""
         if (depth < 0) break;
         node = stack[depth];
     }}
+    if (winner < 0 && max_squared == (double)INFINITY) {{
+        // One that is left alone needs no comparison: who asks works its distance out in any case.
+        int alone = -1, left = 0;
+        for (int i = 0; i < candidates; ++i)
+            if (candidate_squared[i] <= reach) {{ alone = candidate[i]; ++left; }}
+        if (left == 1) return alone;
+    }}
     settle();
     return winner;
 """

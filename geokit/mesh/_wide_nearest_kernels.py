@@ -195,6 +195,13 @@ WIDE_NEAREST = f"""
             entry[height - 1] = d; stack[height - 1] = n;
         }}
     }}
+    if (winner < 0 && max_squared == (double)INFINITY) {{
+        // One that is left alone needs no comparison: who asks works its distance out in any case.
+        int alone = -1, left = 0;
+        for (int i = 0; i < candidates; ++i)
+            if (candidate_squared[i] <= reach) {{ alone = candidate[i]; ++left; }}
+        if (left == 1) return alone;
+    }}
     settle();
     }}
     return winner;
