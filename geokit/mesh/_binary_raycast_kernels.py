@@ -7,6 +7,9 @@ from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
 
+# The boxes of the nodes that rays walk are wider by this [local]: what rounding may move a ray by, twice.
+RAY_PADDING = 2.0 * BOX_MARGIN
+
 # Names as in WIDE_WALK. A thread has one ray: begin + 1 is end.
 BINARY_WALK = f"""
     struct Ray {{
@@ -51,17 +54,13 @@ BINARY_WALK = f"""
     const float sx = (float)(from[0] + r.enter * along[0]), sy = (float)(from[1] + r.enter * along[1]),
                 sz = (float)(from[2] + r.enter * along[2]);
     const float tx = (float)along[0], ty = (float)along[1], tz = (float)along[2];
-    // Planes that are met first get the margin on one side, the others on the other.
-    const float mx = copysignf({BOX_MARGIN}f, ix), my = copysignf({BOX_MARGIN}f, iy), mz = copysignf({BOX_MARGIN}f, iz);
-    const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
-    const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
-    // Where the ray enters the widened box, or infinity.
+    const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
+    // Where the ray enters a box, or infinity.
     auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
-        const bool bx = ix < 0.f, by = iy < 0.f, bz = iz < 0.f;
-        const float in = fmaxf(fmaxf((bx ? ux : lx) * ix + nx, (by ? uy : ly) * iy + ny),
-                               fmaxf((bz ? uz : lz) * iz + nz, 0.f));
-        const float out = fminf(fminf((bx ? lx : ux) * ix + fx, (by ? ly : uy) * iy + fy),
-                                fminf((bz ? lz : uz) * iz + fz, r.last));
+        const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
+        const float z0 = lz * iz + oz, z1 = uz * iz + oz;
+        const float in = fmaxf(fmaxf(fminf(x0, x1), fminf(y0, y1)), fmaxf(fminf(z0, z1), 0.f));
+        const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), r.last));
         return in <= out ? in : (float)INFINITY;
     }};
     // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.

@@ -12,12 +12,13 @@ if TYPE_CHECKING:
 __all__ = ["pack_nodes"]
 
 
-def pack_nodes(mesh: "wp.Mesh", most: int, leaves: "wp.array") -> tuple["wp.array", "wp.array"]:
+def pack_nodes(mesh: "wp.Mesh", most: int, padding: float, leaves: "wp.array") -> tuple["wp.array", "wp.array"]:
     """The tree with its small subtrees as leaves.
 
     Args:
         mesh: The mesh.
         most: Triangles in a leaf, 7 at most.
+        padding: What boxes are wider on each side than warp has them [local].
         leaves: The triangles' rows; those of leaves that warp has left larger are given their number.
     Returns:
         Its nodes in rows, float32, and the reference of its root, (1,) of int32.
@@ -36,5 +37,11 @@ def pack_nodes(mesh: "wp.Mesh", most: int, leaves: "wp.array") -> tuple["wp.arra
     wp.utils.array_scan(kept, place, inclusive=True)
     rows = int(place[-1:].numpy()[0])
     nodes = wp.empty(kernels.NODE_FLOATS * rows, dtype=wp.float32, device=device)
-    _launch.launch(kernels.pack_nodes_kernel, count, [handle, most, kept, place], [leaves, nodes, root], device)
+    _launch.launch(
+        kernels.pack_nodes_kernel,
+        count,
+        [handle, most, wp.float32(padding), kept, place],
+        [leaves, nodes, root],
+        device,
+    )
     return nodes, root

@@ -96,8 +96,8 @@ def is_kept(id: wp.uint64, node: int, most: int) -> bool:
     for (int k = 0; k < 2; ++k) {{
         const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child[k]);
         const wp::BVHPackedNodeHalf u = wp::bvh_load_node(bvh.node_uppers, child[k]);
-        row[6 * k] = l.x; row[6 * k + 1] = l.y; row[6 * k + 2] = l.z;
-        row[6 * k + 3] = u.x; row[6 * k + 4] = u.y; row[6 * k + 5] = u.z;
+        row[6 * k] = l.x - padding; row[6 * k + 1] = l.y - padding; row[6 * k + 2] = l.z - padding;
+        row[6 * k + 3] = u.x + padding; row[6 * k + 4] = u.y + padding; row[6 * k + 5] = u.z + padding;
         ((int*)row)[12 + k] = reference(child[k]);
     }}
 """
@@ -106,6 +106,7 @@ def pack_node(
     id: wp.uint64,
     node: int,
     most: int,
+    padding: wp.float32,
     kept: wp.array(dtype=int),
     place: wp.array(dtype=int),
     out_leaves: wp.array(dtype=wp.float32),
@@ -131,6 +132,7 @@ def pack_nodes_kernel(
     first: int,
     mesh: wp.uint64,
     most: int,
+    padding: wp.float32,
     kept: wp.array(dtype=int),
     place: wp.array(dtype=int),
     out_leaves: wp.array(dtype=wp.float32),
@@ -138,4 +140,4 @@ def pack_nodes_kernel(
     out_root: wp.array(dtype=int),
 ):
     """Rows of the nodes that are kept at their places (counted from one), and the reference of the root."""
-    pack_node(mesh, first + wp.tid(), most, kept, place, out_leaves, out_nodes, out_root)
+    pack_node(mesh, first + wp.tid(), most, padding, kept, place, out_leaves, out_nodes, out_root)

@@ -13,7 +13,7 @@ from geokit.mesh._packed_nodes_kernels import LOAD_NODE
 from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
-from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
+from geokit.mesh._wide_raycast_kernels import ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
 
 wp.set_module_options({"enable_backward": False})
 
@@ -68,16 +68,13 @@ _SEARCH = f"""
         return 1.f / copysignf(fmaxf(fabsf(component), {LEAST_COMPONENT}f), component);
     }};
     const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
-    // Planes that are met first get the margin on one side, the others on the other.
-    const float mx = copysignf({BOX_MARGIN * 2}f, ix), my = copysignf({BOX_MARGIN * 2}f, iy),
-                mz = copysignf({BOX_MARGIN * 2}f, iz);
-    const float nx = -(sx + mx) * ix, ny = -(sy + my) * iy, nz = -(sz + mz) * iz;
-    const float fx = -(sx - mx) * ix, fy = -(sy - my) * iy, fz = -(sz - mz) * iz;
-    // Where the ray enters the widened box, or infinity.
+    const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
+    // Where the ray enters a box, or infinity.
     auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {{
-        const float x0 = lx * ix, x1 = ux * ix, y0 = ly * iy, y1 = uy * iy, z0 = lz * iz, z1 = uz * iz;
-        const float in = fmaxf(fmaxf(fminf(x0, x1) + nx, fminf(y0, y1) + ny), fmaxf(fminf(z0, z1) + nz, 0.f));
-        const float out = fminf(fminf(fmaxf(x0, x1) + fx, fmaxf(y0, y1) + fy), fminf(fmaxf(z0, z1) + fz, last));
+        const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
+        const float z0 = lz * iz + oz, z1 = uz * iz + oz;
+        const float in = fmaxf(fmaxf(fminf(x0, x1), fminf(y0, y1)), fmaxf(fminf(z0, z1), 0.f));
+        const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), last));
         return in <= out ? in : (float)INFINITY;
     }};
     int slot_of[{CANDIDATES}];

@@ -95,6 +95,7 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
     def _take_warp_tree(self) -> None:
         import warp as wp
 
+        from geokit.mesh._binary_raycast_kernels import RAY_PADDING
         from geokit.mesh._packed_nodes import pack_nodes
         from geokit.mesh._tree_kernels import SurfaceTree, leaf_order_kernel
 
@@ -105,8 +106,8 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
         _launch.launch(leaf_order_kernel, len(self.mesh.faces), inputs, outputs, self._device)
         self._place_triangles()
         tree = self._tree
-        tree.boxes, tree.children = pack_nodes(self._warp_mesh, POINT_LEAF, tree.leaves)
-        tree.ray_boxes, tree.ray_children = pack_nodes(self._warp_mesh, RAY_LEAF, tree.leaves)
+        tree.boxes, tree.children = pack_nodes(self._warp_mesh, POINT_LEAF, 0.0, tree.leaves)
+        tree.ray_boxes, tree.ray_children = pack_nodes(self._warp_mesh, RAY_LEAF, RAY_PADDING, tree.leaves)
 
     def _place_triangles(self) -> None:
         """The frame, and the triangles in the order of the slots: world corners, and planes in float32."""

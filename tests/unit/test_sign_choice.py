@@ -91,3 +91,18 @@ def test_a_moved_mesh_is_judged_again():
     vertices[8:] += [0.4, 0, 0]
     s.update(vertices)
     assert (s.sign_method, s.sign_reason) == ("winding", "faces that intersect")
+
+
+@pytest.mark.parametrize("make", [catalogue.torus, catalogue.l_profile, lambda: boxes(inner_inward=True)])
+def test_flipped_faces_are_turned_back_first(make):
+    mesh = make()
+    flipped = surface(catalogue.with_flips(mesh, share=0.2))
+    assert flipped.orientation == 0
+    assert flipped.sign_method == "pseudonormal"
+    rng = np.random.default_rng(1)
+    points = flipped.bounds[0] + (rng.random((2000, 3)) * 1.2 - 0.1) * np.ptp(flipped.bounds, axis=0)
+    for sign in ("auto", "winding", "parity"):
+        # Corners in another order round differently.
+        found, expected = flipped.signed_distance(points, sign=sign), surface(mesh).signed_distance(points)
+        np.testing.assert_allclose(found.distance, expected.distance, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(flipped.winding_number(points), surface(mesh).winding_number(points), atol=0.005)
