@@ -137,8 +137,8 @@ class PointQueries:
     ) -> SignedDistances:
         """Distance to the surface for each query point, negative inside.
 
-        The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``; a closed mesh that is inside out
-        counts as turned (``orientation``):
+        The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``, for the mesh as
+        :func:`geokit.mesh.orient` would wind it (``orientation``):
 
         - "auto": what ``sign_method`` says: "pseudonormal" where the mesh is proven clean, else "winding";
           ``sign_reason`` says why.
@@ -211,7 +211,7 @@ class PointQueries:
         """Generalised winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
         Within 0.005 of the exact sum on a CPU, k times that where k surfaces coincide, and 0.02 on CUDA
-        (tests/stability/test_sign.py, tests/unit/test_winding.py). Negated where ``orientation`` is -1.
+        (tests/stability/test_sign.py, tests/unit/test_winding.py). Faces count as ``orientation`` says.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -280,14 +280,20 @@ class PointQueries:
 
     @property
     def orientation(self) -> int:
-        """-1 for a closed mesh that is inside out, whose faces count as turned here; else 1."""
-        return -1 if self.audit.inside_out else 1
+        """1 where all faces count as they wind, -1 where all count as turned (the mesh is inside out), 0 where some do.
+
+        Signs and winding numbers are those of the mesh that :func:`geokit.mesh.orient` gives; rays do not care.
+        """
+        flipped: NDArray[np.bool_] = self._orientation.flipped
+        if not flipped.any():
+            return 1
+        return -1 if flipped.all() else 0
 
     @cached_property
     def _orientation(self) -> Any:
-        from geokit.mesh._sign import find_orientation
+        from geokit.mesh._orientation import orient_faces
 
-        return find_orientation(self.mesh)
+        return orient_faces(self.mesh, self)  # type: ignore[arg-type]
 
     @cached_property
     def _pseudonormals(self) -> list["wp.array"]:

@@ -29,14 +29,15 @@ class DartGrid:
 
 
 @wp.func
-def cell_of(grid: DartGrid, offset: wp.float64) -> wp.int64:
-    return wp.int64(wp.floor(offset * grid.cells_per_unit))
+def cell_of(grid: DartGrid, offset: wp.float64) -> wp.int32:
+    """Cell along one axis; cells are so long that its number stays below 2^30."""
+    return wp.int32(wp.floor(offset * grid.cells_per_unit))
 
 
 @wp.func
-def bucket_of(grid: DartGrid, x: wp.int64, y: wp.int64, z: wp.int64) -> wp.int32:
+def bucket_of(grid: DartGrid, x: wp.int32, y: wp.int32, z: wp.int32) -> wp.int32:
     # Large odd factors spread neighbouring cells; the high half takes part, as the mask keeps low bits only.
-    mixed = (x * wp.int64(73856093)) ^ (y * wp.int64(19349663)) ^ (z * wp.int64(83492791))
+    mixed = (wp.int64(x) * wp.int64(73856093)) ^ (wp.int64(y) * wp.int64(19349663)) ^ (wp.int64(z) * wp.int64(83492791))
     mixed = mixed ^ (mixed >> wp.int64(17))
     return wp.int32(mixed & grid.bucket_mask)
 
@@ -54,13 +55,13 @@ def nearest_squared(grid: DartGrid, p: wp.vec3d, reach: wp.float64, enough: wp.f
     """Squared distance to the nearest taken point within ``reach``, or to any that is nearer than ``enough``."""
     offset = p - grid.lower
     least = wp.float64(wp.inf)
-    # Nothing is assigned after the search has ended: a kernel's loops over wp.int64 have no break of three levels.
-    for x in range(cell_of(grid, offset[0] - reach), cell_of(grid, offset[0] + reach) + wp.int64(1)):
-        for y in range(cell_of(grid, offset[1] - reach), cell_of(grid, offset[1] + reach) + wp.int64(1)):
-            for z in range(cell_of(grid, offset[2] - reach), cell_of(grid, offset[2] + reach) + wp.int64(1)):
+    # There is no way out of three loops at once: once the answer is known they run on, over nothing.
+    for x in range(cell_of(grid, offset[0] - reach), cell_of(grid, offset[0] + reach) + 1):
+        for y in range(cell_of(grid, offset[1] - reach), cell_of(grid, offset[1] + reach) + 1):
+            for z in range(cell_of(grid, offset[2] - reach), cell_of(grid, offset[2] + reach) + 1):
                 slot = int(-1)
                 if least >= enough:
-                    slot = grid.head[bucket_of(grid, wp.int64(x), wp.int64(y), wp.int64(z))]
+                    slot = grid.head[bucket_of(grid, x, y, z)]
                 while slot >= 0:
                     d = p - grid.points[slot]
                     squared = (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]

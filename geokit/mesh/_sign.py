@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit import _arrays, _launch
-from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
     import warp as wp
-
-__all__ = ["Orientation", "find_orientation"]
 
 # Directions of the rays that vote; along no axis or diagonal, where meshes like to have edges and vertices in a row.
 PARITY_DIRECTIONS = (
@@ -21,21 +17,6 @@ PARITY_DIRECTIONS = (
     (-0.4142135, 0.7320508, -0.5412),
     (0.2360679, -0.6180, 0.7861513),
 )
-
-
-class Orientation(NamedTuple):
-    """Which faces count as turned, (F,) bool, and whether every edge joins two triangles that wind alike."""
-
-    flipped: NDArray[np.bool_]
-    closed: bool
-
-
-def find_orientation(mesh: TriangleMesh) -> Orientation:
-    """All faces of a closed mesh that is inside out are turned, those of others are not."""
-    from geokit.mesh.audit import audit
-
-    report = audit(mesh)
-    return Orientation(np.full(len(mesh.faces), report.inside_out), report.watertight and report.oriented)
 
 
 def any_missed(triangle_id: "wp.array") -> bool:

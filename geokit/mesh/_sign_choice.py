@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.mesh.audit import face_parts
 
 if TYPE_CHECKING:
-    from geokit.mesh._sign import Orientation
+    from geokit.mesh._orientation import FaceOrientation
     from geokit.mesh.surface import Surface
 
 __all__ = ["SignChoice", "choose_sign"]
@@ -38,7 +38,7 @@ def choose_sign(surface: Surface) -> SignChoice:
     return SignChoice("pseudonormal", "closed, manifold, wound alike, no intersections")
 
 
-def _defect(report: Any, orientation: Orientation) -> str:
+def _defect(report: Any, orientation: FaceOrientation) -> str:
     """The first of the mesh's defects that pseudonormals cannot stand, or nothing."""
     counts = (
         (report.boundary_edge_count, "boundary edges"),

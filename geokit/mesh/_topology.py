@@ -6,12 +6,15 @@ Half-edge ``3 f + k`` runs from corner k of face f to the next one.
 
 from __future__ import annotations
 
+import sys
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit import _launch
+from geokit._host_array import HostArray
 from geokit.mesh._merge import merge_equal_points
 from geokit.mesh.model import TriangleMesh
 
@@ -20,6 +23,13 @@ __all__ = ["Topology", "collapsed_faces", "connected_components", "position_corn
 # Rounds in which the fans of all vertices are walked at once, a face each: enough for all vertices but a few apexes,
 # whose thousands of faces would take a round each. Those are left to a slower method that takes a few rounds only.
 FAN_ROUNDS = 32
+# What a number must stay below for a sort of values.
+PACKED_END = 2**64
+# Fewest items for which a kernel is worth its launch, and for which it is worth loading warp too.
+KERNELS_PAY = 1 << 13
+KERNELS_PAY_WITH_LOADING = 1 << 21
+# Faces at a time where many small steps are taken: what is computed of them stays in the caches.
+BLOCK = 1 << 14
 
 
 def position_corners(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
@@ -47,13 +57,12 @@ class Topology:
     """
 
     def __init__(self, faces: NDArray[np.int32], position_count: int) -> None:
-        self.faces = faces
+        self.faces = np.ascontiguousarray(faces)
         self.position_count = position_count
-        self.start = np.ascontiguousarray(faces).ravel()
-        end = np.ascontiguousarray(faces[:, (1, 2, 0)]).ravel()
+        self.start = self.faces.reshape(-1)
         # Whether a half-edge runs from the lower position to the higher one, (3 F,).
-        self.forward = self.start < end
-        edge, self.order = _sorted_with_index(_edge_numbers(self.start, end), _edge_numbers_end(position_count))
+        self.forward = np.empty(len(self.start), bool)
+        edge, self.order = self._sorted_half_edges()
         # The common case first: every edge has two half-edges.
         if len(edge) % 2 == 0 and np.array_equal(edge[::2], edge[1::2]) and np.all(edge[1:-1:2] != edge[2::2]):
             self.starts = np.arange(0, len(edge), 2)
@@ -89,7 +98,7 @@ class Topology:
         return int(np.count_nonzero(self.face_counts))
 
     @cached_property
-    def pairs(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def pairs(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """The two half-edges of each edge that has two."""
         if self.only_pairs:
             return self.order[::2], self.order[1::2]
@@ -107,62 +116,110 @@ class Topology:
         return len(self.faces) > 0 and bool(np.all(self.opposed))
 
     @cached_property
-    def twin(self) -> NDArray[np.int32]:
+    def twin(self) -> NDArray[Any]:
         """The other half-edge of each one's edge, (3 F,); -1 where the edge has not exactly two."""
         one, other = self.pairs
-        twin = np.full(len(self.order), -1, np.int32)
+        twin = np.full(len(self.order), -1, self.order.dtype)
         twin[one], twin[other] = other, one
         return twin
 
-    def split_vertices(self) -> NDArray[np.int32]:
+    def _sorted_half_edges(self) -> tuple[NDArray[np.uint64], NDArray[Any]]:
+        """The half-edges, those of one edge together, ascending; before them the number of the edge of each."""
+        count = len(self.start)
+        # Twice the half-edges are counted around vertices.
+        index = np.int32 if 2 * count <= np.iinfo(np.int32).max else np.int64
+        edge = np.empty(count, np.uint64)
+        # Number and index in one where both fit: values sort three times quicker than indices do.
+        packs = self.position_count * (self.position_count + 1) // 2 * count <= PACKED_END
+        for begin in range(0, len(self.faces), BLOCK):
+            faces = self.faces[begin : begin + BLOCK]
+            rows = slice(3 * begin, 3 * begin + faces.size)
+            start, end = faces.reshape(-1), faces[:, (1, 2, 0)].reshape(-1)
+            self.forward[rows] = start < end
+            # Pairs on and below the diagonal of a square, row by row: the same for both directions.
+            high = np.maximum(start, end).astype(np.uint64)
+            edge[rows] = (high * (high + np.uint64(1)) >> np.uint64(1)) + np.minimum(start, end).astype(np.uint64)
+            if packs:
+                edge[rows] *= np.uint64(count)
+                edge[rows] += np.arange(rows.start, rows.stop, dtype=np.uint64)
+        if not packs:
+            by_edge = np.argsort(edge, kind="stable")
+            return edge[by_edge], by_edge.astype(index)
+        edge.sort()
+        order = np.empty(count, index)
+        for begin in range(0, count, 3 * BLOCK):
+            packed = edge[begin : begin + 3 * BLOCK]
+            number = packed // np.uint64(count)
+            order[begin : begin + 3 * BLOCK] = packed - number * np.uint64(count)
+            packed[:] = number
+        return edge, order
+
+    def split_vertices(self) -> NDArray[np.int64]:
         """Positions at which the faces do not form a single fan, ascending.
 
         A fan is a row of faces around the position, each meeting the next at an edge of exactly two faces, closed or
-        not. All vertices are walked at once, first one way around, then from where that ended the other way.
+        not. All positions are walked at once, one way around, and from where that ended the other way.
         """
         counts = self.face_counts
-        # The first half-edge from each position: with repeated indices the last assignment stands.
-        first = np.full(self.position_count, -1, np.int32)
-        first[self.start[::-1]] = np.arange(len(self.start) - 1, -1, -1, dtype=np.int32)
-        vertex = np.flatnonzero(counts).astype(np.int32)
-        seen = np.ones(self.position_count, np.int32)
-        # Out of a face by the half-edge from the vertex, and where the walk ends by the one that leads to it.
-        vertex, left = self._walk(vertex, first[vertex], first, seen)
-        _, also_left = self._walk(vertex, _before(first[vertex]), first, seen)
-        long = np.union1d(left, also_left)
-        split = (counts > 0) & (seen != counts)
-        split[long] = False
-        return np.union1d(np.flatnonzero(split), self._split_by_components(long)).astype(np.int32)
+        # A corner of each position: with repeated indices the last assignment stands, so this is the first.
+        first = np.full(self.position_count, -1, self.order.dtype)
+        first[self.start[::-1]] = np.arange(len(self.start) - 1, -1, -1, dtype=first.dtype)
+        if kernels_pay(self.position_count) and self.order.dtype == np.int32:
+            return np.flatnonzero(self._fans_by_kernel(first) != counts)
+        crossing = self._crossings()
+        position = np.flatnonzero(counts)
+        corner = first[position]
+        seen = np.zeros(self.position_count, np.int64)
+        ended, long = _walk(crossing, position, corner, 0, seen)
+        _, also_long = _walk(crossing, ended, first[ended], 1, seen)
+        # The corner that both ways begin at.
+        seen[ended] -= 1
+        long = np.union1d(long, also_long)
+        seen[long] = counts[long]
+        return np.union1d(np.flatnonzero(seen != counts), self._split_by_components(long))
 
-    def _walk(
-        self, vertex: NDArray[np.int32], crossed: NDArray[np.int32], first: NDArray[np.int32], seen: NDArray[np.int32]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Walks from face to face around each vertex across the half-edge ``crossed``, and counts faces in ``seen``.
+    def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
+        """How many corners the fan of each position's first corner has."""
+        from geokit.mesh._fan_kernels import fan_kernel
 
-        Returns the vertices whose walk came to an end at an edge, and those that were walked for too long.
+        link = self.twin << 1
+        if not self.oriented:
+            for pair in self.pairs:
+                link[pair[~self.opposed]] |= 1
+        seen = np.empty(self.position_count, np.int32)
+        inputs = [HostArray(first), HostArray(link)]
+        _launch.launch(fan_kernel, len(seen), inputs, [HostArray(seen)], _launch.resolve_device("cpu"))
+        return seen
+
+    def _crossings(self) -> NDArray[Any]:
+        """Where one gets from a corner around its position, (6 F,): -1 where the edge has not exactly two faces.
+
+        State ``2 c + s`` is corner c about to be left: through the half-edge that starts there where s is 0, through
+        the one that ends there where s is 1.
         """
-        ended = [vertex[:0]]
-        for _ in range(FAN_ROUNDS):
-            if not len(vertex):
-                break
-            across = np.take(self.twin, crossed)
-            stopped = across < 0
-            if stopped.any():
-                ended.append(vertex[stopped])
-                vertex, across = vertex[~stopped], across[~stopped]
-            # The half-edge across starts at the vertex, or ends there: the face's other edge is the one before or after.
-            starts_here = np.take(self.start, across) == vertex
+        crossing = np.empty((len(self.faces), 3, 2), self.twin.dtype)
+        opposed = None if self.oriented else self._opposed_half_edges()
+        for begin in range(0, len(self.faces), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            across = self.twin.reshape(-1, 3)[rows]
             after = _after(across)
-            corner = np.where(starts_here, across, after)
-            onwards = corner != np.take(first, vertex)
-            if not onwards.all():
-                vertex, across, after = vertex[onwards], across[onwards], after[onwards]
-                starts_here = starts_here[onwards]
-            seen[vertex] += 1
-            crossed = np.where(starts_here, _before(across), after)
-        return np.concatenate(ended), vertex
+            alike = None if opposed is None else ~opposed.reshape(-1, 3)[rows]
+            leaving_start, leaving_end = 2 * after, 2 * across[:, (2, 0, 1)] + 1
+            if alike is not None:
+                # The half-edge across starts where this one starts.
+                leaving_start = np.where(alike, 2 * across + 1, leaving_start)
+                leaving_end = np.where(alike[:, (2, 0, 1)], 2 * after[:, (2, 0, 1)], leaving_end)
+            crossing[rows, :, 0] = np.where(across < 0, -1, leaving_start)
+            crossing[rows, :, 1] = np.where(across[:, (2, 0, 1)] < 0, -1, leaving_end)
+        return crossing.reshape(-1)
 
-    def _split_by_components(self, vertices: NDArray[np.int32]) -> NDArray[np.int64]:
+    def _opposed_half_edges(self) -> NDArray[np.bool_]:
+        opposed = np.zeros(len(self.order), bool)
+        for pair in self.pairs:
+            opposed[pair] = self.opposed
+        return opposed
+
+    def _split_by_components(self, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Those of the vertices at which the faces do not form a single fan."""
         if not len(vertices):
             return np.zeros(0, np.int64)
@@ -170,7 +227,7 @@ class Topology:
         wanted[vertices] = True
         one, other = self.pairs
         one_end, other_end = _after(one), _after(other)
-        # Nodes are corners, numbered as the half-edge that starts there. The two faces at an edge meet at both its ends.
+        # Nodes are corners, numbered as the half-edge from there. The two faces at an edge meet at both its ends.
         links = np.where(self.opposed, other_end, other), np.where(self.opposed, other, other_end)
         here = [wanted[self.start[one]], wanted[self.start[one_end]]]
         ends = [
@@ -199,35 +256,38 @@ class Topology:
         return connected_components(self.position_count, one, other)
 
 
-def _edge_numbers(start: NDArray[np.int32], end: NDArray[np.int32]) -> NDArray[np.uint64]:
-    """One number for each pair of positions, whatever their order: those below the diagonal of a square, row by row."""
-    high = np.maximum(start, end).astype(np.uint64)
-    return (high * (high - np.uint64(1)) >> np.uint64(1)) + np.minimum(start, end).astype(np.uint64)
+def _walk(
+    crossing: NDArray[Any], position: NDArray[np.int64], corner: NDArray[Any], way: int, seen: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Walks from corner to corner around each position, and adds to ``seen`` how many there were.
 
-
-def _edge_numbers_end(position_count: int) -> int:
-    return position_count * (position_count - 1) // 2
-
-
-def _sorted_with_index(numbers: NDArray[np.uint64], end: int) -> tuple[NDArray[np.uint64], NDArray[Any]]:
-    """``numbers``, all below ``end``, in ascending order, and at which index each stood; equal ones by index."""
-    count = len(numbers)
-    if count and end * count < 2**64:
-        # Number and index in one: a sort of values is three times quicker than a sort of indices.
-        packed = numbers * np.uint64(count) + np.arange(count, dtype=np.uint64)
-        packed.sort()
-        ordered = packed // np.uint64(count)
-        return ordered, (packed - ordered * np.uint64(count)).astype(np.int32)
-    order = np.argsort(numbers, kind="stable")
-    return numbers[order], order.astype(np.int32) if count <= np.iinfo(np.int32).max else order
+    Returns the positions whose walk came to an end, and those that were walked for too long.
+    """
+    ended = [position[:0]]
+    state = 2 * corner + way
+    for step in range(1, FAN_ROUNDS + 1):
+        if not len(position):
+            break
+        state = np.take(crossing, state)
+        open_end = state < 0
+        done = open_end | (state >> 1 == corner)
+        if done.any():
+            seen[position[done]] += step
+            ended.append(position[open_end])
+            position, corner, state = position[~done], corner[~done], state[~done]
+    return np.concatenate(ended), position
 
 
 def _after(half_edge: NDArray[Any]) -> NDArray[Any]:
-    return np.where(half_edge % 3 == 2, half_edge - 2, half_edge + 1)
+    """The half-edge from where each one ends, in its face."""
+    corner = half_edge - half_edge // 3 * 3
+    # 0 and 1 go one on, 2 goes two back.
+    return half_edge + 1 - (corner >> 1) * 3
 
 
-def _before(half_edge: NDArray[Any]) -> NDArray[Any]:
-    return np.where(half_edge % 3 == 0, half_edge + 2, half_edge - 1)
+def kernels_pay(item_count: int) -> bool:
+    """Whether kernels are quicker than NumPy where both give the same; warp takes half a second to load."""
+    return item_count >= (KERNELS_PAY if "warp" in sys.modules else KERNELS_PAY_WITH_LOADING)
 
 
 def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
@@ -237,6 +297,8 @@ def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> 
         Shiloach and Vishkin, An O(log n) parallel connectivity algorithm (1982). Differs: every node hooks onto its
         lowest lower neighbour, and the trees that come of it are the nodes of the next round.
     """
+    if kernels_pay(len(one)):
+        return _components_by_kernel(count, one, other)
     label = np.arange(count, dtype=np.int32)
     np.minimum.at(label, np.maximum(one, other), np.minimum(one, other).astype(np.int32))
     while True:
@@ -253,3 +315,15 @@ def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> 
     rank[roots] = np.arange(len(roots), dtype=np.int32)
     joined = connected_components(len(roots), np.take(rank, a[apart]), np.take(rank, b[apart]))
     return np.take(roots[joined], np.take(rank, label))
+
+
+def _components_by_kernel(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
+    from geokit.mesh._components_kernels import join_kernel, lowest_kernel
+
+    device = _launch.resolve_device("cpu")
+    forest = np.arange(count, dtype=np.int32)
+    links = [HostArray(np.ascontiguousarray(ends, np.int32)) for ends in (one, other)]
+    _launch.launch(join_kernel, len(one), links, [HostArray(forest)], device)
+    label = np.empty_like(forest)
+    _launch.launch(lowest_kernel, count, [HostArray(forest)], [HostArray(label)], device)
+    return label

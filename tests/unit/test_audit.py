@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from geokit.mesh import TriangleMesh, audit
-from geokit.mesh.audit import DEGENERATE_RATIO
+from geokit.mesh import Surface, TriangleMesh, _topology, audit
+from geokit.mesh._measures import DEGENERATE_RATIO
 from tests import catalogue
 
 
@@ -130,6 +130,63 @@ def test_non_manifold_edge():
     assert (report.non_manifold_edge_count, report.boundary_edge_count) == (1, 6)
     assert not report.manifold
     assert not report.watertight
+    # Both ends of the edge.
+    assert report.non_manifold_vertex_count == 2
+
+
+def test_non_manifold_vertices():
+    assert audit(catalogue.two_boxes_touching_at_a_vertex()).non_manifold_vertex_count == 1
+    assert audit(catalogue.bowtie()).non_manifold_vertex_count == 1
+    for make in catalogue.CLOSED:
+        if audit(make()).manifold:
+            assert audit(make()).non_manifold_vertex_count == 0
+    # Two cones tip to tip: more faces at the tip than are walked one by one.
+    cone = catalogue.cone(200, 1.0)
+    tips = catalogue.join(cone, catalogue.moved(catalogue.scaled(cone, -1.0), (0, 0, 2)))
+    assert audit(cone).non_manifold_vertex_count == 0
+    assert audit(tips).non_manifold_vertex_count == 1
+    half = TriangleMesh(cone.vertices, cone.faces[:100])
+    assert audit(half).non_manifold_vertex_count == 0
+
+
+def test_aspect_ratios():
+    side = TriangleMesh([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(3) / 2, 0]], [[0, 1, 2]])
+    assert audit(side).aspect_ratio_quantiles == pytest.approx(np.ones(5), rel=1e-14)
+    # 3, 4, 5: the radius of the inscribed circle is 1.
+    right = TriangleMesh([[0, 0, 0], [3, 0, 0], [0, 4, 0]], [[0, 1, 2]])
+    assert audit(right).aspect_ratio_quantiles == pytest.approx(np.full(5, 5 / (2 * np.sqrt(3))), rel=1e-14)
+    both = audit(catalogue.join(side, right, catalogue.collapsed_faces())).aspect_ratio_quantiles
+    assert both[0] == pytest.approx(1.0, rel=1e-14)
+    assert both[4] == np.inf
+    legs = (1 + np.sqrt(2) / 2) * np.sqrt(2) * 2 / (2 * np.sqrt(3))
+    assert both[2] == pytest.approx(legs, rel=1e-14)
+    assert np.isnan(audit(TriangleMesh(np.eye(3), np.zeros((0, 3), int))).aspect_ratio_quantiles).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_aspect_ratio_quantiles_are_those_of_triangles(seed):
+    random = np.random.default_rng(seed)
+    corners = random.normal(size=(random.integers(1, 40), 3, 3))
+    report = audit(TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)))
+    ratios = []
+    for triangle in corners:
+        edges = [np.linalg.norm(triangle[k] - triangle[k - 1]) for k in range(3)]
+        half = sum(edges) / 2
+        # Heron's formula.
+        radius = np.sqrt(np.prod([half - edge for edge in edges]) / half)
+        ratios.append(max(edges) / (2 * np.sqrt(3) * radius))
+    expected = np.quantile(ratios, [0, 0.25, 0.5, 0.75, 1], method="nearest")
+    assert report.aspect_ratio_quantiles == pytest.approx(expected, rel=1e-9)
+
+
+def test_self_intersections_are_counted_on_request():
+    spheres = catalogue.overlapping_spheres()
+    assert audit(spheres).self_intersection_count is None
+    found = Surface(spheres, device="cpu").self_intersections()
+    assert len(found) > 0
+    assert audit(spheres, self_intersections=True).self_intersection_count == len(found)
+    assert audit(catalogue.box(), self_intersections=True).self_intersection_count == 0
+    assert audit(TriangleMesh(np.eye(3), np.zeros((0, 3), int)), self_intersections=True).self_intersection_count == 0
 
 
 def test_unreferenced_and_coincident_vertices():
@@ -142,7 +199,7 @@ def test_unreferenced_and_coincident_vertices():
     assert parts.coincident_count == 3 * whole.face_count - whole.vertex_count
     different = {"vertex_count", "coincident_count", "bounds"}
     for field in dataclasses.fields(whole):
-        if field.name not in different:
+        if field.name not in different and getattr(whole, field.name) is not None:
             assert getattr(parts, field.name) == pytest.approx(getattr(whole, field.name), rel=1e-13), field.name
 
 
@@ -183,8 +240,17 @@ def test_any_size_that_float64_holds(size):
     assert report.degenerate_count == 0
 
 
+@pytest.fixture(params=["NumPy", "kernels", "sorted indices"])
+def way(request, monkeypatch):
+    """Small meshes are done in NumPy, large ones by kernels, and very large ones are sorted otherwise."""
+    monkeypatch.setattr(_topology, "KERNELS_PAY", 0 if request.param == "kernels" else 1 << 62)
+    if request.param == "sorted indices":
+        monkeypatch.setattr(_topology, "PACKED_END", 0)
+    return request.param
+
+
 @pytest.mark.parametrize("seed", range(20))
-def test_agrees_with_trimesh_on_random_triangles(seed):
+def test_agrees_with_trimesh_on_random_triangles(seed, way):
     import trimesh
 
     random = np.random.default_rng(seed)
@@ -203,6 +269,7 @@ def test_agrees_with_trimesh_on_random_triangles(seed):
     assert report.area == pytest.approx(other.area, rel=1e-12)
     assert report.duplicate_count == len(faces) - len({frozenset(face) for face in faces.tolist()})
     assert report.manifold == (not (uses > 2).any() and _single_fans(faces))
+    assert report.non_manifold_vertex_count == _split_vertex_count(faces)
 
 
 def _component_count(faces: np.ndarray) -> int:
@@ -211,6 +278,24 @@ def _component_count(faces: np.ndarray) -> int:
         touching = [piece for piece in pieces if piece & set(face)]
         pieces = [piece for piece in pieces if not piece & set(face)] + [set(face).union(*touching)]
     return len(pieces)
+
+
+def _split_vertex_count(faces: np.ndarray) -> int:
+    """Vertices whose faces do not hang together through edges of exactly two faces."""
+    uses: dict[frozenset, int] = {}
+    for face in faces.tolist():
+        for k in range(3):
+            edge = frozenset((face[k], face[k - 1]))
+            uses[edge] = uses.get(edge, 0) + 1
+    found = 0
+    for vertex in np.unique(faces).tolist():
+        fans: list[list[list[int]]] = []
+        for face in (face for face in faces.tolist() if vertex in face):
+            inner = {frozenset((vertex, other)) for other in face if other != vertex}
+            joined = [fan for fan in fans if any(uses[e] == 2 and e <= set(f) for e in inner for f in fan)]
+            fans = [fan for fan in fans if fan not in joined] + [[face, *(f for fan in joined for f in fan)]]
+        found += len(fans) > 1
+    return found
 
 
 def _single_fans(faces: np.ndarray) -> bool:
@@ -223,11 +308,35 @@ def _single_fans(faces: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_fans_on_random_manifold_pieces(seed):
+def test_fans_on_random_manifold_pieces(seed, way):
     # A torus with random holes, some of them meeting at a vertex only, and random windings.
     random = np.random.default_rng(seed)
     torus = catalogue.torus(8, 6)
     faces = torus.faces[random.random(len(torus.faces)) < 0.7]
     flips = random.random(len(faces)) < 0.3
     faces = np.where(flips[:, None], faces[:, ::-1], faces)
-    assert audit(TriangleMesh(torus.vertices, faces)).manifold == _single_fans(faces)
+    report = audit(TriangleMesh(torus.vertices, faces))
+    assert report.manifold == _single_fans(faces)
+    assert report.non_manifold_vertex_count == _split_vertex_count(faces)
+
+
+@pytest.mark.parametrize("make", [*catalogue.CLOSED, *catalogue.OPEN, *catalogue.DEFECTIVE])
+def test_large_meshes_are_audited_as_small_ones(make, monkeypatch):
+    found = []
+    for threshold in (0, 1 << 62):
+        monkeypatch.setattr(_topology, "KERNELS_PAY", threshold)
+        found.append(audit(make()))
+    # To the last bit: which of the two answers depends on whether warp is loaded.
+    for field in dataclasses.fields(found[0]):
+        np.testing.assert_array_equal(*(getattr(report, field.name) for report in found), err_msg=field.name)
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_a_mesh_of_many_pieces_and_slices(threads, monkeypatch):
+    monkeypatch.setenv("GEOKIT_THREADS", threads)
+    torus = catalogue.torus(200, 100)
+    report = audit(catalogue.join(*(catalogue.moved(torus, (3.0 * k, 0, 0)) for k in range(4))))
+    assert (report.component_count, report.euler_number, report.manifold, report.oriented) == (4, 0, True, True)
+    # One half of each quad: no two share an edge, and each vertex has three.
+    half = audit(TriangleMesh(torus.vertices, torus.faces[: len(torus.faces) // 2]))
+    assert (half.boundary_edge_count, half.non_manifold_vertex_count) == (60000, 20000)

@@ -1,0 +1,68 @@
+"""The fan of faces around each position, walked from face to face."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def after(half_edge: wp.int32) -> wp.int32:
+    if half_edge % 3 == 2:
+        return half_edge - 2
+    return half_edge + 1
+
+
+@wp.func
+def before(half_edge: wp.int32) -> wp.int32:
+    if half_edge % 3 == 0:
+        return half_edge + 2
+    return half_edge - 1
+
+
+@wp.func
+def walk(corner: wp.int32, leaving: wp.int32, link: wp.array(dtype=wp.int32)) -> wp.int32:
+    """Corners that are met on the way out across the half-edge ``leaving``; negative where it led back."""
+    met = wp.int32(0)
+    half_edge = leaving
+    # Whether the half-edge starts at the position.
+    starts = leaving == corner
+    while True:
+        across = link[half_edge]
+        if across < 0:
+            return met
+        alike = (across & 1) != 0
+        across = across >> 1
+        # What is across starts at the position if this one does and they run alike, or neither.
+        starts = starts == alike
+        here = after(across)
+        half_edge = here
+        if starts:
+            here = across
+            half_edge = before(across)
+        if here == corner:
+            return -met - 1
+        met += 1
+        starts = not starts
+    return met
+
+
+@wp.kernel
+def fan_kernel(
+    first: int,
+    corner: wp.array(dtype=wp.int32),
+    link: wp.array(dtype=wp.int32),
+    out_seen: wp.array(dtype=wp.int32),
+):
+    """``link`` is twice the half-edge across, one more where it runs the same way, negative where there is none."""
+    position = first + wp.tid()
+    c = corner[position]
+    if c < 0:
+        out_seen[position] = 0
+        return
+    met = walk(c, c, link)
+    if met < 0:
+        out_seen[position] = -met
+        return
+    out_seen[position] = met + walk(c, before(c), link) + 1
