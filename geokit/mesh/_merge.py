@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["count_equal_triples", "merge_equal_points", "merge_equal_rows"]
+__all__ = ["merge_equal_points", "merge_equal_rows", "repeated_triples"]
 
 # Odd 64-bit constants with mixed bits (from the golden ratio and two primes): one for each column of a row's hash.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
@@ -58,26 +58,39 @@ def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
     return first_unordered[by_appearance].astype(np.int64), group
 
 
-def count_equal_triples(rows: NDArray[np.int32]) -> int:
-    """How many rows (N, 3) hold the same three numbers as an earlier row, in any order."""
+def repeated_triples(rows: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows (N, 3) of the same three numbers as an earlier row, in any order.
+
+    Returns:
+        ``repeats`` (R,), ascending: rows that repeat an earlier one; and ``first`` (R,): the first that each repeats.
+    """
+    none = np.zeros(0, np.int64)
     if len(rows) < 2:
-        return 0
+        return none, none
     mixed = _scrambled(int(rows.max()) + 1)
     # A sum has no order.
     sums = np.take(mixed, rows[:, 0])
     for column in (1, 2):
         sums += np.take(mixed, rows[:, column])
     ordered = np.sort(sums)
-    equal = ordered[1:] == ordered[:-1]
-    if not equal.any():
-        return 0
-    # Rows that are alone with their sum are equal to none; the others are compared.
-    candidates = np.sort(rows[np.isin(sums, ordered[1:][equal])], axis=1)
-    return len(candidates) - len(merge_equal_rows(candidates.astype(np.int64))[0])
+    shared = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not len(shared):
+        return none, none
+    # Rows that are alone with their sum repeat nothing; the others are compared.
+    at = np.minimum(np.searchsorted(shared, sums), len(shared) - 1)
+    candidates = np.flatnonzero(np.take(shared, at) == sums)
+    first, group = merge_equal_rows(np.sort(rows[candidates], axis=1).astype(np.int64))
+    first_of = candidates[first][group]
+    repeats = first_of != candidates
+    return candidates[repeats], first_of[repeats]
 
 
 def _scrambled(count: int) -> NDArray[np.uint64]:
-    """A number for each of ``0 .. count - 1`` whose bits look random."""
+    """A number for each of ``0 .. count - 1`` whose bits look random.
+
+    Source:
+        Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators" (2014): the mixing of SplitMix64.
+    """
     numbers = np.arange(1, count + 1, dtype=np.uint64) * _SCRAMBLE[0]
     for factor in _SCRAMBLE[1:]:
         numbers ^= numbers >> np.uint64(31)

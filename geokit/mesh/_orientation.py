@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh._measures import FaceMeasures, measure_faces
-from geokit.mesh._merge import count_equal_triples, merge_equal_rows
+from geokit.mesh._merge import repeated_triples
 from geokit.mesh._topology import Topology, collapsed_faces, connected_components, position_corners
 from geokit.mesh.model import TriangleMesh
 
@@ -80,14 +80,13 @@ def orient_faces(mesh: TriangleMesh, surface: Surface | None = None) -> FaceOrie
     if clean:
         pieces = _linked(len(faces), topology)
         closed = np.ones(pieces.piece_count, bool)
-        first = kept
+        first, repeats, repeated = kept, kept[:0], kept[:0]
     else:
-        first = kept
-        if count_equal_triples(faces):
-            # Copies of a face would part its piece from the neighbours: they turn with the face that they repeat.
-            first_of, copy_of = merge_equal_rows(np.sort(faces, axis=1).astype(np.int64))
-            first = kept[first_of]
-            topology = Topology(faces[first_of], position_count)
+        # Copies of a face would part its piece from the neighbours: they turn with the face that they repeat.
+        repeats, repeated = repeated_triples(faces)
+        if len(repeats):
+            topology = Topology(np.delete(faces, repeats, axis=0), position_count)
+        first = np.delete(kept, repeats)
         pieces = _linked(len(first), topology) if topology.oriented else _flooded(len(first), topology)
         closed = _closed_pieces(pieces, topology)
     turned = pieces.turned
@@ -95,8 +94,7 @@ def orient_faces(mesh: TriangleMesh, surface: Surface | None = None) -> FaceOrie
     if np.any(volume < 0.0):
         turned = turned ^ _outward(mesh, first, pieces, volume, surface)[pieces.label]
     flipped[first] = turned
-    if len(first) < len(kept):
-        flipped[kept] = flipped[first][copy_of]
+    flipped[kept[repeats]] = flipped[kept[repeated]]
     consistent = not pieces.one_sided.any()
     return FaceOrientation(flipped, consistent, whole.only_pairs and (clean or _wind_alike(whole, flipped[kept])))
 

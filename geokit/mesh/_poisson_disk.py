@@ -123,7 +123,7 @@ def throw_radius(
     room = int(min(MOST_POINTS, _memory.available_host() // BYTES_PER_POINT))
     expected = SATURATED_SHARE * area / scaled / scaled if scaled * scaled > 0.0 else math.inf
     if expected > room:
-        _refuse_radius(label, radius, expected, room, radius * math.sqrt(expected / room))
+        _refuse_radius(label, radius, expected, room, math.sqrt(SATURATED_SHARE * area / room) / scale)
     darts = _Darts(lower, extent)
     kept: list[tuple[NDArray[Any], ...]] = []
     while True:

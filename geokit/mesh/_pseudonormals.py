@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit import _launch
 from geokit._host_array import HostArray
-from geokit.mesh._topology import Topology, position_corners
+from geokit.mesh._topology import Topology, collapsed_faces, position_corners
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -41,15 +41,23 @@ def pseudonormal_tables(
 
     corners, position_count = position_corners(mesh)
     normals = _vertex_normals(mesh, flipped, corners, position_count)
-    twin = Topology(corners, position_count).twin
     return [
         vertices,
         faces,
         on_device(flipped, wp.bool),
-        on_device(np.where(twin < 0, -1, twin // 3), wp.int32),
+        on_device(_across(corners, position_count), wp.int32),
         on_device(corners.ravel(), wp.int32),
         on_device(normals, wp.vec3d),
     ]
+
+
+def _across(corners: NDArray[np.int32], position_count: int) -> NDArray[np.int64]:
+    """The triangle on the other side of each half-edge, (3 F,); -1 where there is none, or more than one."""
+    kept = np.flatnonzero(~collapsed_faces(corners))
+    twin = Topology(corners[kept], position_count).twin
+    across = np.full(corners.shape, -1, np.int64)
+    across[kept] = np.where(twin < 0, -1, kept[twin // 3]).reshape(-1, 3)
+    return across.ravel()
 
 
 def _vertex_normals(

@@ -18,12 +18,12 @@ from geokit._host_array import HostArray
 from geokit.mesh._merge import merge_equal_points
 from geokit.mesh.model import TriangleMesh
 
-__all__ = ["Topology", "collapsed_faces", "connected_components", "position_corners"]
+__all__ = ["Topology", "collapsed_faces", "connected_components", "kernels_pay", "position_corners"]
 
 # Rounds in which the fans of all vertices are walked at once, a face each: enough for all vertices but a few apexes,
 # whose thousands of faces would take a round each. Those are left to a slower method that takes a few rounds only.
 FAN_ROUNDS = 32
-# What a number must stay below for a sort of values.
+# Where a number and an index no longer fit into 64 bits together.
 PACKED_END = 2**64
 # Fewest items for which a kernel is worth its launch, and for which it is worth loading warp too.
 KERNELS_PAY = 1 << 13

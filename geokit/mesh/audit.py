@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh._measures import FaceMeasures, measure_faces
-from geokit.mesh._merge import count_equal_triples
+from geokit.mesh._merge import repeated_triples
 from geokit.mesh._topology import Topology, collapsed_faces, connected_components, position_corners
 from geokit.mesh.model import TriangleMesh
 
@@ -106,7 +106,7 @@ def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
     split_count = len(topology.split_vertices())
     has_faces = len(mesh.faces) > 0
     watertight = has_faces and topology.boundary_count == 0 and topology.non_manifold_count == 0
-    component_count, duplicate_count = topology.piece_count(corners[collapsed]), count_equal_triples(corners)
+    component_count, duplicate_count = topology.piece_count(corners[collapsed]), len(repeated_triples(corners)[0])
     flat = measures.flat | collapsed
     area, volume = _sums(measures)
     return MeshAudit(

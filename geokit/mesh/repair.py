@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh._measures import faces_without_area
-from geokit.mesh._merge import merge_equal_points, merge_equal_rows
+from geokit.mesh._merge import merge_equal_points, repeated_triples
 from geokit.mesh._topology import collapsed_faces, position_corners
 from geokit.mesh.model import MeshPart, TriangleMesh
 
@@ -74,9 +74,10 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
     """One vertex in place of several at the same position, or within a tolerance.
 
     Vertices are taken in their order: each that is not yet taken stays where it is, and takes those after it that are
-    within the tolerance (their exact float64 distance rounded, as :class:`geokit.points.NeighborGrid` has it). So no
-    corner moves farther than the tolerance, no two vertices that remain are within it, and chains of near vertices do
-    not run together; a vertex within the tolerance of several that stay goes to the first of them.
+    within the tolerance (distances are compared in float64, as :class:`geokit.points.NeighborGrid` does). So no corner
+    moves farther than the tolerance, no two vertices that remain are within it, and chains of near vertices do not run
+    together; a vertex within the tolerance of several that stay goes to the first of them
+    (tests/property/test_repair.py).
 
     Vertices that no face uses are vertices like the others. Faces keep their number, order and parts: some may have
     lost their area (:func:`drop_degenerate`).
@@ -87,8 +88,8 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
     Returns:
         TriangleMesh.
     Raises:
-        InputError: tolerance is negative or not finite, or so large that the average vertex has hundreds of others
-            within it.
+        InputError: tolerance is not a finite number, is negative, or is so large that the average vertex has hundreds
+            of others within it.
         DeviceMemoryError: The pairs of vertices within the tolerance do not fit in memory.
     Example:
         >>> soup = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
@@ -96,8 +97,9 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
         >>> gk.mesh.merge_vertices(soup)
         TriangleMesh(4 vertices, 2 faces)
     """
-    if not (math.isfinite(tolerance) and tolerance >= 0.0):
-        raise InputError(f"tolerance: {tolerance} is not a distance; give a finite number, 0 or above")
+    tolerance = require_finite_scalar(tolerance, "tolerance")
+    if tolerance < 0.0:
+        raise InputError(f"tolerance: {tolerance:g} is not a distance; give 0 for equal positions only, or more")
     kept, group = merge_equal_points(mesh.vertices)
     if tolerance > 0.0 and len(kept) > 1:
         from geokit.mesh._merge_near import merge_near_points
@@ -131,10 +133,7 @@ def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreference
     corners, _ = position_corners(mesh)
     keep = ~(faces_without_area(mesh) | collapsed_faces(corners))
     if duplicates:
-        first, _ = merge_equal_rows(np.sort(corners, axis=1).astype(np.int64))
-        is_first = np.zeros(len(keep), bool)
-        is_first[first] = True
-        keep &= is_first
+        keep[repeated_triples(corners)[0]] = False
     faces, vertices = mesh.faces[keep], mesh.vertices
     if unreferenced:
         used = np.zeros(len(vertices), bool)

@@ -160,7 +160,7 @@ def _draw(
     # The first triangle whose bound is above the number: one without area ends where the one before it does.
     triangle_id = np.searchsorted(bounds, choice * bounds[-1], side="right").astype(np.int32)
     beyond = v + w > 1.0
-    v[beyond], w[beyond] = 1.0 - v[beyond], 1.0 - w[beyond]
+    v, w = np.where(beyond, 1.0 - v, v), np.where(beyond, 1.0 - w, w)
     barycentric = np.stack([1.0 - (v + w), v, w], axis=1)
     # take() is several times quicker than an index.
     a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.faces.take(triangle_id, axis=0).T)

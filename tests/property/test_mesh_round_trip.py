@@ -111,4 +111,6 @@ def test_audit_does_not_depend_on_numbering(mesh, seed):
     faces = np.take_along_axis(faces, (rolls[:, None] + np.arange(3)) % 3, axis=1)
     one, other = gk.mesh.audit(mesh), gk.mesh.audit(TriangleMesh(mesh.vertices[order], faces))
     for name, value in vars(one).items():
+        if value is None:  # not asked for
+            continue
         np.testing.assert_allclose(getattr(other, name), value, rtol=1e-12, atol=1e-12, err_msg=name)

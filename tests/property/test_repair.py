@@ -82,6 +82,8 @@ def test_orient_is_the_walk_over_the_faces(faces, seed):
                 assert np.linalg.det(found.mesh.vertices[found.mesh.faces[rows]]).sum() > 0
     first = first_copies(faces)
     assert np.array_equal(found.flipped, found.flipped[first])
+    if len(set(first)) == len(faces):
+        assert audit(found.mesh).oriented == found.consistent
     again = orient(found.mesh)
     assert not again.flipped.any()
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from geokit.mesh import Surface, TriangleMesh, _topology, audit
+from geokit.mesh import Surface, TriangleMesh, _merge, _topology, audit
 from geokit.mesh._measures import DEGENERATE_RATIO
 from tests import catalogue
 
@@ -100,6 +100,13 @@ def test_duplicates():
     # A copy with vertices of its own is a copy of the surface all the same.
     assert audit(catalogue.join(catalogue.box(), catalogue.box())).duplicate_count == 12
     assert audit(TriangleMesh(np.eye(3), [[0, 1, 2]] * 4)).duplicate_count == 3
+
+
+def test_duplicates_are_compared_corner_by_corner(monkeypatch):
+    # Whatever the numbers by which faces are found to be alike: here they are all the same.
+    monkeypatch.setattr(_merge, "_scrambled", lambda count: np.zeros(count, np.uint64))
+    assert audit(catalogue.duplicate_faces()).duplicate_count == 3
+    assert audit(catalogue.torus()).duplicate_count == 0
 
 
 def test_triangles_without_area():

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geokit.errors import InputError
+from geokit import _memory
+from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import MeshPart, Surface, TriangleMesh, _merge_near, _orientation, _topology, audit
 from geokit.mesh._orientation import orient_faces
 from geokit.mesh.repair import drop_degenerate, merge_vertices, orient
@@ -316,15 +317,23 @@ def test_tolerance_of_any_size(size):
     assert len(merge_vertices(mesh, tolerance=5e-324).vertices) == 4
 
 
-@pytest.mark.parametrize("tolerance", [-1e-9, np.nan, np.inf])
-def test_tolerance_must_be_a_distance(tolerance):
-    with pytest.raises(InputError, match=r"tolerance: .* is not a distance"):
+@pytest.mark.parametrize(
+    ("tolerance", "message"), [(-1e-9, "not a distance"), (np.nan, "finite"), (np.inf, "finite"), ("wide", "a number")]
+)
+def test_tolerance_must_be_a_distance(tolerance, message):
+    with pytest.raises(InputError, match=f"tolerance: .* {message}"):
         merge_vertices(catalogue.box(), tolerance=tolerance)
 
 
 def test_tolerance_far_above_the_resolution():
     with pytest.raises(InputError, match="tolerance: 10 takes in 2562 vertices around the average one"):
         merge_vertices(catalogue.icosphere(4), tolerance=10.0)
+
+
+def test_pairs_that_do_not_fit_in_memory(monkeypatch):
+    monkeypatch.setattr(_memory, "available", lambda device: 0)
+    with pytest.raises(DeviceMemoryError, match="neighbours within"):
+        merge_vertices(catalogue.box(), tolerance=0.1)
 
 
 def test_faces_without_area_are_dropped():
