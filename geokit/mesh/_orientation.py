@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh._measures import FaceMeasures, measure_faces
 from geokit.mesh._merge import repeated_triples
-from geokit.mesh._topology import Topology, collapsed_faces, connected_components, position_corners
+from geokit.mesh._topology import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -60,22 +60,24 @@ class _Pieces(NamedTuple):
     one_sided: NDArray[np.bool_]
 
 
-def orient_faces(mesh: TriangleMesh, surface: Surface | None = None) -> FaceOrientation:
+def orient_faces(
+    mesh: TriangleMesh, surface: Surface | None = None, known: MeshTopology | None = None
+) -> FaceOrientation:
     """What :func:`geokit.mesh.orient` turns, and why: see there.
 
     Args:
         mesh: The mesh; it may be empty.
         surface: A surface of that mesh, if there is one: its rays tell which piece lies in which. One is made where
             that matters otherwise.
+        known: The mesh's topology, if it is.
     """
-    corners, position_count = position_corners(mesh)
-    collapsed = collapsed_faces(corners)
+    corners, position_count, collapsed, whole = known or mesh_topology(mesh)
     kept = np.flatnonzero(~collapsed)
     flipped = np.zeros(len(mesh.faces), bool)
     if not len(kept):
         return FaceOrientation(flipped, True, False)
     faces = corners if len(kept) == len(corners) else corners[kept]
-    topology = whole = Topology(faces, position_count)
+    topology = whole
     clean = whole.only_pairs and whole.oriented
     if clean:
         pieces = _linked(len(faces), topology)

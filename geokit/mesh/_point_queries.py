@@ -293,13 +293,23 @@ class PointQueries:
     def _orientation(self) -> Any:
         from geokit.mesh._orientation import orient_faces
 
-        return orient_faces(self.mesh, self)  # type: ignore[arg-type]
+        return orient_faces(self.mesh, self, self._topology)  # type: ignore[arg-type]
+
+    @cached_property
+    def _topology(self) -> Any:
+        from geokit.mesh._topology import mesh_topology
+
+        return mesh_topology(self.mesh)
 
     @cached_property
     def _pseudonormals(self) -> list["wp.array"]:
         from geokit.mesh._pseudonormals import pseudonormal_tables
 
-        return pseudonormal_tables(self.mesh, self._orientation.flipped, self._vertices, self._faces)
+        flipped = self._orientation.flipped
+        tables = pseudonormal_tables(self.mesh, self._topology, flipped, self._vertices, self._faces)
+        # It takes more room than the mesh, and nothing else asks for it.
+        self.__dict__.pop("_topology", None)
+        return tables
 
     def _method(self, sign: str) -> str:
         if sign not in SIGN_METHODS:

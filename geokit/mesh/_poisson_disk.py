@@ -121,7 +121,8 @@ def throw_radius(
     """
     scaled = radius * scale
     room = int(min(MOST_POINTS, _memory.available_host() // BYTES_PER_POINT))
-    expected = SATURATED_SHARE * area / scaled / scaled if scaled * scaled > 0.0 else math.inf
+    # For radii whose square is below all float64, a number that is beyond any memory.
+    expected = SATURATED_SHARE * area / scaled / scaled if scaled * scaled > 0.0 else 1e300
     if expected > room:
         _refuse_radius(label, radius, expected, room, math.sqrt(SATURATED_SHARE * area / room) / scale)
     darts = _Darts(lower, extent)

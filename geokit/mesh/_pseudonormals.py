@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit import _launch
 from geokit._host_array import HostArray
-from geokit.mesh._topology import Topology, collapsed_faces, position_corners
+from geokit.mesh._topology import MeshTopology
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -19,13 +19,14 @@ __all__ = ["by_pseudonormal", "pseudonormal_tables"]
 
 
 def pseudonormal_tables(
-    mesh: TriangleMesh, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"
+    mesh: TriangleMesh, topology: MeshTopology, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"
 ) -> list["wp.array"]:
     """What :func:`pseudonormal` reads: vertices, faces, flipped, the triangle across each edge (-1 for none), the
     vertex normal of each corner, and the angle-weighted vertex normals, one for each position.
 
     Args:
         mesh: The mesh.
+        topology: How it hangs together.
         flipped: Its faces that count as turned, (F,).
         vertices: Its vertices where the tables are to be, (V,) of vec3d.
         faces: Its faces there, (3 F,).
@@ -39,23 +40,25 @@ def pseudonormal_tables(
     def on_device(values: NDArray[Any], dtype: Any) -> "wp.array":
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
-    corners, position_count = position_corners(mesh)
+    corners, position_count = topology.corners, topology.position_count
     normals = _vertex_normals(mesh, flipped, corners, position_count)
     return [
         vertices,
         faces,
         on_device(flipped, wp.bool),
-        on_device(_across(corners, position_count), wp.int32),
+        on_device(_across(topology), wp.int32),
         on_device(corners.ravel(), wp.int32),
         on_device(normals, wp.vec3d),
     ]
 
 
-def _across(corners: NDArray[np.int32], position_count: int) -> NDArray[np.int64]:
+def _across(topology: MeshTopology) -> NDArray[np.int64]:
     """The triangle on the other side of each half-edge, (3 F,); -1 where there is none, or more than one."""
-    kept = np.flatnonzero(~collapsed_faces(corners))
-    twin = Topology(corners[kept], position_count).twin
-    across = np.full(corners.shape, -1, np.int64)
+    twin = topology.edges.twin
+    if not topology.collapsed.any():
+        return np.where(twin < 0, -1, twin // 3)
+    kept = np.flatnonzero(~topology.collapsed)
+    across = np.full(topology.corners.shape, -1, np.int64)
     across[kept] = np.where(twin < 0, -1, kept[twin // 3]).reshape(-1, 3)
     return across.ravel()
 

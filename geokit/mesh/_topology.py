@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,15 @@ from geokit._host_array import HostArray
 from geokit.mesh._merge import merge_equal_points
 from geokit.mesh.model import TriangleMesh
 
-__all__ = ["Topology", "collapsed_faces", "connected_components", "kernels_pay", "position_corners"]
+__all__ = [
+    "MeshTopology",
+    "Topology",
+    "collapsed_faces",
+    "connected_components",
+    "kernels_pay",
+    "mesh_topology",
+    "position_corners",
+]
 
 # Rounds in which the fans of all vertices are walked at once, a face each: enough for all vertices but a few apexes,
 # whose thousands of faces would take a round each. Those are left to a slower method that takes a few rounds only.
@@ -45,6 +53,29 @@ def collapsed_faces(corners: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Faces with two equal corners, (F,)."""
     a, b, c = corners.T
     return (a == b) | (b == c) | (c == a)
+
+
+class MeshTopology(NamedTuple):
+    """How a mesh hangs together.
+
+    Attributes:
+        corners: Corners of the faces as numbers of distinct positions, (F, 3).
+        position_count: How many positions the vertices have.
+        collapsed: Faces with two equal corners, (F,), which take no part.
+        edges: Edges of the other faces.
+    """
+
+    corners: NDArray[np.int32]
+    position_count: int
+    collapsed: NDArray[np.bool_]
+    edges: Topology
+
+
+def mesh_topology(mesh: TriangleMesh) -> MeshTopology:
+    corners, position_count = position_corners(mesh)
+    collapsed = collapsed_faces(corners)
+    faces = corners[~collapsed] if collapsed.any() else corners
+    return MeshTopology(corners, position_count, collapsed, Topology(faces, position_count))
 
 
 class Topology:

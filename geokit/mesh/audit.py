@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh._measures import FaceMeasures, measure_faces
 from geokit.mesh._merge import repeated_triples
-from geokit.mesh._topology import Topology, collapsed_faces, connected_components, position_corners
+from geokit.mesh._topology import MeshTopology, connected_components, mesh_topology, position_corners
 from geokit.mesh.model import TriangleMesh
 
 __all__ = ["MeshAudit", "audit"]
@@ -96,13 +96,17 @@ def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
         >>> audit(geokit.mesh.load("data/samples/bracket.obj")).watertight
         True
     """
+    report = audit_topology(mesh, mesh_topology(mesh))
+    return replace(report, self_intersection_count=_self_intersection_count(mesh)) if self_intersections else report
+
+
+def audit_topology(mesh: TriangleMesh, whole: MeshTopology) -> MeshAudit:
+    """:func:`audit` of a mesh whose topology is known."""
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces.reshape(-1)] = True
     bounds = _bounds(mesh.vertices, used)
     measures = measure_faces(mesh, bounds)
-    corners, position_count = position_corners(mesh)
-    collapsed = collapsed_faces(corners)
-    topology = Topology(corners[~collapsed] if collapsed.any() else corners, position_count)
+    corners, position_count, collapsed, topology = whole
     split_count = len(topology.split_vertices())
     has_faces = len(mesh.faces) > 0
     watertight = has_faces and topology.boundary_count == 0 and topology.non_manifold_count == 0
@@ -130,7 +134,7 @@ def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
         diagonal=_diagonal(bounds),
         euler_number=topology.vertex_count - topology.edge_count + len(topology.faces),
         aspect_ratio_quantiles=_aspect_ratio_quantiles(measures, flat),
-        self_intersection_count=_self_intersection_count(mesh) if self_intersections else None,
+        self_intersection_count=None,
     )
 
 

@@ -101,15 +101,14 @@ def hausdorff(
 
     The largest distance lies in ``[max, upper]``, and ``upper - max <= tolerance * diagonal``, the diagonal of the box
     around both meshes; each bound is good to 1e-12 of the diagonal (tests/property/test_hausdorff.py against dense
-    samples, tests/unit/test_hausdorff.py for known shapes). Both hold for all points of the triangles, not for samples. A tolerance below 4e-12, or
-    below some roundings of the coordinates, counts as that.
+    samples, tests/unit/test_hausdorff.py for known shapes). Both hold for all points of the triangles, not for samples.
+    A tolerance below 4e-12, or below some roundings of the coordinates, counts as that.
 
     Mean and rms come from samples that are uniform by area, and have the standard errors that are given with them; they
     are NaN for a mesh without area and for ``samples=0``.
 
-    The time goes into regions where distances come near the largest one. Meshes of 200,000 triangles take one to nine
-    seconds on two cores, and some fifteen where other triangles make the same surface, which is the most work. The
-    pieces of triangles that wait are bounded in number.
+    The time goes into regions where distances come near the largest one: two meshes that run close to each other
+    everywhere take several times longer than others. Memory is bounded.
 
     Args:
         a: The first surface; one that is prepared already is used as it is, on its own device.

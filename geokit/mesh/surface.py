@@ -207,9 +207,9 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
     @cached_property
     def audit(self) -> MeshAudit:
         """What :func:`geokit.mesh.audit` says of the mesh; computed when first asked for."""
-        from geokit.mesh.audit import audit
+        from geokit.mesh.audit import audit_topology
 
-        return audit(self.mesh)
+        return audit_topology(self.mesh, self._topology)
 
     def __repr__(self) -> str:
         return f"Surface({self.mesh!r}, device={self.device!r})"
