@@ -21,6 +21,17 @@ def bunny() -> TriangleMesh:
         return bumpy_torus(110, 55)
 
 
+def bunny_of(triangles: int) -> TriangleMesh:
+    """The bunny, its triangles cut into four until there are as many: 195,200 and 3,123,200 are among the counts.
+
+    Vertices are those of float32, so that peers of either precision have the same mesh.
+    """
+    mesh = bunny()
+    while len(mesh.faces) < triangles:
+        mesh = subdivided(mesh, 1)
+    return TriangleMesh(in_float32(mesh.vertices), mesh.faces, name=mesh.name)
+
+
 def bumpy_torus(around: int, across: int) -> TriangleMesh:
     """A closed surface with waves on it, ``2 * around * across`` triangles."""
     u, v = np.meshgrid(np.arange(around) / around, np.arange(across) / across, indexing="ij")
@@ -54,6 +65,28 @@ def subdivided(mesh: TriangleMesh, times: int) -> TriangleMesh:
     return TriangleMesh(vertices, faces, name=mesh.name)
 
 
+def without_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
+    """The mesh with ``share`` of its faces, anywhere, taken away: a hole each."""
+    kept = np.random.default_rng(seed).random(len(mesh.faces)) >= share
+    return TriangleMesh(mesh.vertices, mesh.faces[kept], name=mesh.name)
+
+
+def in_float32(values: np.ndarray) -> np.ndarray:
+    """What float32 can hold of them, in float64: then peers of either precision are asked the same question."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def in_morton_order(points: np.ndarray) -> np.ndarray:
+    """The points along a Morton curve of 1024 cells a side."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    cells = np.minimum((points - lower) / (upper - lower).max() * 1024, 1023).astype(np.int64)
+    keys = np.zeros(len(points), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            keys |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return points[np.argsort(keys, kind="stable")]
+
+
 def uniform(mesh: TriangleMesh, count: int, seed: int = 0) -> np.ndarray:
     """Points in 1.5 times the bounding box."""
     lower, upper = mesh.bounds
@@ -81,6 +114,36 @@ def camera_rays(mesh: TriangleMesh, width: int, height: int) -> tuple[np.ndarray
     directions = np.stack([x * width / height, y, np.full_like(x, -1.2)], axis=-1).reshape(-1, 3)
     origin = (lower + upper) / 2 + [0, 0, 1.8 * size]
     return np.broadcast_to(origin, directions.shape).copy(), directions
+
+
+def surface_points(mesh: TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points anywhere in triangles that are drawn alike, and the normals there."""
+    rng = np.random.default_rng(seed)
+    corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return np.einsum("nc,ncd->nd", rng.dirichlet(np.ones(3), size=count), corners), normals
+
+
+def surface_rays(
+    mesh: TriangleMesh, count: int, seed: int = 0, start: float = 0.01, least: float = 0.1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays from points of the surface to others; they set out at ``start`` of the way.
+
+    At the surface itself, whether a ray hits the triangle that it leaves would be up to the last bit: ends are at least
+    ``least`` diagonals apart, and so is the sine between a ray and the triangle that it leaves.
+    """
+    origins, directions = np.zeros((0, 3)), np.zeros((0, 3))
+    while len(origins) < count:
+        a, normals = surface_points(mesh, 2 * count, seed)
+        way = surface_points(mesh, 2 * count, seed + 1)[0] - a
+        length = np.linalg.norm(way, axis=1)
+        steep = np.abs(np.einsum("nd,nd->n", normals, way)) > least * length
+        kept = steep & (length > least * mesh.diagonal)
+        origins = np.concatenate([origins, (a + start * way)[kept]])
+        directions = np.concatenate([directions, way[kept]])
+        seed += 2
+    return origins[:count], directions[:count]
 
 
 def aimed_rays(mesh: TriangleMesh, start: np.ndarray, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

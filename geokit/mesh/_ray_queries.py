@@ -73,8 +73,9 @@ class RayQueries:
             directions: Their directions, of any length, shape (N, 3).
             t_min: Hits nearer than this are passed over, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            watertight: False lets hits be decided in float32, quicker: rays within a few 1e-7 of the mesh's size of an
-                edge may pass through it, and of two surfaces as near to each other the farther may be hit.
+            watertight: False lets hits be decided in float32: rays within 5e-6 of the mesh's diagonal of an edge may
+                pass through it or hit what they pass by, and of two surfaces as near to each other the farther may
+                be hit (tests/unit/test_ray_queries.py).
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).

@@ -78,9 +78,12 @@ RAY_CROSSING = _HIT.replace(
 """,
 ).replace("ON_LINE", "fa = fb = fc = 1.0; whole = 3.0;  // hit, at a place that rounding hides")
 
-# For a triangle that is known to be hit, or so nearly that rounding decides: always true, weights in [0, 1].
-RAY_PLANE = (
-    _HIT.replace(
+# `place`, beside RAY_HIT, for a triangle that is known to be hit, or so nearly that rounding decides: always true,
+# weights in [0, 1].
+RAY_PLACE = (
+    _HIT.removeprefix(EXACT)
+    .replace("auto hit", "auto place")
+    .replace(
         "ON_EDGE",
         """
         const bool turned = fa + fb + fc < 0.0;

@@ -5,7 +5,7 @@
 import warp as wp
 
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
-from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_PLANE, SHORTEST_DIRECTION
+from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_PLACE, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
 from geokit.mesh._wide_raycast_kernels import WIDE_QUICK_WALK, WIDE_WALK
 
@@ -68,7 +68,10 @@ _WRITE_HIT = """
 # The walk has found the triangle; its place on the ray is worked out at the end.
 _PLACE = """
     #if !defined(__CUDA_ARCH__)
-    if (r.winner >= 0) hit(r.start, r.direction, r.winner, r.best, r.weight_b, r.weight_c);
+    if (r.winner >= 0) {
+        place(r.start, r.direction, r.winner, r.best, r.weight_b, r.weight_c);
+        r.best = wp::max(r.best, t_min);
+    }
     #endif
 """
 _ANY = "r.winner = slot; r.height = -1; break;"
@@ -93,10 +96,9 @@ def cast_rays(
 
 # On CUDA the exact test is as quick.
 @wp.func_native(
-    "#if defined(__CUDA_ARCH__)\n"
-    + RAY_HIT
-    + "\n#else\n"
-    + RAY_PLANE
+    RAY_HIT
+    + "\n#if !defined(__CUDA_ARCH__)\n"
+    + RAY_PLACE
     + "\n#endif\n"
     + ray_walk("", _NEARER, _PLACE + _WRITE_HIT, WIDE_QUICK_WALK)
 )

@@ -97,6 +97,35 @@ def test_quick_hits_are_those_of_float32():
     assert np.mean(near) > 0.998
 
 
+@pytest.mark.parametrize("make", [catalogue.torus, catalogue.icosphere, lambda: catalogue.cone(200, 10.0)])
+def test_quick_hits_are_passed_by_within_rounding(make):
+    """From one place of the surface to another: at grazing angles float32 has few digits along the ray, not across."""
+    mesh = make()
+    surface = gk.mesh.Surface(mesh, device="cpu")
+    rng = np.random.default_rng(2)
+    faces = rng.integers(len(mesh.faces), size=(2, 20_000))
+    starts, ends = (
+        np.einsum("nk,nkd->nd", rng.dirichlet([1.0] * 3, 20_000), mesh.vertices[mesh.faces[face]]) for face in faces
+    )
+    directions = ends - starts
+    keep = faces[0] != faces[1]
+    starts, directions = starts[keep], directions[keep]
+    exact, quick = (surface.raycast(starts, directions, watertight=w) for w in (True, False))
+    assert quick.t.min() >= 0.0
+    hit = np.isfinite(quick.t)
+    along = directions[hit] / np.linalg.norm(directions[hit], axis=1, keepdims=True)
+    points = starts[hit] + quick.t[hit, None] * directions[hit]
+    corners = mesh.vertices[mesh.faces[quick.triangle_id[hit]]]
+    # The weights are those of a point of the triangle, whatever rounding has made of the hit.
+    aside = points - np.einsum("nk,nkd->nd", quick.barycentric[hit], corners)
+    aside -= np.einsum("nd,nd->n", aside, along)[:, None] * along
+    # A ray in a triangle's plane hits it anywhere.
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rises = np.abs(np.einsum("nd,nd->n", normals, along)) > 1e-9 * np.linalg.norm(normals, axis=1)
+    assert np.linalg.norm(aside[rises], axis=1).max() < 5e-6 * mesh.diagonal
+    assert np.mean(np.isfinite(exact.t) != hit) < 2e-3
+
+
 @pytest.mark.parametrize("method", ["raycast", "raycast_all", "occluded", "crossing_count"])
 class TestBadInput:
     def test_zero_direction(self, box, method):

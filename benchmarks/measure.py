@@ -1,0 +1,373 @@
+"""How the benchmarks measure: answers are compared first, then both run in turn; a ratio is that of the medians.
+
+A task runs in a process of its own, so that a peer that crashes or hangs costs one row: the task is started again
+without it. Rows travel to the parent as they come; bars are judged when a task is done.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import platform
+import statistics
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# A peer's answers may be float32: half a millionth of the size.
+SAME = 5e-7
+# Share of rays, rounded up to a whole one, that may see another surface: at silhouettes float32 decides either way.
+SILHOUETTES = 1e-5
+# A sign nearer to the surface than this share of the size is the sign of a rounding.
+SIGNED = 1e-6
+# A peer whose signs are right less often than this is not timed; what is right is printed.
+SIGNS = 0.999
+RUNS = 5
+# Runs of calls that take longer than so many seconds: those vary little, and the first counts as it warms up little.
+FEWER_RUNS = ((6.0, 2), (2.0, 3))
+# OpenMP's threads spin on after their work, and would take the next call's cores.
+PAUSE = 0.02
+# Small calls: batches of calls, so that the clock's own cost and the first call's cold caches do not count.
+BATCHES, BATCH = 40, 25
+# A peer silent for so long [s] is given up.
+PATIENCE = 1200.0
+# Exit code of a task that failed by itself, not by a peer.
+FAILED = 70
+
+HEADER = (
+    "| task | geokit M/s | peer | peer M/s | ratio | bar | met | largest difference |\n"
+    "|---|---:|---|---:|---:|---:|---|---|"
+)
+
+
+def cpu_name() -> str:
+    """Of this machine, for the head of a report."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+class Asked(NamedTuple):
+    """A peer with everything prepared: what the clock sees, and how its answer becomes an array afterwards."""
+
+    run: Callable[[], Any]
+    read: Callable[[Any], np.ndarray] = np.asarray
+
+
+class Peer(NamedTuple):
+    """A peer by name; ``make`` prepares it, outside the clock. ``same`` is for one whose magnitudes are known off."""
+
+    name: str
+    make: Callable[[], Asked]
+    same: float | None = None
+
+
+class Bar(NamedTuple):
+    """Least ratio to the best of the peers whose names begin so; without names, to the best of all."""
+
+    least: float
+    peers: tuple[str, ...] = ()
+
+
+@dataclass
+class Case:
+    """One question to geokit and its peers.
+
+    Attributes:
+        task: What the first column says.
+        count: Queries (or triangles) that a call answers, for the rates.
+        ours: geokit's call.
+        peers: Who is asked the same.
+        size: What differences are relative to.
+        kind: "distance", "signed" or "hit" (also for yes and no): how answers are compared.
+        bars: What the ratios must reach.
+        read: Our answer as an array.
+        units: What answers are multiplied with before they are compared, such as lengths of directions.
+        same: Largest relative difference of a right answer.
+        small: The time of a call is told in microseconds.
+    """
+
+    task: str
+    count: int
+    ours: Callable[[], Any]
+    peers: list[Peer]
+    size: float
+    kind: str = "distance"
+    bars: tuple[Bar, ...] = ()
+    read: Callable[[Any], np.ndarray] = np.asarray
+    units: Any = 1.0
+    same: float = SAME
+    small: bool = False
+
+
+@dataclass
+class Row:
+    """One line of the table; cells are text, the ratio is kept for the bars."""
+
+    task: str
+    ours: str = "-"
+    peer: str = "-"
+    theirs: str = "-"
+    ratio: float | None = None
+    bar: str = ""
+    met: str = ""
+    note: str = ""
+
+    def __str__(self) -> str:
+        ratio = "-" if self.ratio is None else f"{self.ratio:.2f}"
+        cells = (self.task, self.ours, self.peer, self.theirs, ratio, self.bar, self.met, self.note)
+        return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+@dataclass
+class Table:
+    """Lines of one report, printed as they come, and written with them; notes and other tables follow at its end."""
+
+    path: Path | None = None
+    lines: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    header: str = HEADER
+
+    def add(self, line: object) -> None:
+        self.lines.append(str(line))
+        print(line, flush=True)
+        if self.path:
+            self.path.write_text("\n".join(self.lines) + "\n", encoding="utf-8")
+
+    def begin(self) -> None:
+        for line in self.header.splitlines():
+            self.add(line)
+
+    def end(self) -> None:
+        for line in ["", *self.notes] if self.notes else []:
+            self.add(line)
+        self.notes = []
+
+
+def paired(ours: Callable[[], Any], theirs: Callable[[], Any], small: bool = False) -> tuple[float, float]:
+    """Median seconds of a call of each, run in turn so that a machine that slows down slows both; the first warms up.
+
+    Small calls run in batches, and are not paused between.
+    """
+    seconds: tuple[list[float], list[float]] = ([], [])
+    repeat, runs, warm = (BATCH, BATCHES, 1) if small else (1, RUNS, 1)
+    while len(seconds[0]) < runs + warm:
+        for call, record in zip((ours, theirs), seconds, strict=True):
+            if not small:
+                time.sleep(PAUSE)
+            start = time.perf_counter()
+            for _ in range(repeat):
+                call()
+            record.append((time.perf_counter() - start) / repeat)
+        if len(seconds[0]) == 1:
+            longest = max(seconds[0][0], seconds[1][0])
+            runs, warm = next(((fewer, 0) for limit, fewer in FEWER_RUNS if longest > limit), (runs, warm))
+    return statistics.median(seconds[0][warm:]), statistics.median(seconds[1][warm:])
+
+
+def median_seconds(call: Callable[[], Any], runs: int, pause: float = PAUSE) -> float:
+    """After a call that warms up."""
+    call()
+    seconds = []
+    for _ in range(runs):
+        time.sleep(pause)
+        start = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds)
+
+
+def compared(case: Case, ours: np.ndarray, theirs: np.ndarray, same: float) -> tuple[bool, str]:
+    """Whether the answers are the same, and what the table says of it."""
+    if np.shape(ours) != np.shape(theirs):
+        return False, f"shape {np.shape(theirs)} for {np.shape(ours)}"
+    a, b = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+    signs = ""
+    if case.kind == "signed":
+        far = np.abs(a) > SIGNED * case.size
+        equal = float((np.signbit(a) == np.signbit(b))[far].mean()) if far.any() else 1.0
+        signs = f", {equal:.4%} of signs equal"
+        if equal < SIGNS:
+            return False, signs[2:]
+        a, b = np.abs(a), np.abs(b)
+    apart = np.full(len(a), np.inf)
+    apart[a == b] = 0.0
+    both = np.isfinite(a) & np.isfinite(b)
+    between = np.abs(np.subtract(a, b, where=both, out=np.zeros(len(a)))) * case.units
+    apart[both] = between[both] / case.size
+    others = int((apart > same).sum())
+    if case.kind != "hit":
+        return others == 0, f"{apart.max(initial=0.0):.1e}{signs}"
+    note = f"{apart[apart <= same].max(initial=0.0):.1e}"
+    return others <= math.ceil(SILHOUETTES * len(a)), f"{note}, {others} of {len(a):,} elsewhere" if others else note
+
+
+def against(case: Case, answer: np.ndarray, peer: Peer) -> Row:
+    """One row: the peer made, its answer compared, both timed."""
+    try:
+        asked = peer.make()
+        found = asked.read(asked.run())
+    except ImportError as error:
+        return Row(case.task, peer=peer.name, note=f"not installed: {error.name or error}")
+    except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        return Row(case.task, peer=peer.name, note=f"{type(error).__name__}: {reason}")
+    right, note = compared(case, answer, found, peer.same or case.same)
+    if not right:
+        return Row(case.task, peer=peer.name, note=f"{note}: disagrees, not timed")
+    mine, theirs = paired(case.ours, asked.run, case.small)
+    shown = (f"{s * 1e6:.1f} us" if case.small else f"{case.count / s / 1e6:.3f}" for s in (mine, theirs))
+    return Row(case.task, next(shown), peer.name, next(shown), theirs / mine, note=note)
+
+
+def judge(rows: list[Row], bars: Iterable[Bar]) -> None:
+    """Write each bar, and whether it is met, into the row of the best peer that it speaks of."""
+    for bar in bars:
+        named = [row for row in rows if not bar.peers or row.peer.startswith(bar.peers)]
+        timed = [row for row in named if row.ratio is not None]
+        if not timed:
+            peers = ", ".join(bar.peers) or "any peer"
+            rows.append(Row(rows[0].task, bar=f"{bar.least:g}", met="open", note=f"not measured against {peers}"))
+            continue
+        best = min(timed, key=lambda row: row.ratio or 0.0)
+        best.bar = ", ".join(filter(None, (best.bar, f"{bar.least:g}")))
+        best.met = ", ".join(filter(None, (best.met, "met" if (best.ratio or 0.0) >= bar.least else "NOT met")))
+
+
+class Report:
+    """Where a task puts its cases, rows and lines: sent through a pipe, or kept where there is none.
+
+    Args:
+        send: Takes the events: ("case", task, bars), ("begin", task, peer), ("row", row), ("line", text).
+        done: Cases and peers, as (task, peer), that have a row already.
+    """
+
+    def __init__(self, send: Callable[[tuple], None], done: Iterable[tuple[str, str]] = ()) -> None:
+        self.send = send
+        self.done = set(done)
+
+    def case(self, case: Case) -> None:
+        self.send(("case", case.task, case.bars))
+        todo = [peer for peer in case.peers if (case.task, peer.name) not in self.done]
+        if not todo:
+            return
+        answer = case.read(case.ours())
+        for peer in todo:
+            self.send(("begin", case.task, peer.name))
+            self.send(("row", against(case, answer, peer)))
+
+    def row(self, row: Row) -> None:
+        if (row.task, row.peer) not in self.done:
+            self.send(("case", row.task, ()))
+            self.send(("row", row))
+
+    def line(self, text: str) -> None:
+        self.send(("line", text))
+
+
+@dataclass
+class Gathered:
+    """What the parent has of one task."""
+
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    bars: dict[str, tuple[Bar, ...]] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+    current: tuple[str, str] | None = None
+
+    def take(self, event: tuple) -> None:
+        what, *rest = event
+        if what == "case":
+            self.rows.setdefault(rest[0], [])
+            self.bars[rest[0]] = rest[1]
+        elif what == "begin":
+            self.current = (rest[0], rest[1])
+        elif what == "row":
+            self.rows[rest[0].task].append(rest[0])
+            self.current = None
+        else:
+            self.lines.append(rest[0])
+
+    def gone(self, reason: str) -> bool:
+        """A row for the peer that the process died beside; False where there was none."""
+        if self.current is None:
+            return False
+        task, peer = self.current
+        self.take(("row", Row(task, peer=peer, note=reason)))
+        return True
+
+    def report(self, table: Table) -> None:
+        for task, rows in self.rows.items():
+            if rows:
+                judge(rows, self.bars[task])
+            for row in rows:
+                table.add(row)
+        table.notes.extend(self.lines)
+
+
+def in_process(table: Table, name: str, task: Callable[..., None], *arguments: Any) -> None:
+    """``task(report, *arguments)`` in a process of its own, again and again while peers take it down with them."""
+    gathered = Gathered()
+    while True:
+        # Lines come once the tables are whole: a task that starts again sends them again.
+        gathered.lines.clear()
+        done = [(row.task, row.peer) for rows in gathered.rows.values() for row in rows]
+        reason, own = _attempt(gathered, task, done, arguments)
+        if reason is None:
+            break
+        if own or not gathered.gone(reason):
+            gathered.take(("case", name, ()))
+            gathered.take(("row", Row(name, note=f"{reason}; see the error output")))
+            break
+    gathered.report(table)
+
+
+def _attempt(gathered: Gathered, task: Callable[..., None], done: list, arguments: tuple) -> tuple[str | None, bool]:
+    """None when the task ran to its end, else what happened to its process; and whether that was its own doing."""
+    context = multiprocessing.get_context("spawn")
+    mine, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(theirs, task, done, arguments))
+    process.start()
+    theirs.close()
+    reason = None
+    try:
+        while mine.poll(PATIENCE):
+            event = mine.recv()
+            gathered.take(event)
+            if event[0] == "begin":
+                print(f"... {event[1]}: {event[2]}", file=sys.stderr, flush=True)
+        reason = f"no answer in {PATIENCE:.0f} s"
+    except EOFError:
+        process.join()
+    finally:
+        if process.is_alive():
+            process.kill()
+        process.join()
+    if reason is None and process.exitcode:
+        ended = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
+        reason = f"the process ended with {ended}"
+    return reason, process.exitcode == FAILED
+
+
+def _child(pipe: Connection, task: Callable[..., None], done: list, arguments: tuple) -> None:
+    # What peers print must not stand in the table.
+    os.dup2(2, 1)
+    try:
+        task(Report(pipe.send, done), *arguments)
+    except Exception:
+        traceback.print_exc()
+        os._exit(FAILED)
+    pipe.close()
+    # Peers' threads and libraries have nothing left to say, and some crash on their way out.
+    os._exit(0)
