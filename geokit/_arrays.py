@@ -69,8 +69,8 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or a DLPack or CUDA-array exporter.
         name: The argument's name for messages.
         device: The query device; rows that live elsewhere are copied to it, results are copied back.
-        defer: Leave it to the query's kernel to see rows on a GPU that are not finite, and to :func:`require_finite`
-            to name them: a pass over the rows and a wait for its answer are saved.
+        defer: Leave it to the query's kernel to see rows that are not finite, and to :func:`require_finite` to name
+            them: a pass over the rows, and on a GPU a wait for its answer, are saved.
         first_row: Where the rows stand among the caller's, for messages.
     Returns:
         A Batch.
@@ -84,7 +84,7 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         vectors = values.ndim == 1
         give = _giver(source, lambda out: out if vectors else _as_table(out))
     elif isinstance(values, np.ndarray) or not _exports(values):
-        return _read_numpy(values, name, device, first_row)
+        return _read_numpy(values, name, device, first_row, defer)
     else:
         source = _import_exporter(values, name)
         give = _giver(source, _reexporter(values))
@@ -95,7 +95,7 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         rows = _widen(rows)
     if not rows.is_contiguous:
         rows = rows.contiguous()
-    if not (defer and rows.device.is_cuda):
+    if not defer:
         _require_finite(rows, name, first_row)
     return Batch(rows, single, lambda out: give(_narrowed(out, single)), first_row)
 
@@ -187,7 +187,7 @@ def _exports(values: Any) -> bool:
     return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
 
 
-def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int) -> Batch:
+def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int, defer: bool) -> Batch:
 
     try:
         given = np.asarray(values)
@@ -203,7 +203,7 @@ def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int) -> 
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
-    if not _all_finite(table):
+    if not defer and not _all_finite(table):
         _refuse_nonfinite(table, name, first_row)
     host = HostArray(table)
     rows = host if device.is_cpu else host.warp.to(device)

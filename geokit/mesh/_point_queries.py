@@ -98,7 +98,7 @@ class PointQueries:
         reach = _radius(max_distance)
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
-            # On a GPU the search itself sees what is not finite: a pass over the points, and a wait for it, are saved.
+            # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
             bad = _arrays.zeros(1, wp.int32, batch.rows)
             found = self._closest(batch.rows, reach, bad)
             if bad.numpy()[0]:
