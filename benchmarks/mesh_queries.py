@@ -27,8 +27,6 @@ from geokit.mesh import Surface, TriangleMesh
 
 # libigl's signed_distance multiplies with 1 - 2w, and its fast w is off by hundredths; point-cloud-utils calls it too.
 SAME_LIBIGL_FAST = 0.1
-# Beside an edge, watertight=False may take the plane of the triangle across it.
-SAME_QUICK_HIT = 1e-5
 # Sine of the angle below which a ray counts as no flatter: what lies so flat must differ in length as well.
 LEAST_RISE = 1e-3
 # Share of its faces that the broken mesh lacks.
@@ -170,7 +168,7 @@ def hit_case(
         bars=WATERTIGHT if watertight else QUICK_HIT,
         read=lambda found: found.t,
         units=height_over_hit(mesh, surface, *rays),
-        same=SAME if watertight else SAME_QUICK_HIT,
+        same=SAME,
     )
 
 

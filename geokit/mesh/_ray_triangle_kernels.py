@@ -77,21 +77,3 @@ RAY_CROSSING = _HIT.replace(
         if (fc * ea < 0.0) fc = 0.0;
 """,
 ).replace("ON_LINE", "fa = fb = fc = 1.0; whole = 3.0;  // hit, at a place that rounding hides")
-
-# `place`, beside RAY_HIT, for a triangle that is known to be hit, or so nearly that rounding decides: always true,
-# weights in [0, 1].
-RAY_PLACE = (
-    _HIT.removeprefix(EXACT)
-    .replace("auto hit", "auto place")
-    .replace(
-        "ON_EDGE",
-        """
-        const bool turned = fa + fb + fc < 0.0;
-        fa = turned ? wp::min(fa, 0.0) : wp::max(fa, 0.0);
-        fb = turned ? wp::min(fb, 0.0) : wp::max(fb, 0.0);
-        fc = turned ? wp::min(fc, 0.0) : wp::max(fc, 0.0);
-""",
-    )
-    .replace("ON_LINE", "fa = fb = fc = 1.0; whole = 3.0;")
-    .replace("return t >= t_min;", "return true;")
-)

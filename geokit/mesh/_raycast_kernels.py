@@ -5,9 +5,9 @@
 import warp as wp
 
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
-from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_PLACE, SHORTEST_DIRECTION
+from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
-from geokit.mesh._wide_raycast_kernels import WIDE_QUICK_WALK, WIDE_WALK
+from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,13 +32,13 @@ _FETCH = """
 """
 
 
-def ray_walk(hit: str, on_hit: str, on_end: str, wide: str = WIDE_WALK) -> str:
+def ray_walk(hit: str, on_hit: str, on_end: str) -> str:
     """The text of a walk along rays: the test of a triangle, what is done with a hit, and with a ray at its end."""
     walk = f"""
         #if defined(__CUDA_ARCH__)
         {BINARY_WALK}
         #else
-        {wide}
+        {WIDE_WALK}
         #endif
     """
     return (
@@ -65,44 +65,12 @@ _WRITE_HIT = """
     out_barycentric.data[r.id] = missed ? point(none, none, none)
                                         : point(1.0 - r.weight_b - r.weight_c, r.weight_b, r.weight_c);
 """
-# The walk has found the triangle; its place on the ray is worked out at the end.
-_PLACE = """
-    #if !defined(__CUDA_ARCH__)
-    if (r.winner >= 0) {
-        place(r.start, r.direction, r.winner, r.best, r.weight_b, r.weight_c);
-        r.best = wp::max(r.best, t_min);
-    }
-    #endif
-"""
 _ANY = "r.winner = slot; r.height = -1; break;"
 _WRITE_ANY = "out_occluded.data[r.id] = r.winner >= 0;"
 
 
 @wp.func_native(ray_walk(RAY_HIT, _NEARER, _WRITE_HIT))
 def cast_rays(
-    begin: int,
-    end: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
-
-
-# On CUDA the exact test is as quick.
-@wp.func_native(
-    RAY_HIT
-    + "\n#if !defined(__CUDA_ARCH__)\n"
-    + RAY_PLACE
-    + "\n#endif\n"
-    + ray_walk("", _NEARER, _PLACE + _WRITE_HIT, WIDE_QUICK_WALK)
-)
-def cast_rays_quickly(
     begin: int,
     end: int,
     origins: wp.array(dtype=wp.vec3d),
@@ -148,37 +116,6 @@ def raycast_kernel(
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
     cast_rays(
-        begin,
-        end,
-        origins,
-        directions,
-        tree,
-        t_min,
-        max_distance,
-        out_t,
-        out_triangle_id,
-        out_barycentric,
-        out_bad,
-    )
-
-
-@wp.kernel
-def quick_raycast_kernel(
-    first: int,
-    group: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-):
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, origins.shape[0])
-    cast_rays_quickly(
         begin,
         end,
         origins,

@@ -21,11 +21,6 @@ NEAR_START = 2.0
 BOX_MARGIN = 1.0e-6
 # The same for a point on the ray in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR.
 PLANE_MARGIN = 8.0e-6
-# How far beside a triangle, on its plane, a ray hits it where float32 decides [local].
-QUICK_MARGIN = 2.0e-7
-# Sine of the angle between ray and plane below which float64 decides all the same: seldom, and float32 would be off by
-# one over it.
-QUICK_GRAZING = 1.0e-2
 # Rays without an end are this long, in local units.
 ENDLESS = 1.0e30
 # Direction components, where the largest is 1, that are smaller count as this: its reciprocal must not overflow.
@@ -217,36 +212,4 @@ _DECIDE_EXACTLY = """
             }
 """
 
-# The nearest lane is the hit, to float32: nothing is left to be decided, and the margin need only be what leaves few
-# gaps between triangles. (With the margins of the other walk rays at grazing angles hit what they pass by.)
-_DECIDE_QUICKLY = """
-            // How far beside a triangle a ray counts as hitting it, on its plane; everything here is times dz.
-            const v8 beside = down * -QUICK_MARGIN, beside_edge = beside * longest;
-            const i8 grazing = down < QUICK_GRAZING;
-            r.hits &= mask_of(grazing | ((cy > zero) & (depth >= zero) & (y >= beside) & (ca >= beside_edge)
-                                         & (bc >= beside_edge)));
-            if (r.hits) {
-                const unsigned flat = mask_of(grazing);
-                float t[8];
-                *(v8*)t = depth / down;
-                for (; r.hits; r.hits &= r.hits - 1) {
-                    const int j = __builtin_ctz(r.hits);
-                    if (flat >> j & 1) {
-                        double exact, v, w;
-                        if (!hit(r.start, r.direction, 8 * block + j, exact, v, w)) continue;
-                        t[j] = (float)(exact * r.unit - r.enter);
-                    }
-                    if (!(t[j] <= r.last)) continue;
-                    r.last = t[j];
-                    r.winner = 8 * block + j;
-                }
-                __builtin_prefetch(tree.corners.data + 3 * r.winner);
-                __builtin_prefetch((const char*)(tree.corners.data + 3 * r.winner) + 64);
-            }
-"""
-
 WIDE_WALK = _WALK.replace("ON_LANES", _DECIDE_EXACTLY)
-WIDE_QUICK_WALK = _WALK.replace(
-    "ON_LANES",
-    _DECIDE_QUICKLY.replace("QUICK_MARGIN", f"{QUICK_MARGIN}f").replace("QUICK_GRAZING", f"{QUICK_GRAZING}f"),
-)

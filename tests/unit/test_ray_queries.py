@@ -84,46 +84,13 @@ def test_farther_hits_than_max_distance_are_misses(box, watertight):
     assert box.crossing_count(*ray, max_distance=1.1)[0] == 1
 
 
-def test_quick_hits_are_those_of_float32():
+def test_hits_that_may_leak_do_not():
     surface = gk.mesh.Surface(catalogue.torus(), device="cpu")
     rng = np.random.default_rng(1)
     starts, directions = rng.uniform(-2, 2, (4000, 3)), rng.normal(size=(4000, 3))
-    exact = surface.raycast(starts, directions)
-    quick = surface.raycast(starts, directions, watertight=False)
-    both = (exact.triangle_id >= 0) & (quick.triangle_id >= 0)
-    # Silhouettes, which float32 may see on the other side, are seldom hit.
-    assert np.mean((exact.triangle_id >= 0) != (quick.triangle_id >= 0)) < 1e-3
-    near = np.abs(exact.t[both] - quick.t[both]) * np.linalg.norm(directions[both], axis=1) < 1e-4
-    assert np.mean(near) > 0.998
-
-
-@pytest.mark.parametrize("make", [catalogue.torus, catalogue.icosphere, lambda: catalogue.cone(200, 10.0)])
-def test_quick_hits_are_passed_by_within_rounding(make):
-    """From one place of the surface to another: at grazing angles float32 has few digits along the ray, not across."""
-    mesh = make()
-    surface = gk.mesh.Surface(mesh, device="cpu")
-    rng = np.random.default_rng(2)
-    faces = rng.integers(len(mesh.faces), size=(2, 20_000))
-    starts, ends = (
-        np.einsum("nk,nkd->nd", rng.dirichlet([1.0] * 3, 20_000), mesh.vertices[mesh.faces[face]]) for face in faces
-    )
-    directions = ends - starts
-    keep = faces[0] != faces[1]
-    starts, directions = starts[keep], directions[keep]
-    exact, quick = (surface.raycast(starts, directions, watertight=w) for w in (True, False))
-    assert quick.t.min() >= 0.0
-    hit = np.isfinite(quick.t)
-    along = directions[hit] / np.linalg.norm(directions[hit], axis=1, keepdims=True)
-    points = starts[hit] + quick.t[hit, None] * directions[hit]
-    corners = mesh.vertices[mesh.faces[quick.triangle_id[hit]]]
-    # The weights are those of a point of the triangle, whatever rounding has made of the hit.
-    aside = points - np.einsum("nk,nkd->nd", quick.barycentric[hit], corners)
-    aside -= np.einsum("nd,nd->n", aside, along)[:, None] * along
-    # A ray in a triangle's plane hits it anywhere.
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rises = np.abs(np.einsum("nd,nd->n", normals, along)) > 1e-9 * np.linalg.norm(normals, axis=1)
-    assert np.linalg.norm(aside[rises], axis=1).max() < 5e-6 * mesh.diagonal
-    assert np.mean(np.isfinite(exact.t) != hit) < 2e-3
+    both = (surface.raycast(starts, directions, watertight=watertight) for watertight in (True, False))
+    for one, other in zip(*both, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("method", ["raycast", "raycast_all", "occluded", "crossing_count"])
