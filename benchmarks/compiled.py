@@ -1,0 +1,38 @@
+"""Peers that have no Python package: C++ files in cpp/, compiled here and loaded with ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+FLAGS = ("-O3", "-march=native", "-std=c++17", "-fPIC", "-shared", "-pthread")
+
+
+@functools.cache
+def compiled(name: str, *libraries: str) -> ctypes.CDLL:
+    """The shared library made of ``cpp/name.cpp``, kept in the temporary folder until the source changes.
+
+    Raises:
+        ImportError: There is no compiler, or a header or library is missing; measure takes that for a missing peer.
+    """
+    source = Path(__file__).with_name("cpp") / f"{name}.cpp"
+    compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
+    if compiler is None:
+        raise ImportError("no C++ compiler", name=name)
+    command = [compiler, *FLAGS, str(source), *(f"-l{library}" for library in libraries)]
+    stamp = hashlib.sha256(source.read_bytes() + " ".join(command).encode()).hexdigest()[:16]
+    target = Path(tempfile.gettempdir()) / f"geokit-benchmark-{os.getuid()}-{name}-{stamp}.so"
+    if not target.exists():
+        made = target.with_suffix(f".{os.getpid()}")
+        result = subprocess.run([*command, "-o", str(made)], capture_output=True, text=True, check=False)
+        if result.returncode:
+            reason = (result.stderr.strip() or "the compiler failed").splitlines()[0]
+            raise ImportError(f"{name}.cpp does not compile: {reason}", name=None)
+        made.replace(target)
+    return ctypes.CDLL(str(target))

@@ -1,0 +1,95 @@
+"""Trilinear samples on a GPU beside raw warp, and the same on the CPU; part of benchmarks.gpu_volumes."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import geokit as gk
+from benchmarks.volume_sampling import level_set, raw_sample_kernel
+from geokit import _launch
+
+POINTS = 50_000_000
+CHECKED = 1_000_000
+RUNS = 7
+
+
+@wp.kernel
+def near_kernel(
+    first: int, seed: int, corners: wp.array(dtype=wp.vec3), sigma: float, out_points: wp.array(dtype=wp.vec3)
+):
+    i = first + wp.tid()
+    state = wp.rand_init(seed, i)
+    face = wp.randi(state, 0, corners.shape[0] / 3)
+    a = wp.randf(state)
+    b = wp.randf(state)
+    if a + b > 1.0:
+        a = 1.0 - a
+        b = 1.0 - b
+    point = corners[3 * face] * (1.0 - a - b) + corners[3 * face + 1] * a + corners[3 * face + 2] * b
+    out_points[i] = point + sigma * wp.vec3(wp.randn(state), wp.randn(state), wp.randn(state))
+
+
+@wp.kernel
+def widened_kernel(first: int, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec3d)):
+    i = first + wp.tid()
+    out[i] = wp.vec3d(points[i])
+
+
+def median(run: Callable[[], Any]) -> float:
+    """Seconds on the device, by its own clock."""
+    run()
+    run()
+    times = []
+    for _ in range(RUNS):
+        with wp.ScopedTimer("", cuda_filter=wp.TIMING_ALL, print=False, synchronize=True) as timer:
+            run()
+        times.append(timer.elapsed / 1000.0)
+    return statistics.median(times)
+
+
+def main(out: Callable[[str], None]) -> None:
+    device = wp.get_device("cuda:0")
+    source = wp.zeros(1 << 28, dtype=wp.float32, device=device)
+    target = wp.empty_like(source)
+    copied = 2 * source.size * 4 / median(lambda: wp.copy(target, source))
+    del source, target
+    out(f"{device.name}; {POINTS:,} points in random order; a copy moves {copied / 1e12:.2f} TB/s\n")
+    out("| grid | points | what | geokit G/s | warp G/s | ratio | share of copy bandwidth | CPU and GPU differ |")
+    out("|---|---|---|---:|---:|---:|---:|---:|")
+    for resolution in (256, 512, 1024):
+        volume, mesh = level_set(resolution)
+        corners = wp.array(mesh.vertices[mesh.faces.ravel()], dtype=wp.vec3, device=device)
+        sigma = float(volume.info.voxel_size[0])
+        points = wp.empty(POINTS, dtype=wp.vec3, device=device)
+        _launch.launch(near_kernel, POINTS, [7, corners, sigma], [points], device)
+        raw_out = wp.empty(POINTS, dtype=wp.float32, device=device)
+        handle = wp.uint64(volume.id(device))
+
+        def raw(points=points, raw_out=raw_out, handle=handle):
+            _launch.launch(raw_sample_kernel, POINTS, [handle, points], [raw_out], device)
+
+        raw_time = median(raw)
+        wide = wp.empty(POINTS, dtype=wp.vec3d, device=device)
+        _launch.launch(widened_kernel, POINTS, [points], [wide], device)
+        few = points.numpy()[:CHECKED].astype(np.float64)
+        for kind, rows, bytes_each in (("float32", points, 16), ("float64", wide, 32)):
+            for what, function in (("value", gk.volume.sample), ("gradient", gk.volume.gradient)):
+                time = median(lambda function=function, volume=volume, rows=rows: function(volume, rows, device=device))
+                on_cpu = function(volume, few, device="cpu")
+                on_gpu = function(volume, few, device=device)
+                moved = bytes_each * (1.0 if what == "value" else 1.5) * POINTS / time / copied
+                ratio = f"{raw_time / time:.2f}" if what == "value" else ""
+                raw_rate = f"{POINTS / raw_time / 1e9:.1f}" if what == "value" else ""
+                out(
+                    f"| {resolution}^3 | {kind} | {what} | {POINTS / time / 1e9:.1f} | {raw_rate} | {ratio} | "
+                    f"{moved:.0%} | {np.abs(on_cpu - on_gpu).max():.1e} |"
+                )
+
+
+if __name__ == "__main__":
+    main(print)
