@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geokit._files import extension, require_extension, require_file
-from geokit.errors import InputError
+from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import _nvdb_file
 from geokit.volume._nanovdb import grid_name, info_of, voxel_size_of
 from geokit.volume._nanovdb_checks import check_grid
@@ -24,6 +25,9 @@ __all__ = ["inspect", "load", "load_all", "save"]
 EXTENSIONS = (".nvdb", ".vdb")
 # NanoVDB readers are often built without zlib and Blosc: uncompressed is what all of them read, and the fastest.
 DEFAULT_NVDB_CODEC = "none"
+# A file up to this size [bytes] is read whole where no grid is named: quicker than to ask for the names first, in a
+# process of its own, and lost only where there turn out to be several.
+READ_AT_ONCE = 64 << 20
 # OpenVDB's own default; a library built without Blosc cannot be had from Debian or Ubuntu.
 DEFAULT_VDB_CODEC = "blosc"
 
@@ -61,6 +65,12 @@ def load(path: str | os.PathLike[str], *, grid: str | None = None, trusted: bool
         return _from_nvdb(_nvdb_file.read(path, [index])[0])
     if grid is None:
         from geokit import native
+
+        if path.stat().st_size <= READ_AT_ONCE:
+            # A grid that cannot be read, among others, must not hide that a name is wanted.
+            with contextlib.suppress(UnsupportedGridError):
+                volumes = _read_vdb(path, None, trusted)
+                return volumes[_index_of(None, _unique([volume.info.name for volume in volumes]), path)]
 
         names = [header["name"] for header in native.inspect_vdb(path)]
         grid = names[_index_of(None, _unique(names), path)]
