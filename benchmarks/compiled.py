@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-FLAGS = ("-O3", "-march=native", "-std=c++17", "-fPIC", "-shared", "-pthread")
+FLAGS = ("-O3", "-DNDEBUG", "-march=native", "-std=c++17", "-fPIC", "-shared", "-pthread")
 
 
 @functools.cache

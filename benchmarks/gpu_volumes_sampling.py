@@ -52,12 +52,16 @@ def median(run: Callable[[], Any]) -> float:
     return statistics.median(times)
 
 
-def main(out: Callable[[str], None]) -> None:
-    device = wp.get_device("cuda:0")
+def copy_rate(device: wp.Device) -> float:
+    """Bytes a second that a copy on the device reads and writes."""
     source = wp.zeros(1 << 28, dtype=wp.float32, device=device)
     target = wp.empty_like(source)
-    copied = 2 * source.size * 4 / median(lambda: wp.copy(target, source))
-    del source, target
+    return 2 * source.size * 4 / median(lambda: wp.copy(target, source))
+
+
+def main(out: Callable[[str], None]) -> None:
+    device = wp.get_device("cuda:0")
+    copied = copy_rate(device)
     out(f"{device.name}; {POINTS:,} points in random order; a copy moves {copied / 1e12:.2f} TB/s\n")
     out("| grid | points | what | geokit G/s | warp G/s | ratio | share of copy bandwidth | CPU and GPU differ |")
     out("|---|---|---|---:|---:|---:|---:|---:|")

@@ -41,8 +41,8 @@ class Batch:
     """Rows of three on the query device, and how results go back to where the rows came from.
 
     Attributes:
-        rows: The rows as kernels take them: vec3d, shape (N,), contiguous, on the query device; a HostArray where they
-            are NumPy's and stay on the host.
+        rows: The rows as kernels take them: vec3d (vec3f where float32 rows are kept), shape (N,), contiguous, on the
+            query device; a HostArray where they are NumPy's and stay on the host.
         single: True where the caller's rows were float32 (results are then float32 too).
         give: Turns a warp result array on the query device into the caller's kind of array.
         first_row: Where the rows stand among the caller's, for messages.
@@ -58,11 +58,13 @@ class Batch:
 
     @property
     def array(self) -> "wp.array":
-        """The rows as a warp array of vec3d, shape (N,)."""
+        """The rows as a warp array, shape (N,)."""
         return self.rows.warp if isinstance(self.rows, HostArray) else self.rows
 
 
-def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = False, first_row: int = 0) -> Batch:
+def read_vectors(
+    values: Any, name: str, device: "wp.Device", *, defer: bool = False, first_row: int = 0, keep_single: bool = False
+) -> Batch:
     """Rows of three from any supported container, on ``device``.
 
     Args:
@@ -72,6 +74,7 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         defer: Leave it to the query's kernel to see rows that are not finite, and to :func:`require_finite` to name
             them: a pass over the rows, and on a GPU a wait for its answer, are saved.
         first_row: Where the rows stand among the caller's, for messages.
+        keep_single: Leave float32 rows as they are, vec3f, for kernels that take both.
     Returns:
         A Batch.
     Raises:
@@ -84,14 +87,14 @@ def read_vectors(values: Any, name: str, device: "wp.Device", *, defer: bool = F
         vectors = values.ndim == 1
         give = _giver(source, lambda out: out if vectors else _as_table(out))
     elif isinstance(values, np.ndarray) or not _exports(values):
-        return _read_numpy(values, name, device, first_row, defer)
+        return _read_numpy(values, name, device, first_row, defer, keep_single)
     else:
         source = _import_exporter(values, name)
         give = _giver(source, _reexporter(values))
     rows, single = _as_rows(source, name)
     if rows.device != device:
         rows = rows.to(device)
-    if single:
+    if single and not keep_single:
         rows = _widen(rows)
     if not rows.is_contiguous:
         rows = rows.contiguous()
@@ -105,7 +108,7 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
 
     Args:
         count: Number of results.
-        dtype: ``wp.vec3d``, or a warp scalar type.
+        dtype: ``wp.vec3d``, ``wp.vec3f``, or a warp scalar type.
         like: ``Batch.rows``.
     Returns:
         A HostArray if ``like`` is one, else a warp array on its device.
@@ -114,8 +117,8 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
 
     if not isinstance(like, HostArray):
         return wp.empty(count, dtype=dtype, device=like.device)
-    if dtype is wp.vec3d:
-        return HostArray(np.empty((count, 3)))
+    if dtype in (wp.vec3d, wp.vec3f):
+        return HostArray(np.empty((count, 3), np.float64 if dtype is wp.vec3d else np.float32))
     return HostArray(np.empty(count, wp.dtype_to_numpy(dtype)))
 
 
@@ -187,14 +190,13 @@ def _exports(values: Any) -> bool:
     return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
 
 
-def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int, defer: bool) -> Batch:
-
+def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_single: bool) -> Batch:
     try:
         given = np.asarray(values)
         single = given.dtype == np.float32
         if given.dtype.kind not in "fiu" and given.size:
             raise InputError(f"{name}: dtype {given.dtype} is not a real number type; convert it to float64")
-        table = np.ascontiguousarray(given, dtype=np.float64)
+        table = np.ascontiguousarray(given, dtype=np.float32 if single and keep_single else np.float64)
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -305,9 +307,11 @@ def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
     if rows.device.is_cpu:
         _refuse_nonfinite(rows.numpy(), name, first_row)
         return
+    import warp as wp
+
     from geokit._arrays_kernels import first_nonfinite_kernel
 
-    row = reported_row(first_nonfinite_kernel, rows, [])
+    row = reported_row(first_nonfinite_kernel, rows if rows.dtype is wp.vec3d else _widen(rows), [])
     if row >= 0:
         bad = rows[row : row + 1].numpy()[0].tolist()
         raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")

@@ -61,7 +61,8 @@ class HostArray:
 
         if self._warp is None:
             values = self.values
-            dtype = wp.vec3d if values.ndim == 2 else wp.dtype_from_numpy(values.dtype)
+            vector = wp.vec3f if values.dtype == np.float32 else wp.vec3d
+            dtype = vector if values.ndim == 2 else wp.dtype_from_numpy(values.dtype)
             self._warp = wp.array(
                 ptr=values.ctypes.data,
                 dtype=dtype,

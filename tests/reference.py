@@ -329,3 +329,114 @@ def triangle_meets_box(triangle: np.ndarray, lower: np.ndarray, upper: np.ndarra
         axis = tuple(Fraction(int(i == k)) for i in range(3))
         polygon = _clip(_clip(polygon, axis, low), tuple(-x for x in axis), high)
     return bool(polygon)
+
+
+def axis_weights(order: int, t: np.ndarray, derivative: int = 0) -> np.ndarray:
+    """Weights (N, 3 or 4) of the voxels at -1, 0, 1 (and 2) for a point at t, of a parabola (order 2) or a cubic (3).
+
+    The parabola goes through the three voxels. The cubic has the values of voxels 0 and 1, and there as slopes half the
+    differences of the voxels beside them, in Hermite's form.
+    """
+    from numpy.polynomial import Polynomial
+
+    x = Polynomial([0.0, 1.0])
+    if order == 2:
+        basis = [x * (x - 1) / 2, (1 - x) * (1 + x), x * (x + 1) / 2]
+    else:
+        value_0, value_1 = (1 + 2 * x) * (1 - x) ** 2, x**2 * (3 - 2 * x)
+        slope_0, slope_1 = x * (1 - x) ** 2, x**2 * (x - 1)
+        basis = [-slope_0 / 2, value_0 - slope_1 / 2, value_1 + slope_0 / 2, slope_1 / 2]
+    return np.stack([(b.deriv(derivative) if derivative else b)(t) for b in basis], axis=-1)
+
+
+def tensor_interpolant(at, u: np.ndarray, order: int, derivatives: tuple[int, int, int] = (0, 0, 0)) -> np.ndarray:
+    """Triquadratic (order 2) or tricubic (3) interpolant at index coordinates u (N, 3), or one of its derivatives.
+
+    Args:
+        at: Gives the values (N, ...) of voxels (N, 3).
+        u: Index coordinates.
+        order: 2 or 3.
+        derivatives: How often to differentiate along each index axis.
+    """
+    base = np.floor(u)
+    weights = [axis_weights(order, u[:, a] - base[:, a], derivatives[a]) for a in range(3)]
+    count = order + 1
+    total = 0.0
+    for p, q, r in np.ndindex(count, count, count):
+        value = at(base.astype(np.int64) + np.array([p - 1, q - 1, r - 1]))
+        weight = weights[0][:, p] * weights[1][:, q] * weights[2][:, r]
+        total = total + weight.reshape(-1, *[1] * (value.ndim - 1)) * value
+    return total
+
+
+def union_of_balls(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Least of ``|x - p| - r`` over all balls (p, r), for each of the points (N, 3)."""
+    least = np.full(len(points), np.inf)
+    for center, radius in zip(centers, np.broadcast_to(radii, len(centers)), strict=True):
+        least = np.minimum(least, np.sqrt(((points - center) ** 2).sum(axis=1)) - radius)
+    return least
+
+
+def interpolant_along(at, start: np.ndarray, toward: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Trilinear interpolant at ``start + t * toward`` (index space), shape (T,).
+
+    Args:
+        at: Gives the values (N,) of voxels (N, 3).
+        start: Where the ray starts.
+        toward: Its direction.
+        t: Where to look along it.
+    """
+    u = start + t[:, None] * toward
+    base = np.floor(u)
+    share = u - base
+    total = np.zeros(len(t))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(corner, share, 1.0 - share), axis=1)
+        # A weight of zero must not make NaN of a voxel that does not count.
+        total += np.where(weight == 0.0, 0.0, weight * at(base.astype(np.int64) + corner))
+    return total
+
+
+def borders_along(start: np.ndarray, toward: np.ndarray, first: float, last: float) -> np.ndarray:
+    """Where the ray passes from cell to cell between ``first`` and ``last``, and these two, ascending."""
+    found = [np.array([first, last])]
+    for a in range(3):
+        if toward[a] != 0.0:
+            ends = sorted((start[a] + first * toward[a], start[a] + last * toward[a]))
+            found.append((np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1) - start[a]) / toward[a])
+    t = np.unique(np.concatenate(found))
+    return t[(t >= first) & (t <= last)]
+
+
+def first_level(
+    at, start: np.ndarray, toward: np.ndarray, isovalue: float, first: float, last: float, fine: int = 16
+) -> float:
+    """First t at which the trilinear interpolant along a ray has changed its side of the isovalue; inf for none.
+
+    Every cell is cut into ``fine`` pieces, and a piece in which the side changes into 32 pieces ten times: what touches
+    the isovalue, or crosses it twice within a piece, is overlooked.
+    """
+    borders = borders_along(start, toward, first, last)
+    share = np.arange(fine) / fine
+    t = np.append((borders[:-1, None] + np.diff(borders)[:, None] * share).ravel(), borders[-1])
+    for _ in range(11):
+        over = interpolant_along(at, start, toward, t) > isovalue
+        change = np.flatnonzero(over[:-1] != over[1:])
+        if not len(change):
+            return np.inf
+        t = np.linspace(t[change[0]], t[change[0] + 1], 33)
+    return t[-1]
+
+
+def optical_depth(at, start: np.ndarray, toward: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Integral over t of the trilinear interpolant from ``t[0]`` to each of ``t``, which contains all cell borders.
+
+    Boole's rule: exact for the cubic that the interpolant is between two of them.
+    """
+    steps = np.diff(t)
+    share = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    weight = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0
+    inner = (t[:-1, None] + steps[:, None] * share).ravel()
+    # The ends of a cell are values of the cell itself: the interpolant is continuous.
+    value = interpolant_along(at, start, toward, inner).reshape(-1, 5)
+    return np.concatenate([[0.0], np.cumsum(steps * (value @ weight))])

@@ -1,7 +1,7 @@
 """Structural checks of a NanoVDB grid, so that a damaged buffer cannot make a kernel read outside it.
 
 After the checks every node lies inside the buffer, levels do not overlap, and every child offset leads to the start of
-a node of the next level that no other slot leads to.
+a node of the next level that no other slot leads to. In an index grid every index is below the number of its values.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
+from geokit.volume._index_checks import INDEX_LAYOUTS, index_damage, index_layout
 from geokit.volume._nanovdb import BLIND_DATA, HEAD_SIZE, TREE_OFFSET, grid_header, require_supported, tree_header
 from geokit.volume._nanovdb_layout import ALIGNMENT, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout
 
@@ -54,7 +55,7 @@ def check_head(head: NDArray[np.uint8], size: int, where: str) -> GridLayout:
         FileFormatError: The headers contradict each other or the size.
         UnsupportedGridError: The grid's version, type or node order is not supported.
     """
-    layout = require_supported(head, where)
+    layout = index_layout(head, where) or require_supported(head, where)
     try:
         if int(grid_header(head)["grid_size"]) != size:
             raise _Damage(f"its header says {int(grid_header(head)['grid_size'])} bytes and its file {size}")
@@ -89,9 +90,17 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
         _check_children(buffer, upper, lower, layout.upper_table, UPPER_SLOTS, layout.table_stride)
         _check_children(buffer, lower, leaf, layout.lower_table, LOWER_SLOTS, layout.table_stride, layout.leaf_bits < 0)
         _check_blind_data(buffer, end)
+        _check_indices(buffer, layout, root, upper, lower, leaf)
     except _Damage as damage:
         raise _refusal(where, damage) from None
     return layout
+
+
+def _check_indices(buffer: NDArray[np.uint8], layout: GridLayout, root: _Level, *levels: _Level) -> None:
+    if layout.name in INDEX_LAYOUTS:
+        damage = index_damage(buffer, layout, root.begin, *((level.begin, level.count) for level in levels))
+        if damage:
+            raise _Damage(damage)
 
 
 def _refusal(where: str, damage: _Damage) -> FileFormatError:

@@ -9,12 +9,14 @@ from geokit.errors import DeviceMemoryError
 from geokit.volume._nanovdb import aligned_buffer
 from geokit.volume._nanovdb_checks import check_grid
 from geokit.volume._nanovdb_layout import ALIGNMENT
-from geokit.volume.model import SparseVolume
+from geokit.volume.model import GridInfo, SparseVolume
 
 if TYPE_CHECKING:
+    import numpy as np
     import warp as wp
+    from numpy.typing import NDArray
 
-__all__ = ["upload"]
+__all__ = ["download", "made_on_device", "upload"]
 
 
 def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
@@ -60,7 +62,40 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
             f"volume {volume.info.name!r}: {len(buffer)} bytes could not be had on {found.alias}; use a coarser "
             "grid or another device"
         ) from error
-    made = wp.Volume(array, copy=False)
+    try:
+        made = wp.Volume(array, copy=False)
+    except RuntimeError:
+        # Warp knows a volume by its address: a buffer that another volume shows already needs one of its own.
+        array = wp.clone(array)
+        made = wp.Volume(array, copy=False)
     # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it.
     volume._uploads[found.alias] = (made, array, buffer)
     return made
+
+
+def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
+    """A volume whose grid is on a device, as kernels of geokit have made it; its host buffer comes when asked for.
+
+    Args:
+        grid: The grid's bytes, uint8, on a GPU.
+        info: Its description.
+    """
+    import warp as wp
+
+    volume = SparseVolume.__new__(SparseVolume)
+    uploads = {grid.device.alias: (wp.Volume(grid, copy=False), grid, None)}
+    for name, value in (("info", info), ("_uploads", uploads)):
+        object.__setattr__(volume, name, value)
+    return volume
+
+
+def download(volume: SparseVolume) -> NDArray[np.uint8]:
+    """The host buffer of a volume that :func:`made_on_device` has made."""
+    import warp as wp
+
+    source = next(entry[1] for entry in volume._uploads.values() if isinstance(entry, tuple))
+    buffer = aligned_buffer(len(source))
+    wp.copy(wp.array(buffer, dtype=wp.uint8, device="cpu", copy=False), source)
+    # On a GPU the copy may still be under way.
+    wp.synchronize_device(source.device)
+    return buffer

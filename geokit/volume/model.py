@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -12,6 +13,10 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import warp as wp
+
+    from geokit.volume.curvature import Curvatures
+    from geokit.volume.integrate import Transmittance
+    from geokit.volume.raycast import VolumeHits
 
 __all__ = ["GridInfo", "SparseVolume"]
 
@@ -60,6 +65,8 @@ class GridInfo:
 class SparseVolume:
     """One NanoVDB grid.
 
+    A grid that was made on a GPU stays there; ``nanovdb`` fetches it when it is first asked for.
+
     Args:
         nanovdb: The grid's buffer: uint8, C-contiguous, starting at a 32-byte boundary, one grid, no file header.
         info: Its description.
@@ -68,6 +75,17 @@ class SparseVolume:
     nanovdb: NDArray[np.uint8]
     info: GridInfo
     _uploads: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            # Only asked for what is not there: the host buffer of a grid that was made on a device.
+            if name != "nanovdb" or not self.__dict__.get("_uploads"):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            from geokit.volume._upload import download
+
+            object.__setattr__(self, "nanovdb", download(self))
+            return self.nanovdb
 
     def on(self, device: Any = None) -> "wp.Volume":
         """The grid as a ``warp.Volume`` on ``device``, uploaded once and kept while this volume lives."""
@@ -79,17 +97,84 @@ class SparseVolume:
         """Handle for the user's own kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
         return int(self.on(device).id)
 
-    def sample(self, points: Any, *, order: int = 1, device: Any = None) -> Any:
+    def sample(
+        self,
+        points: Any,
+        *,
+        order: int = 1,
+        space: str = "world",
+        channel: int | str | None = None,
+        device: Any = None,
+    ) -> Any:
         """See :func:`geokit.volume.sample`."""
         from geokit.volume.sample import sample
 
-        return sample(self, points, order=order, device=device)
+        return sample(self, points, order=order, space=space, channel=channel, device=device)
 
-    def gradient(self, points: Any, *, order: int = 1, device: Any = None) -> Any:
+    def gradient(
+        self,
+        points: Any,
+        *,
+        order: int = 1,
+        space: str = "world",
+        channel: int | str | None = None,
+        device: Any = None,
+    ) -> Any:
         """See :func:`geokit.volume.gradient`."""
         from geokit.volume.sample import gradient
 
-        return gradient(self, points, order=order, device=device)
+        return gradient(self, points, order=order, space=space, channel=channel, device=device)
+
+    def hessian(self, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
+        """See :func:`geokit.volume.hessian`."""
+        from geokit.volume.curvature import hessian
+
+        return hessian(self, points, order=order, space=space, device=device)
+
+    def curvature(self, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
+        """See :func:`geokit.volume.curvature`."""
+        from geokit.volume.curvature import curvature
+
+        return curvature(self, points, order=order, device=device)
+
+    def active_at(self, points: Any, *, space: str = "world", device: Any = None) -> Any:
+        """See :func:`geokit.volume.active_at`."""
+        from geokit.volume.active import active_at
+
+        return active_at(self, points, space=space, device=device)
+
+    def raycast(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        isovalue: float = 0.0,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        device: Any = None,
+    ) -> VolumeHits:
+        """See :func:`geokit.volume.raycast`."""
+        from geokit.volume.raycast import raycast
+
+        limits = {"isovalue": isovalue, "t_min": t_min, "max_distance": max_distance}
+        return raycast(self, origins, directions, **limits, device=device)
+
+    def integrate(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        extinction: float = 1.0,
+        emission: SparseVolume | None = None,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        device: Any = None,
+    ) -> Transmittance:
+        """See :func:`geokit.volume.integrate`."""
+        from geokit.volume.integrate import integrate
+
+        limits = {"t_min": t_min, "max_distance": max_distance}
+        return integrate(self, origins, directions, extinction=extinction, emission=emission, **limits, device=device)
 
     def __repr__(self) -> str:
         size = " x ".join(f"{s:.6g}" for s in self.info.voxel_size)
