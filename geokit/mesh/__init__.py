@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
+    from geokit.mesh.attributes import sample_attributes
     from geokit.mesh._overlap_queries import BoxOverlaps
     from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
     from geokit.mesh._ray_queries import RayHitLists, RayHits
@@ -41,6 +42,7 @@ __all__ = [
     "load",
     "merge_vertices",
     "orient",
+    "sample_attributes",
     "sample_surface",
     "save",
 ]
@@ -65,6 +67,7 @@ make_lazy(
         "audit": "geokit.mesh.audit",
         "drop_degenerate": "geokit.mesh.repair",
         "from_volume": "geokit.mesh.from_volume",
+        "sample_attributes": "geokit.mesh.attributes",
         "hausdorff": "geokit.mesh.hausdorff",
         "load": "geokit.mesh.io",
         "merge_vertices": "geokit.mesh.repair",

@@ -1,0 +1,177 @@
+"""Isosurfaces on a GPU: the same as on the CPU, and how quick; part of benchmarks.gpu_volumes.
+
+Needs no OpenVDB: the level sets are spheres with a ripple, made here. Beside them warp's own marching cubes, which want
+a dense float32 field; their time does not include making one.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import geokit as gk
+from geokit import _launch
+from geokit.volume._build import build_float_grid
+from geokit.volume._nanovdb import info_of
+from geokit.volume.model import SparseVolume
+
+METHODS = ("surface_nets", "marching_cubes", "dual_contouring")
+HALF_WIDTH = 3.0
+RUNS = 7
+
+
+def rippled_sphere(resolution: int) -> SparseVolume:
+    """About a level set, ``resolution`` voxels across, in voxel units."""
+    radius = resolution / 2 - 4.0
+    count = resolution // 8
+    tiles = np.stack(np.meshgrid(*3 * [np.arange(-count // 2, count // 2, dtype=np.int32)], indexing="ij"), axis=-1)
+    tiles = tiles.reshape(-1, 3)
+    # A tile reaches 7 voxels from its middle, the ripple two, the band three.
+    near = np.abs(np.linalg.norm(8 * tiles + 3.5, axis=1) - radius) < 12.0
+    origins = 8 * tiles[near]
+    voxels = np.array(list(np.ndindex(8, 8, 8)), np.float32)
+    values = np.empty((len(origins), 512), np.float32)
+    for first in range(0, len(origins), 2000):
+        p = origins[first : first + 2000, None].astype(np.float32) + voxels
+        ripple = np.sin(p[..., 0] * 0.21) * np.sin(p[..., 1] * 0.17) * np.sin(p[..., 2] * 0.19)
+        values[first : first + 2000] = np.linalg.norm(p, axis=-1) - radius + 2.0 * ripple
+    buffer = build_float_grid(
+        origins,
+        np.clip(values, -HALF_WIDTH, HALF_WIDTH),
+        np.abs(values) < HALF_WIDTH,
+        background=HALF_WIDTH,
+        transform=np.diag([0.01, 0.01, 0.01, 1.0]),
+        name="rippled sphere",
+        grid_class="level set",
+        signed_fill=True,
+    )
+    return SparseVolume(buffer, info_of(buffer))
+
+
+def median(run: Callable[[], Any], device: Any) -> float:
+    """Seconds from call to result."""
+    run()
+    run()
+    times = []
+    for _ in range(RUNS):
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        run()
+        wp.synchronize_device(device)
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def check_same(volume: SparseVolume, device: Any) -> list[str]:
+    """A row for each method: what differs between the CPU's mesh and the GPU's."""
+    rows = []
+    for method in METHODS:
+        cpu, gpu = (gk.mesh.from_volume(volume, method=method, device=d) for d in ("cpu", device))
+        if len(cpu.vertices) != len(gpu.vertices) or len(cpu.faces) != len(gpu.faces):
+            rows.append(f"{method}: {len(cpu.vertices)} vertices for {len(gpu.vertices)}: NOT the same")
+            continue
+        off = float(np.abs(cpu.vertices - gpu.vertices).max() / volume.info.voxel_size[0])
+        faces = int((cpu.faces != gpu.faces).any(axis=1).sum())
+        report = gk.mesh.audit(gpu)
+        rows.append(
+            f"{method}: {len(cpu.faces):,} triangles, vertices differ by {off:.1e} voxel, other triangles {faces}, "
+            f"{report.boundary_edge_count} boundary and {report.non_manifold_edge_count} non-manifold edges"
+        )
+    return rows
+
+
+def check_noise(device: Any) -> list[str]:
+    """As :func:`check_same`, for a field without any smoothness: every case occurs, tiles take part.
+
+    A tenth of the voxels are not active: there the surface has boundary edges.
+    """
+    rng = np.random.default_rng(11)
+    blocks = np.array(list(np.ndindex(4, 4, 4)), np.int32)
+    blocks = 8 * blocks[rng.random(len(blocks)) < 0.7] - 16
+    values = rng.normal(size=(len(blocks), 512)).astype(np.float32)
+    buffer = build_float_grid(
+        blocks,
+        values,
+        rng.random(values.shape) < 0.9,
+        background=-1.0,
+        transform=np.eye(4),
+        name="noise",
+        grid_class="unknown",
+        signed_fill=False,
+    )
+    return check_same(SparseVolume(buffer, info_of(buffer)), device)
+
+
+def gpu_stages(volume: SparseVolume, method: str, device: Any) -> str:
+    """Share of the time by kernel, each waited for; what is left is Python, scans, memory and the way to the host."""
+    spent: dict[str, float] = {}
+    plain = _launch.launch
+
+    def timed(kernel: Any, *arguments: Any, **options: Any) -> None:
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        plain(kernel, *arguments, **options)
+        wp.synchronize_device(device)
+        spent[kernel.key] = spent.get(kernel.key, 0.0) + time.perf_counter() - start
+
+    _launch.launch = timed
+    try:
+        start = time.perf_counter()
+        gk.mesh.from_volume(volume, method=method, device=device)
+        whole = time.perf_counter() - start
+    finally:
+        _launch.launch = plain
+    spent["elsewhere"] = whole - sum(spent.values())
+    largest = sorted(spent.items(), key=lambda item: -item[1])[:8]
+    return f"{whole * 1e3:.1f} ms: " + ", ".join(f"{name} {part / whole:.0%}" for name, part in largest)
+
+
+def dense_cubes(volume: SparseVolume, resolution: int, device: Any) -> float:
+    """Seconds of warp's marching cubes on the dense field; its mesh stays on the device, as float32."""
+    n = resolution
+    places = np.arange(-n // 2, n // 2)
+    field = np.empty((n, n, n), np.float32)
+    for row, x in enumerate(places):
+        yz = np.stack(np.meshgrid([x], places, places, indexing="ij"), axis=-1).reshape(-1, 3)
+        field[row] = volume.sample(yz * 0.01, order=0, device=device).reshape(n, n)
+    values = wp.array(field, dtype=wp.float32, device=device)
+    from warp.geometry import IsoSurfaceMarchingCubes
+
+    return median(lambda: IsoSurfaceMarchingCubes.extract(values, 0.0), device)
+
+
+def main(out: Callable[[str], None]) -> None:
+    device = wp.get_device("cuda:0")
+    out(f"{device.name}; {_launch.thread_count()} CPU threads\n")
+    for row in check_noise(device):
+        out(f"noise, {row}")
+    out("\n| field | method | triangles | GPU ms | CPU ms | CPU / GPU | warp's dense MarchingCubes ms |")
+    out("|---|---|---:|---:|---:|---:|---:|")
+    notes = []
+    for resolution in (256, 512):
+        volume = rippled_sphere(resolution)
+        notes += [f"{resolution}^3, {row}" for row in check_same(volume, device)]
+        raw = dense_cubes(volume, resolution, device)
+        for method in METHODS:
+            faces = len(gk.mesh.from_volume(volume, method=method, device=device).faces)
+            on_gpu, on_cpu = (
+                median(lambda d=d, method=method: gk.mesh.from_volume(volume, method=method, device=d), device)  # noqa: B023
+                for d in (device, "cpu")
+            )
+            out(
+                f"| {resolution}^3 | {method} | {faces:,} | {on_gpu * 1e3:.2f} | {on_cpu * 1e3:.1f} | "
+                f"{on_cpu / on_gpu:.1f} | {raw * 1e3:.2f} |"
+            )
+            notes.append(f"{resolution}^3, {method}, {gpu_stages(volume, method, device)}")
+    out("")
+    for note in notes:
+        out(note)
+
+
+if __name__ == "__main__":
+    main(print)

@@ -1,0 +1,159 @@
+"""The cells of a sparse volume that an isosurface crosses, found from its leaves and from tiles beside them.
+
+A cell counts where the interpolant of order 1 takes the value in it and one of its eight voxels is active. No voxel
+outside the leaves is made: a tile is looked at where it differs from what is next to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume._isosurface_launch import GRAIN, launch_even, require_memory
+from geokit.volume._isosurface_nodes import Topology, topology_of
+from geokit.volume._isosurface_rims import add_rims, rim_origins
+from geokit.volume._nanovdb import TREE_OFFSET, grid_header, tree_header
+from geokit.volume._nanovdb_layout import GridLayout, layout_of
+from geokit.volume.model import SparseVolume
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["CrossedCells", "crossed_cells"]
+
+FLOAT_TYPE = 1
+# Offset of the voxels in a leaf of floats.
+FLOAT_TABLE = 96
+# Memory of a block while its cells are found: planes, neighbours, places.
+BLOCK_BYTES = 160
+# Float32 copy of a leaf of another type.
+DECODED_BYTES = 2048
+
+
+@dataclass(frozen=True)
+class CrossedCells:
+    """What the extraction kernels need to know.
+
+    Attributes:
+        cells: The kernels' :class:`Cells`; it keeps its arrays alive.
+        count: Blocks that have crossed cells, ``len(cells.crossed)``.
+        device: Where the arrays are.
+        tree: The kernels' :class:`Tree`.
+        keep: What else must outlive the kernels.
+    """
+
+    cells: Any
+    tree: Any
+    count: int
+    device: "wp.Device"
+    keep: tuple[Any, ...]
+
+
+def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> CrossedCells:
+    """Find the blocks of 8^3 cells that the surface crosses.
+
+    Args:
+        volume: A scalar grid that :meth:`SparseVolume.on` accepts.
+        isovalue: Value of the surface.
+        device: A warp device.
+
+    Returns:
+        CrossedCells.
+
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+    """
+    import warp as wp
+
+    from geokit.volume import _isosurface_cells_kernels as kernels
+
+    grid = volume.on(device)
+    grid_type = int(grid_header(volume.nanovdb)["grid_type"])
+    layout = layout_of(grid_type, "volume")
+    topology = topology_of(volume, layout)
+    count = len(topology.leaves.offset)
+    is_float = grid_type == FLOAT_TYPE
+    require_memory(count * (BLOCK_BYTES + (0 if is_float else DECODED_BYTES)), device)
+
+    cells: Any = kernels.Cells()
+    cells.volume = wp.uint64(grid.id)
+    cells.leaf_count = count
+    cells.leaf_offset, cells.origin = topology.on(device)[:2]
+    cells.sides = wp.empty(8 * count, dtype=wp.uint64, device=device)
+    cells.refs = wp.empty(8 * count, dtype=wp.int32, device=device)
+    keep = _find_sides(cells, isovalue, is_float, int(topology.leaves.offset[0]) if count else 0, layout, device)
+    tree = _tree(cells, topology, layout, isovalue, volume.nanovdb, device)
+    rims = wp.empty(count, dtype=wp.uint8, device=device)
+    launch_even(kernels.link_kernel, count, [cells, tree], [rims], device, least=GRAIN)
+    add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
+    blocks = len(cells.origin)
+    mixed = wp.empty(blocks, dtype=wp.int32, device=device)
+    launch_even(kernels.mixed_kernel, blocks, [cells], [mixed], device, least=GRAIN)
+    place = wp.empty(blocks, dtype=wp.int32, device=device)
+    crossed = 0
+    if blocks:
+        wp.utils.array_scan(mixed, place, inclusive=False)
+        crossed = int(place[-1:].numpy()[0] + mixed[-1:].numpy()[0])
+    cells.crossed = wp.empty(crossed, dtype=wp.int32, device=device)
+    cells.slot = wp.empty(blocks, dtype=wp.int32, device=device)
+    launch_even(kernels.list_kernel, blocks, [mixed, place], [cells.crossed, cells.slot], device)
+    return CrossedCells(cells, tree, crossed, device, (volume, grid, keep))
+
+
+def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, layout: GridLayout, device: Any) -> Any:
+    """Fills in ``cells.sides``, and where float32 values are found; returns what must be kept."""
+    import warp as wp
+
+    from geokit.volume import _isosurface_cells_kernels as kernels
+
+    count = cells.leaf_count
+    keep = None
+    if is_float:
+        cells.values = wp.uint64(int(cells.volume) + first_leaf + FLOAT_TABLE)
+        cells.stride = wp.uint64(layout.leaf_size)
+        cells.isovalue = wp.float64(isovalue)
+        # Below the isovalue are the floats below the first one that is not.
+        with np.errstate(over="ignore"):
+            limit = np.float32(isovalue)
+        if float(limit) < isovalue:
+            limit = np.nextafter(limit, np.float32(np.inf))
+    else:
+        keep = wp.empty(512 * count, dtype=wp.float32, device=device)
+        launch_even(kernels.decode_kernel, 64 * count, [cells, wp.float64(isovalue)], [keep], device)
+        cells.values = wp.uint64(keep.ptr or 0)
+        cells.stride = wp.uint64(DECODED_BYTES)
+        cells.isovalue = wp.float64(0.0)
+        limit = np.float32(0.0)
+    # A GPU reads rows of eight side by side, a CPU a leaf at a time.
+    if device.is_cuda:
+        launch_even(kernels.row_sides_kernel, 64 * count, [cells, wp.float32(limit)], [], device)
+    else:
+        launch_even(kernels.leaf_sides_kernel, count, [cells, wp.float32(limit)], [], device, least=GRAIN)
+    return keep
+
+
+def _tree(
+    cells: Any, topology: Topology, layout: GridLayout, isovalue: float, buffer: NDArray[np.uint8], device: Any
+) -> Any:
+    import warp as wp
+
+    from geokit.volume import _isosurface_cells_kernels as kernels
+
+    tree: Any = kernels.Tree()
+    header = tree_header(buffer)
+    tree.begin = wp.uint64(TREE_OFFSET + int(header["node_offset"][1]))
+    tree.size = wp.uint64(layout.lower_size)
+    tree.table = wp.uint64(layout.lower_table)
+    tree.leaf_begin = wp.uint64(TREE_OFFSET + int(header["node_offset"][0]))
+    tree.leaf_size = wp.uint64(0 if layout.leaf_bits < 0 else layout.leaf_size)
+    _, _, tree.leaf_lower, tree.leaf_slot, origin = topology.on(device)
+    count = len(origin)
+    tree.tile_inside = wp.empty(64 * count, dtype=wp.uint64, device=device)
+    tree.around = wp.empty(27 * count, dtype=wp.int32, device=device)
+    inputs = [cells.volume, wp.float64(isovalue), tree]
+    launch_even(kernels.tile_sides_kernel, 64 * count, inputs, [tree.tile_inside], device, least=GRAIN)
+    launch_even(kernels.lower_neighbors_kernel, 27 * count, [*inputs, origin], [tree.around], device)
+    return tree

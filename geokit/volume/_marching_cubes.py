@@ -1,0 +1,63 @@
+"""Marching cubes of a sparse volume, on the CPU or a GPU."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume._isosurface_cells import crossed_cells
+from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
+from geokit.volume._marching_cubes_cases import triangle_table
+from geokit.volume.model import SparseVolume
+
+__all__ = ["marching_cubes"]
+
+
+def marching_cubes(
+    volume: SparseVolume, isovalue: float, device: Any, *, turned: bool
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices (V, 3) [world] and triangles (F, 3) of an isosurface.
+
+    Args:
+        volume: A scalar grid.
+        isovalue: Value of the surface.
+        device: A warp device.
+        turned: Faces that turn to decreasing values instead of increasing ones, in index space.
+
+    Returns:
+        Vertices and triangles in the order of leaves and voxels.
+
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+
+    Source:
+        Lorensen and Cline, Marching Cubes (1987). Differs: inside corners at the ends of a face's diagonal are cut off
+        one by one, on both sides of the face, and no triangle has a diagonal in a face: edges have two faces.
+    """
+    import warp as wp
+
+    from geokit.volume import _marching_cubes_kernels as kernels
+
+    found = crossed_cells(volume, isovalue, device)
+    planes = PLANES * found.count
+    start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
+    records = wp.empty(3 * planes, dtype=wp.uint64, device=device)
+    vertices, triangles = (wp.empty(planes, dtype=wp.int32, device=device) for _ in range(2))
+    flag = wp.zeros(1, dtype=wp.int32, device=device)
+    outputs = [records, vertices, triangles, flag]
+    launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
+    base, vertex_count = offsets_of(vertices)
+    first_triangle, triangle_count = offsets_of(triangles)
+    require_memory(24 * vertex_count + 12 * triangle_count, device)
+    transform = volume.info.transform
+    linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
+    vertex = wp.empty(vertex_count, dtype=wp.vec3d, device=device)
+    inputs = [found.cells, records, base, wp.float64(isovalue), linear, offset]
+    launch_planes(kernels.vertices_kernel, planes, inputs, [vertex], device)
+    faces = wp.empty(3 * triangle_count, dtype=wp.int32, device=device)
+    inputs = [found.cells, start, edges, records, base, first_triangle, int(turned)]
+    launch_planes(kernels.triangles_kernel, planes, inputs, [faces], device)
+    result = vertex.numpy().reshape(-1, 3), faces.numpy().reshape(-1, 3)
+    return used_only(*result) if flag.numpy()[0] else result
