@@ -1,4 +1,4 @@
-"""Sparse volumes: files, sampling, and level sets from meshes."""
+"""Sparse volumes: files, sampling, rays, level sets from and to other things, and operations on them."""
 
 from __future__ import annotations
 
@@ -7,24 +7,128 @@ from typing import TYPE_CHECKING
 from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
-    from geokit.volume.from_mesh import from_mesh
+    from geokit.volume.active import active_at
+    from geokit.volume.csg import difference, intersection, union
+    from geokit.volume.curvature import Curvatures, curvature, hessian
+    from geokit.volume.dense import DenseGrid, from_dense, to_dense
+    from geokit.volume.differential import curl, divergence, gradient_field, laplacian
+    from geokit.volume.filters import smooth
+    from geokit.volume.from_channel import channel_names, from_channel
+    from geokit.volume.from_function import from_function
+    from geokit.volume.from_mesh import MeshBand, from_mesh, from_mesh_with_triangles
+    from geokit.volume.from_points import from_points
+    from geokit.volume.integrate import Transmittance, integrate
     from geokit.volume.io import inspect, load, load_all, save
     from geokit.volume.model import GridInfo, SparseVolume
+    from geokit.volume.morphology import closing, dilate, erode, offset, opening, renormalize
+    from geokit.volume.quantize import quantize
+    from geokit.volume.raycast import VolumeHits, raycast
+    from geokit.volume.resample import resample, resampled
     from geokit.volume.sample import gradient, sample
+    from geokit.volume.statistics import Statistics, statistics
+    from geokit.volume.topology import clip, prune, segment
 
-__all__ = ["GridInfo", "SparseVolume", "from_mesh", "gradient", "inspect", "load", "load_all", "sample", "save"]
+__all__ = [
+    "Curvatures",
+    "DenseGrid",
+    "GridInfo",
+    "MeshBand",
+    "SparseVolume",
+    "Statistics",
+    "Transmittance",
+    "VolumeHits",
+    "active_at",
+    "channel_names",
+    "clip",
+    "closing",
+    "curl",
+    "curvature",
+    "difference",
+    "dilate",
+    "divergence",
+    "erode",
+    "from_channel",
+    "from_dense",
+    "from_function",
+    "from_mesh",
+    "from_mesh_with_triangles",
+    "from_points",
+    "gradient",
+    "gradient_field",
+    "hessian",
+    "inspect",
+    "integrate",
+    "intersection",
+    "laplacian",
+    "load",
+    "load_all",
+    "offset",
+    "opening",
+    "prune",
+    "quantize",
+    "raycast",
+    "renormalize",
+    "resample",
+    "resampled",
+    "sample",
+    "save",
+    "segment",
+    "smooth",
+    "statistics",
+    "to_dense",
+    "union",
+]
 
 make_lazy(
     __name__,
     {
+        "Curvatures": "geokit.volume.curvature",
+        "DenseGrid": "geokit.volume.dense",
         "GridInfo": "geokit.volume.model",
+        "MeshBand": "geokit.volume.from_mesh",
         "SparseVolume": "geokit.volume.model",
+        "Statistics": "geokit.volume.statistics",
+        "Transmittance": "geokit.volume.integrate",
+        "VolumeHits": "geokit.volume.raycast",
+        "active_at": "geokit.volume.active",
+        "channel_names": "geokit.volume.from_channel",
+        "clip": "geokit.volume.topology",
+        "closing": "geokit.volume.morphology",
+        "curl": "geokit.volume.differential",
+        "curvature": "geokit.volume.curvature",
+        "difference": "geokit.volume.csg",
+        "dilate": "geokit.volume.morphology",
+        "divergence": "geokit.volume.differential",
+        "erode": "geokit.volume.morphology",
+        "from_channel": "geokit.volume.from_channel",
+        "from_dense": "geokit.volume.dense",
+        "from_function": "geokit.volume.from_function",
         "from_mesh": "geokit.volume.from_mesh",
+        "from_mesh_with_triangles": "geokit.volume.from_mesh",
+        "from_points": "geokit.volume.from_points",
         "gradient": "geokit.volume.sample",
+        "gradient_field": "geokit.volume.differential",
+        "hessian": "geokit.volume.curvature",
         "inspect": "geokit.volume.io",
+        "integrate": "geokit.volume.integrate",
+        "intersection": "geokit.volume.csg",
+        "laplacian": "geokit.volume.differential",
         "load": "geokit.volume.io",
         "load_all": "geokit.volume.io",
+        "offset": "geokit.volume.morphology",
+        "opening": "geokit.volume.morphology",
+        "prune": "geokit.volume.topology",
+        "quantize": "geokit.volume.quantize",
+        "raycast": "geokit.volume.raycast",
+        "renormalize": "geokit.volume.morphology",
+        "resample": "geokit.volume.resample",
+        "resampled": "geokit.volume.resample",
         "sample": "geokit.volume.sample",
         "save": "geokit.volume.io",
+        "segment": "geokit.volume.topology",
+        "smooth": "geokit.volume.filters",
+        "statistics": "geokit.volume.statistics",
+        "to_dense": "geokit.volume.dense",
+        "union": "geokit.volume.csg",
     },
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -93,13 +93,12 @@ def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str
     return np.frombuffer(head, np.uint8).copy()
 
 
-def compress_into(codec: str, head: NDArray[np.uint8], rest: NDArray[np.uint8], file: BinaryIO) -> int:
+def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO) -> int:
     """Write a grid with the codec's length words to ``file``.
 
     Args:
         codec: One of :data:`CODECS`.
-        head: The grid's first bytes.
-        rest: The grid's other bytes.
+        parts: The grid's bytes, in as many arrays as they lie in.
         file: Open for writing.
 
     Returns:
@@ -109,27 +108,40 @@ def compress_into(codec: str, head: NDArray[np.uint8], rest: NDArray[np.uint8], 
         MissingDependencyError: Blosc is not installed.
     """
     if codec == "none":
-        file.write(head.data)
-        file.write(rest.data)
-        return len(head) + len(rest)
+        for part in parts:
+            file.write(part.data)
+        return sum(map(len, parts))
     if codec == "zip":
         deflater = zlib.compressobj(ZIP_LEVEL)
-        parts = [deflater.compress(head.data)]
-        parts += [deflater.compress(rest[i : i + PIECE].data) for i in range(0, len(rest), PIECE)]
-        parts.append(deflater.flush())
-        file.write(struct.pack("<Q", sum(map(len, parts))))
-        file.writelines(parts)
-        return 8 + sum(map(len, parts))
+        packed = [deflater.compress(part[i : i + PIECE].data) for part in parts for i in range(0, len(part), PIECE)]
+        packed.append(deflater.flush())
+        file.write(struct.pack("<Q", sum(map(len, packed))))
+        file.writelines(packed)
+        return 8 + sum(map(len, packed))
     total = 0
-    first = BLOSC_FRAME - len(head)
-    frames = [np.concatenate([head, rest[:first]])]
-    frames += [rest[i : i + BLOSC_FRAME] for i in range(first, len(rest), BLOSC_FRAME)]
-    for frame in frames:
-        packed = _blosc_pack(frame)
-        file.write(struct.pack("<Q", len(packed)))
-        file.write(packed)
-        total += 8 + len(packed)
+    for frame in _frames(parts):
+        stored = _blosc_pack(frame)
+        file.write(struct.pack("<Q", len(stored)))
+        file.write(stored)
+        total += 8 + len(stored)
     return total
+
+
+def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+    """The bytes of all parts, cut where NanoVDB cuts them."""
+    room = BLOSC_FRAME
+    gathered: list[NDArray[np.uint8]] = []
+    for part in parts:
+        start = 0
+        while start < len(part):
+            gathered.append(part[start : start + room])
+            start += len(gathered[-1])
+            room -= len(gathered[-1])
+            if not room:
+                yield gathered[0] if len(gathered) == 1 else np.concatenate(gathered)
+                room, gathered = BLOSC_FRAME, []
+    if gathered:
+        yield np.concatenate(gathered)
 
 
 def _blosc_pack(frame: NDArray[np.uint8]) -> bytes:

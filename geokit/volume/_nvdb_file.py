@@ -36,6 +36,7 @@ from geokit.volume._nanovdb_checks import check_grid, check_head
 from geokit.volume._nanovdb_checksum import checksum_matches, checksum_mode, full_checksum, partial_checksum
 from geokit.volume._nanovdb_layout import GRID_TYPES
 from geokit.volume._nvdb_codecs import BLOSC_FRAME, CODECS, decompress, decompress_head, largest_size
+from geokit.volume._nvdb_metadata import metadata_of, without_metadata
 from geokit.volume.model import GridInfo
 
 __all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read"]
@@ -58,14 +59,17 @@ class NvdbGrid(NamedTuple):
     """One grid of a file.
 
     Attributes:
-        buffer: The grid, uint8, aligned, checked; its header says that it is the only one.
+        buffer: The grid, uint8, aligned, checked; its header says that it is the only one. Metadata that geokit had
+            attached to it is taken out.
         name: Its name in the file.
         checksum: What its checksum covered when it was read and verified: "full", "partial" or "none".
+        metadata: That metadata.
     """
 
     buffer: NDArray[np.uint8]
     name: str
     checksum: str
+    metadata: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,8 @@ def names(path: str | os.PathLike[str]) -> list[str]:
 def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
     """What a file says about its grids, reading and decompressing their first bytes only.
 
-    Grids of types that cannot be loaded are listed too.
+    Grids of types that cannot be loaded are listed too. Metadata stands at a grid's end: it is left out where the grid
+    would have to be decompressed for it, and counts as part of the grid's size there.
 
     Raises:
         FileAccessError: The file is missing or not readable.
@@ -111,7 +116,8 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
         for entry in _entries(file, path):
             where = f"{path}: {entry.where}"
             head = _head_of(file, entry, INSPECTED, where)
-            infos.append(info_of(head, name=entry.name, byte_count=entry.grid_size, where=where))
+            metadata, size = _attached(file, entry, where)
+            infos.append(info_of(head, metadata, name=entry.name, byte_count=size, where=where))
     return infos
 
 
@@ -263,6 +269,12 @@ def _head_of(file: BufferedReader, entry: _Entry, size: int, where: str) -> NDAr
     return decompress_head(entry.codec, fetch, entry.stored, min(size, entry.grid_size), where)
 
 
+def _attached(file: BufferedReader, entry: _Entry, where: str) -> tuple[dict[str, Any], int]:
+    if entry.codec != "none":
+        return {}, entry.grid_size
+    return metadata_of(np.memmap(file, np.uint8, "r", entry.start, entry.grid_size), where)
+
+
 def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
     where = f"{path}: {entry.where}"
     # The headers are judged before memory is taken for the whole.
@@ -278,8 +290,9 @@ def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
     checksum = checksum_mode(buffer)
     if not checksum_matches(buffer):
         raise FileFormatError(f"{where}: the {checksum} checksum does not match the content; {REMEDY}")
+    buffer, metadata = without_metadata(buffer, where)
     _make_single(buffer, checksum)
-    return NvdbGrid(buffer, entry.name or grid_name(buffer), checksum)
+    return NvdbGrid(buffer, entry.name or grid_name(buffer), checksum, metadata)
 
 
 def _memory(size: int, where: str) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,10 @@ from geokit.volume._nanovdb import (
     tree_header,
 )
 from geokit.volume._nanovdb_checks import check_grid
-from geokit.volume._nanovdb_checksum import full_checksum
+from geokit.volume._nanovdb_checksum import LAST_OLD_VERSION, full_checksum
 from geokit.volume._nvdb_codecs import CODECS, compress_into
 from geokit.volume._nvdb_file import FILE_HEADER, FILE_METADATA
+from geokit.volume._nvdb_metadata import body_with_metadata
 from geokit.volume.model import SparseVolume
 
 __all__ = ["write"]
@@ -43,8 +44,8 @@ GRIDS_PER_SEGMENT = 0xFFFF
 def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, codec: str = "none") -> None:
     """Write grids to one .nvdb file, which appears whole or not at all.
 
-    Each grid gets its volume's name and a checksum over all its nodes; the volumes' own buffers stay as they are. Grids
-    from later versions of NanoVDB are stored as 32.4 where their type and blind data allow it.
+    Each grid gets its volume's name, its metadata and a checksum over all its nodes; the volumes' own buffers stay as
+    they are. Grids from later versions of NanoVDB are stored as 32.4 where their type and blind data allow it.
 
     Args:
         path: Target; an existing file is replaced.
@@ -52,7 +53,8 @@ def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, code
         codec: "none", "zip" or "blosc".
 
     Raises:
-        InputError: There is no volume, the codec is unknown, a name is too long, or a buffer is no sound grid.
+        InputError: There is no volume, the codec is unknown, a name is too long, a buffer is no sound grid, or metadata
+            has a value of no OpenVDB type.
         FileAccessError: The target cannot be written.
         UnsupportedGridError: A grid's type cannot be used.
         MissingDependencyError: The codec is "blosc" and blosc is not installed.
@@ -61,17 +63,23 @@ def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, code
         raise InputError(f"codec: {codec!r} is unknown; use one of {', '.join(CODECS)}")
     if not volumes:
         raise InputError(f"{path}: no volumes to save; give at least one")
-    heads = [_head_of(volume, i) for i, volume in enumerate(volumes)]
+    prepared = [_prepared(volume, i) for i, volume in enumerate(volumes)]
     with atomic_path(path) as part, open(part, "wb") as file:
-        pairs = zip(heads, volumes, strict=True)
-        for (magic, version), group in groupby(pairs, key=lambda pair: _file_version(pair[0])):
+        for (magic, version), group in groupby(prepared, key=lambda grid: _file_version(grid.head)):
             grids = list(group)
             for first in range(0, len(grids), GRIDS_PER_SEGMENT):
                 _write_segment(file, grids[first : first + GRIDS_PER_SEGMENT], magic, version, codec)
 
 
-def _head_of(volume: SparseVolume, index: int) -> NDArray[np.uint8]:
-    """The first bytes of a grid as the file is to have them."""
+class _Prepared(NamedTuple):
+    """A grid as the file is to have it: its first bytes, and what follows them."""
+
+    head: NDArray[np.uint8]
+    body: list[NDArray[np.uint8]]
+    volume: SparseVolume
+
+
+def _prepared(volume: SparseVolume, index: int) -> _Prepared:
     buffer = volume.nanovdb
     where = f"volumes[{index}] {volume.info.name!r}"
     try:
@@ -93,8 +101,14 @@ def _head_of(volume: SparseVolume, index: int) -> NDArray[np.uint8]:
         if len(name) > LONGEST_NAME or b"\0" in name:
             raise InputError(f"{where}: the name has {len(name)} bytes; use at most {LONGEST_NAME} without a zero byte")
         grid["name"] = name
-    grid["checksum"] = full_checksum(head, buffer)
-    return head
+    body = body_with_metadata(head, buffer, volume.info.metadata, where)
+    if len(body) > 1 and int(grid["version"]) > LAST_OLD_VERSION:
+        # From then on the checksum covers the blind data too, in blocks that do not end where the parts do.
+        whole = np.concatenate([head, *body])
+        grid["checksum"] = full_checksum(head, whole)
+    else:
+        grid["checksum"] = full_checksum(head, buffer)
+    return _Prepared(head, body, volume)
 
 
 def _file_version(head: NDArray[np.uint8]) -> tuple[int, int]:
@@ -102,19 +116,17 @@ def _file_version(head: NDArray[np.uint8]) -> tuple[int, int]:
     return MAGIC_FILE if int(grid["magic"]) == MAGIC_GRID else MAGIC_OLD, int(grid["version"])
 
 
-def _write_segment(
-    file: BinaryIO, grids: list[tuple[NDArray[np.uint8], SparseVolume]], magic: int, version: int, codec: str
-) -> None:
+def _write_segment(file: BinaryIO, grids: list[_Prepared], magic: int, version: int, codec: str) -> None:
     header = np.zeros(1, FILE_HEADER)
     header["magic"], header["version"] = magic, version
     header["grid_count"], header["codec"] = len(grids), CODECS.index(codec)
-    blocks = [_metadata_of(head, volume, codec) for head, volume in grids]
-    names = [encoded_name(volume.info.name) + b"\0" for _, volume in grids]
+    blocks = [_file_metadata(grid.head, grid.volume, codec) for grid in grids]
+    names = [encoded_name(grid.volume.info.name) + b"\0" for grid in grids]
     start = file.tell()
     # Compressed sizes are known only afterwards: the metadata is written over its own place at the end.
     file.seek(FILE_HEADER.itemsize + sum(FILE_METADATA.itemsize + len(name) for name in names), os.SEEK_CUR)
-    for block, (head, volume) in zip(blocks, grids, strict=True):
-        block["file_size"] = compress_into(codec, head, volume.nanovdb[HEAD_SIZE:], file)
+    for block, grid in zip(blocks, grids, strict=True):
+        block["file_size"] = compress_into(codec, [grid.head, *grid.body], file)
     end = file.tell()
     file.seek(start)
     file.write(header.tobytes())
@@ -124,12 +136,12 @@ def _write_segment(
     file.seek(end)
 
 
-def _metadata_of(head: NDArray[np.uint8], volume: SparseVolume, codec: str) -> Any:
+def _file_metadata(head: NDArray[np.uint8], volume: SparseVolume, codec: str) -> Any:
     grid, tree = grid_header(head), tree_header(head)
     root = TREE_OFFSET + int(tree["node_offset"][3])
     name = encoded_name(volume.info.name)
     block = np.zeros(1, FILE_METADATA)[0]
-    block["grid_size"] = len(volume.nanovdb)
+    block["grid_size"] = grid["grid_size"]
     block["name_key"] = _name_key(name)
     block["voxel_count"] = tree["voxel_count"]
     for field in ("grid_type", "grid_class", "world_bbox", "voxel_size", "version"):

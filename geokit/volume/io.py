@@ -108,7 +108,8 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
     """What a .vdb or .nvdb file says about its grids, without reading voxels.
 
     Grids that cannot be loaded are listed too. What a file does not say is None: the background of index grids, and in
-    .vdb files that were written without statistics the number of active voxels; the transform of a frustum is NaN.
+    .vdb files that were written without statistics the number of active voxels; the transform of a frustum is NaN. Of
+    compressed .nvdb grids there is no metadata: it stands at their end.
 
     Args:
         path: A .vdb or .nvdb file.
@@ -134,8 +135,8 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
 def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None = None, half: bool = False) -> None:
     """Write volumes to one .vdb or .nvdb file, which appears whole or not at all.
 
-    Values, masks, transforms and names are kept bit for bit (but for ``half``); metadata only in .vdb, which has a
-    place for it.
+    Values, masks, transforms, names and metadata are kept bit for bit (but for ``half``); quantised grids become float
+    in .vdb, with the same values.
 
     Args:
         path: Target, .vdb or .nvdb; an existing file is replaced.
@@ -208,7 +209,9 @@ def _listed(names: Sequence[str]) -> str:
 def _from_nvdb(grid: _nvdb_file.NvdbGrid) -> SparseVolume:
     # Copies on devices are kept: a buffer that changed behind them would be a second truth.
     grid.buffer.setflags(write=False)
-    return SparseVolume(grid.buffer, info_of(grid.buffer, name=grid.name))
+    info = info_of(grid.buffer, grid.metadata, name=grid.name)
+    # A class that NanoVDB does not know for the type comes as metadata.
+    return SparseVolume(grid.buffer, replace(info, grid_class=str(grid.metadata.get("class", info.grid_class))))
 
 
 def _read_vdb(path: Path, grids: list[str] | None, trusted: bool) -> list[SparseVolume]:

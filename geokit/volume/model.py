@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import warp as wp
 
     from geokit.volume.curvature import Curvatures
+    from geokit.volume.dense import DenseGrid
     from geokit.volume.integrate import Transmittance
     from geokit.volume.raycast import VolumeHits
 
@@ -142,6 +143,22 @@ class SparseVolume:
         from geokit.volume.active import active_at
 
         return active_at(self, points, space=space, device=device)
+
+    def quantize(
+        self, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
+    ) -> SparseVolume:
+        """See :func:`geokit.volume.quantize`."""
+        from geokit.volume.quantize import quantize
+
+        return quantize(self, codec, tolerance=tolerance, dither=dither)
+
+    def to_dense(
+        self, *, bounds: Any = None, dtype: Any = None, channel: int | str | None = None, device: Any = None
+    ) -> DenseGrid:
+        """See :func:`geokit.volume.to_dense`."""
+        from geokit.volume.dense import to_dense
+
+        return to_dense(self, bounds=bounds, dtype=dtype, channel=channel, device=device)
 
     def raycast(
         self,
