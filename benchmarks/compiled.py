@@ -1,4 +1,4 @@
-"""Peers that have no Python package: C++ files in cpp/, compiled here and loaded with ctypes."""
+"""Peers that have no Python package: C++ files in cpp/, compiled here."""
 
 from __future__ import annotations
 
@@ -11,23 +11,39 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-FLAGS = ("-O3", "-DNDEBUG", "-march=native", "-std=c++17", "-fPIC", "-shared", "-pthread")
+# Without NDEBUG OpenVDB's templates check themselves as they run.
+FLAGS = ("-O3", "-DNDEBUG", "-march=native", "-std=c++17", "-pthread")
+SHARED = ("-fPIC", "-shared")
 
 
 @functools.cache
 def compiled(name: str, *libraries: str) -> ctypes.CDLL:
-    """The shared library made of ``cpp/name.cpp``, kept in the temporary folder until the source changes.
+    """The shared library made of ``cpp/name.cpp``.
+
+    Raises:
+        ImportError: As of :func:`program`.
+    """
+    return ctypes.CDLL(str(_made(name, SHARED, libraries, ".so")))
+
+
+@functools.cache
+def program(name: str, *libraries: str) -> Path:
+    """The program made of ``cpp/name.cpp``, kept in the temporary folder until the source changes.
 
     Raises:
         ImportError: There is no compiler, or a header or library is missing; measure takes that for a missing peer.
     """
+    return _made(name, (), libraries, "")
+
+
+def _made(name: str, kind: tuple[str, ...], libraries: tuple[str, ...], suffix: str) -> Path:
     source = Path(__file__).with_name("cpp") / f"{name}.cpp"
     compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
     if compiler is None:
         raise ImportError("no C++ compiler", name=name)
-    command = [compiler, *FLAGS, str(source), *(f"-l{library}" for library in libraries)]
+    command = [compiler, *FLAGS, *kind, str(source), *(f"-l{library}" for library in libraries)]
     stamp = hashlib.sha256(source.read_bytes() + " ".join(command).encode()).hexdigest()[:16]
-    target = Path(tempfile.gettempdir()) / f"geokit-benchmark-{os.getuid()}-{name}-{stamp}.so"
+    target = Path(tempfile.gettempdir()) / f"geokit-benchmark-{os.getuid()}-{name}-{stamp}{suffix}"
     if not target.exists():
         made = target.with_suffix(f".{os.getpid()}")
         result = subprocess.run([*command, "-o", str(made)], capture_output=True, text=True, check=False)
@@ -35,4 +51,4 @@ def compiled(name: str, *libraries: str) -> ctypes.CDLL:
             reason = (result.stderr.strip() or "the compiler failed").splitlines()[0]
             raise ImportError(f"{name}.cpp does not compile: {reason}", name=None)
         made.replace(target)
-    return ctypes.CDLL(str(target))
+    return target

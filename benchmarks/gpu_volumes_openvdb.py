@@ -7,6 +7,7 @@ own libraries beside it (LD_LIBRARY_PATH). Without it only geokit's two paths ar
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import statistics
 import time
@@ -24,29 +25,47 @@ from geokit import _launch
 TRIANGLES = 190_000
 RESOLUTIONS = (256, 512, 1024, 2048)
 RUNS = 5
+# Surfaces of larger bands are as many triangles as a figure needs a thousand times.
+LARGEST_MESHED = 1024
 
 
-def openvdb_band() -> Callable[[Any, float], tuple[float, int]] | None:
-    """Seconds and active voxels of OpenVDB's band of a mesh; None where OpenVDB is not to be had."""
-    named = os.environ.get("GEOKIT_OPENVDB_BAND")
-    try:
-        function = (ctypes.CDLL(named) if named else compiled("openvdb_band", "openvdb", "tbb")).openvdb_band
-    except (ImportError, OSError) as error:
-        print(f"without OpenVDB: {error}", flush=True)
-        return None
-    pointer, count = ctypes.c_void_p, ctypes.c_int64
-    function.restype = ctypes.c_double
-    function.argtypes = [pointer, count, pointer, count, ctypes.c_double, ctypes.c_float, ctypes.c_int, pointer]
+class OpenVdb:
+    """OpenVDB's band of a mesh, and the surface of that, each timed inside.
 
-    def run(mesh: Any, voxel: float) -> tuple[float, int]:
+    Raises:
+        ImportError, OSError: OpenVDB is not to be had.
+    """
+
+    def __init__(self) -> None:
+        named = os.environ.get("GEOKIT_OPENVDB_BAND")
+        library = ctypes.CDLL(named) if named else compiled("openvdb_band", "openvdb", "tbb")
+        pointer, count = ctypes.c_void_p, ctypes.c_int64
+        self._band, self._surface = library.openvdb_band, library.openvdb_surface
+        self._band.restype = self._surface.restype = ctypes.c_double
+        floats = (ctypes.c_double, ctypes.c_float)
+        self._band.argtypes = [pointer, count, pointer, count, *floats, ctypes.c_int, pointer]
+        self._surface.argtypes = [ctypes.c_int, pointer]
+
+    def band(self, mesh: Any, voxel: float) -> float:
+        """Seconds of the band; it is kept."""
         vertices = np.ascontiguousarray(mesh.vertices, np.float64)
         faces = np.ascontiguousarray(mesh.faces, np.int32)
         active = np.zeros(1, np.int64)
         arrays = (vertices.ctypes.data, len(vertices), faces.ctypes.data, len(faces))
-        taken = function(*arrays, voxel, 3.0, _launch.thread_count(), active.ctypes.data)
-        return taken, int(active[0])
+        return float(self._band(*arrays, voxel, 3.0, _launch.thread_count(), active.ctypes.data))
 
-    return run
+    def surface(self) -> tuple[float, int]:
+        """Seconds of the surface of the band made last, and its quads."""
+        quads = np.zeros(1, np.int64)
+        return float(self._surface(_launch.thread_count(), quads.ctypes.data)), int(quads[0])
+
+
+def openvdb() -> OpenVdb | None:
+    try:
+        return OpenVdb()
+    except (ImportError, OSError) as error:
+        print(f"without OpenVDB: {error}", flush=True)
+        return None
 
 
 def median(run: Callable[[], Any], runs: int = RUNS) -> float:
@@ -62,29 +81,41 @@ def median(run: Callable[[], Any], runs: int = RUNS) -> float:
 
 
 def main(out: Callable[[str], None] = print, device: str = "cuda:0") -> None:
-    peer = openvdb_band()
+    peer = openvdb()
     mesh = inputs.bunny_of(TRIANGLES)
     size = float((mesh.bounds[1] - mesh.bounds[0]).max())
     surfaces = {where: gk.mesh.Surface(mesh, device=where) for where in (device, "cpu")}
     for surface in surfaces.values():
         surface.sign_method  # noqa: B018 - prepared, as for any other query
     out(f"{wp.get_device(device).name}, {_launch.thread_count()} CPU threads; {len(mesh.faces):,} triangles\n")
-    out("| band | active voxels | GPU ms | CPU ms | CPU / GPU | OpenVDB ms | OpenVDB / GPU | OpenVDB / CPU |")
+    heads = "GPU ms | CPU ms | CPU / GPU | OpenVDB ms | OpenVDB / GPU | OpenVDB / CPU"
+    out(f"| what | active voxels or triangles | {heads} |")
     out("|---|---:|---:|---:|---:|---:|---:|---:|")
     for resolution in RESOLUTIONS:
         voxel = size / resolution
-        volume = gk.volume.from_mesh(surfaces[device], voxel)
-        on_gpu = median(lambda voxel=voxel: gk.volume.from_mesh(surfaces[device], voxel))
-        on_cpu = median(lambda voxel=voxel: gk.volume.from_mesh(surfaces["cpu"], voxel), 3)
-        cells = ["-", "-", "-"]
+        volumes = {where: gk.volume.from_mesh(surfaces[where], voxel) for where in surfaces}
+        bands = {where: median(lambda w=where, v=voxel: gk.volume.from_mesh(surfaces[w], v)) for where in surfaces}
+        theirs = statistics.median(peer.band(mesh, voxel) for _ in range(4)) if peer else math.nan
+        out(row(f"band {resolution}^3", volumes[device].info.active_voxel_count, bands, device, theirs))
+        if resolution > LARGEST_MESHED:
+            continue
+        meshed = {
+            where: median(lambda w=where: gk.mesh.from_volume(volumes[w], device=w))  # noqa: B023
+            for where in surfaces
+        }
+        theirs = statistics.median(peer.surface()[0] for _ in range(RUNS)) if peer else math.nan
+        count = len(gk.mesh.from_volume(volumes[device], device=device).faces)
         if peer:
-            peer(mesh, voxel)
-            theirs = statistics.median(peer(mesh, voxel)[0] for _ in range(3))
-            cells = [f"{1e3 * theirs:.1f}", f"{theirs / on_gpu:.1f}", f"{theirs / on_cpu:.1f}"]
-        out(
-            f"| {resolution}^3 | {volume.info.active_voxel_count:,} | {1e3 * on_gpu:.2f} | {1e3 * on_cpu:.1f} | "
-            f"{on_cpu / on_gpu:.1f} | {' | '.join(cells)} |"
-        )
+            quads = peer.surface()[1]
+            out(f"{resolution}^3: {count} triangles; OpenVDB, of its own band, {2 * quads}")
+        out(row(f"surface {resolution}^3", count, meshed, device, theirs))
+
+
+def row(what: str, count: int | None, seconds: dict[str, float], device: str, theirs: float) -> str:
+    gpu, cpu = seconds[device], seconds["cpu"]
+    cells = [f"{1e3 * gpu:.2f}", f"{1e3 * cpu:.1f}", f"{cpu / gpu:.1f}"]
+    cells += [f"{1e3 * theirs:.1f}", f"{theirs / gpu:.1f}", f"{theirs / cpu:.1f}"]
+    return f"| {what} | {count:,} | {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

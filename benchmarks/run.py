@@ -67,7 +67,7 @@ def narrow_band(report: Report, setting: Setting) -> None:
         lambda: native.mesh_to_level_set(mesh.vertices, mesh.faces, voxel_size=voxel, half_width=3.0),
     )
     shown = [f"{active / seconds / 1e6:.3f}" for seconds in (mine, theirs)]
-    note = "OpenVDB's band is up to 0.38 voxel off"
+    note = "OpenVDB's band is up to 0.5 voxel off"
     report.row(Row(task, shown[0], "OpenVDB meshToLevelSet", shown[1], theirs / mine, note=note))
 
 

@@ -1,6 +1,6 @@
 """Isosurfaces beside OpenVDB's volumeToMesh: ``python -m benchmarks.volume_to_mesh [--out FILE]``.
 
-Level sets of the bunny, half width 3. The peer is peers/volume_to_mesh.cpp, compiled here: volumeToMesh alone, on a
+Level sets of the bunny, half width 3. The peer is cpp/volume_to_mesh.cpp, compiled here: volumeToMesh alone, on a
 FloatGrid that is ready in memory, timed inside C++, without any conversion; geokit's time is that of
 ``mesh.from_volume`` from call to NumPy arrays. Before anything is timed, the numbers of vertices and faces of surface
 nets are compared, which must be the same. Then edges: how far a cube's are off, by method.
@@ -9,9 +9,6 @@ nets are compared, which must be the same. Then edges: how far a cube's are off,
 from __future__ import annotations
 
 import argparse
-import hashlib
-import os
-import shutil
 import statistics
 import subprocess
 import tempfile
@@ -23,6 +20,7 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
+from benchmarks.compiled import program
 from benchmarks.measure import Report, Row, Table, cpu_name, in_process
 from benchmarks.volume_from_mesh import stages
 from geokit import _launch
@@ -35,30 +33,6 @@ RUNS, WARM = 9, 2
 PAUSE = 0.02
 # How many times as quick as OpenVDB surface nets must be.
 LEAST_RATIO = 1.0
-FLAGS = ("-O3", "-march=native", "-std=c++17")
-
-
-def peer_program() -> Path:
-    """peers/volume_to_mesh.cpp as a program, kept in the temporary folder until the source changes.
-
-    Raises:
-        ImportError: There is no compiler, or OpenVDB's headers are missing.
-    """
-    source = Path(__file__).parent / "peers" / "volume_to_mesh.cpp"
-    compiler = os.environ.get("CXX") or shutil.which("c++") or shutil.which("g++")
-    if compiler is None:
-        raise ImportError("no C++ compiler", name=source.stem)
-    stamp = hashlib.sha256(source.read_bytes() + " ".join(FLAGS).encode()).hexdigest()[:16]
-    target = Path(tempfile.gettempdir()) / f"geokit-benchmark-{os.getuid()}-{source.stem}-{stamp}"
-    if not target.exists():
-        made = target.with_suffix(f".{os.getpid()}")
-        command = [compiler, *FLAGS, str(source), "-o", str(made), "-lopenvdb", "-ltbb"]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        if result.returncode:
-            reason = (result.stderr.strip() or "the compiler failed").splitlines()[0]
-            raise ImportError(f"{source.name} does not compile: {reason}", name=None)
-        made.replace(target)
-    return target
 
 
 class OpenVdb:
@@ -67,7 +41,14 @@ class OpenVdb:
     def __init__(self, volume: Any, folder: Path, runs: int) -> None:
         path = folder / "grid.vdb"
         gk.volume.save(path, volume)
-        command = [str(peer_program()), str(path), "0", "0", str(_launch.thread_count()), str(runs)]
+        command = [
+            str(program("volume_to_mesh", "openvdb", "tbb")),
+            str(path),
+            "0",
+            "0",
+            str(_launch.thread_count()),
+            str(runs),
+        ]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def run(self) -> tuple[float, int, int]:

@@ -1,12 +1,21 @@
-// OpenVDB's meshToVolume alone, timed inside: for the benchmarks, also on machines that have only its libraries.
+// OpenVDB's meshToVolume and volumeToMesh alone, timed inside: for the benchmarks, also on machines that have only its
+// libraries.
 
 #include <openvdb/openvdb.h>
 #include <openvdb/tools/MeshToVolume.h>
+#include <openvdb/tools/VolumeToMesh.h>
 #include <tbb/global_control.h>
 
 #include <chrono>
 #include <cstdint>
 #include <vector>
+
+namespace {
+
+// The band made last, for openvdb_surface.
+openvdb::FloatGrid::Ptr band;
+
+} // namespace
 
 // Seconds of one narrow band of `half_width` voxels on both sides; the number of active voxels in `active`.
 extern "C" double openvdb_band(const double* points, int64_t point_count, const int32_t* triangles, int64_t triangle_count,
@@ -24,8 +33,21 @@ extern "C" double openvdb_band(const double* points, int64_t point_count, const 
     }
     const auto transform = openvdb::math::Transform::createLinearTransform(voxel_size);
     const auto start = std::chrono::steady_clock::now();
-    const auto grid = openvdb::tools::meshToLevelSet<openvdb::FloatGrid>(*transform, vertices, faces, half_width);
+    band = openvdb::tools::meshToLevelSet<openvdb::FloatGrid>(*transform, vertices, faces, half_width);
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start;
-    *active = int64_t(grid->activeVoxelCount());
+    *active = int64_t(band->activeVoxelCount());
+    return taken.count();
+}
+
+// Seconds of the surface of that band; the number of its quads in `quads`.
+extern "C" double openvdb_surface(int threads, int64_t* quads)
+{
+    tbb::global_control limit(tbb::global_control::max_allowed_parallelism, size_t(threads));
+    const auto start = std::chrono::steady_clock::now();
+    openvdb::tools::VolumeToMesh mesher(0.0);
+    mesher(*band);
+    const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start;
+    *quads = 0;
+    for (size_t n = 0; n < mesher.polygonPoolListSize(); ++n) *quads += int64_t(mesher.polygonPoolList()[n].numQuads());
     return taken.count();
 }

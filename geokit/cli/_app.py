@@ -12,10 +12,13 @@ VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",
     "query": "Ask for closest points, signed distances, ray hits, samples or neighbours.",
+    "volume": "Combine, move, smooth, resample, differentiate, take apart and measure volumes.",
     "render": "Draw a mesh, a volume or a point cloud into a PNG file, off-screen.",
     "doctor": "Report versions, devices, libraries and the kernel cache.",
     "demo": "Run the whole chain on a real mesh and leave files, figures and a table of accuracy and speed.",
 }
+# Those whose module has commands of its own.
+GROUPS = ("query", "volume")
 
 
 def build_app() -> App:
@@ -27,6 +30,6 @@ def build_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     for verb, summary in VERBS.items():
-        target = "app" if verb == "query" else verb
+        target = "app" if verb in GROUPS else verb
         app.command(f"geokit.cli.{verb}:{target}", name=verb, help=summary)
     return app

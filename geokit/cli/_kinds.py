@@ -113,10 +113,10 @@ def load_grid(path: Path, name: str | None) -> "SparseVolume":
     Raises:
         InputError: There are several and none was named, or there is none of that name.
     """
-    from geokit.volume import inspect, load
+    from geokit.volume import load
 
-    if name is None:
-        names = [grid.name for grid in inspect(path)]
-        if len(names) > 1:
-            raise InputError(f"{path}: holds {len(names)} grids ({', '.join(names)}); choose one with --grid")
-    return load(path, grid=name)
+    try:
+        return load(path, grid=name)
+    except InputError as error:
+        # The library's words name its own parameter.
+        raise InputError(str(error).replace("with grid=", "with --grid")) from error

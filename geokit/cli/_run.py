@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
 
 from geokit.errors import GeokitError
 
@@ -22,6 +23,7 @@ def run(arguments: list[str]) -> int:
     from geokit.cli._app import build_app
 
     app = build_app()
+    warnings.showwarning = _show_warning
     try:
         result = app(arguments or ["--help"], exit_on_error=False, print_error=False)
         sys.stdout.flush()
@@ -44,6 +46,11 @@ def run(arguments: list[str]) -> int:
         hint = "" if _debugging() else "; GEOKIT_DEBUG=1 shows where"
         return _fail(f"internal error: {type(error).__name__}: {error}", FAILURE, hint=hint)
     return result if isinstance(result, int) else 0
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    """A warning as every other line about the run: where in the library it arose tells a command's user nothing."""
+    print(f"geokit: warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
 
 
 def _usage_message(error: Exception) -> str:

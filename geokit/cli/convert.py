@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, step
 from geokit.cli._kinds import kind_of_input, kind_of_output, may_write
+from geokit.cli._storage import Storage
 from geokit.errors import InputError
 
 __all__ = ["convert"]
@@ -26,10 +27,14 @@ def convert(
     *,
     voxel_size: float | None = None,
     half_width: float | None = None,
+    sign: str | None = None,
+    thickness: float | None = None,
     isovalue: float | None = None,
     adaptivity: float | None = None,
+    method: str | None = None,
     grid: str | None = None,
     codec: str | None = None,
+    tolerance: float | None = None,
     device: str | None = None,
     force: Flag = False,
     json: Flag = False,
@@ -41,10 +46,18 @@ def convert(
         target: File to write; its extension names the format.
         voxel_size: Mesh to volume: edge length of a voxel in world units; the longest side / 128 where not given.
         half_width: Mesh to volume: width of the narrow band on each side, in voxels (3).
+        sign: Mesh to volume: how inside is told from outside: auto, winding, pseudonormal, parity, or none for unsigned
+            distances (auto).
+        thickness: Mesh to volume: make a solid shell of this thickness around the surface, in world units.
         isovalue: Volume to mesh: value of the surface (0).
         adaptivity: Volume to mesh: 0 keeps every face, 1 merges as many as it can (0).
+        method: Mesh to volume: geokit or openvdb. Volume to mesh: auto, surface_nets, dual_contouring, marching_cubes
+            or openvdb (auto).
         grid: Name of the grid to take where a file holds several.
-        codec: Compression of a volume: none, zip or blosc; blosc for .vdb and none for .nvdb where not given.
+        codec: How a volume is stored: compressed (none, zip or blosc; blosc for .vdb and none for .nvdb where not
+            given), quantised (fp4, fp8, fp16, fpn, or float for 32 bits), or both, as in fp8,zip.
+        tolerance: Quantise a volume: by how much a voxel may change, in its units; takes the smallest codec that keeps
+            it where none is given.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the target where it exists.
         json: Print a summary as JSON.
@@ -55,22 +68,29 @@ def convert(
     options = {
         "voxel-size": voxel_size,
         "half-width": half_width,
+        "sign": sign,
+        "thickness": thickness,
         "isovalue": isovalue,
         "adaptivity": adaptivity,
+        "method": method,
         "grid": grid,
         "codec": codec,
+        "tolerance": tolerance,
     }
     _refuse_unused(kinds, options, target)
     may_write(target, force=force)
+    storage = Storage.of(codec, tolerance)
     announce_compiling()
     if kinds == ("mesh", "mesh"):
         summary = _mesh_to_mesh(source, target, quiet=json)
     elif kinds == ("mesh", "volume"):
-        summary = _mesh_to_volume(source, target, voxel_size, half_width or 3.0, codec, device, quiet=json)
+        how = {"half_width": half_width, "sign": sign, "thickness": thickness, "method": method, "device": device}
+        summary = _mesh_to_volume(source, target, voxel_size, how, storage, quiet=json)
     elif kinds == ("volume", "volume"):
-        summary = _volume_to_volume(source, target, grid, codec, quiet=json)
+        summary = _volume_to_volume(source, target, grid, storage, quiet=json)
     elif kinds == ("volume", "mesh"):
-        summary = _volume_to_mesh(source, target, isovalue or 0.0, adaptivity or 0.0, grid, quiet=json)
+        how = {"isovalue": isovalue, "adaptivity": adaptivity, "method": method, "device": device}
+        summary = _volume_to_mesh(source, target, how, grid, quiet=json)
     else:
         summary = _cloud_to_cloud(source, target, quiet=json)
     summary = {"source": str(source), "target": str(target), **summary, "byte_count": target.stat().st_size}
@@ -83,9 +103,9 @@ def convert(
 
 _USES = {
     ("mesh", "mesh"): (),
-    ("mesh", "volume"): ("voxel-size", "half-width", "codec"),
-    ("volume", "volume"): ("grid", "codec"),
-    ("volume", "mesh"): ("isovalue", "adaptivity", "grid"),
+    ("mesh", "volume"): ("voxel-size", "half-width", "sign", "thickness", "method", "codec", "tolerance"),
+    ("volume", "volume"): ("grid", "codec", "tolerance"),
+    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid"),
     ("cloud", "cloud"): (),
 }
 
@@ -109,14 +129,7 @@ def _mesh_to_mesh(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:
 
 
 def _mesh_to_volume(
-    source: Path,
-    target: Path,
-    voxel_size: float | None,
-    half_width: float,
-    codec: str | None,
-    device: str | None,
-    *,
-    quiet: bool,
+    source: Path, target: Path, voxel_size: float | None, how: dict[str, Any], storage: Storage, *, quiet: bool
 ) -> dict[str, Any]:
     from geokit.mesh import load
     from geokit.volume import from_mesh, save
@@ -130,16 +143,23 @@ def _mesh_to_volume(
         if not quiet:
             note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
     with step("voxelising", quiet=quiet) as voxelising:
-        volume = from_mesh(mesh, voxel_size=voxel_size, half_width=half_width, device=device)
+        volume = from_mesh(mesh, voxel_size=voxel_size, **_given(how))
         voxelising.result = f"{volume.info.active_voxel_count} active voxels"
     with step(f"writing {target}", quiet=quiet):
-        save(target, volume, codec=codec)
+        volume = storage.applied(volume)
+        save(target, volume, codec=storage.compression)
     return {
         "faces": len(mesh.faces),
         "voxel_size": voxel_size,
-        "half_width": half_width,
+        "half_width": how["half_width"] or 3.0,
         "active_voxels": volume.info.active_voxel_count,
+        **storage.described([volume]),
     }
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that were given: the library's own defaults hold for the others."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _rounded(length: float) -> float:
@@ -147,28 +167,31 @@ def _rounded(length: float) -> float:
     return float(f"{length:.1e}")
 
 
-def _volume_to_volume(
-    source: Path, target: Path, grid: str | None, codec: str | None, *, quiet: bool
-) -> dict[str, Any]:
+def _volume_to_volume(source: Path, target: Path, grid: str | None, storage: Storage, *, quiet: bool) -> dict[str, Any]:
     from geokit.volume import load, load_all, save
 
     with step(f"converting {source}", quiet=quiet):
         volumes = list(load_all(source).values()) if grid is None else [load(source, grid=grid)]
-        save(target, *volumes, codec=codec)
-    return {"grids": ", ".join(volume.info.name or "(unnamed)" for volume in volumes)}
+        volumes = [storage.applied(volume) for volume in volumes]
+        save(target, *volumes, codec=storage.compression)
+    return {
+        "grids": ", ".join(volume.info.name or "(unnamed)" for volume in volumes),
+        **storage.described(volumes),
+    }
 
 
 def _volume_to_mesh(
-    source: Path, target: Path, isovalue: float, adaptivity: float, grid: str | None, *, quiet: bool
+    source: Path, target: Path, how: dict[str, Any], grid: str | None, *, quiet: bool
 ) -> dict[str, Any]:
     from geokit.cli._kinds import load_grid
     from geokit.mesh import from_volume, save
 
     with step(f"meshing {source}", quiet=quiet) as meshing:
         volume = load_grid(source, grid)
-        mesh = from_volume(volume, isovalue=isovalue, adaptivity=adaptivity)
+        mesh = from_volume(volume, **_given(how))
         meshing.result = f"{len(mesh.faces)} faces"
         if len(mesh.faces) == 0:
+            isovalue = how["isovalue"] or 0.0
             raise InputError(f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue")
         save(target, mesh)
     return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}

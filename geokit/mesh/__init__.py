@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
-    from geokit.mesh.attributes import sample_attributes
     from geokit.mesh._overlap_queries import BoxOverlaps
     from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
     from geokit.mesh._ray_queries import RayHitLists, RayHits
+    from geokit.mesh.attributes import sample_attributes
     from geokit.mesh.audit import MeshAudit, audit
     from geokit.mesh.from_volume import from_volume
     from geokit.mesh.hausdorff import DirectedDistance, HausdorffDistance, hausdorff

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from geokit.volume.morphology import closing, dilate, erode, offset, opening, renormalize
     from geokit.volume.quantize import quantize
     from geokit.volume.raycast import VolumeHits, raycast
-    from geokit.volume.resample import resample, resampled
+    from geokit.volume.resample import resample
     from geokit.volume.sample import gradient, sample
     from geokit.volume.statistics import Statistics, statistics
     from geokit.volume.topology import clip, prune, segment
@@ -69,7 +69,6 @@ __all__ = [
     "raycast",
     "renormalize",
     "resample",
-    "resampled",
     "sample",
     "save",
     "segment",
@@ -122,7 +121,6 @@ make_lazy(
         "raycast": "geokit.volume.raycast",
         "renormalize": "geokit.volume.morphology",
         "resample": "geokit.volume.resample",
-        "resampled": "geokit.volume.resample",
         "sample": "geokit.volume.sample",
         "save": "geokit.volume.io",
         "segment": "geokit.volume.topology",

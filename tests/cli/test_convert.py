@@ -98,6 +98,53 @@ def test_without_openvdb_the_packages_are_named(geokit, fails, cube_sdf: Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "grid_type"),
+    [
+        (["--codec", "fp8,zip"], "fp8"),
+        (["--codec", "fp16"], "fp16"),
+        (["--tolerance", "1e-3"], None),
+        (["--codec", "fpn, blosc", "--tolerance", "0.002"], "fpn"),
+    ],
+)
+def test_quantised(geokit, cube_sdf: Path, tmp_path: Path, options, grid_type) -> None:
+    target = tmp_path / "small.nvdb"
+    done = geokit("convert", cube_sdf, target, *options, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    before, after = load_volume(cube_sdf), load_volume(target)
+    assert after.info.grid_type == (grid_type or report["types"])
+    assert after.info.byte_count < before.info.byte_count
+    points = np.random.default_rng(0).uniform(-0.3, 1.3, (2000, 3))
+    change = np.abs(before.sample(points, device="cpu") - after.sample(points, device="cpu")).max()
+    assert 0.0 < change <= report["achieved_error"] * (1 + 1e-6) <= (1e-3 if grid_type is None else 0.01)
+    assert after.info.metadata["geokit:achieved_error"] == pytest.approx(report["achieved_error"])
+
+
+def test_mesh_to_shell_and_to_unsigned(geokit, cube: Path, tmp_path: Path) -> None:
+    shell, unsigned = tmp_path / "shell.nvdb", tmp_path / "unsigned.nvdb"
+    assert geokit("convert", cube, shell, "--voxel-size", "0.0625", "--thickness", "0.25").returncode == 0
+    assert geokit("convert", cube, unsigned, "--voxel-size", "0.0625", "--sign", "none").returncode == 0
+    points = [[0.5, 0.5, 0.0], [0.5, 0.5, 0.125], [0.5, 0.5, -0.125], [0.5, 0.5, 0.1875]]
+    found = load_volume(shell).sample(points, device="cpu")
+    np.testing.assert_allclose(found, [-0.125, 0.0, 0.0, 0.0625], atol=1e-6)
+    np.testing.assert_allclose(load_volume(unsigned).sample(points[:3], device="cpu"), [0, 0.125, 0.125], atol=1e-6)
+
+
+def test_what_a_grid_loses_is_said(geokit, cube: Path, tmp_path: Path) -> None:
+    done = geokit("convert", cube, tmp_path / "coarse.nvdb", "--voxel-size", "3")
+    assert done.returncode == 0
+    assert "geokit: warning: cube: 1 of its pieces are too thin" in done.stderr
+    assert "File" not in done.stderr
+
+
+def test_bad_storage_is_named(geokit, fails, cube_sdf: Path, tmp_path: Path) -> None:
+    fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--codec", "fp8,fp4"), 1, "codec", "two of a kind")
+    fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--codec", "fpn"), 1, "codec", "--tolerance")
+    fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--codec", "fp4", "--tolerance", "1e-9"), 1, "tolerance")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_cloud_to_cloud(geokit, tmp_path: Path) -> None:
     source, target = tmp_path / "a.csv", tmp_path / "a.ply"
     source.write_text("x,y,z,heat\n0,1,2,5\n3,4,5,6\n")

@@ -1,0 +1,48 @@
+#include "level_set.h"
+#include "operations.h"
+
+#include <openvdb/tools/Filter.h>
+#include <openvdb/tools/LevelSetFilter.h>
+
+namespace geokit {
+namespace {
+
+template<typename GridT>
+void smooth_level_set(GridT& grid, const std::string& method, int width, int iterations, double voxel_size)
+{
+    InVoxels voxels(grid, voxel_size);
+    {
+        openvdb::tools::LevelSetFilter<GridT> filter(grid);
+        for (int i = 0; i < iterations; ++i) {
+            if (method == "gaussian") filter.gaussian(width);
+            else if (method == "mean") filter.mean(width);
+            else if (method == "median") filter.median(width);
+            else if (method == "mean_curvature") filter.meanCurvature();
+            else if (method == "laplacian") filter.laplacian();
+            else throw BridgeError("input", "'" + method + "' is no smoothing method");
+        }
+    }
+    voxels.leave();
+}
+
+template<typename GridT>
+void smooth_field(GridT& grid, const std::string& method, int width, int iterations)
+{
+    openvdb::tools::Filter<GridT> filter(grid);
+    if (method == "gaussian") filter.gaussian(width, iterations);
+    else if (method == "mean") filter.mean(width, iterations);
+    else if (method == "median") filter.median(width, iterations);
+    else throw BridgeError("input", "'" + method + "' smooths level sets only");
+}
+
+} // namespace
+
+MappedBuffer smooth(const uint8_t* data, const std::string& method, int width, int iterations, double voxel_size)
+{
+    return on_real(to_openvdb(data), "smoothing", [&](auto& grid) {
+        if (grid.getGridClass() == openvdb::GRID_LEVEL_SET) smooth_level_set(grid, method, width, iterations, voxel_size);
+        else smooth_field(grid, method, width, iterations);
+    });
+}
+
+} // namespace geokit

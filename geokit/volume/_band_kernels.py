@@ -1,0 +1,189 @@
+"""A narrow band's voxels: which of them are active, and their values in the leaves of a grid."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
+
+
+@wp.kernel
+def near_rows_kernel(
+    first: int,
+    distance: wp.array2d(dtype=wp.float32),
+    lowest: wp.float32,
+    highest: wp.float32,
+    out_near: wp.array(dtype=int),
+):
+    """1 for tiles with a distance between two others."""
+    i = first + wp.tid()
+    near = int(0)
+    voxel = int(0)
+    while near == 0 and voxel < 512:
+        if distance[i, voxel] > lowest and distance[i, voxel] < highest:
+            near = int(1)
+        voxel += 1
+    out_near[i] = near
+
+
+@wp.kernel
+def set_rows_kernel(
+    first: int,
+    bits: wp.array2d(dtype=wp.uint64),
+    out_near: wp.array(dtype=int),
+):
+    """1 for leaves with a bit that is set."""
+    i = first + wp.tid()
+    some = wp.uint64(0)
+    for x in range(8):
+        some = some | bits[i, x]
+    out_near[i] = wp.where(some != wp.uint64(0), 1, 0)
+
+
+@wp.kernel
+def keep_rows_kernel(
+    first: int,
+    kept: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    rows: wp.array(dtype=int),
+    keys: wp.array(dtype=wp.int64),
+    out_rows: wp.array(dtype=int),
+    out_keys: wp.array(dtype=wp.int64),
+):
+    i = first + wp.tid()
+    if kept[i] != 0:
+        out_rows[ends[i] - 1] = rows[i]
+        out_keys[ends[i] - 1] = keys[i]
+
+
+@wp.kernel
+def keep_bits_kernel(
+    first: int,
+    kept: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    bits: wp.array2d(dtype=wp.uint64),
+    out_bits: wp.array2d(dtype=wp.uint64),
+):
+    i = first + wp.tid()
+    if kept[i] != 0:
+        for x in range(8):
+            out_bits[ends[i] - 1, x] = bits[i, x]
+
+
+# A plane of 64 voxels: their values, from distances and the bits of those that they are to be negative at.
+_VALUES = """
+    const float* d = distance.data + 512ll * rows.data[leaf] + 64 * x;
+    const unsigned long long within = inside.data ? ((const unsigned long long*)inside.data)[8ll * leaf + x] : 0;
+    float values[64];
+    for (int b = 0; b < 64; ++b) {
+        const float value = ((within >> b & 1) ? -d[b] : d[b]);
+        values[b] = value < exterior ? (value > interior ? value : interior) : exterior;
+    }
+"""
+
+_BITS = (
+    _VALUES
+    + """
+    unsigned long long active = 0, negative = 0;
+    for (int b = 0; b < 64; ++b) {
+        active |= (unsigned long long)(values[b] < exterior && values[b] > interior) << b;
+        negative |= (unsigned long long)(values[b] < 0.f) << b;
+    }
+    ((unsigned long long*)out_active.data)[8ll * leaf + x] = active;
+    ((unsigned long long*)out_negative.data)[8ll * leaf + x] = negative;
+"""
+)
+
+_LEAF_VALUES = (
+    _VALUES
+    + """
+    unsigned char* out = out_buffer.data + begin + 2144ll * leaf;
+    unsigned long long active = 0;
+    for (int b = 0; b < 64; ++b)
+        active |= (unsigned long long)(values[b] < exterior && values[b] > interior) << b;
+    for (int b = 0; b < 64; ++b) ((float*)(out + 96))[64 * x + b] = values[b];
+    ((unsigned long long*)(out + 16))[x] = active;
+"""
+)
+
+
+@wp.func_native(_BITS)
+def plane_bits(
+    leaf: int,
+    x: int,
+    rows: wp.array(dtype=int),
+    distance: wp.array2d(dtype=wp.float32),
+    inside: wp.array2d(dtype=wp.uint64),
+    exterior: wp.float32,
+    interior: wp.float32,
+    out_active: wp.array2d(dtype=wp.uint64),
+    out_negative: wp.array2d(dtype=wp.uint64),
+): ...
+
+
+@wp.kernel
+def bits_kernel(
+    first: int,
+    rows: wp.array(dtype=int),
+    distance: wp.array2d(dtype=wp.float32),
+    inside: wp.array2d(dtype=wp.uint64),
+    exterior: wp.float32,
+    interior: wp.float32,
+    out_active: wp.array2d(dtype=wp.uint64),
+    out_negative: wp.array2d(dtype=wp.uint64),
+):
+    """Bits of the active voxels of a plane, and of those with a negative value; ``inside`` may be empty."""
+    i = first + wp.tid()
+    plane_bits(i >> 3, i & 7, rows, distance, inside, exterior, interior, out_active, out_negative)
+
+
+@wp.func_native(_LEAF_VALUES)
+def plane_values(
+    leaf: int,
+    x: int,
+    begin: wp.int64,
+    rows: wp.array(dtype=int),
+    distance: wp.array2d(dtype=wp.float32),
+    inside: wp.array2d(dtype=wp.uint64),
+    exterior: wp.float32,
+    interior: wp.float32,
+    out_buffer: wp.array(dtype=wp.uint8),
+): ...
+
+
+@wp.kernel
+def leaf_values_kernel(
+    first: int,
+    begin: wp.int64,
+    rows: wp.array(dtype=int),
+    distance: wp.array2d(dtype=wp.float32),
+    inside: wp.array2d(dtype=wp.uint64),
+    exterior: wp.float32,
+    interior: wp.float32,
+    out_buffer: wp.array(dtype=wp.uint8),
+):
+    """Values and mask of a plane, written into the leaf."""
+    i = first + wp.tid()
+    plane_values(i >> 3, i & 7, begin, rows, distance, inside, exterior, interior, out_buffer)
+
+
+@wp.kernel
+def triangle_values_kernel(
+    first: int,
+    rows: wp.array(dtype=int),
+    slots: wp.array2d(dtype=int),
+    active: wp.array2d(dtype=wp.uint64),
+    slot_triangle: wp.array(dtype=int),
+    out_values: wp.array(dtype=int),
+):
+    """Triangle of each voxel of a plane, -1 where it is not active; values count from the leaf's own row."""
+    i = first + wp.tid()
+    leaf = i >> 3
+    x = i & 7
+    for b in range(64):
+        triangle = int(-1)
+        if ((active[leaf, x] >> wp.uint64(b)) & wp.uint64(1)) != wp.uint64(0):
+            slot = slots[rows[leaf], 64 * x + b]
+            if slot >= 0:
+                triangle = slot_triangle[slot]
+        out_values[512 * leaf + 64 * x + b] = triangle

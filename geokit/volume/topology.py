@@ -1,0 +1,107 @@
+"""Which voxels and tiles a volume has: pruning, clipping, connected components."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from geokit import _memory
+from geokit._arrays import require_finite_scalar
+from geokit.errors import InputError
+from geokit.volume._leaves import QUANTISED, require_volume
+from geokit.volume._level_set import require_level_set
+from geokit.volume._operate import lift_factor, operate
+from geokit.volume.model import SparseVolume
+
+__all__ = ["clip", "prune", "segment"]
+
+
+def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
+    """The volume with tiles in place of nodes whose voxels are alike.
+
+    A node becomes a tile where all its voxels share one state and their values lie within the tolerance; the tile takes
+    one of them. With 0 every voxel keeps its value and state.
+
+    Args:
+        volume: Float, double, int32, int64, bool, vec3f or vec3d grid; quantised ones become float.
+        tolerance: Largest difference of values in a tile, in the grid's units, not negative.
+    Returns:
+        Volume of the same type, class, name and metadata.
+    Raises:
+        InputError: volume is no SparseVolume, or tolerance is negative or not finite.
+        UnsupportedGridError: A grid of another type.
+        MissingDependencyError: geokit was built without OpenVDB.
+    """
+    from geokit.native import operations
+
+    require_volume(volume, "volume")
+    tolerance = require_finite_scalar(tolerance, "tolerance")
+    if tolerance < 0.0:
+        raise InputError(f"tolerance: {tolerance} is negative; give the largest difference within a tile")
+    result: SparseVolume = operate(operations.prune, volume, tolerance=tolerance)
+    return result
+
+
+def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
+    """The part of a volume inside a box; everything outside becomes inactive background.
+
+    A voxel is inside if its centre is, the box's faces included, under any affine transform. A level set is cut open:
+    its surface ends at the box. (Its intersection with a level set of the box is closed.)
+
+    Args:
+        volume: Float, double, int32, int64, bool, vec3f or vec3d grid; quantised ones become float.
+        bounds: Lower and upper corner [world], shape (2, 3).
+    Returns:
+        Volume of the same type, class, name and metadata.
+    Raises:
+        InputError: volume is no SparseVolume, or bounds are not (2, 3), finite and in order.
+        UnsupportedGridError: A grid of another type.
+        MissingDependencyError: geokit was built without OpenVDB.
+    """
+    from geokit.native import operations
+
+    require_volume(volume, "volume")
+    try:
+        box = np.asarray(bounds, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"bounds: {bounds!r} is not a table of numbers; give lower and upper corner") from error
+    if box.shape != (2, 3) or not np.isfinite(box).all():
+        raise InputError(f"bounds: shape {box.shape} is not (2, 3) and finite; give lower and upper corner")
+    if (box[0] > box[1]).any():
+        raise InputError(f"bounds: lower corner {box[0].tolist()} exceeds the upper {box[1].tolist()}; swap them")
+    factor = lift_factor(volume.info.transform)
+    result: SparseVolume = operate(operations.clip, volume, bounds=box * factor)
+    return result
+
+
+def segment(volume: SparseVolume) -> list[SparseVolume]:
+    """Connected components as volumes of their own, largest first.
+
+    Level sets of real values are taken apart by their inside, connected over faces: a hollow body is one. Each part has
+    its own band; voxels keep their values, but for those between bodies whose bands meet, which get the distance to
+    the part's own surface (to 0.1 voxel, next to sharp edges to 0.5). Other grids are taken apart by their active
+    voxels.
+
+    Args:
+        volume: Float, double, int32, int64, bool, mask, vec3f or vec3d grid; quantised ones become float.
+    Returns:
+        Volumes with the name, class and metadata of the whole; by number of active voxels, descending. None for a
+        volume without active voxels.
+    Raises:
+        InputError: volume is no SparseVolume, or a level set whose voxels are no cubes.
+        UnsupportedGridError: A grid of another type.
+        DeviceMemoryError: The inside of a level set has more voxels than can be labelled.
+        MissingDependencyError: geokit was built without OpenVDB.
+    """
+    from geokit.native import operations
+
+    require_volume(volume, "volume")
+    if not volume.info.active_voxel_count:
+        return []
+    is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTISED)
+    voxel_size = require_level_set(volume, "volume") if is_distance else 1.0
+    parts: list[SparseVolume] = operate(
+        operations.segment, volume, voxel_size=voxel_size, memory_limit=_memory.available_host()
+    )
+    return parts
