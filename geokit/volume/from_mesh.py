@@ -15,6 +15,7 @@ from geokit.errors import InputError
 from geokit.volume._band import BandShape, build_band, build_triangle_ids, make_band
 from geokit.volume._grid_head import checked_head
 from geokit.volume._nanovdb import info_of
+from geokit.volume._provenance import content_hash, provenance
 from geokit.volume._tiles import Lattice
 from geokit.volume._upload import made_on_device
 from geokit.volume.model import SparseVolume
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["MeshBand", "from_mesh", "from_mesh_with_triangles"]
 
 METHODS = ("geokit", "openvdb")
+_hashes: WeakKeyDictionary[TriangleMesh, str] = WeakKeyDictionary()
 SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
 
 # Of meshes, for as long as they live.
@@ -70,10 +72,10 @@ def from_mesh(
     Voxel centres lie at whole multiples of ``voxel_size``; the transform has a translation (of whole voxels) only
     where indices would otherwise exceed 2^20.
 
-    ``info.metadata`` says where the field is from: "geokit:source" (the mesh's name), "geokit:voxel_size",
-    "geokit:sign_method" and "geokit:sign_reason"; "geokit:lost_components" lists the connected pieces of the
-    mesh, counted in the order of their first faces, that are too thin to hold a single negative voxel; a UserWarning
-    tells of them too.
+    ``info.metadata`` says where the field is from: "geokit:source" (the mesh's name), "geokit:source_sha256" (of its
+    vertices and faces), "geokit:voxel_size", "geokit:version", "geokit:sign_method" and "geokit:sign_reason";
+    "geokit:lost_components" lists the connected pieces of the mesh, counted in the order of their first faces, that are
+    too thin to hold a single negative voxel; a UserWarning tells of them too.
 
     Args:
         mesh: Triangles, or a Surface of them, whose tree is then used (and its device).
@@ -213,8 +215,7 @@ def _described(band: Band, sign: str) -> dict[str, Any]:
     surface, method = band.lattice.surface, band.shape.method
     reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
     metadata: dict[str, Any] = {
-        "geokit:source": surface.mesh.name,
-        "geokit:voxel_size": band.lattice.voxel_size,
+        **_origin(surface, band.lattice),
         "geokit:sign_method": "shell" if band.shape.offset else method,
         "geokit:sign_reason": reason,
     }
@@ -248,6 +249,19 @@ def _pieces_of(mesh: TriangleMesh) -> NDArray[np.int32]:
     return _pieces[mesh]
 
 
+def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
+    """Metadata of where a field is from."""
+    mesh = surface.mesh
+    return provenance(mesh.name, _hash_of(mesh), lattice.voxel_size)
+
+
+def _hash_of(mesh: TriangleMesh) -> str:
+    # Hashing takes as long as a small band: once for each mesh.
+    if mesh not in _hashes:
+        _hashes[mesh] = content_hash(mesh.vertices, mesh.faces)
+    return _hashes[mesh]
+
+
 def _as_volume(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume:
     if grid.host is None:
         return made_on_device(grid.buffer, info_of(grid.head, metadata, byte_count=len(grid.buffer)))
@@ -264,5 +278,5 @@ def _by_openvdb(surface: Surface, lattice: Lattice, shape: BandShape, name: str)
     buffer = native.mesh_to_level_set(
         mesh.vertices, mesh.faces, voxel_size=lattice.voxel_size, half_width=max(1.0, half_width)
     )
-    metadata = {"geokit:source": mesh.name, "geokit:voxel_size": lattice.voxel_size, "geokit:sign_method": "openvdb"}
+    metadata = {**_origin(surface, lattice), "geokit:sign_method": "openvdb"}
     return SparseVolume(buffer, info_of(buffer, metadata, name=name))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-VERBS = ("info", "convert", "query", "render", "doctor", "demo")
+VERBS = ("info", "convert", "query", "volume", "render", "doctor", "demo")
 
 
 def test_help_lists_every_verb(geokit) -> None:

@@ -42,7 +42,15 @@ def test_commands(folder: Path) -> None:
         run = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, cwd=folder)
         assert run.returncode == 0, f"{command}\n{run.stderr}"
     written = {path.name for path in folder.iterdir()} - {"data"}
-    assert written == {"torus.vdb", "torus.nvdb", "torus.obj", "distances.csv", "neighbors.npz", "figure.png"}
+    assert written == {
+        "torus.vdb",
+        "torus.nvdb",
+        "thicker.vdb",
+        "torus.obj",
+        "distances.csv",
+        "neighbors.npz",
+        "figure.png",
+    }
 
 
 def test_set_up_commands_are_verbs_of_dev() -> None:

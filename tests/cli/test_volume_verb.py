@@ -97,8 +97,8 @@ def test_resample_like_another(geokit, bodies, tmp_path: Path) -> None:
 
 def test_parts_are_grids_of_one_file(geokit, bodies, tmp_path: Path) -> None:
     apart, both, parts = (tmp_path / name for name in ("apart.vdb", "both.vdb", "parts.vdb"))
-    assert geokit("volume", "erode", bodies[0], apart, "--distance", "0.5").returncode == 0
-    assert geokit("volume", "erode", bodies[1], parts, "--distance", "0.5").returncode == 0
+    assert geokit("volume", "erode", bodies[0], apart, "--distance", "0.56").returncode == 0
+    assert geokit("volume", "erode", bodies[1], parts, "--distance", "0.56").returncode == 0
     assert geokit("volume", "union", apart, parts, both).returncode == 0
     done = geokit("volume", "segment", both, parts, "--force", "--json")
     assert done.returncode == 0, done.stderr
