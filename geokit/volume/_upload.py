@@ -66,9 +66,16 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
         made = wp.Volume(array, copy=False)
     except RuntimeError:
         # Warp knows a volume by its address: a buffer that another volume shows already needs one of its own.
-        array = wp.clone(array)
+        if found.is_cpu:
+            moved = aligned_buffer(len(buffer))
+            moved[:] = buffer
+            array, buffer = wp.array(moved, dtype=wp.uint8, device=found, copy=False), moved
+        else:
+            array = wp.clone(array)
         made = wp.Volume(array, copy=False)
-    # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it.
+    # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, also where the
+    # caller keeps nothing else.
+    made._geokit_source = (array, buffer)
     volume._uploads[found.alias] = (made, array, buffer)
     return made
 
@@ -83,7 +90,9 @@ def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
     import warp as wp
 
     volume = SparseVolume.__new__(SparseVolume)
-    uploads = {grid.device.alias: (wp.Volume(grid, copy=False), grid, None)}
+    made: Any = wp.Volume(grid, copy=False)
+    made._geokit_source = grid  # it does not own its memory
+    uploads = {grid.device.alias: (made, grid, None)}
     for name, value in (("info", info), ("_uploads", uploads)):
         object.__setattr__(volume, name, value)
     return volume

@@ -213,3 +213,21 @@ def test_the_package_offers_its_names_without_warp():
     assert done.returncode == 0, done.stderr
     with pytest.raises(AttributeError, match="nothing"):
         _ = geokit.volume.nothing
+
+
+def test_a_warp_volume_outlives_what_it_was_made_from(tmp_path):
+    from geokit.volume import from_dense
+
+    values = np.random.default_rng(0).normal(size=(40, 40, 40)).astype(np.float32)
+    path = tmp_path / "field.nvdb"
+    save(path, from_dense(values, voxel_size=1.0))
+    kept = [load(path).on("cpu") for _ in range(20)]
+    for volume in kept:
+        assert len(volume.get_voxels()) == values.size
+
+
+def test_two_volumes_of_one_buffer():
+    first = sphere()
+    second = SparseVolume(first.nanovdb, first.info)
+    points = np.random.default_rng(0).uniform(-10, 10, (50, 3))
+    np.testing.assert_array_equal(first.sample(points, device="cpu"), second.sample(points, device="cpu"))
