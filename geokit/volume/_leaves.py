@@ -127,7 +127,9 @@ def assemble(
     """
     from geokit.native import operations
 
-    kept = leaves.masks.any(axis=1)
+    kept: Any = leaves.masks.any(axis=1)
+    if kept.all():
+        kept = slice(None)  # without a copy
     matrix = like.info.transform if transform is None else transform
     factor = lift_factor(matrix)
     buffer = operations.from_leaves(

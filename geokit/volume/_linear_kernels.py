@@ -129,8 +129,11 @@ def _group(rows, total, stores):
     for (int q = 0; q < G; ++q) {{
         left |= (unsigned long long)(outside[q] != 0) << q;
         const long long n = at[q];
+        const long long far = apart[q] ? n : n + step_x[q], up = apart[q] ? 0 : step_y[q];
         __builtin_prefetch(voxels + n);
-        __builtin_prefetch(voxels + (apart[q] ? n : n + step_x[q]));
+        __builtin_prefetch(voxels + n + up);
+        __builtin_prefetch(voxels + far);
+        __builtin_prefetch(voxels + far + up);
     }}
     float cell[8][G];
     for (int q = 0; q < G; ++q) {{

@@ -30,7 +30,7 @@ __all__ = ["resample"]
 
 TYPES = ("float", "double", "vec3f", "vec3d")
 # Leaves whose points are made, sampled and stored at a time: 2 million points, 100 MB with their values.
-LEAVES_AT_A_TIME = 4096
+LEAVES_AT_A_TIME = 512
 # A target leaf while it is made: values and masks, their copy in OpenVDB's tree and that in the buffer.
 BYTES_PER_LEAF = 3 * 2144
 # Voxel indices are int32; this much is left free for stencils at both ends.
@@ -159,6 +159,8 @@ def _sampled(
     masks = np.empty((len(origins), 64), np.uint8)
     outside = np.asarray(background, dtype)
     offsets = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
+    # Leaves without an active voxel are written over by the next: room that is never touched is no memory.
+    filled = 0
     for first in range(0, len(origins), LEAVES_AT_A_TIME):
         rows = slice(first, first + LEAVES_AT_A_TIME)
         voxels = (origins[rows, None, :].astype(np.int64) + offsets).reshape(-1, 3)
@@ -167,13 +169,17 @@ def _sampled(
         active = np.asarray(active_at(source, points, device=device)).reshape(-1, LEAF_VOXELS)
         if band is not None:
             active &= np.abs(sampled) < outside
-            values[rows] = np.where(active, sampled, np.copysign(outside, sampled))
+            sampled = np.where(active, sampled, np.copysign(outside, sampled))
         else:
-            values[rows] = np.where(active.reshape(*active.shape, *[1] * (sampled.ndim - 2)), sampled, outside)
-        masks[rows] = np.packbits(active, axis=1, bitorder="little")
+            sampled = np.where(active.reshape(*active.shape, *[1] * (sampled.ndim - 2)), sampled, outside)
+        used = active.any(axis=1)
+        place = slice(filled, filled := filled + int(used.sum()))
+        origins[place] = origins[rows][used]
+        values[place] = sampled[used]
+        masks[place] = np.packbits(active[used], axis=1, bitorder="little")
     return assemble(
-        Leaves(origins, masks),
-        values,
+        Leaves(origins[:filled], masks[:filled]),
+        values[:filled],
         source,
         background=background,
         grid_class=source.info.grid_class,
