@@ -202,9 +202,11 @@ def _target_leaves(source: SparseVolume, transform: NDArray[np.float64]) -> NDAr
     lowest, highest = np.floor((centre - reach) / 8.0), np.floor((centre + reach) / 8.0)
     if max(-lowest.min(), highest.max()) * 8.0 > LARGEST_INDEX:
         raise InputError("transform: voxel indices of the result exceed int32; use larger voxels or a nearer origin")
-    size = (highest - lowest + 1.0).astype(np.int64)
+    size = highest - lowest + 1.0
+    # In floats: voxels that are far too small make more leaves than integers can count.
+    _require_memory(float(size.prod(axis=1).sum()))
+    size = size.astype(np.int64)
     count = size.prod(axis=1)
-    _require_memory(float(count.sum()))
     row = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
     _, high, deep = size[row].T
