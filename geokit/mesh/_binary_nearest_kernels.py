@@ -12,9 +12,14 @@ from geokit.mesh._wide_nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED
 # Candidates that wait for float64, in a thread's local memory.
 CANDIDATES = 8
 
-# Names as in WIDE_NEAREST; the seed is of no use here. The stack holds what warp's own queries need: its builders bound
-# the depth of the tree by 32.
-BINARY_NEAREST = f"""
+
+def _search(accept: str, leave: str) -> str:
+    """C++ of a search: ``accept`` is done with a triangle that may be within reach, ``leave`` after each leaf.
+
+    Names as in WIDE_NEAREST; the seed is of no use here. The stack holds what warp's own queries need: its builders
+    bound the depth of the tree by 32.
+    """
+    return f"""
     {LOAD_NODE}
     const float* nodes = tree.boxes.data;
     double exact = max_squared;  // world units squared
@@ -58,6 +63,7 @@ BINARY_NEAREST = f"""
                 if ((left_first ? dl : dr) <= limit) continue;
             }} else {{
                 for (int slot = first_slot(node); slot < end_slot(node); ++slot) evaluate(slot);
+                {leave}
             }}
             const double now = sqrt(exact) / tree.scale + padding;
             do --depth; while (depth >= 0 && entry[depth] > now * now);
@@ -102,6 +108,7 @@ BINARY_NEAREST = f"""
         }}
         const float d2 = flat + z * z;
         if (!(d2 <= reach)) return;
+        {accept}
         if (d2 < least) {{
             least = d2;
             reach = fminf(reach, widened(d2));
@@ -142,6 +149,7 @@ BINARY_NEAREST = f"""
         }}
         if (reached)
             for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
+        {leave}
         do --depth; while (depth >= 0 && entry[depth] > reach);
         if (depth < 0) break;
         node = stack[depth];
@@ -156,3 +164,8 @@ BINARY_NEAREST = f"""
     settle();
     return winner;
 """
+
+
+BINARY_NEAREST = _search("", "")
+# Any triangle within the distance, whichever the walk meets first: it need not go on once it has one.
+BINARY_WITHIN = _search("evaluate(slot);\n        return;", "if (winner >= 0) return winner;")

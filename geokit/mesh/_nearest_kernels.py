@@ -4,27 +4,38 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh._binary_nearest_kernels import BINARY_NEAREST
+from geokit.mesh._binary_nearest_kernels import BINARY_NEAREST, BINARY_WITHIN
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import CLOSEST_ON_TRIANGLE
 from geokit.mesh._wide_nearest_kernels import WIDE_NEAREST
 
 wp.set_module_options({"enable_backward": False})
 
-_NEAREST = f"""
+
+def _snippet(on_cuda):
+    return f"""
     {CLOSEST_ON_TRIANGLE}
     #if defined(__CUDA_ARCH__)
-    {BINARY_NEAREST}
+    {on_cuda}
     #else
     {WIDE_NEAREST}
     #endif
 """
 
 
-@wp.func_native(_NEAREST)
+@wp.func_native(_snippet(BINARY_NEAREST))
 def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
     """Slot of the triangle nearest to p [world], -1 where none is within the squared distance.
 
     ``seed`` is a slot that may be near, such as a neighbour's answer, or -1; it saves time and changes no answer.
+    """
+    ...
+
+
+@wp.func_native(_snippet(BINARY_WITHIN))
+def slot_within(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
+    """Slot of some triangle within the squared distance of p [world], -1 where there is none.
+
+    Which one depends on the device: on a GPU the first that the walk meets, on a CPU the nearest.
     """
     ...

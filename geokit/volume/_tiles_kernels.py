@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh._nearest_kernels import nearest_slot
+from geokit.mesh._nearest_kernels import nearest_slot, slot_within
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
 
@@ -44,9 +44,11 @@ def near_cells_kernel(
     low = wp.vec3d(wp.float64(cell[0]), wp.float64(cell[1]), wp.float64(cell[2])) * wp.float64(span)
     center = (low + wp.vec3d(half, half, half)) * voxel_size + translation
     around = HALF_DIAGONAL * wp.float64(span - 1) * voxel_size
-    slot = nearest_slot(tree, center, (reach + around) * (reach + around), -1)
+    radius = reach + around
+    slot = slot_within(tree, center, radius * radius, -1)
     near = wp.where(slot >= 0, 1, 0)
     if slot >= 0 and hollow > wp.float64(0.0):
+        slot = nearest_slot(tree, center, radius * radius, -1)
         a = tree.corners[3 * slot]
         b = tree.corners[3 * slot + 1]
         c = tree.corners[3 * slot + 2]
