@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ import warp as wp
 
 import geokit as gk
 from benchmarks import inputs
+from benchmarks.gpu_timing import wall_median
 from geokit import _launch
 from geokit.volume._tiles import Lattice, near_tiles
 from geokit.volume.from_mesh import from_mesh_with_triangles
@@ -58,16 +58,7 @@ def surface_and_voxel(resolution: int, device: str) -> tuple[Any, float]:
 
 
 def median(run: Callable[[], Any]) -> float:
-    """Seconds by the wall clock, the device waited for."""
-    run()
-    seconds = []
-    for _ in range(RUNS):
-        wp.synchronize()
-        start = time.perf_counter()
-        run()
-        wp.synchronize()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+    return wall_median(run, RUNS)
 
 
 @contextmanager

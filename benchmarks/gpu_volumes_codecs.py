@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from benchmarks.gpu_timing import wall_median
 from geokit import _launch
 from geokit.volume.dense import to_dense
 from geokit.volume.from_points import from_points
@@ -31,15 +30,7 @@ def lookup_kernel(
 
 
 def median(run: Callable[[], Any]) -> float:
-    run()
-    times = []
-    for _ in range(RUNS):
-        wp.synchronize()
-        start = time.perf_counter()
-        run()
-        wp.synchronize()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    return wall_median(run, RUNS)
 
 
 def shell(count: int) -> np.ndarray:

@@ -10,7 +10,6 @@ import ctypes
 import math
 import os
 import statistics
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +19,7 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
+from benchmarks.gpu_timing import wall_median
 from geokit import _launch
 
 TRIANGLES = 190_000
@@ -68,16 +68,8 @@ def openvdb() -> OpenVdb | None:
         return None
 
 
-def median(run: Callable[[], Any], runs: int = RUNS) -> float:
-    run()
-    seconds = []
-    for _ in range(runs):
-        wp.synchronize()
-        start = time.perf_counter()
-        run()
-        wp.synchronize()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+def median(run: Callable[[], Any]) -> float:
+    return wall_median(run, RUNS)
 
 
 def main(out: Callable[[str], None] = print, device: str = "cuda:0") -> None:

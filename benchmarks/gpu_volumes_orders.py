@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import statistics
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from benchmarks.gpu_timing import device_median
 from geokit import _launch
 from geokit.volume._build import build_float_grid
 from geokit.volume._nanovdb import aligned_buffer, info_of
@@ -59,15 +59,7 @@ def near_surface(count: int) -> np.ndarray:
 
 
 def median(run: Callable[[], Any]) -> float:
-    """Seconds on the device, by its own clock."""
-    run()
-    run()
-    times = []
-    for _ in range(RUNS):
-        with wp.ScopedTimer("", cuda_filter=wp.TIMING_ALL, print=False, synchronize=True) as timer:
-            run()
-        times.append(timer.elapsed / 1000.0)
-    return statistics.median(times)
+    return device_median(run, RUNS)
 
 
 def difference(a: Any, b: Any) -> float:

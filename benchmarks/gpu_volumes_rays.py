@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from benchmarks.gpu_timing import wall_median
 from benchmarks.volume_rays import camera_rays, level_set, random_rays, volume_of_fog
 from geokit import _launch
 from geokit.volume import _crossing_blocks
@@ -57,16 +56,7 @@ def march_kernel(
 
 
 def median(run: Callable[[], Any]) -> float:
-    """Seconds by the wall clock, the device waited for."""
-    run()
-    seconds = []
-    for _ in range(RUNS):
-        wp.synchronize()
-        start = time.perf_counter()
-        run()
-        wp.synchronize()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+    return wall_median(run, RUNS)
 
 
 def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
+from benchmarks.gpu_timing import device_median
 from benchmarks.volume_sampling import level_set, raw_sample_kernel
 from geokit import _launch
 
@@ -41,15 +41,7 @@ def widened_kernel(first: int, points: wp.array(dtype=wp.vec3), out: wp.array(dt
 
 
 def median(run: Callable[[], Any]) -> float:
-    """Seconds on the device, by its own clock."""
-    run()
-    run()
-    times = []
-    for _ in range(RUNS):
-        with wp.ScopedTimer("", cuda_filter=wp.TIMING_ALL, print=False, synchronize=True) as timer:
-            run()
-        times.append(timer.elapsed / 1000.0)
-    return statistics.median(times)
+    return device_median(run, RUNS)
 
 
 def copy_rate(device: wp.Device) -> float:

@@ -6,7 +6,6 @@ a dense float32 field; their time does not include making one.
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
+from benchmarks.gpu_timing import wall_median
 from geokit import _launch
 from geokit.volume._build import build_float_grid
 from geokit.volume._nanovdb import info_of
@@ -53,18 +53,8 @@ def rippled_sphere(resolution: int) -> SparseVolume:
     return SparseVolume(buffer, info_of(buffer))
 
 
-def median(run: Callable[[], Any], device: Any) -> float:
-    """Seconds from call to result."""
-    run()
-    run()
-    times = []
-    for _ in range(RUNS):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        run()
-        wp.synchronize_device(device)
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+def median(run: Callable[[], Any]) -> float:
+    return wall_median(run, RUNS, warm=2)
 
 
 def check_same(volume: SparseVolume, device: Any) -> list[str]:
@@ -142,7 +132,7 @@ def dense_cubes(volume: SparseVolume, resolution: int, device: Any) -> float:
     values = wp.array(field, dtype=wp.float32, device=device)
     from warp.geometry import IsoSurfaceMarchingCubes
 
-    return median(lambda: IsoSurfaceMarchingCubes.extract(values, 0.0), device)
+    return median(lambda: IsoSurfaceMarchingCubes.extract(values, 0.0))
 
 
 def main(out: Callable[[str], None]) -> None:
@@ -160,7 +150,7 @@ def main(out: Callable[[str], None]) -> None:
         for method in METHODS:
             faces = len(gk.mesh.from_volume(volume, method=method, device=device).faces)
             on_gpu, on_cpu = (
-                median(lambda d=d, method=method: gk.mesh.from_volume(volume, method=method, device=d), device)  # noqa: B023
+                median(lambda d=d, method=method: gk.mesh.from_volume(volume, method=method, device=d))  # noqa: B023
                 for d in (device, "cpu")
             )
             out(

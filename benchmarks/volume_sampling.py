@@ -22,7 +22,7 @@ from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, cpu_name, 
 from geokit import _launch
 
 # As a share of the largest value, three voxels: peers compute index coordinates in float32, which rounds 500 by 3e-5.
-SAME = 1e-4
+SAME = 3e-5
 RESOLUTIONS = (128, 256, 512)
 
 

@@ -297,11 +297,6 @@ def gradient_single(
 
 
 @wp.func
-def is_finite(p: wp.vec3d) -> bool:
-    return wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])
-
-
-@wp.func
 def tree_gradient(volume: wp.uint64, u: wp.vec3d, to_index: wp.mat33d) -> wp.vec3d:
     a, b, c = linear_differences(volume, u, wp.float64(0.0))
     return wp.vec3d(
@@ -332,7 +327,7 @@ def sample_groups_kernel(
         for q in range(start, stop):
             if (left >> wp.uint64(q - start)) & wp.uint64(1) == wp.uint64(1):
                 point = wp.vec3d(points[q])
-                if not is_finite(point):
+                if not wp.isfinite(point):
                     out_bad[0] = 1
                 u = to_index * (point - origin)
                 out_value[q] = out_value.dtype(linear_value(volume, u, background))
@@ -357,7 +352,7 @@ def gradient_groups_kernel(
         for q in range(start, stop):
             if (left >> wp.uint64(q - start)) & wp.uint64(1) == wp.uint64(1):
                 point = wp.vec3d(points[q])
-                if not is_finite(point):
+                if not wp.isfinite(point):
                     out_bad[0] = 1
                 u = to_index * (point - origin)
                 out_gradient[q] = out_gradient.dtype(tree_gradient(volume, u, to_index))
@@ -380,7 +375,7 @@ def sample_singles_kernel(
     u = to_index * (point - origin)
     value = sample_single(table, u[0], u[1], u[2], origin, to_index)
     if wp.isnan(value):
-        if not is_finite(point):
+        if not wp.isfinite(point):
             out_bad[0] = 1
         value = linear_value(volume, u, background)
     out_value[i] = out_value.dtype(value)
@@ -403,7 +398,7 @@ def gradient_singles_kernel(
     u = to_index * (point - origin)
     g = gradient_single(table, u[0], u[1], u[2], origin, to_index)
     if wp.isnan(g[0]):
-        if not is_finite(point):
+        if not wp.isfinite(point):
             out_bad[0] = 1
         g = tree_gradient(volume, u, to_index)
     out_gradient[i] = out_gradient.dtype(g)

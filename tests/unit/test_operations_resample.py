@@ -137,7 +137,7 @@ class TestRefusals:
     def test_too_many_voxels(self, voxel_size):
         from geokit.errors import DeviceMemoryError
 
-        with pytest.raises((DeviceMemoryError, InputError), match=r"voxel_size: the result may need|exceed int32"):
+        with pytest.raises(DeviceMemoryError, match="voxel_size: the result may need"):
             resample(field(plane), voxel_size=voxel_size)
 
     def test_band_too_wide_to_compute(self):

@@ -1,0 +1,36 @@
+"""Medians of runs on a GPU, by the wall clock or by the device's own."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+
+def wall_median(run: Callable[[], Any], runs: int, *, warm: int = 1) -> float:
+    """Seconds from call to result, the device waited for, after ``warm`` runs that do not count."""
+    for _ in range(warm):
+        run()
+    seconds = []
+    for _ in range(runs):
+        wp.synchronize()
+        start = time.perf_counter()
+        run()
+        wp.synchronize()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds)
+
+
+def device_median(run: Callable[[], Any], runs: int) -> float:
+    """Seconds on the device, by its own clock, after two runs that do not count."""
+    run()
+    run()
+    seconds = []
+    for _ in range(runs):
+        with wp.ScopedTimer("", cuda_filter=wp.TIMING_ALL, print=False, synchronize=True) as timer:
+            run()
+        seconds.append(timer.elapsed / 1000.0)
+    return statistics.median(seconds)
