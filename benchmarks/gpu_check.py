@@ -15,7 +15,7 @@ import warp as wp
 
 import geokit as gk
 from benchmarks import inputs
-from benchmarks.raw_kernels import raw_closest_kernel, raw_count_kernel, raw_ray_kernel, raw_sample_kernel
+from benchmarks.raw_kernels import raw_closest_kernel, raw_count_in_order_kernel, raw_ray_kernel, raw_sample_kernel
 from geokit.mesh._sign_choice import choose_sign
 
 
@@ -253,7 +253,7 @@ def neighbor_rates(device, rows, count):
     out = wp.empty(count, dtype=wp.int32, device=device)
     ours = median_seconds(lambda: grid.count(given), device)
     raw = median_seconds(
-        lambda: wp.launch(raw_count_kernel, count, [hashed.id, single, radius], [out], device=device), device
+        lambda: wp.launch(raw_count_in_order_kernel, count, [hashed.id, single, radius], [out], device=device), device
     )
     rows.append(("neighbour counts, 30 each", count, ours, raw))
     build = median_seconds(lambda: gk.points.NeighborGrid(given, radius, device=device), device)

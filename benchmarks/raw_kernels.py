@@ -27,14 +27,27 @@ def raw_sample_kernel(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: w
     out[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, points[i]), wp.Volume.LINEAR)
 
 
-@wp.kernel
-def raw_count_kernel(grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: float, out: wp.array(dtype=int)):
-    i = wp.hash_grid_point_id(grid, wp.tid())
+@wp.func
+def raw_count(grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: float, i: int) -> int:
     count = int(0)
     for j in wp.hash_grid_query(grid, points[i], radius):
         if wp.length_sq(points[j] - points[i]) <= radius * radius:
             count += 1
-    out[i] = count
+    return count
+
+
+@wp.kernel
+def raw_count_kernel(grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: float, out: wp.array(dtype=int)):
+    i = wp.tid()
+    out[i] = raw_count(grid, points, radius, i)
+
+
+@wp.kernel
+def raw_count_in_order_kernel(
+    grid: wp.uint64, points: wp.array(dtype=wp.vec3), radius: float, out: wp.array(dtype=int)
+):
+    i = wp.hash_grid_point_id(grid, wp.tid())
+    out[i] = raw_count(grid, points, radius, i)
 
 
 @wp.kernel

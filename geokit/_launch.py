@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "cuda_devices",
+    "identity",
     "in_order",
     "launch",
     "launch_queries",
@@ -283,7 +284,7 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
 
     count = len(points)
     if count < MINIMUM_ORDERED:
-        return _identity(device.alias)
+        return identity(device)
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
@@ -291,6 +292,11 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
     launch(morton_kernel, count, [points, wp.vec3d(*map(float, lower)), wp.float64(inverse)], [keys, order], device)
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=30)
     return order
+
+
+def identity(device: "wp.Device") -> "wp.array":
+    """The order of fewer than MINIMUM_ORDERED queries: as they come."""
+    return _identity(device.alias)
 
 
 @functools.lru_cache(maxsize=16)

@@ -440,3 +440,125 @@ def optical_depth(at, start: np.ndarray, toward: np.ndarray, t: np.ndarray) -> n
     # The ends of a cell are values of the cell itself: the interpolant is continuous.
     value = interpolant_along(at, start, toward, inner).reshape(-1, 5)
     return np.concatenate([[0.0], np.cumsum(steps * (value @ weight))])
+
+
+def farthest_point_order(points: np.ndarray, count: int, start: int) -> np.ndarray:
+    """Greedy farthest point sampling; ties go to the lowest index, and none is taken twice."""
+    least = np.full(len(points), np.inf)
+    taken = [start]
+    while len(taken) < count:
+        d = points - points[taken[-1]]
+        least = np.minimum(least, (d[:, 0] ** 2 + d[:, 1] ** 2) + d[:, 2] ** 2)
+        least[taken[-1]] = -1.0
+        taken.append(int(np.argmax(least)))
+    return np.array(taken)
+
+
+def poisson_disk_indices(points: np.ndarray, radius: float, seed: int) -> np.ndarray:
+    """Points tried in random order, taken where none taken before is nearer than the radius; ascending."""
+    taken: list[int] = []
+    for i in np.random.default_rng(seed).permutation(len(points)):
+        d = points[taken] - points[i]
+        if not ((d[:, 0] ** 2 + d[:, 1] ** 2) + d[:, 2] ** 2 < radius * radius).any():
+            taken.append(int(i))
+    return np.sort(taken)
+
+
+def voxel_means(points: np.ndarray, voxel_size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Centroids of the occupied voxels by ascending (z, y, x), exactly summed, and the point nearest to each."""
+    members: dict[tuple[float, ...], list[int]] = {}
+    for i, cell in enumerate(np.floor(points / voxel_size)[:, ::-1].tolist()):
+        members.setdefault(tuple(cell), []).append(i)
+    centroids, nearest = [], []
+    for cell in sorted(members):
+        rows = _rational(points[members[cell]])
+        mean = tuple(sum(column) / len(rows) for column in zip(*rows, strict=True))
+        centroids.append([float(x) for x in mean])
+        squared = [_rational_dot(d, d) for d in (_minus(row, mean) for row in rows)]
+        nearest.append(members[cell][squared.index(min(squared))])
+    return np.array(centroids), np.array(nearest)
+
+
+def register_by_numpy(
+    source: np.ndarray, target: np.ndarray, normals: np.ndarray, method: str, max_distance: float, steps: int
+) -> tuple[np.ndarray, float, float]:
+    """Iterative closest points in world coordinates with all pairs and least squares; transform, rmse, fitness."""
+    transform = np.eye(4)
+    for step in range(steps + 1):
+        points = source @ transform[:3, :3].T + transform[:3, 3]
+        squared = ((points[:, None] - target[None]) ** 2).sum(axis=2)
+        partner = squared.argmin(axis=1)
+        near = np.sqrt(squared.min(axis=1)) <= max_distance
+        p, q, n = points[near], target[partner[near]], normals[partner[near]]
+        if step == steps:
+            break
+        move = np.eye(4)
+        if method == "point_to_plane":
+            system = np.concatenate([np.cross(p - p.mean(axis=0), n), n], axis=1)
+            x = np.linalg.lstsq(system, ((q - p) * n).sum(axis=1), rcond=None)[0]
+            angle = np.linalg.norm(x[:3])
+            # The rotation about a vector is the quaternion (cos, sin * axis) of half its length.
+            w, v = np.cos(angle / 2), np.sin(angle / 2) * x[:3] / angle
+            cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+            move[:3, :3] = np.eye(3) + 2 * w * cross + 2 * cross @ cross
+            # The step is one about the source's own centroid: so is the reference's.
+            centre = points.mean(axis=0)
+            shift = x[3:] + np.cross(x[:3], centre - p.mean(axis=0))
+            move[:3, 3] = centre + shift - move[:3, :3] @ centre
+        else:
+            u, _, vt = np.linalg.svd((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
+            move[:3, :3] = vt.T @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ u.T
+            move[:3, 3] = q.mean(axis=0) - move[:3, :3] @ p.mean(axis=0)
+        transform = move @ transform
+    return transform, float(np.sqrt(((p - q) ** 2).sum(axis=1).mean())), float(near.mean())
+
+
+def density_clusters(points: np.ndarray, radius: float, minimum_count: int) -> np.ndarray:
+    """DBSCAN by the matrix of all squared distances and a flood from each lowest core point; -1 is noise."""
+    d = points[:, None] - points[None]
+    squared = (d[..., 0] ** 2 + d[..., 1] ** 2) + d[..., 2] ** 2
+    near = squared <= radius * radius
+    core = near.sum(axis=1) >= minimum_count
+    labels = np.full(len(points), -1)
+    cluster_count = 0
+    for first in np.flatnonzero(core):
+        if labels[first] >= 0:
+            continue
+        front = [first]
+        labels[first] = cluster_count
+        while front:
+            for j in np.flatnonzero(near[front.pop()] & core & (labels < 0)):
+                labels[j] = cluster_count
+                front.append(j)
+        cluster_count += 1
+    for i in np.flatnonzero(~core & (near & core).any(axis=1)):
+        candidates = np.flatnonzero(near[i] & core)
+        labels[i] = labels[candidates[np.argmin(squared[i, candidates])]]
+    return labels
+
+
+def k_nearest(
+    points: np.ndarray,
+    k: int,
+    queries: np.ndarray | None = None,
+    *,
+    limit_squared: np.ndarray | float = np.inf,
+    exclude_self: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices of the k points with the smallest (squared distance, index), from a list of all of them.
+
+    Rows are filled up with inf and -1.
+    """
+    queries = points if queries is None else queries
+    distance, indices = np.full((len(queries), k), np.inf), np.full((len(queries), k), -1)
+    limits = np.broadcast_to(limit_squared, len(queries))
+    for i, query in enumerate(queries):
+        with np.errstate(over="ignore"):
+            d = points - query
+            squared = (d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1]) + d[:, 2] * d[:, 2]
+        order = np.argsort(squared, kind="stable")
+        order = order[squared[order] <= limits[i]]
+        order = order[order != i] if exclude_self else order
+        order = order[:k]
+        distance[i, : len(order)], indices[i, : len(order)] = np.sqrt(squared[order]), order
+    return distance, indices

@@ -46,7 +46,7 @@ MESH_EXTENSIONS = frozenset(
         ".usdz",
     }
 )
-CLOUD_EXTENSIONS = frozenset({".csv", ".txt", ".xyz", ".npy", ".npz"})
+CLOUD_EXTENSIONS = frozenset({".csv", ".txt", ".xyz", ".npy", ".npz", ".pcd", ".pts", ".las", ".laz"})
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16

@@ -17,7 +17,7 @@ from geokit.cli._kinds import may_write
 
 __all__ = ["OUTPUT_EXTENSIONS", "check_output", "deliver"]
 
-OUTPUT_EXTENSIONS = (".csv", ".npz", ".ply", ".vtp", ".xyz")
+OUTPUT_EXTENSIONS = (".csv", ".npz", ".pcd", ".ply", ".vtp", ".xyz")
 # "-o -": CSV on stdout, for pipes.
 STDOUT = Path("-")
 

@@ -20,7 +20,7 @@ def info(file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
     format allows.
 
     Args:
-        file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb) or a point cloud (.csv .xyz .npy .ply ...).
+        file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb) or a point cloud (.csv .xyz .pcd .las ...).
         json: Print JSON.
     """
     kind = kind_of_input(file)

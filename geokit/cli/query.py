@@ -39,8 +39,8 @@ def closest(
 
     Args:
         mesh: A mesh file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .vtp).
-        output: .csv .npz .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the output where it exists.
@@ -77,8 +77,8 @@ def signed(
 
     Args:
         mesh: A mesh file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .vtp).
-        output: .csv .npz .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the output where it exists.
         json: Print the summary as JSON.
@@ -119,7 +119,7 @@ def ray(
     Args:
         mesh: A mesh file.
         rays: Origins and directions: six columns (.csv .txt .xyz .npy), or two arrays (.npz).
-        output: .csv .npz .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the output where it exists.
@@ -167,8 +167,8 @@ def sample(
 
     Args:
         volume: A .vdb or .nvdb file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .vtp).
-        output: .csv .npz .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
         grid: Name of the grid where the file holds several.
         order: Interpolation: 0 nearest voxel, 1 trilinear.
         gradient: Give the gradient as well.
@@ -200,36 +200,47 @@ def neighbors(
     queries: Path | None = None,
     /,
     *,
-    radius: float,
+    radius: float | None = None,
+    nearest: int | None = None,
     output: Output = None,
     device: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Points of a cloud within a radius of each query.
+    """Points of a cloud within a radius of each query, its nearest ones, or the nearest within a radius.
 
-    A .npz output holds the neighbours themselves too, as offsets, indices and distance: those of query i are
-    indices[offsets[i]:offsets[i + 1]].
+    Within a radius, a .npz output holds the neighbours themselves too, as offsets, indices and distance: those of
+    query i are indices[offsets[i]:offsets[i + 1]]. Of the nearest every output holds index and distance, a column for
+    each.
 
     Args:
-        cloud: The points that are found (.csv .txt .xyz .npy .npz .ply .vtp).
+        cloud: The points that are found (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
         queries: Where to look; the cloud's own points where not given, each of which then finds itself.
-        radius: Search radius in world units.
-        output: .csv .npz .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        radius: Search radius in world units; how far the nearest may be.
+        nearest: So many of the nearest points, 1 to 1024; -1 and inf where there are fewer.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the output where it exists.
         json: Print the summary as JSON.
     """
     from geokit.points import NeighborGrid
 
+    if radius is None and nearest is None:
+        raise InputError("neither --radius nor --nearest is given; give a radius, a number of nearest points, or both")
+
     check_output(output, force=force)
     found_points = _points(cloud)
     asked = found_points if queries is None else _points(queries)
     announce_compiling()
     started = time.perf_counter()
-    grid = NeighborGrid(found_points, radius, device=device)
+    grid = NeighborGrid(found_points, None if nearest else radius, device=device)
     ragged = None
-    if output is not None and output.suffix.lower() == ".npz":
+    data: dict[str, Any] = {}
+    if nearest is not None:
+        found = grid.knn(asked, nearest) if radius is None else grid.hybrid(asked, nearest, radius=radius)
+        counts = (found.indices >= 0).sum(axis=1, dtype=np.int32)
+        data = {"index": found.indices, "distance": found.distance}
+    elif output is not None and output.suffix.lower() == ".npz":
         rows = grid.radius_search(asked)
         counts = np.diff(rows.offsets).astype(np.int32)
         ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
@@ -239,7 +250,7 @@ def neighbors(
     summary.update(
         cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **_spread("count", counts)
     )
-    deliver(asked, {"count": counts}, summary, output, json=json, ragged=ragged)
+    deliver(asked, {"count": counts, **data}, summary, output, json=json, ragged=ragged)
 
 
 def _surface(path: Path, device: str | None) -> Any:

@@ -90,51 +90,95 @@ def offset(source: Source, target: Target, /, *, distance: float, common: Common
 
 
 @app.command
-def dilate(source: Source, target: Target, /, *, distance: float, common: Common = DEFAULTS) -> None:
-    """Grow a level set.
+def dilate(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    distance: float | None = None,
+    voxels: int | None = None,
+    neighbors: str = "faces",
+    common: Common = DEFAULTS,
+) -> None:
+    """Grow a level set by a distance, or the active part of another grid by voxels.
 
     Args:
         source: A .vdb or .nvdb file.
         target: A .vdb or .nvdb file.
-        distance: In world units.
+        distance: For level sets, in world units.
+        voxels: For other grids.
+        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("dilate", source, target, common, distance)
+    _apply("dilate", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
-def erode(source: Source, target: Target, /, *, distance: float, common: Common = DEFAULTS) -> None:
-    """Shrink a level set.
+def erode(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    distance: float | None = None,
+    voxels: int | None = None,
+    neighbors: str = "faces",
+    common: Common = DEFAULTS,
+) -> None:
+    """Shrink a level set by a distance, or the active part of another grid by voxels.
 
     Args:
         source: A .vdb or .nvdb file.
         target: A .vdb or .nvdb file.
-        distance: In world units.
+        distance: For level sets, in world units.
+        voxels: For other grids.
+        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("erode", source, target, common, distance)
+    _apply("erode", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
-def opening(source: Source, target: Target, /, *, distance: float, common: Common = DEFAULTS) -> None:
-    """Erode, then dilate: thin parts of a level set go.
+def opening(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    distance: float | None = None,
+    voxels: int | None = None,
+    neighbors: str = "faces",
+    common: Common = DEFAULTS,
+) -> None:
+    """Erode, then dilate: thin parts go.
 
     Args:
         source: A .vdb or .nvdb file.
         target: A .vdb or .nvdb file.
-        distance: Radius of the ball that has to fit inside, in world units.
+        distance: For level sets, in world units.
+        voxels: For other grids.
+        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("opening", source, target, common, distance)
+    _apply("opening", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
-def closing(source: Source, target: Target, /, *, distance: float, common: Common = DEFAULTS) -> None:
-    """Dilate, then erode: narrow gaps of a level set close.
+def closing(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    distance: float | None = None,
+    voxels: int | None = None,
+    neighbors: str = "faces",
+    common: Common = DEFAULTS,
+) -> None:
+    """Dilate, then erode: narrow gaps close.
 
     Args:
         source: A .vdb or .nvdb file.
         target: A .vdb or .nvdb file.
-        distance: Radius of the ball that has to fit outside, in world units.
+        distance: For level sets, in world units.
+        voxels: For other grids.
+        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("closing", source, target, common, distance)
+    _apply("closing", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command

@@ -1,4 +1,4 @@
-"""Points sorted by cell: the one structure behind every neighbour search, with memory bounded by the points alone."""
+"""Points sorted by cell: the one structure behind every radius search, with memory bounded by the points alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Cells", "build_cells", "crowd_box", "points_box"]
+__all__ = ["Cells", "Survey", "build_cells", "survey", "usual_spacing"]
 
 # Each axis is cut into this many intervals of about equally many points. An interval too long for cells of the radius
 # gets longer cells of its own, the others keep theirs: one far point, or clusters far apart, must not leave a crowd in
@@ -24,9 +24,9 @@ INTERVALS = 64
 MAX_CELLS_PER_INTERVAL = 1 << 14
 # More cells on an interval than it has points separate nothing more; few points still get this many.
 MIN_CELLS_PER_INTERVAL = 16
-# Points whose coordinates decide the intervals: 64 for each, which puts a quarter of the wanted number of points more
-# or less into one.
-SAMPLE_SIZE = 4096
+# Points whose coordinates decide the intervals: 32 for each, which puts up to a half more or less points than wanted
+# into one.
+SAMPLE_SIZE = 2048
 # The inverse of a cell's edge stays finite, so that its product with a coordinate does: longer cells than the radius
 # cost time, never neighbours.
 MAX_INVERSE_EDGE = 1e300
@@ -34,9 +34,22 @@ MAX_INVERSE_EDGE = 1e300
 # 16 bytes a point and 256 KiB. Four leaves most tables of evenly spread points direct.
 TABLE_ENTRIES_PER_POINT = 4
 TABLE_ENTRIES_MORE = 1 << 16
-# A run of table entries is 64 binary searches long at worst: a slice of few of them is worth a thread.
+# Table entries of an item: on a CPU one search through all keys serves many, on a GPU there are to be many items.
+TABLE_RUN_HOST = 64
+TABLE_RUN_GPU = 8
 TABLE_GRAIN = 16
-BOUNDS_GRAIN = 8
+# Points of a share when they are surveyed on a CPU; shares on a GPU, where each thread takes one.
+SURVEY_SHARE = 1 << 10
+SURVEY_GRAIN = 16
+SURVEY_THREADS = 1 << 16
+# Their boxes are condensed to so many before they travel to the host.
+CONDENSED = 1024
+# Counting by cell takes a row of counts for each thread: so many numbers a point at most, and TABLE_ENTRIES_MORE.
+TALLY_PER_POINT = 8
+# Fewer points than this are one thread's.
+TALLY_SHARE = 1 << 14
+# Powers of two that a float64 holds: the scale of the float32 frame stays within them.
+LARGEST_EXPONENT = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +65,35 @@ class Cells:
     radius: float
 
 
-def points_box(points: "wp.array") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corner of the box around vec3d points [world]; zeros where there are none.
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What is known of points before they are sorted.
 
+    Attributes:
+        lower: Lower corner of the box around all of them [world], zeros where there are none.
+        upper: Its upper corner.
+        sample: Some of them, evenly over their order, each axis sorted for itself; shape (S, 3) [world].
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    sample: NDArray[np.float64]
+
+    @property
+    def crowd(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper corner of a box around all but the outermost points on each axis [world]."""
+        if len(self.sample) == 0:
+            return np.zeros(3), np.zeros(3)
+        outermost = len(self.sample) // INTERVALS
+        return self.sample[outermost], self.sample[-1 - outermost]
+
+
+def survey(points: "wp.array", refuse: Any) -> Survey:
+    """Box and sample of vec3d or vec3f points [world], in one pass over them.
+
+    Args:
+        points: The points.
+        refuse: Called when a point is not finite, to name it.
     Raises:
         InputError: The points spread over more than a float64 can hold.
     """
@@ -63,43 +102,51 @@ def points_box(points: "wp.array") -> tuple[NDArray[np.float64], NDArray[np.floa
     from geokit.points import _cells_kernels as kernels
 
     device: Any = points.device
-    if len(points) == 0:
-        return np.zeros(3), np.zeros(3)
-    run_count = -(-len(points) // int(kernels.BOUNDS_RUN))
-    lowers = wp.empty(run_count, dtype=wp.vec3d, device=device)
-    uppers = wp.empty(run_count, dtype=wp.vec3d, device=device)
-    _launch.launch(kernels.bounds_kernel, run_count, [points], [lowers, uppers], device, grain=BOUNDS_GRAIN)
-    lower, upper = lowers.numpy().min(axis=0), uppers.numpy().max(axis=0)
-    with np.errstate(over="ignore"):
+    count = len(points)
+    if count == 0:
+        return Survey(np.zeros(3), np.zeros(3), np.zeros((0, 3)))
+    runs, step = (-(-count // SURVEY_SHARE), 1) if device.is_cpu else (min(count, SURVEY_THREADS),) * 2
+    lowers, uppers = (wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2))
+    _launch.launch(
+        kernels.SURVEY[points.dtype], runs, [points, runs, step], [lowers, uppers], device, grain=SURVEY_GRAIN
+    )
+    few, taken = min(runs, CONDENSED), min(count, SAMPLE_SIZE)
+    out = wp.empty((3, 2 * few + taken), dtype=wp.float64, device=device)
+    given = [points, lowers, uppers, few, taken]
+    _launch.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device)
+    found = out.numpy()
+    if not np.isfinite(found).all():
+        refuse()
+    lower, upper = found[:, :few].min(axis=1), found[:, few : 2 * few].max(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
         if not np.isfinite(upper - lower).all():
             raise InputError(
                 f"points: they spread from {lower.tolist()} to {upper.tolist()}, more than a float64 can hold; "
                 "scale them down"
             )
-    return lower, upper
+    return Survey(lower, upper, np.sort(found[:, 2 * few :], axis=1).T)
 
 
-def crowd_box(points: "wp.array") -> tuple[list[float], float]:
-    """Lower corner and longest edge of a box around all but the outermost points on each axis [world]."""
-    if len(points) == 0:
-        return [0.0, 0.0, 0.0], 0.0
-    ascending = np.sort(_sample(points), axis=0)
-    outermost = len(ascending) // INTERVALS
-    lower, upper = ascending[outermost], ascending[-1 - outermost]
-    return lower.tolist(), float((upper - lower).max())
+def usual_spacing(survey: Survey, count: int) -> float:
+    """Edge [world] of the cubes, planes' squares or lines' steps that the crowd would fill with one point each."""
+    lower, upper = survey.crowd
+    edges = (upper - lower)[upper > lower]
+    if not count or not len(edges):
+        return 0.0
+    # The logarithm: a product of three extents may overflow.
+    return float(np.exp((np.log(edges).sum() - np.log(count)) / len(edges)))
 
 
-def build_cells(points: "wp.array", lower: NDArray[np.float64], upper: NDArray[np.float64], radius: float) -> Cells:
+def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
     """Points sorted by cells of about the radius.
 
     Args:
-        points: vec3d positions (N,) [world]; copied.
-        lower: Lower corner of their box [world].
-        upper: Upper corner of their box [world].
-        radius: Edge length of a cell [world] where the extent allows it.
+        points: vec3d positions (N,) [world] (vec3f too on a GPU); copied.
+        survey: What is known of them.
+        radius: Edge length of a cell [world] where the extent allows it; above 0.
     Returns:
-        Cells: 28 bytes a point, 8 more where the table is not direct, and up to 16 for the table stay in use; 28 more
-        while they are made.
+        Cells: 28 bytes a point (44 on a GPU), 8 more where the table is not direct, and up to 16 for the table stay in
+        use; up to 28 more while they are made.
     """
     import warp as wp
 
@@ -108,91 +155,161 @@ def build_cells(points: "wp.array", lower: NDArray[np.float64], upper: NDArray[n
     device: Any = points.device
     count = len(points)
     grid: Any = kernels.CellGrid()
-    grid.lower, grid.upper = wp.vec3d(*lower.tolist()), wp.vec3d(*upper.tolist())
-    cell_count = _cut_axes(grid, points, lower, upper, radius)
+    grid.lower, grid.upper = wp.vec3d(*survey.lower.tolist()), wp.vec3d(*survey.upper.tolist())
+    _choose_frame(grid, survey)
+    cell_count = _cut_axes(grid, survey, count, radius, device)
     grid.shift = _table_shift(cell_count, count)
-
-    # radix_sort_pairs uses the second half of both arrays as scratch space.
-    keys = wp.empty(2 * count, dtype=wp.int64, device=device)
-    order = wp.empty(2 * count, dtype=wp.int32, device=device)
-    _launch.launch(kernels.key_kernel, count, [points, grid], [keys, order], device)
-    if count:
-        wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
-    grid.index = _head(order, count)
-
-    # Vectors are read past the end of the last row; what they find there is masked out.
-    padded = count + int(kernels.MASK_BITS)
-    grid.x = wp.zeros(padded, dtype=wp.float64, device=device)
-    grid.y = wp.zeros(padded, dtype=wp.float64, device=device)
-    grid.z = wp.zeros(padded, dtype=wp.float64, device=device)
-    _launch.launch(kernels.gather_kernel, count, [points, grid.index], [grid.x, grid.y, grid.z], device)
-
-    grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)
-    run_count = -(-len(grid.start) // int(kernels.TABLE_RUN))
-    _launch.launch(kernels.table_kernel, run_count, [keys, count, grid.shift], [grid.start], device, grain=TABLE_GRAIN)
-    # With a direct table no key is read again.
-    grid.key = _head(keys, count if grid.shift else 0)
+    _make_room(grid, count, device)
+    # Places in the tally are int32, and it is not to be much larger than the points are.
+    most = min(TALLY_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
+    rows = min(_launch.thread_count(), -(-count // TALLY_SHARE), most)
+    if device.is_cpu and grid.shift == 0 and rows:
+        _place_by_count(grid, points, cell_count, rows)
+    else:
+        _place_by_sort(grid, points, cell_count)
     return Cells(grid=grid, radius=radius)
 
 
-def _cut_axes(
-    grid: Any, points: "wp.array", lower: NDArray[np.float64], upper: NDArray[np.float64], radius: float
-) -> int:
-    """Cuts the three axes into cells for the grid; returns the number of cells in all."""
+def _choose_frame(grid: Any, survey: Survey) -> None:
+    """The float32 frame: the middle of the crowd, and a power of two, so that scaling rounds nothing."""
     import warp as wp
 
-    sample = _sample(points)
-    most = min(max(len(points) // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
-    tables, sizes, first = [], [], 0
-    for axis in range(3):
-        table = _intervals(sample[:, axis], lower[axis], upper[axis], radius, most)
-        grid.first_knot[axis], grid.last_knot[axis] = first, first + len(table[0]) - 1
-        first += len(table[0])
-        tables.append(table)
-        sizes.append(int(table[3].sum()))
-    dtypes = (wp.float64, wp.float64, wp.int32, wp.int32)
-    grid.knot, grid.inverse_edge, grid.first_cell, grid.cell_count = (
-        wp.array(np.concatenate(columns), dtype=dtype, device=points.device)
-        for columns, dtype in zip(zip(*tables, strict=True), dtypes, strict=True)
-    )
-    grid.count_x, grid.count_y = sizes[0], sizes[1]
-    return sizes[0] * sizes[1] * sizes[2]
+    lower, upper = survey.crowd
+    centre = lower + 0.5 * (upper - lower)
+    extent = float((upper - lower).max(initial=0.0))
+    exponent = -np.frexp(extent)[1] if extent > 0.0 else 0
+    grid.centre = wp.vec3d(*centre.tolist())
+    grid.scale = wp.float64(np.ldexp(1.0, int(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))))
 
 
-def _intervals(
-    sample: NDArray[np.float64], lower: float, upper: float, radius: float, most: int
-) -> tuple[NDArray[Any], ...]:
-    """Begin, inverse cell edge, first cell and number of cells of an axis's intervals.
+def _make_room(grid: Any, count: int, device: Any) -> None:
+    import warp as wp
 
-    Intervals between quantiles that need more than ``most`` cells of the radius get so many; between others nothing is
-    to be separated, and they become one.
-    """
-    inner = np.sort(sample)[np.arange(1, INTERVALS) * len(sample) // INTERVALS] if len(sample) else sample
-    knots = np.unique(np.concatenate([[lower, upper], inner]))
-    if len(knots) == 1:
-        # No extent: one cell, which the clamp gives to every coordinate.
-        return knots, np.ones(1), np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
-    is_long = np.diff(knots) > radius * most
-    begins = np.concatenate([[True], is_long[1:] | is_long[:-1]])
-    width = np.diff(np.append(knots[:-1][begins], upper))
-    with np.errstate(over="ignore"):
-        counts = np.where(is_long[begins], most, np.maximum(np.ceil(width / radius), 1.0))
-        inverse = np.minimum(counts / width, MAX_INVERSE_EDGE)
-    cells = counts.astype(np.int64)
-    return knots[:-1][begins], inverse, np.cumsum(cells) - cells, cells
+    from geokit.points import _cells_kernels as kernels
+
+    if device.is_cuda:
+        grid.x, grid.y, grid.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
+        grid.packed = wp.empty(count, dtype=wp.vec4f, device=device)
+        return
+    # Vectors are read past the end of the last row; what they find there is masked out.
+    padded = count + int(kernels.MASK_BITS)
+    grid.x, grid.y, grid.z = (_padded(count, padded, wp.float64, device) for _ in range(3))
 
 
-def _sample(points: "wp.array") -> NDArray[np.float64]:
-    """Coordinates of some of the points, evenly over their order."""
+def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
+    """Room for ``padded`` entries of which those from ``count`` on are 0."""
+    import warp as wp
+
+    array = wp.empty(padded, dtype=dtype, device=device)
+    array[count:].zero_()
+    return array
+
+
+def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -> None:
+    """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
     import warp as wp
 
     from geokit.points import _cells_kernels as kernels
 
     device: Any = points.device
-    count = min(len(points), SAMPLE_SIZE)
-    taken = wp.empty(count, dtype=wp.vec3d, device=device)
-    _launch.launch(kernels.sample_kernel, count, [points, count], [taken], device)
-    return taken.numpy()
+    count = len(points)
+    share = -(-count // rows)
+    keys = wp.empty(count, dtype=wp.int32, device=device)
+    tally = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
+    _launch.launch(kernels.tally_kernel, rows, [points, grid, share, cell_count], [keys, tally], device, grain=1)
+    counts = tally.numpy().reshape(rows, cell_count)
+    start = np.zeros(cell_count + 2, dtype=np.int32)
+    np.cumsum(counts.sum(axis=0, dtype=np.int32), out=start[1:-1])
+    start[-1] = count
+    # The places of a cell go to the shares in turn: points of a cell stay in the order in which they came.
+    places = np.cumsum(counts, axis=0, dtype=np.int32)
+    places += start[:cell_count] - counts
+    grid.start = wp.array(start, dtype=wp.int32, device=device)
+    grid.key = wp.empty(0, dtype=wp.int64, device=device)
+    grid.index = wp.empty(count, dtype=wp.int32, device=device)
+    next_place = wp.array(places.ravel(), dtype=wp.int32, device=device, copy=False)
+    _launch.launch(kernels.scatter_kernel, rows, [points, keys, share, cell_count, next_place], [grid], device, grain=1)
+
+
+def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
+    import warp as wp
+
+    from geokit.points import _cells_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    keys, order = sorted_keys(grid, points, cell_count)
+    grid.index = wp.empty(count, dtype=wp.int32, device=device)
+    gather = kernels.gather_kernel if device.is_cpu else kernels.GATHER_PACKED[points.dtype]
+    _launch.launch(gather, count, [points, order], [grid], device)
+    grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)
+    run = TABLE_RUN_HOST if device.is_cpu else TABLE_RUN_GPU
+    given = [keys, count, grid.shift, run]
+    _launch.launch(
+        kernels.TABLE[keys.dtype], -(-len(grid.start) // run), given, [grid.start], device, grain=TABLE_GRAIN
+    )
+    # With a direct table no key is read again.
+    grid.key = _head(keys, count) if grid.shift else wp.empty(0, dtype=wp.int64, device=device)
+
+
+def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.array", "wp.array"]:
+    """Keys of the points in ascending order and whose they are; only the first half of either is theirs."""
+    import warp as wp
+
+    from geokit.points import _cells_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    # radix_sort_pairs uses the second half of both arrays as scratch space. A table that is not direct has its keys
+    # searched later on, in 64 bits.
+    wide = grid.shift > 0 or cell_count >= 1 << 31
+    keys = wp.empty(2 * count, dtype=wp.int64 if wide else wp.int32, device=device)
+    order = wp.empty(2 * count, dtype=wp.int32, device=device)
+    _launch.launch(kernels.KEY[points.dtype, keys.dtype], count, [points, grid], [keys, order], device)
+    if count:
+        wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
+    return keys, order
+
+
+def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any) -> int:
+    """Cuts the three axes into cells for the grid; returns the number of cells in all."""
+    import warp as wp
+
+    most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
+    cuts, sizes, first = [], [], 0
+    for axis in range(3):
+        cut = _intervals(survey.sample[:, axis], survey.lower[axis], survey.upper[axis], radius, most)
+        grid.first_cut[axis], grid.last_cut[axis] = first, first + len(cut) - 1
+        first += len(cut)
+        cuts.append(cut)
+        sizes.append(int(cut[:, 3].sum()))
+    grid.cut = wp.array(np.concatenate(cuts), dtype=wp.vec4d, device=device)
+    grid.count_x, grid.count_y, grid.count_z = sizes
+    return sizes[0] * sizes[1] * sizes[2]
+
+
+def _intervals(
+    ascending: NDArray[np.float64], lower: float, upper: float, radius: float, most: int
+) -> NDArray[np.float64]:
+    """Begin, inverse cell edge, first cell and number of cells of an axis's intervals; shape (I, 4).
+
+    Intervals between quantiles that need more than ``most`` cells of the radius get so many; between others nothing is
+    to be separated, and they become one.
+    """
+    if upper - lower <= radius * most:
+        # No interval can be longer. Without extent there is one cell, which the clamp gives to every coordinate.
+        count = max(np.floor((upper - lower) / radius), 1.0)
+        inverse = min(count / (upper - lower), MAX_INVERSE_EDGE) if upper > lower else 1.0
+        return np.array([[lower, inverse, 0.0, count]])
+    inner = ascending[np.arange(1, INTERVALS) * len(ascending) // INTERVALS]
+    knots = np.unique(np.concatenate([[lower, upper], inner]))
+    is_long = np.diff(knots) > radius * most
+    begins = np.concatenate([[True], is_long[1:] | is_long[:-1]])
+    width = np.diff(np.append(knots[:-1][begins], upper))
+    with np.errstate(over="ignore"):
+        counts = np.where(is_long[begins], most, np.maximum(np.floor(width / radius), 1.0))
+        inverse = np.minimum(counts / width, MAX_INVERSE_EDGE)
+    return np.stack([knots[:-1][begins], inverse, np.cumsum(counts) - counts, counts], axis=1)
 
 
 def _head(array: "wp.array", count: int) -> "wp.array":

@@ -15,6 +15,13 @@ from geokit.points._cells_kernels import MASK_BITS, CellGrid, cell_along, cell_k
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+# A neighbour's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
+# still not exceed the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
+REACH_RELATIVE = wp.constant(wp.float64(1.0e-15))
+# Squares below 4.9e-324 round to 0: coordinates up to 2.3e-162 apart count as equal for every radius.
+REACH_ABSOLUTE = wp.constant(wp.float64(1.0e-161))
+
+
 @wp.struct
 class CellBox:
     """The cells that a query's cube touches, both corners inclusive; empty where an upper one is below a lower one."""
@@ -148,103 +155,195 @@ def bit_count(mask: wp.uint64) -> wp.int32: ...
 def lowest_bit(mask: wp.uint64) -> wp.int32: ...
 
 
-# In warp's own language each access to an array goes through its strides: the same loop takes 1.7 times as long on the
-# CPU.
-SORT_BY_INDEX = """
-    int* const key = index.data + begin;
-    double* const value = distance.data + begin;
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int moving = key[i];
-            if (key[i - gap] <= moving)
-                continue;
-            const double moving_value = value[i];
-            int j = i;
-            do {
-                key[j] = key[j - gap];
-                value[j] = value[j - gap];
-                j -= gap;
-            } while (j >= gap && key[j - gap] > moving);
-            key[j] = moving;
-            value[j] = moving_value;
-        }
-    }
+@wp.struct
+class Queries:
+    """Positions of queries in the order in which they are answered, and where the answers go."""
+
+    x: wp.array(dtype=wp.float64)
+    y: wp.array(dtype=wp.float64)
+    z: wp.array(dtype=wp.float64)
+    index: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Nearness:
+    """A query in the grid's float32 frame, and the squared distances there that leave no doubt.
+
+    At most ``surely`` is within the radius, above ``possibly`` is not; float64 decides in between.
+    """
+
+    x: wp.float32
+    y: wp.float32
+    z: wp.float32
+    surely: wp.float32
+    possibly: wp.float32
+
+
+# Half the distance between 1 and the next float32.
+ROUNDING = wp.constant(wp.float64(2.0**-24))
+# The limits themselves are rounded to float32, and their own arithmetic rounds: two steps outwards cover both.
+OUTWARDS = wp.constant(wp.float64(2.0**-22))
+# Local coordinates and radii beyond it leave nothing to float32, whose squares end at 3.4e38.
+LARGEST_LOCAL = wp.constant(wp.float64(1.0e15))
+# Squares in float32 vanish near 1e-38: what is smaller than this decides nothing.
+SMALLEST_SQUARE = wp.constant(wp.float64(1.0e-30))
+NO_LIMIT = wp.constant(wp.float32(wp.inf))
+
+
+@wp.func
+def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
+    """What float32 can decide about the neighbours of q.
+
+    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of what is
+    within the radius of it, and its square, the sum and their roundings by 8 u of the result at most.
+    """
+    local = (q - grid.centre) * grid.scale
+    reach = radius * grid.scale
+    largest = wp.max(wp.max(wp.abs(local[0]), wp.abs(local[1])), wp.abs(local[2])) + reach
+    near = Nearness()
+    near.x = wp.float32(local[0])
+    near.y = wp.float32(local[1])
+    near.z = wp.float32(local[2])
+    near.surely = wp.float32(-1.0)
+    near.possibly = NO_LIMIT
+    if largest < LARGEST_LOCAL:
+        shift = wp.float64(2.0) * ROUNDING * largest
+        square = reach * reach
+        doubt = wp.float64(4.0) * shift * (reach + shift) + wp.float64(8.0) * ROUNDING * square
+        least = (square - doubt) * (wp.float64(1.0) - OUTWARDS)
+        if least >= SMALLEST_SQUARE:
+            near.surely = wp.float32(least)
+        near.possibly = wp.float32(wp.max((square + doubt) * (wp.float64(1.0) + OUTWARDS), SMALLEST_SQUARE))
+    return near
+
+
+# The formula, its roundings term by term.
+DECIDE = """
+    auto decides = [&](int j) -> bool {
+        const double dx = exact_x.data[j] - ex;
+        const double dy = exact_y.data[j] - ey;
+        const double dz = exact_z.data[j] - ez;
+        return (dx * dx + dy * dy) + dz * dz <= radius_squared;
+    };
 """
 
+# A load of 16 bytes for each point, and arithmetic that may be contracted: its error is allowed for.
+TESTED = """
+    auto squared = [&](int j) -> float {
+#if defined(__CUDA_ARCH__)
+        const float4 p = __ldg((const float4*)packed.data + j);
+        const float dx = p.x - qx, dy = p.y - qy, dz = p.z - qz;
+        return fmaf(dx, dx, fmaf(dy, dy, dz * dz));
+#else
+        const auto& p = packed.data[j];
+        const float dx = p[0] - qx, dy = p[1] - qy, dz = p[2] - qz;
+        return dx * dx + dy * dy + dz * dz;
+#endif
+    };
+"""
 
-@wp.func_native(SORT_BY_INDEX)
-def sort_by_index(
-    begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
-):
-    """Sorts ``count`` entries of both arrays from ``begin`` on by ascending index, in place.
+COUNT = (
+    DECIDE
+    + TESTED
+    + """
+    int inside = 0, outside = 0;
+    #pragma unroll 4
+    for (int j = begin; j < end; ++j) {
+        const float d = squared(j);
+        inside += d <= surely;
+        outside += d > possibly;
+    }
+    if (inside + outside != end - begin) {
+        inside = 0;
+        for (int j = begin; j < end; ++j)
+            inside += decides(j);
+    }
+    return inside;
+"""
+)
 
-    Source: Shell's sort with the gap ratio 9/4 of Tokuda (1992). It needs no stack and no second buffer, which a
-    thread per row does not have, and stays close to n log n.
-    """
-    ...
+MASK = (
+    DECIDE
+    + TESTED
+    + """
+    uint64_t inside = 0, doubt = 0;
+    const int count = end - begin < 64 ? end - begin : 64;
+    for (int k = 0; k < count; ++k) {
+        const float d = squared(begin + k);
+        inside |= uint64_t(d <= surely) << k;
+        doubt |= uint64_t(!(d <= surely || d > possibly)) << k;
+    }
+    for (int k = 0; doubt; ++k, doubt >>= 1)
+        if (doubt & 1)
+            inside |= uint64_t(decides(begin + k)) << k;
+    return inside;
+"""
+)
 
 
-@wp.kernel
-def count_kernel(
-    first: int,
-    order: wp.array(dtype=wp.int32),
-    queries: wp.array(dtype=wp.vec3d),
-    grid: CellGrid,
-    reach: wp.float64,
+@wp.func_native(COUNT)
+def near_count_of(
+    packed: wp.array(dtype=wp.vec4f),
+    exact_x: wp.array(dtype=wp.float64),
+    exact_y: wp.array(dtype=wp.float64),
+    exact_z: wp.array(dtype=wp.float64),
+    begin: wp.int32,
+    end: wp.int32,
+    qx: wp.float32,
+    qy: wp.float32,
+    qz: wp.float32,
+    surely: wp.float32,
+    possibly: wp.float32,
+    ex: wp.float64,
+    ey: wp.float64,
+    ez: wp.float64,
     radius_squared: wp.float64,
-    out_count: wp.array(dtype=wp.int32),
-):
-    """Number of neighbours of each query."""
-    i = order[first + wp.tid()]
-    q = queries[i]
-    box = cells_around(grid, q, reach)
-    found = wp.int32(0)
-    for row in range(row_count(box)):
-        span = row_range(grid, box, row)
-        for begin in range(span[0], span[1], MASK_BITS):
-            found += bit_count(within_mask(grid, begin, span[1], q, radius_squared))
-    out_count[i] = found
+) -> wp.int32: ...
 
 
-@wp.kernel
-def fill_kernel(
-    first: int,
-    order: wp.array(dtype=wp.int32),
-    queries: wp.array(dtype=wp.vec3d),
-    offset: wp.array(dtype=wp.int64),
-    grid: CellGrid,
-    reach: wp.float64,
+@wp.func_native(MASK)
+def near_mask_of(
+    packed: wp.array(dtype=wp.vec4f),
+    exact_x: wp.array(dtype=wp.float64),
+    exact_y: wp.array(dtype=wp.float64),
+    exact_z: wp.array(dtype=wp.float64),
+    begin: wp.int32,
+    end: wp.int32,
+    qx: wp.float32,
+    qy: wp.float32,
+    qz: wp.float32,
+    surely: wp.float32,
+    possibly: wp.float32,
+    ex: wp.float64,
+    ey: wp.float64,
+    ez: wp.float64,
     radius_squared: wp.float64,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
-):
-    """Neighbours of each query from its offset on, by ascending index."""
-    i = order[first + wp.tid()]
-    q = queries[i]
-    box = cells_around(grid, q, reach)
-    # Flat results have fewer than 2^31 entries: the caller sees to it.
-    row_begin = wp.int32(offset[i])
-    at = row_begin
-    for row in range(row_count(box)):
-        span = row_range(grid, box, row)
-        for begin in range(span[0], span[1], MASK_BITS):
-            mask = within_mask(grid, begin, span[1], q, radius_squared)
-            while mask != wp.uint64(0):
-                j = begin + lowest_bit(mask)
-                mask = mask & (mask - wp.uint64(1))
-                dx = grid.x[j] - q[0]
-                dy = grid.y[j] - q[1]
-                dz = grid.z[j] - q[2]
-                out_index[at] = grid.index[j]
-                out_distance[at] = wp.sqrt((dx * dx + dy * dy) + dz * dz)
-                at += 1
-    sort_by_index(row_begin, at - row_begin, out_index, out_distance)
+) -> wp.uint64: ...
 
 
-@wp.kernel
-def offset_kernel(first: int, count: wp.array(dtype=wp.int32), out_offset: wp.array(dtype=wp.int64)):
-    """Counts as int64, ready to be summed in place."""
-    i = first + wp.tid()
-    out_offset[i] = wp.int64(count[i])
+@wp.func
+def near_count(
+    grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
+) -> wp.int32:
+    """Number of the sorted points ``begin .. end - 1`` whose squared distance from q is at most ``limit``."""
+    return near_count_of(
+        grid.packed, grid.x, grid.y, grid.z, begin, end,
+        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
+    )  # fmt: skip
+
+
+@wp.func
+def near_mask(
+    grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
+) -> wp.uint64:
+    """As :func:`within_mask`, but float64 is asked only about points that float32 leaves in doubt."""
+    return near_mask_of(
+        grid.packed, grid.x, grid.y, grid.z, begin, end,
+        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
+    )  # fmt: skip
+
+
+@wp.func
+def reach_of(radius: wp.float64) -> wp.float64:
+    """Half edge of the cube that holds every neighbour, rounding included."""
+    return radius * (wp.float64(1.0) + REACH_RELATIVE) + REACH_ABSOLUTE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit._ply_header import read_header
 from geokit.errors import FileFormatError, InputError
+from geokit.points._numbers import SMALLEST, plain_rows
 
 __all__ = ["read_ply", "write_ply"]
 
@@ -55,17 +57,16 @@ def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
 
 def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
     names = dtype.names or ()
+    table = _plain(body, count)
+    if table is not None and table.shape == (count, len(names)):
+        with contextlib.suppress(FloatingPointError):
+            return _cast(table, dtype)
     lines = [line for line in body.split(b"\n") if line.strip()][:count]
     if len(lines) < count:
         raise FileFormatError(f"{path}: ends in vertex {len(lines)} of the {count} it declares; get a whole copy")
     tokens = b" ".join(lines).split()
     try:
-        table = np.array(tokens, dtype=np.float64).reshape(count, len(names))
-        columns = {}
-        for at, name in enumerate(names):
-            with np.errstate(invalid="raise", over="ignore"):
-                columns[name] = table[:, at].astype(dtype[name])
-        return columns
+        return _cast(np.array(tokens, dtype=np.float64).reshape(count, len(names)), dtype)
     except (ValueError, FloatingPointError):
         pass
     for row, line in enumerate(lines):
@@ -79,6 +80,17 @@ def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dic
         shown = line[:60].decode("ascii", "backslashreplace").strip()
         raise FileFormatError(f"{path}: vertex {row} ('{shown}') is not {len(names)} numbers; the file is damaged")
     raise FileFormatError(f"{path}: a vertex has a number that its type cannot hold; the file is damaged")
+
+
+def _plain(body: bytes, count: int) -> NDArray[np.float64] | None:
+    """The first ``count`` lines, where they are many and ordinary; faces may follow them."""
+    ends = np.flatnonzero(np.frombuffer(body, np.uint8) == ord("\n")) if len(body) >= SMALLEST else np.empty(0)
+    return plain_rows(body, 0, int(ends[count - 1])) if 0 < count <= len(ends) else None
+
+
+def _cast(table: NDArray[np.float64], dtype: np.dtype[np.void]) -> dict[str, NDArray[np.generic]]:
+    with np.errstate(invalid="raise", over="ignore"):
+        return {name: table[:, at].astype(dtype[name]) for at, name in enumerate(dtype.names or ())}
 
 
 def write_ply(path: Path, names: Sequence[str], columns: Sequence[NDArray[np.generic]]) -> None:

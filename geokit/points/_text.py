@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
+from geokit.points._numbers import plain_rows
 
-__all__ = ["read_text", "write_text"]
+__all__ = ["read_rows", "read_text", "write_text"]
+
+# What UTF-8 files of some programs begin with.
+_MARK = b"\xef\xbb\xbf"
 
 
 def read_text(path: Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Column names (empty where the file has none) and the rows as float64.
+    """Column names (empty where the file has none) and the rows as float64, each number rounded correctly.
 
     Values are separated by commas, semicolons or white space. Names come from a first line that is not numbers, or
     from a last comment line (``#``) above the numbers with as many words as there are columns.
@@ -23,51 +27,73 @@ def read_text(path: Path) -> tuple[list[str], NDArray[np.float64]]:
     Raises:
         FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
     """
-    try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise FileFormatError(
-            f"{path}: byte {error.start} is not text; the file is damaged or of another format"
-        ) from None
+    data = path.read_bytes()
+    at = len(_MARK) if data.startswith(_MARK) else 0
     names: list[str] = []
-    start = 0
-    for start, line in enumerate(lines):
-        text = line.strip()
-        if text.startswith("#"):
-            names = _words(text.lstrip("# "))
-        elif text and _numbers(text) is None:
-            names, start = _words(text), start + 1
+    above, remark = 0, False
+    # Only the lines above the numbers are looked at here.
+    while at < len(data):
+        end = _line_end(data, at)
+        line = _decoded(data[at:end], at, path).strip()
+        if line.startswith("#"):
+            names, remark = _words(line.lstrip("# ")), True
+        elif line and _numbers(line) is None:
+            names, remark, at, above = _words(line), False, end, above + 1
             break
-        elif text:
+        elif line:
             break
-    else:
-        start = len(lines)
-    table = _rows(lines, start, path)
+        at, above = end, above + 1
+    table = read_rows(data, at, path)
     if names and table.size and len(names) != table.shape[1]:
         # A remark above the numbers; a header line of another length is an error.
-        if not lines[start - 1].strip().startswith("#"):
+        if not remark:
             raise FileFormatError(
-                f"{path}: line {start} names {len(names)} columns and the rows have {table.shape[1]}; name each column"
+                f"{path}: line {above} names {len(names)} columns and the rows have {table.shape[1]}; name each column"
             )
         names = []
     return names, table
 
 
-def _rows(lines: Sequence[str], start: int, path: Path) -> NDArray[np.float64]:
-    text = [_spaced(line) for line in lines[start:]]
+def read_rows(data: bytes, start: int, path: Path) -> NDArray[np.float64]:
+    """The rows of numbers from byte ``start`` on, each rounded correctly; ``(0, 1)`` where there are none.
+
+    Raises:
+        FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
+    """
+    table = plain_rows(data, start, len(data))
+    if table is not None:
+        return table
+    lines = _decoded(data[start:], start, path).splitlines()
+    first = next((text for text in (line.partition("#")[0].strip() for line in lines) if text), "")
+    # A separator that is named lets no empty field pass, which white space would close up.
+    separator = next((sign for sign in ",;" if sign in first), None)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # that there are no rows is no news here
-            return np.loadtxt(text, dtype=np.float64, ndmin=2, comments="#")
+            return np.loadtxt(lines, dtype=np.float64, ndmin=2, comments="#", delimiter=separator)
     except ValueError as error:
-        _blame(lines, start, path)
+        _blame(lines, data.count(b"\n", 0, start), path)
         raise FileFormatError(f"{path}: cannot be read as a table of numbers ({error})") from None
 
 
-def _blame(lines: Sequence[str], start: int, path: Path) -> None:
+def _line_end(data: bytes, start: int) -> int:
+    end = data.find(b"\n", start)
+    return len(data) if end < 0 else end + 1
+
+
+def _decoded(text: bytes, start: int, path: Path) -> str:
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(
+            f"{path}: byte {start + error.start} is not text; the file is damaged or of another format"
+        ) from None
+
+
+def _blame(lines: Sequence[str], above: int, path: Path) -> None:
     """Raises for the first line that is not like the first row."""
     columns = 0
-    for number, line in enumerate(lines[start:], start + 1):
+    for number, line in enumerate(lines, above + 1):
         text = line.partition("#")[0].strip()
         if not text:
             continue
@@ -81,10 +107,6 @@ def _blame(lines: Sequence[str], start: int, path: Path) -> None:
             raise FileFormatError(
                 f"{path}: line {number} has {len(values)} values and the rows above have {columns}; complete it"
             )
-
-
-def _spaced(line: str) -> str:
-    return line.replace(",", " ").replace(";", " ")
 
 
 def _words(line: str) -> list[str]:
@@ -109,5 +131,6 @@ def write_text(path: Path, names: Sequence[str], columns: Sequence[NDArray[np.ge
     with open(path, "w", encoding="utf-8") as file:
         file.write(("" if comma else "# ") + separator.join(names) + "\n")
         # tolist gives Python numbers, whose repr has the fewest digits that read back the same.
-        for row in zip(*(column.tolist() for column in plain), strict=True):
-            file.write(separator.join(map(repr, row)) + "\n")
+        file.writelines(
+            separator.join(map(repr, row)) + "\n" for row in zip(*(column.tolist() for column in plain), strict=True)
+        )

@@ -1,33 +1,40 @@
-"""Neighbours within a radius, exactly, on the CPU and on a GPU."""
+"""Neighbours of points, exactly, on the CPU and on a GPU."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from geokit import _launch, _memory
-from geokit._arrays import Batch, read_vectors, require_finite_scalar
-from geokit.errors import DeviceMemoryError
-from geokit.points._cells import Cells, build_cells, crowd_box, points_box
+from geokit._arrays import Batch, read_vectors, require_finite, require_finite_scalar
+from geokit.points import _radius_search as search
+from geokit.points._cells import Cells, build_cells, survey, usual_spacing
+from geokit.points._hash_grid import build_hash_grid
+from geokit.points._nearest import KNearest, build_tree, nearest, require_k
+from geokit.points._search_inputs import require_order, require_radii, require_radius, require_self
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["NeighborGrid", "Neighbors"]
+__all__ = ["KNearest", "NeighborBlock", "NeighborGrid", "Neighbors", "Pairs"]
 
-# A neighbour's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
-# still not exceed the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
-REACH_RELATIVE = 1e-15
-# Squares below 4.9e-324 round to 0: coordinates up to 2.3e-162 apart count as equal for every radius.
-REACH_ABSOLUTE = 1e-161
 # Cells up to this much longer or shorter than the query radius are used as they are: at worst 6 x 6 rows of cells are
 # read, or 8 times the volume of the best cells. Beyond, the points are sorted again.
 RADIUS_RATIO = 2.0
-# int32 index and float64 distance.
-BYTES_PER_NEIGHBOR = 12
-# One flat array holds the neighbours of all queries, and its positions are int32.
-MAX_NEIGHBORS = 2**31 - 1
-# Cells on an axis of the hash grid for the user's own kernels: 128^3 takes 16 MiB and is warp's usual size.
-HASH_GRID_SIZE = 128
+# The usual spacings that a radius chosen from the data is long: 33 neighbours in a volume, 12 on a surface.
+SPACINGS = 2.0
+# Where a cell of the radius has no more points than this, averaged over the points, longer cells are tried; they are
+# kept where they have no more than the second: reading them takes less than finding the rows of shorter cells would.
+LONELY = 1.5
+MOST_CROWDED = 4.0
+# Cells for a radius of 0 are this part of the usual spacing long.
+LEAST_OF_SPACING = 1e-6
+# Crowded cells are shortened by this factor until they are not, or are as long as the radius.
+SHORTENING = 4.0
+# Share of the free memory that a block of neighbours may take.
+BLOCK_SHARE = 0.25
 
 
 class Neighbors(NamedTuple):
@@ -35,7 +42,7 @@ class Neighbors(NamedTuple):
 
     Attributes:
         offsets: Row i is ``[offsets[i], offsets[i + 1])``; shape (Q + 1,) int64.
-        indices: Indices of the neighbours among the grid's points, ascending in each row; shape (M,) int32.
+        indices: Indices of the neighbours among the grid's points; shape (M,) int32.
         distance: Their distances from the query [world]; shape (M,).
     """
 
@@ -44,42 +51,76 @@ class Neighbors(NamedTuple):
     distance: Any
 
 
-class NeighborGrid:
-    """Points prepared for radius searches.
+class NeighborBlock(NamedTuple):
+    """Neighbours of the queries from ``first`` on."""
 
-    The points are copied in float64 and sorted by cells of about the radius. Memory: 28 to 52 bytes a point, and up to
+    first: int
+    neighbors: Neighbors
+
+
+class Pairs(NamedTuple):
+    """Pairs of points, each once, ascending.
+
+    Attributes:
+        indices: Indices i < j of the two points; shape (M, 2) int32.
+        distance: How far they are from each other [world]; shape (M,).
+    """
+
+    indices: Any
+    distance: Any
+
+
+class NeighborGrid:
+    """Points prepared for neighbour searches.
+
+    The points are copied in float64 and sorted by cells of about the radius. Memory: 40 to 64 bytes a point, and up to
     28 more while they are sorted, whatever the extent of the points.
 
     Answers are exact: point j is a neighbour of query i where ``(dx * dx + dy * dy) + dz * dz <= radius * radius``
-    holds in float64, term by term, on the coordinates as they were given.
+    holds in float64, term by term, on the coordinates as they were given. They are the same on every device, for every
+    number of threads and order of the queries.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64, in any supported container.
-        radius: The search radius [world] that the cells are made for.
+        radius: The search radius [world] that the cells are made for and that searches use unless told otherwise;
+            None for twice the spacing of the points (about 30 neighbours in a volume, 12 on a surface), in cells that
+            are made when a radius search first asks for them.
         device: Where the points live and queries run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Raises:
-        InputError: points is not (N, 3), not finite, or spreads over more than a float64 holds; radius is not a
-            positive finite number; there is no such device.
+        InputError: points is not (N, 3), not finite, or spreads over more than a float64 holds; radius is negative or
+            not a finite number; there is no such device.
     Source:
-        Green, Particle Simulation using CUDA (2010). Differs: exact float64 comparisons; x-rows of cells are read as
-        one range; a table over leading key bits bounds the memory for any extent.
+        Green, Particle Simulation using CUDA (2010). Differs: float64 decides, where float32 leaves a doubt; x-rows of
+        cells are read as one range; a table over leading key bits bounds the memory for any extent.
     Example:
         >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 1.0, device="cpu")
         >>> grid.count([[0, 0, 0]]).tolist()
         [2]
     """
 
-    def __init__(self, points: Any, radius: float, *, device: Any = None) -> None:
-        self._radius = _require_radius(radius)
+    def __init__(self, points: Any, radius: float | None = None, *, device: Any = None) -> None:
+        import warp as wp
+
+        wanted = None if radius is None else require_radius(radius)
         self._device = _launch.resolve_device(device)
-        rows = read_vectors(points, "points", self._device).array
-        self._count = len(rows)
-        self._lower, self._upper = points_box(rows)
-        # Where most of the points are: this is what the order of queries resolves.
-        self._order_lower, self._order_extent = crowd_box(rows)
-        self._cells = build_cells(rows, self._lower, self._upper, self._radius)
-        # Cells for the last query radius that the first ones did not suit.
-        self._other_cells: Cells | None = None
+        keep_single = self._device.is_cuda and wanted is not None
+        batch = read_vectors(points, "points", self._device, defer=True, keep_single=keep_single)
+        rows = batch.array
+        self._give, self._count = batch.give, len(rows)
+        self._survey = survey(rows, lambda: require_finite(batch, "points"))
+        self._spacing = usual_spacing(self._survey, self._count)
+        # Points that all lie in one place have no spacing: any radius is as good.
+        self._radius = (SPACINGS * self._spacing or 1.0) if wanted is None else wanted
+        # Cells with the least radius that they suit: those for the grid's radius, and those for the last query radius
+        # that these did not suit. Without a radius the points are kept as they are until a radius search sorts them.
+        self._own: tuple[Cells, float] | None = None
+        self._other: tuple[Cells, float] | None = None
+        self._rows: Any = None
+        if wanted is None:
+            self._rows = wp.clone(rows)
+        else:
+            self._own = self._built(rows, self._radius)
+        self._tree: Any = None
         self._hash_grid: Any = None
 
     @property
@@ -101,7 +142,8 @@ class NeighborGrid:
         queries visit candidates in whole cells: the kernel compares the distances itself.
         """
         if self._hash_grid is None:
-            self._hash_grid = self._build_hash_grid()
+            # Warp wants cells of some length also where the radius is 0.
+            self._hash_grid = build_hash_grid(self._points(), self._radius or self._spacing or 1.0)
         return int(self._hash_grid[0].id)
 
     def __len__(self) -> int:
@@ -110,142 +152,262 @@ class NeighborGrid:
     def __repr__(self) -> str:
         return f"NeighborGrid({self._count} points, radius={self._radius:g}, device={self.device!r})"
 
-    def count(self, queries: Any, *, radius: float | None = None) -> Any:
-        """Number of points within the radius of each query; a query that is one of the points counts itself.
-
-        Exact for the float64 coordinates; the same for every device, number of threads and order of the queries.
+    def count(self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False) -> Any:
+        """Number of points within the radius of each query.
 
         Args:
-            queries: Positions [world], shape (Q, 3), float32 or float64.
-            radius: Search radius [world]; None for the grid's own. One more than twice as long or less than half as
-                long sorts the points again for it; the last such radius is remembered.
+            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves, which is
+                quicker than to hand them in again.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the grid's own. One more than
+                twice as long or less than half as long sorts the points again for it; the last such radius is
+                remembered.
+            exclude_self: Query i is point i and does not count itself; only that index is left out, not other points
+                in the same place.
         Returns:
             Counts (Q,) int32, in the container of the queries.
         Raises:
-            InputError: queries is not (Q, 3) or not finite; radius is not a positive finite number.
+            InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or there are
+                other than one or Q; exclude_self with queries that are not as many as the points.
         """
-        radius = self._radius if radius is None else _require_radius(radius)
-        batch = read_vectors(queries, "queries", self._device)
-        return batch.give(self._counts(batch, radius))
+        asked, give = self._ask(queries, radius, exclude_self)
+        return give(search.count(asked))
 
-    def radius_search(self, queries: Any, *, radius: float | None = None) -> Neighbors:
+    def radius_search(
+        self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, order: str = "index"
+    ) -> Neighbors:
         """Points within the radius of each query, with their distances.
 
-        Exact for the float64 coordinates; the same for every device, number of threads and order of the queries. Rows
-        list their neighbours by ascending index; a query that is one of the points finds itself. ``distance`` is the
-        rounded square root of the squared distance that was compared.
+        ``distance`` is the rounded square root of the squared distance that was compared.
 
         Args:
-            queries: Positions [world], shape (Q, 3), float32 or float64.
-            radius: Search radius [world]; None for the grid's own. One more than twice as long or less than half as
-                long sorts the points again for it; the last such radius is remembered.
+            queries: As for :meth:`count`.
+            radius: As for :meth:`count`.
+            exclude_self: Query i is point i and is not among its own neighbours.
+            order: "index" lists each row by ascending index, "distance" by ascending float64 distance, then index.
         Returns:
             Neighbors with offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) [world], in the container of
             the queries; distance is float32 for float32 queries.
         Raises:
-            InputError: queries is not (Q, 3) or not finite; radius is not a positive finite number.
+            InputError: As for :meth:`count`; order is neither.
             DeviceMemoryError: The neighbours would not fit in memory, or are more than 2^31 - 1 in all; nothing has
-                been allocated for them.
+                been allocated for them. :meth:`radius_search_blocks` gives them one block after the other.
+        """
+        require_order(order)
+        asked, give = self._ask(queries, radius, exclude_self)
+        found = self._filled(asked, search.count(asked), order)
+        return Neighbors(*map(give, found))
+
+    def radius_search_blocks(
+        self,
+        queries: Any = None,
+        *,
+        radius: Any = None,
+        exclude_self: bool = False,
+        order: str = "index",
+        memory: int | None = None,
+    ) -> Iterator[NeighborBlock]:
+        """As :meth:`radius_search`, block after block: the neighbours of all queries need not fit in memory at once.
+
+        Everything is counted and checked before the first block; blocks are made as they are asked for.
+
+        Args:
+            queries: As for :meth:`count`.
+            radius: As for :meth:`count`.
+            exclude_self: As for :meth:`radius_search`.
+            order: As for :meth:`radius_search`.
+            memory: Bytes that a block's neighbours may take, 12 each; None for a quarter of what is free. A single
+                query with more is a block of its own.
+        Returns:
+            NeighborBlock(first, neighbors) for consecutive queries: row i of ``neighbors`` is that of query
+            ``first + i``.
+        Raises:
+            InputError: As for :meth:`radius_search`; memory is not a positive number.
+            DeviceMemoryError: One query has more neighbours than fit.
+        Example:
+            >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 1.0, device="cpu")
+            >>> [(first, found.indices.tolist()) for first, found in grid.radius_search_blocks(memory=24)]
+            [(0, [0, 1]), (1, [0, 1]), (2, [2])]
+        """
+        require_order(order)
+        if memory is not None:
+            require_finite_scalar(memory, "memory", low=0.0)
+        budget = int(BLOCK_SHARE * _memory.available(self._device)) if memory is None else int(memory)
+        batch = self._own_batch() if queries is None else read_vectors(queries, "queries", self._device)
+        radii = self._radii(radius, len(batch))
+        require_self(exclude_self, len(batch), self._count)
+        counts = search.count(self._asked(batch.array, len(batch), radii, exclude_self)).numpy()
+        return self._blocks(batch, radii, exclude_self, order, counts, budget)
+
+    def pairs(self, *, radius: float | None = None) -> Pairs:
+        """Pairs of points that are within the radius of each other, each once.
+
+        Args:
+            radius: Search radius [world]; None for the grid's own.
+        Returns:
+            Pairs with indices (M, 2) int32, i < j, ascending, and distance (M,) [world], in the container of the
+            points.
+        Raises:
+            InputError: radius is negative or not a finite number.
+            DeviceMemoryError: As for :meth:`radius_search`, which this asks about all points.
         """
         import warp as wp
 
-        from geokit.points._neighbors_kernels import fill_kernel
+        from geokit.points import _radius_kernels as kernels
 
-        radius = self._radius if radius is None else _require_radius(radius)
-        batch = read_vectors(queries, "queries", self._device)
-        offsets = self._offsets(self._counts(batch, radius))
-        total = int(offsets[len(batch) :].numpy()[0])
-        self._require_room(total, len(batch), radius)
-        indices = wp.empty(total, dtype=wp.int32, device=self._device)
-        distance = wp.empty(total, dtype=wp.float64, device=self._device)
-        shared = [*self._search(radius), indices, distance]
-        self._launch(fill_kernel, batch, shared, outputs=(), streams=(offsets,))
-        return Neighbors(batch.give(offsets), batch.give(indices), batch.give(distance))
+        asked, give = self._ask(None, None if radius is None else require_radius(radius), False)
+        offsets, indices, distance = self._filled(asked, search.count(asked), "index")
+        counts = wp.empty(self._count, dtype=wp.int32, device=self._device)
+        _launch.launch(kernels.pair_count_kernel, self._count, [offsets, indices], [counts], self._device)
+        starts = search.offsets_of(counts)
+        total = int(starts[self._count :].numpy()[0])
+        pairs = wp.empty((total, 2), dtype=wp.int32, device=self._device)
+        lengths = wp.empty(total, dtype=wp.float64, device=self._device)
+        given = [offsets, indices, distance, starts]
+        _launch.launch(kernels.pair_fill_kernel, self._count, given, [pairs, lengths], self._device)
+        return Pairs(give(pairs), give(lengths))
 
-    def _counts(self, batch: Batch, radius: float) -> "wp.array":
+    def knn(self, queries: Any = None, k: int = 1, *, exclude_self: bool = False) -> KNearest:
+        """The k nearest points of each query, however far.
+
+        Exact: the k smallest of ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once; of equally
+        near points those with lower indices. The same on every device; held by tests/property/test_knn.py. A tree over
+        the points is made when first asked for (about 60 bytes a point) and kept.
+
+        Args:
+            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
+            k: Number of neighbours, 1 to 1024.
+            exclude_self: Query i is point i and is not among its own neighbours; other points in the same place are.
+        Returns:
+            KNearest with distance (Q, k) [world], the nearest first, and indices (Q, k) int32, in the container of the
+            queries; inf and -1 where there are fewer points. distance is float32 for float32 queries.
+        Raises:
+            InputError: queries is not (Q, 3) or not finite; k is not a whole number from 1 to 1024; exclude_self with
+                queries that are not as many as the points.
+            DeviceMemoryError: The answers would not fit in memory.
+        Example:
+            >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], device="cpu")
+            >>> grid.knn([[2.5, 0, 0]], k=2).indices.tolist()
+            [[2, 1]]
+        """
+        return self._nearest(queries, k, np.inf, exclude_self)
+
+    def hybrid(self, queries: Any = None, k: int = 1, *, radius: Any = None, exclude_self: bool = False) -> KNearest:
+        """The k nearest of the points within the radius of each query.
+
+        Exact as :meth:`knn` is, and the radius as that of :meth:`radius_search`: a point at exactly the radius counts.
+
+        Args:
+            queries: As for :meth:`knn`.
+            k: As for :meth:`knn`.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the grid's own.
+            exclude_self: As for :meth:`knn`.
+        Returns:
+            As :meth:`knn`; inf and -1 where there are fewer points within the radius.
+        Raises:
+            InputError: As for :meth:`knn`; a radius is negative or not a finite number, or there are other than one or
+                Q.
+            DeviceMemoryError: As for :meth:`knn`.
+        """
+        return self._nearest(queries, k, radius, exclude_self)
+
+    def _nearest(self, queries: Any, k: int, radius: Any, exclude_self: bool) -> KNearest:
         import warp as wp
 
-        from geokit.points._neighbors_kernels import count_kernel
+        k = require_k(k)
+        batch = None if queries is None else read_vectors(queries, "queries", self._device)
+        count = self._count if batch is None else len(batch)
+        limit = radius if np.ndim(radius) == 0 and radius == np.inf else self._radii(radius, count)
+        require_self(exclude_self, count, self._count)
+        if self._tree is None:
+            self._tree = build_tree(self._points())
+        with np.errstate(over="ignore"):
+            squared = np.square(limit)
+        if np.ndim(squared):
+            squared = wp.array(squared, dtype=wp.float64, device=self._device)
+        rows, give = (None, self._give) if batch is None else (batch.array, batch.give)
+        found = nearest(self._tree, k, rows, limit_squared=squared, exclude_self=exclude_self)
+        return KNearest(*map(give, found))
 
-        counts = wp.empty(len(batch), dtype=wp.int32, device=self._device)
-        self._launch(count_kernel, batch, self._search(radius), outputs=(counts,))
-        return counts
+    def _ask(self, queries: Any, radius: Any, exclude_self: bool) -> tuple[search.Asked, Any]:
+        """The queries with their radii, checked, and what gives results back in their container."""
+        if queries is None:
+            radii = self._radii(radius, self._count)
+            return self._asked(None, self._count, radii, exclude_self), self._give
+        batch = read_vectors(queries, "queries", self._device, keep_single=self._device.is_cuda)
+        radii = self._radii(radius, len(batch))
+        require_self(exclude_self, len(batch), self._count)
+        return self._asked(batch.array, len(batch), radii, exclude_self), batch.give
 
-    def _offsets(self, counts: "wp.array") -> "wp.array":
-        import warp as wp
-
-        from geokit.points._neighbors_kernels import offset_kernel
-
-        wide = wp.empty(len(counts), dtype=wp.int64, device=self._device)
-        offsets = wp.zeros(len(counts) + 1, dtype=wp.int64, device=self._device)
-        if len(counts):
-            _launch.launch(offset_kernel, len(counts), [counts], [wide], self._device)
-            wp.utils.array_scan(wide, offsets[1:], inclusive=True)
-        return offsets
-
-    def _launch(
-        self, kernel: Any, batch: Batch, shared: list[Any], *, outputs: tuple[Any, ...], streams: tuple[Any, ...] = ()
-    ) -> None:
-        _launch.launch_queries(
-            kernel,
-            batch.array,
-            shared,
-            outputs,
-            self._device,
-            lower=self._order_lower,
-            extent=self._order_extent,
-            streams=streams,
+    def _asked(self, rows: Any, count: int, radii: Any, exclude_self: bool, first_point: int = 0) -> search.Asked:
+        return search.Asked(
+            rows, count, radii, self._cells_for, self._device, own=exclude_self, first_point=first_point
         )
 
-    def _search(self, radius: float) -> list[Any]:
-        """What every query of a search with this radius shares: the cells, their reach and the squared radius."""
+    def _filled(self, asked: search.Asked, counts: "wp.array", order: str) -> tuple[Any, Any, Any]:
+        found = search.fill(asked, counts, lambda total: search.require_room(total, asked.count, self._device))
+        if order == "distance":
+            search.sort_by_distance(*found)
+        return found
+
+    def _blocks(
+        self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, budget: int
+    ) -> Iterator[NeighborBlock]:
         import warp as wp
 
-        reach = radius * (1.0 + REACH_RELATIVE) + REACH_ABSOLUTE
-        return [self._cells_for(radius).grid, wp.float64(reach), wp.float64(radius * radius)]
+        for begin, end in search.blocks_of(counts, budget):
+            part = radii if np.ndim(radii) == 0 else radii[begin:end]
+            asked = self._asked(batch.array[begin:end].contiguous(), end - begin, part, exclude_self, begin)
+            known = wp.array(counts[begin:end], dtype=wp.int32, device=self._device)
+            yield NeighborBlock(begin, Neighbors(*map(batch.give, self._filled(asked, known, order))))
+
+    def _own_batch(self) -> Batch:
+        return Batch(self._points(), False, self._give)
+
+    def _radii(self, radius: Any, count: int) -> Any:
+        """One radius, or an array of one for each query."""
+        if radius is None:
+            return self._radius
+        if np.ndim(radius) == 0 and not hasattr(radius, "__len__"):
+            return require_radius(radius)
+        return require_radii(radius, count)
 
     def _cells_for(self, radius: float) -> Cells:
-        for cells in (self._cells, self._other_cells):
-            if cells is not None and 1.0 / RADIUS_RATIO <= radius / cells.radius <= RADIUS_RATIO:
+        for cells, least in filter(None, (self._sorted(), self._other)):
+            if least <= radius <= RADIUS_RATIO * cells.radius:
                 return cells
         # Let go of the old ones first: both need not fit at once.
-        self._other_cells = None
-        cells = build_cells(self._points(), self._lower, self._upper, radius)
-        self._other_cells = cells
-        return cells
+        self._other = None
+        self._other = self._built(self._points(), radius)
+        return self._other[0]
+
+    def _sorted(self) -> tuple[Cells, float]:
+        """The cells for the grid's own radius."""
+        if self._own is None:
+            self._own = self._built(self._rows, self._radius)
+            self._rows = None
+        return self._own
+
+    @property
+    def _cells(self) -> Cells:
+        return self._sorted()[0]
 
     def _points(self) -> "wp.array":
-        import warp as wp
+        """The points as vec3d in the order in which they came."""
+        return search.points_of(self._cells.grid) if self._rows is None else self._rows
 
-        from geokit.points._cells_kernels import unsort_kernel
+    def _built(self, rows: "wp.array", radius: float) -> tuple[Cells, float]:
+        """Cells that suit a radius, and the least radius that they suit.
 
-        points = wp.empty(self._count, dtype=wp.vec3d, device=self._device)
-        _launch.launch(unsort_kernel, self._count, [self._cells.grid], [points], self._device)
-        return points
-
-    def _require_room(self, total: int, query_count: int, radius: float) -> None:
-        what = f"radius_search: {query_count} queries have {total} neighbours within {radius:g}"
-        remedy = "use a smaller radius, fewer queries at a time, or count()"
-        needed, free = total * BYTES_PER_NEIGHBOR, _memory.available(self._device)
-        if needed > free:
-            raise DeviceMemoryError(
-                f"{what}, which need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB free on {self.device}; {remedy}"
-            )
-        if total > MAX_NEIGHBORS:
-            raise DeviceMemoryError(f"{what}; one result holds at most {MAX_NEIGHBORS}: {remedy}")
-
-    def _build_hash_grid(self) -> tuple[Any, Any]:
-        import warp as wp
-
-        from geokit.points._cells_kernels import unsort_single_kernel
-
-        points = wp.empty(self._count, dtype=wp.vec3f, device=self._device)
-        _launch.launch(unsort_single_kernel, self._count, [self._cells.grid], [points], self._device)
-        grid = wp.HashGrid(HASH_GRID_SIZE, HASH_GRID_SIZE, HASH_GRID_SIZE, device=self._device)
-        grid.build(points, self._radius)
-        # Warp's grid may keep the address of the points, but not the array.
-        return grid, points
-
-
-def _require_radius(radius: Any) -> float:
-    return require_finite_scalar(radius, "radius", low=0.0)
+        Where few points are within the radius of each other longer cells are better: there are fewer to look up.
+        """
+        edge = radius or LEAST_OF_SPACING * self._spacing or 1.0
+        cells = build_cells(rows, self._survey, edge)
+        if edge >= self._spacing or search.crowding(cells) > LONELY:
+            return cells, radius / RADIUS_RATIO
+        longer = self._spacing
+        while longer > edge:
+            other = build_cells(rows, self._survey, longer)
+            if search.crowding(other) <= MOST_CROWDED:
+                return other, 0.0
+            longer /= SHORTENING
+        return cells, radius / RADIUS_RATIO

@@ -8,10 +8,10 @@ import numpy as np
 
 from geokit.errors import InputError
 from geokit.volume._leaves import require_volume, uniform_voxel_size
-from geokit.volume._operate import operate
+from geokit.volume._redistance import redistance
 from geokit.volume.model import SparseVolume
 
-__all__ = ["half_width_of", "redistanced", "require_level_set", "with_band"]
+__all__ = ["half_width_of", "require_level_set", "with_band"]
 
 # Bands that differ by less are the same: a background is a float32 product of voxel size and half width.
 BAND_TOLERANCE = 1e-5
@@ -45,25 +45,8 @@ def half_width_of(volume: SparseVolume, voxel_size: float) -> float:
     return float(nearest) if abs(width - nearest) < BAND_TOLERANCE * width else width
 
 
-def redistanced(
-    volume: SparseVolume, voxel_size: float, half_width: float, *, isovalue: float = 0.0, keeps_band: bool = False
-) -> SparseVolume:
-    """Signed distances from a level set's surface at ``isovalue`` [voxels] in a band of ``half_width`` [voxels]."""
-    from geokit.native import operations
-
-    result: SparseVolume = operate(
-        operations.redistance,
-        volume,
-        voxel_size=voxel_size,
-        half_width=half_width,
-        isovalue=isovalue,
-        keeps_band=keeps_band,
-    )
-    return result
-
-
-def with_band(volume: SparseVolume, voxel_size: float, half_width: float) -> SparseVolume:
+def with_band(volume: SparseVolume, voxel_size: float, half_width: float, *, device: Any = None) -> SparseVolume:
     """The level set with a band of another width; voxels that stay active keep their values."""
     if np.isclose(half_width_of(volume, voxel_size), half_width, rtol=BAND_TOLERANCE, atol=0.0):
         return volume
-    return redistanced(volume, voxel_size, half_width, keeps_band=True)
+    return redistance(volume, voxel_size, half_width, keeps_band=True, device=device)

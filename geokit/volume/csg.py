@@ -9,8 +9,9 @@ import numpy as np
 
 from geokit._arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.volume._level_set import half_width_of, redistanced, require_level_set, with_band
+from geokit.volume._level_set import half_width_of, require_level_set, with_band
 from geokit.volume._operate import operate
+from geokit.volume._redistance import redistance
 from geokit.volume.model import SparseVolume
 
 __all__ = ["difference", "intersection", "union"]
@@ -104,12 +105,13 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
     # known that much farther, and where they differ by the whole width.
     reach = half_width + BLEND_MARGIN + 1.25 * blend / voxel_size if blend else half_width
     result = with_band(first, voxel_size, reach)
-    for volume in operands[1:]:
+    for number, volume in enumerate(operands[1:], start=2):
         other = with_band(_on_grid_of(volume, first), voxel_size, reach)
         if blend:
-            # The blend is a distance only away from the seam; the next operand needs one everywhere.
+            # The blend is a distance only away from the seam; the next operand needs one in a wide band.
             blended = operate(operations.smooth_csg, result, other, kind=kind, blend=blend)
-            result = redistanced(blended, voxel_size, reach)
+            width = half_width if number == len(operands) else reach
+            result = redistance(blended, voxel_size, width)
         else:
             result = operate(operations.csg, result, other, kind=kind)
     return with_band(result, voxel_size, half_width)

@@ -25,12 +25,12 @@ def assert_like_tree(points, radius, *, build_radius=None):
 def candidates_per_query(grid, queries, radius):
     """Points that a query looks at on average: those in the rows of cells that its cube touches, replayed in NumPy."""
     g = grid._cells.grid
-    knots, inverse, first, count = (a.numpy() for a in (g.knot, g.inverse_edge, g.first_cell, g.cell_count))
+    knots, inverse, first, count = g.cut.numpy().T
 
     def cells(values):
         columns = []
         for axis in range(3):
-            begin, end = g.first_knot[axis], g.last_knot[axis] + 1
+            begin, end = g.first_cut[axis], g.last_cut[axis] + 1
             i = np.clip(np.searchsorted(knots[begin:end], values[:, axis], side="right") - 1, 0, None) + begin
             columns.append(first[i] + np.clip((values[:, axis] - knots[i]) * inverse[i], 0, count[i] - 1).astype(int))
         return np.stack(columns, axis=1)

@@ -18,8 +18,8 @@ DATA = {
     "velocity": RANDOM.normal(size=(40, 3)).astype(np.float32),
     "triangle_id": np.arange(-1, 39, dtype=np.int32),
 }
-WRITABLE = ["csv", "npz", "ply", "vtp", "xyz"]
-WITH_TYPES = ["npz", "ply", "vtp"]
+WRITABLE = ["csv", "npz", "pcd", "ply", "vtp", "xyz"]
+WITH_TYPES = ["npz", "pcd", "ply", "vtp"]
 
 
 def write(path, text):
@@ -216,8 +216,8 @@ def test_arrays_that_are_no_points(tmp_path):
 
 
 def test_paths_that_cannot_be_used(tmp_path):
-    with pytest.raises(gk.InputError, match=r"'\.las' is not a point format; use one of \.csv"):
-        gk.points.load("a.las")
+    with pytest.raises(gk.InputError, match=r"'\.stl' is not a point format; use one of \.csv"):
+        gk.points.load("a.stl")
     with pytest.raises(gk.InputError, match=r"'\.npy' is not a point format"):
         gk.points.save(tmp_path / "a.npy", POINTS)
     with pytest.raises(gk.FileAccessError, match="no such file"):

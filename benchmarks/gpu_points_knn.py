@@ -1,0 +1,161 @@
+"""Nearest neighbours on a GPU: the CPU's answers, and the time beside a tiled brute force in raw warp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.gpu_timing import wall_median
+from geokit.points._nearest import build_tree, nearest
+
+COMPARED, POINTS = 20_000, 1 << 20
+LENGTHS = (1, 8, 16, 32, 100, 1024)
+# The brute force's list is as long as the k that it is compared at.
+K = 16
+TILE = wp.constant(256)
+THREADS = 128
+RUNS = 5
+
+distances16 = wp.types.vector(length=16, dtype=wp.float32)
+indices16 = wp.types.vector(length=16, dtype=wp.int32)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def brute_kernel(
+    points: wp.array(dtype=wp.vec3f),
+    threads: int,
+    out_distance: wp.array2d(dtype=wp.float32),
+    out_indices: wp.array2d(dtype=wp.int32),
+):
+    """All points against all, a tile of them in shared memory at a time; float32, a list of 16 in registers."""
+    block, lane = wp.tid()
+    i = block * threads + lane
+    p = points[i]
+    best = distances16(wp.inf)
+    found = indices16(-1)
+    for start in range(0, points.shape[0], TILE):
+        tile = wp.tile_load(points, shape=TILE, offset=start, storage="shared")
+        for j in range(TILE):
+            d = wp.length_sq(tile[j] - p)
+            if d < best[15]:
+                best[15] = d
+                found[15] = start + j
+                for s in range(15):
+                    if best[15 - s] < best[14 - s]:
+                        t = best[14 - s]
+                        best[14 - s] = best[15 - s]
+                        best[15 - s] = t
+                        n = found[14 - s]
+                        found[14 - s] = found[15 - s]
+                        found[15 - s] = n
+    for s in range(16):
+        out_distance[i, s] = wp.sqrt(best[s])
+        out_indices[i, s] = found[s]
+
+
+def brute_force(points: wp.array) -> tuple[wp.array, wp.array]:
+    """Distances and indices of the 16 nearest of vec3f points, whose number TILE and THREADS divide."""
+    device = points.device
+    threads = THREADS if device.is_cuda else 1
+    distance = wp.empty((len(points), 16), dtype=wp.float32, device=device)
+    indices = wp.empty((len(points), 16), dtype=wp.int32, device=device)
+    wp.launch_tiled(
+        brute_kernel,
+        dim=[len(points) // threads],
+        inputs=[points, threads],
+        outputs=[distance, indices],
+        block_dim=threads,
+        device=device,
+    )
+    return distance, indices
+
+
+def clouds(count: int) -> dict[str, np.ndarray]:
+    """Points by kind: evenly spread, and crowds that a grid of equal cells does not suit."""
+    random = np.random.default_rng(0)
+    uniform = random.random((count, 3))
+    cluster = uniform.copy()
+    cluster[: count // 2] = 0.4 + cluster[: count // 2] * 0.01 ** (1 / 3)
+    outlier = uniform.copy()
+    outlier[0] = 1e9
+    axis = np.arange(round(count ** (1 / 3)))
+    lattice = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3).astype(np.float64)
+    return {
+        "uniform": uniform,
+        "half in 1%": cluster,
+        "plane": uniform * [1, 1, 0],
+        "line": uniform * [1, 0, 0],
+        "far point": outlier,
+        "lattice": lattice,
+        "duplicates": uniform[random.integers(0, count // 50, count)],
+        "heavy tails": random.standard_cauchy((count, 3)),
+    }
+
+
+def answers(points: np.ndarray, k: int, queries: np.ndarray | None, device: str, **options: Any) -> list[np.ndarray]:
+    tree = build_tree(wp.array(points, dtype=wp.vec3d, device=device))
+    rows = None if queries is None else wp.array(queries, dtype=wp.vec3d, device=device)
+    return [out.numpy() for out in nearest(tree, k, rows, **options)]
+
+
+def check_bits(out: Callable[[str], None], device: str) -> None:
+    """Rows in which CPU and GPU differ: there must be none."""
+    out("| points | queries | k | rows | rows that differ |")
+    out("|---|---|---|---|---|")
+    queries = np.random.default_rng(1).random((COMPARED // 4, 3)) * 3.0 - 1.0
+    cases: list[tuple[np.ndarray | None, dict[str, Any]]] = [
+        (None, {}),
+        (None, {"exclude_self": True}),
+        (queries, {"limit_squared": 0.05}),
+    ]
+    for kind, points in clouds(COMPARED).items():
+        for k in LENGTHS:
+            for asked, options in cases:
+                pair = [answers(points, k, asked, where, **options) for where in ("cpu", device)]
+                differ = np.zeros(len(pair[0][0]), dtype=bool)
+                for a, b in zip(*pair, strict=True):
+                    differ |= (a != b).any(axis=1)
+                name = "others, limited" if asked is not None else "own, self excluded" if options else "own"
+                out(f"| {kind} | {name} | {k} | {len(differ)} | {differ.sum()} |")
+
+
+def check_times(out: Callable[[str], None], device: str, count: int = POINTS) -> None:
+    """Times at k = 16 beside the brute force, after a look at whether both find the same; then other k and crowds."""
+    points = clouds(count)["uniform"]
+    rows = wp.array(points, dtype=wp.vec3d, device=device)
+    single = wp.array(points.astype(np.float32), dtype=wp.vec3f, device=device)
+    distance, _ = nearest(build_tree(rows), K, None)
+    raw, _ = brute_force(single)
+    out(f"largest difference of the distances: {np.abs(distance.numpy() - raw.numpy()).max():.1e}")
+    out("")
+    brute = wall_median(partial(brute_force, single), 1, warm=0)
+    out("| points | k | build (ms) | search (ms) | queries (M/s) | brute force (ms) | ratio, build included |")
+    out("|---|---|---|---|---|---|---|")
+    for kind, values in clouds(count).items():
+        rows = wp.array(values, dtype=wp.vec3d, device=device)
+        build = wall_median(partial(build_tree, rows), RUNS)
+        tree = build_tree(rows)
+        for k in LENGTHS[:-1] if kind == "uniform" else (K,):
+            search = wall_median(partial(nearest, tree, k, None), RUNS)
+            line = f"| {kind} | {k} | {build * 1e3:.1f} | {search * 1e3:.1f} | {len(values) / search / 1e6:.1f} |"
+            beside = kind == "uniform" and k == K
+            out(line + (f" {brute * 1e3:.0f} | {brute / (build + search):.0f} |" if beside else " | |"))
+    out("")
+    out(f"Brute force: {float(count) ** 2 / brute / 1e9:.0f} G distances/s.")
+
+
+def main(out: Callable[[str], None], device: str = "cuda:0") -> None:
+    """Print the tables."""
+    check_bits(out, device)
+    out("")
+    check_times(out, device)
+
+
+if __name__ == "__main__":
+    main(print)

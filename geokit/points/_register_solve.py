@@ -1,0 +1,101 @@
+"""The rigid step that brings pairs together best, from their sums: distances from planes, or between points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Step", "orthonormal", "plane_step", "point_step"]
+
+# A direction of motion that changes the distances from the planes by less than a millionth of itself is free: the
+# eigenvalues are squares. Sums in float64 leave about 1e-16 of what cancels, data with six digits 1e-12.
+FREE_EIGENVALUE = 1e-12
+# Singular values of the pairs' products are squares of lengths too: points are on a line, or all in one place, where
+# they spread to the side by less than a millionth of their extent.
+FREE_SINGULAR_VALUE = 1e-12
+
+
+class Step(NamedTuple):
+    """A turn about a centre and where the centre goes.
+
+    Attributes:
+        rotation: Shape (3, 3).
+        shift: Of the centre [world], shape (3,).
+        rank: How many of the six ways to move the pairs determine; the others were left alone.
+    """
+
+    rotation: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    rank: int
+
+
+def plane_step(sums: NDArray[np.float64], size: float) -> Step:
+    """The Gauss-Newton step for the squared distances from the partners' planes, the shortest where there are several.
+
+    Args:
+        sums: The 29 sums of plane_sums_kernel.
+        size: The length [world] that turns were counted with.
+    """
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = sums[2:23]
+    matrix += np.triu(matrix, 1).T
+    values, vectors = np.linalg.eigh(matrix)
+    determined = values > FREE_EIGENVALUE * max(float(values[-1]), float(sums[0]) * np.finfo(np.float64).tiny)
+    along = vectors.T @ -sums[23:29]
+    motion = vectors[:, determined] @ (along[determined] / values[determined])
+    return Step(_rotation_by(motion[:3] / size), motion[3:], int(determined.sum()))
+
+
+def point_step(sums: NDArray[np.float64]) -> Step:
+    """The motion that leaves the least squared distances between the points of pairs; never a reflection.
+
+    Args:
+        sums: The 17 sums of point_sums_kernel.
+    """
+    count = sums[0]
+    mean, partner_mean = sums[2:5] / count, sums[5:8] / count
+    product = sums[8:17].reshape(3, 3) - count * np.outer(mean, partner_mean)
+    u, values, vt = np.linalg.svd(product)
+    rank = 3
+    if values[0] <= 0.0:
+        rotation = np.eye(3)
+    elif values[1] <= FREE_SINGULAR_VALUE * values[0]:
+        rotation = _least_rotation(u[:, 0], vt[0])
+        rank = 5
+    else:
+        flip = np.sign(np.linalg.det(u @ vt))
+        rotation = vt.T @ np.diag([1.0, 1.0, flip]) @ u.T
+        rank = 6
+    return Step(rotation, partner_mean - rotation @ mean, rank)
+
+
+def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The nearest rotation to a matrix that roundings have moved away from one."""
+    u, _, vt = np.linalg.svd(rotation)
+    return u @ vt
+
+
+def _rotation_by(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation about the vector by its length in radians (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(a) / a and (1 - cos(a)) / a^2, which np.sinc holds through a = 0.
+    sine, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
+    return np.eye(3) + sine * cross + 0.5 * half * half * (cross @ cross)
+
+
+def _least_rotation(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The shortest way to turn one unit vector into another."""
+    axis = np.cross(start, end)
+    sine, cosine = float(np.linalg.norm(axis)), float(start @ end)
+    if sine > 0.0:
+        return _rotation_by(axis * (np.arctan2(sine, cosine) / sine))
+    if cosine > 0.0:
+        return np.eye(3)
+    # Half a turn about any axis across it.
+    across = np.eye(3)[np.argmin(np.abs(start))]
+    across = across - start * (start @ across)
+    return 2.0 * np.outer(across, across) / (across @ across) - np.eye(3)

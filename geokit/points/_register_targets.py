@@ -1,0 +1,186 @@
+"""What a cloud can be registered to, each giving a partner and a normal for every moved point."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit import _launch
+from geokit._arrays import read_vectors
+from geokit.errors import InputError
+from geokit.points._nearest import build_tree, nearest
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.mesh.surface import Surface
+    from geokit.volume.model import SparseVolume
+
+__all__ = ["Pairs", "Target", "make_target"]
+
+# Neighbours that a target's normals are estimated from where none are given.
+NORMAL_NEIGHBORS = 16
+# Within a voxel of the band's edge, interpolation sees the constant beyond it.
+BAND_MARGIN = 1.0
+
+
+class Pairs(NamedTuple):
+    """Partner, its normal, and whether there is one (1 or 0) for each moved point; what has none is not set."""
+
+    partner: "wp.array"
+    normal: "wp.array"
+    paired: "wp.array"
+
+
+class Target:
+    """Anything that points can be brought to.
+
+    Attributes:
+        device: Where it answers.
+    """
+
+    def __init__(self, device: "wp.Device") -> None:
+        self.device = device
+        self._room: Pairs | None = None
+
+    def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
+        """Partners within the distance for moved points, vec3d (N,) [world]; the next call writes over them."""
+        raise NotImplementedError
+
+    def room(self, count: int) -> Pairs:
+        """Arrays for so many pairs, the same for every step."""
+        import warp as wp
+
+        if self._room is None or len(self._room.paired) != count:
+            self._room = Pairs(
+                wp.empty(count, dtype=wp.vec3d, device=self.device),
+                wp.empty(count, dtype=wp.vec3d, device=self.device),
+                wp.empty(count, dtype=wp.int32, device=self.device),
+            )
+        return self._room
+
+
+def make_target(target: Any, target_normals: Any, wants_normals: bool, device: Any) -> Target:
+    """The target that an argument means.
+
+    Raises:
+        InputError: It is none, or the normals do not fit it.
+    """
+    from geokit.mesh.model import TriangleMesh
+    from geokit.mesh.surface import Surface
+    from geokit.volume.model import SparseVolume
+
+    if isinstance(target, TriangleMesh):
+        target = Surface(target, device=device)
+    if isinstance(target, (Surface, SparseVolume)):
+        if target_normals is not None:
+            kind = type(target).__name__
+            raise InputError(f"target_normals: a {kind} has its own; give them with a cloud only")
+        return _SurfaceTarget(target) if isinstance(target, Surface) else _VolumeTarget(target, device)
+    return _CloudTarget(target, target_normals, wants_normals, _launch.resolve_device(device))
+
+
+class _CloudTarget(Target):
+    def __init__(self, points: Any, normals: Any, wants_normals: bool, device: "wp.Device") -> None:
+        import warp as wp
+
+        super().__init__(device)
+        self._points = read_vectors(points, "target", device).array
+        if len(self._points) == 0:
+            raise InputError("target: it has no points; give at least one")
+        self._normals = wp.empty(0, dtype=wp.vec3d, device=device)
+        if normals is not None:
+            self._normals = read_vectors(normals, "target_normals", device).array
+            if len(self._normals) != len(self._points):
+                raise InputError(
+                    f"target_normals: {len(self._normals)} rows for {len(self._points)} points; give one for each"
+                )
+            self._normals = _unit(self._normals)
+        elif wants_normals:
+            from geokit.points.normals import normals as estimated
+
+            # Signs do not matter to distances from planes.
+            self._normals = estimated(self._points, k=NORMAL_NEIGHBORS, orientation="none", device=device).normals
+        self._tree = build_tree(self._points)
+        self._partner: Any = None
+
+    def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
+        import warp as wp
+
+        from geokit.points._register_kernels import cloud_partner_kernel, limit_kernel
+
+        limit: Any = max_distance * max_distance
+        if self._partner is not None:
+            # No farther than the partner of the step before: most searches end where they begin.
+            given = [moved, self._points, self._partner, wp.float64(limit)]
+            limit = wp.empty(len(moved), dtype=wp.float64, device=self.device)
+            _launch.launch(limit_kernel, len(moved), given, [limit], self.device)
+        _, indices = nearest(self._tree, 1, moved, limit_squared=limit)
+        self._partner = indices.flatten()
+        room = self.room(len(moved))
+        inputs = [self._partner, self._points, self._normals]
+        _launch.launch(cloud_partner_kernel, len(moved), inputs, [*room], self.device)
+        return room
+
+
+class _SurfaceTarget(Target):
+    def __init__(self, surface: "Surface") -> None:
+        import warp as wp
+
+        super().__init__(_launch.resolve_device(surface.device))
+        self._surface = surface
+        corners = surface.mesh.vertices[surface.mesh.faces]
+        # Of unit size before they are multiplied: products of very long or short edges stay in float64.
+        edges = (corners[:, 1:] - corners[:, :1]) / surface.scale
+        normals = np.cross(edges[:, 0], edges[:, 1])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        # A triangle without area has no plane: zeros take no part.
+        normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
+        self._normals = wp.array(normals, dtype=wp.vec3d, device=self.device)
+
+    def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
+        from geokit.points._register_kernels import surface_partner_kernel
+
+        found = self._surface.closest_point(moved, max_distance=max_distance)
+        room = self.room(len(moved))
+        inputs = [found.points, found.triangle_id, self._normals]
+        _launch.launch(surface_partner_kernel, len(moved), inputs, [*room], self.device)
+        return room
+
+
+class _VolumeTarget(Target):
+    def __init__(self, volume: "SparseVolume", device: Any) -> None:
+        from geokit.volume.sample import is_scalar
+
+        info = volume.info
+        if info.grid_class != "level set" or not is_scalar(volume):
+            raise InputError(
+                f"target: grid {info.name!r} is a {info.grid_class} of type {info.grid_type}, not a signed distance; "
+                "give a level set, as geokit.volume.from_mesh makes it"
+            )
+        super().__init__(_launch.resolve_device(device))
+        self._volume = volume
+        self._reach = abs(float(info.background)) - BAND_MARGIN * float(np.max(info.voxel_size))
+
+    def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
+        import warp as wp
+
+        from geokit.points._register_kernels import volume_partner_kernel
+
+        distance = self._volume.sample(moved, device=self.device)
+        gradient = self._volume.gradient(moved, device=self.device)
+        room = self.room(len(moved))
+        inputs = [moved, distance, gradient, wp.float64(min(max_distance, self._reach))]
+        _launch.launch(volume_partner_kernel, len(moved), inputs, [*room], self.device)
+        return room
+
+
+def _unit(normals: "wp.array") -> "wp.array":
+    import warp as wp
+
+    from geokit.points._register_kernels import unit_kernel
+
+    unit = wp.empty(len(normals), dtype=wp.vec3d, device=normals.device)
+    _launch.launch(unit_kernel, len(normals), [normals], [unit], normals.device)
+    return unit
