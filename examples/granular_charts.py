@@ -88,6 +88,7 @@ def draw(
     at: float,
     value: np.ndarray,
     pixels: tuple[int, int],
+    label: str = "height at first [m]",
 ) -> None:
     """One frame: the ring where it is at that time, the stand, and the grains coloured by ``value``."""
     ring = scene.surface.mesh
@@ -99,7 +100,7 @@ def draw(
         points=x,
         color="#5d6d7e",
         point_color=value,
-        label="height at first [m]",
+        label=label,
         point_size=BOWL_SHARE * pixels[1] * scene.w.radius / size,
         size=pixels,
         up="z",

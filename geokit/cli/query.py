@@ -226,7 +226,9 @@ def neighbors(
     from geokit.points import NeighborGrid
 
     if radius is None and nearest is None:
-        raise InputError("neither --radius nor --nearest is given; give a radius, a number of nearest points, or both")
+        from cyclopts import CycloptsError
+
+        raise CycloptsError(msg="neither --radius nor --nearest is given; give one of them, or both")
 
     check_output(output, force=force)
     found_points = _points(cloud)
@@ -240,6 +242,9 @@ def neighbors(
         found = grid.knn(asked, nearest) if radius is None else grid.hybrid(asked, nearest, radius=radius)
         counts = (found.indices >= 0).sum(axis=1, dtype=np.int32)
         data = {"index": found.indices, "distance": found.distance}
+        if output is not None and output.suffix.lower() != ".npz":
+            # Tables name columns of three x, y and z, which these are not.
+            data = {f"{name}_{i}": column for name, array in data.items() for i, column in enumerate(array.T)}
     elif output is not None and output.suffix.lower() == ".npz":
         rows = grid.radius_search(asked)
         counts = np.diff(rows.offsets).astype(np.int32)

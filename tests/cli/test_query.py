@@ -119,3 +119,20 @@ def test_refusals(geokit, fails, cube: Path, cube_sdf: Path, points: Path, tmp_p
     bad = tmp_path / "bad.csv"
     bad.write_text("x,y,z\n1,2,3\n1,nan,3\n")
     fails(geokit("query", "closest", cube, bad), 1, "bad.csv", "point 1")
+
+
+def test_nearest_points_and_those_within_a_radius(geokit, tmp_path: Path) -> None:
+    cloud, queries = tmp_path / "cloud.csv", tmp_path / "queries.csv"
+    cloud.write_text("x,y,z\n0,0,0\n1,0,0\n3,0,0\n")
+    queries.write_text("x,y,z\n0.9,0,0\n-5,0,0\n")
+    table = tmp_path / "nearest.npz"
+    done = geokit("query", "neighbors", cloud, queries, "--nearest", "2", "-o", table, "--json")
+    assert done.returncode == 0, done.stderr
+    found = np.load(table)
+    assert found["index"].tolist() == [[1, 0], [0, 1]]
+    np.testing.assert_allclose(found["distance"], [[0.1, 0.9], [5.0, 6.0]])
+    done = geokit("query", "neighbors", cloud, queries, "--nearest", "2", "--radius", "0.5", "-o", "-")
+    assert done.stdout.splitlines()[1:] == [
+        "0.9,0.0,0.0,1,1,-1,0.09999999999999998,inf",
+        "-5.0,0.0,0.0,0,-1,-1,inf,inf",
+    ]
