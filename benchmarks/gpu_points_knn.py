@@ -19,6 +19,8 @@ K = 16
 TILE = wp.constant(256)
 THREADS = 128
 RUNS = 5
+# Queries of torch's blocks: their distances to a million points take 8 GiB.
+BLOCK = 2048
 
 distances16 = wp.types.vector(length=16, dtype=wp.float32)
 indices16 = wp.types.vector(length=16, dtype=wp.int32)
@@ -76,6 +78,23 @@ def brute_force(points: wp.array) -> tuple[wp.array, wp.array]:
     return distance, indices
 
 
+def torch_brute_force(points: wp.array) -> Callable[[], Any] | None:
+    """The same through torch in blocks, where there is torch: its distances (N, 16)."""
+    try:
+        import torch
+    except ImportError:
+        return None
+    every = wp.to_torch(points)
+
+    def run() -> Any:
+        parts = [
+            torch.cdist(every[at : at + BLOCK], every).topk(K, largest=False)[0] for at in range(0, len(every), BLOCK)
+        ]
+        return torch.cat(parts)
+
+    return run
+
+
 def clouds(count: int) -> dict[str, np.ndarray]:
     """Points by kind: evenly spread, and crowds that a grid of equal cells does not suit."""
     random = np.random.default_rng(0)
@@ -106,8 +125,10 @@ def answers(points: np.ndarray, k: int, queries: np.ndarray | None, device: str,
 
 def check_bits(out: Callable[[str], None], device: str) -> None:
     """Rows in which CPU and GPU differ: there must be none."""
-    out("| points | queries | k | rows | rows that differ |")
-    out("|---|---|---|---|---|")
+    lengths = ", ".join(map(str, LENGTHS))
+    out(f"Their own points, self excluded, and others within a limit; k = {lengths}.\n")
+    out("| points | rows | rows that differ |")
+    out("|---|---:|---:|")
     queries = np.random.default_rng(1).random((COMPARED // 4, 3)) * 3.0 - 1.0
     cases: list[tuple[np.ndarray | None, dict[str, Any]]] = [
         (None, {}),
@@ -115,14 +136,15 @@ def check_bits(out: Callable[[str], None], device: str) -> None:
         (queries, {"limit_squared": 0.05}),
     ]
     for kind, points in clouds(COMPARED).items():
+        rows, wrong = 0, 0
         for k in LENGTHS:
             for asked, options in cases:
                 pair = [answers(points, k, asked, where, **options) for where in ("cpu", device)]
                 differ = np.zeros(len(pair[0][0]), dtype=bool)
                 for a, b in zip(*pair, strict=True):
                     differ |= (a != b).any(axis=1)
-                name = "others, limited" if asked is not None else "own, self excluded" if options else "own"
-                out(f"| {kind} | {name} | {k} | {len(differ)} | {differ.sum()} |")
+                rows, wrong = rows + len(differ), wrong + int(differ.sum())
+        out(f"| {kind} | {rows:,} | {wrong} |")
 
 
 def check_times(out: Callable[[str], None], device: str, count: int = POINTS) -> None:
@@ -134,20 +156,27 @@ def check_times(out: Callable[[str], None], device: str, count: int = POINTS) ->
     raw, _ = brute_force(single)
     out(f"largest difference of the distances: {np.abs(distance.numpy() - raw.numpy()).max():.1e}")
     out("")
-    brute = wall_median(partial(brute_force, single), 1, warm=0)
-    out("| points | k | build (ms) | search (ms) | queries (M/s) | brute force (ms) | ratio, build included |")
-    out("|---|---|---|---|---|---|---|")
+    peers = {"tiles in raw warp": wall_median(partial(brute_force, single), 1, warm=0)}
+    blocks = torch_brute_force(single)
+    if blocks is not None:
+        apart = np.abs(distance.numpy() - blocks().cpu().numpy()).max()
+        out(f"torch's, by matrix products in float32: {apart:.1e}\n")
+        peers["torch.cdist and topk in blocks"] = wall_median(blocks, 1, warm=0)
+    out("| points | k | build (ms) | search (ms) | queries (M/s) |")
+    out("|---|---:|---:|---:|---:|")
     for kind, values in clouds(count).items():
         rows = wp.array(values, dtype=wp.vec3d, device=device)
         build = wall_median(partial(build_tree, rows), RUNS)
         tree = build_tree(rows)
         for k in LENGTHS[:-1] if kind == "uniform" else (K,):
             search = wall_median(partial(nearest, tree, k, None), RUNS)
-            line = f"| {kind} | {k} | {build * 1e3:.1f} | {search * 1e3:.1f} | {len(values) / search / 1e6:.1f} |"
-            beside = kind == "uniform" and k == K
-            out(line + (f" {brute * 1e3:.0f} | {brute / (build + search):.0f} |" if beside else " | |"))
-    out("")
-    out(f"Brute force: {float(count) ** 2 / brute / 1e9:.0f} G distances/s.")
+            if kind == "uniform" and k == K:
+                ours = build + search
+            out(f"| {kind} | {k} | {build * 1e3:.1f} | {search * 1e3:.1f} | {len(values) / search / 1e6:.1f} |")
+    out("\n| all pairs, k = 16, uniform | ms | G distances/s | geokit's time, build included, is shorter by |")
+    out("|---|---:|---:|---:|")
+    for name, brute in peers.items():
+        out(f"| {name} | {brute * 1e3:.0f} | {float(count) ** 2 / brute / 1e9:.0f} | {brute / ours:.0f} times |")
 
 
 def main(out: Callable[[str], None], device: str = "cuda:0") -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -30,10 +29,10 @@ def seconds(run: Callable[[], Any]) -> float:
     return best
 
 
-def main(out: TextIO = sys.stdout, gpu: str = "cuda:0") -> None:
+def main(out: Callable[[str], None] = print, gpu: str = "cuda:0") -> None:
     """A line for each operation; raises where the devices' results differ."""
-    out.write("| operation | active voxels | CPU [s] | GPU [s] | ratio | bytes that differ |\n")
-    out.write("| --- | ---: | ---: | ---: | ---: | ---: |\n")
+    out("| operation | active voxels | CPU [s] | GPU [s] | ratio | bytes that differ |")
+    out("| --- | ---: | ---: | ---: | ---: | ---: |")
     for radius in (20.0, 120.0):
         body = ball(radius)
         for name, operation in (
@@ -43,9 +42,7 @@ def main(out: TextIO = sys.stdout, gpu: str = "cuda:0") -> None:
             one, other = operation("cpu"), operation(gpu)
             apart = int(np.count_nonzero(one.nanovdb != other.nanovdb))
             cpu, fast = seconds(lambda op=operation: op("cpu")), seconds(lambda op=operation: op(gpu))
-            out.write(
-                f"| {name} | {one.info.active_voxel_count:,} | {cpu:.3f} | {fast:.4f} | {cpu / fast:.1f} | {apart} |\n"
-            )
+            out(f"| {name} | {one.info.active_voxel_count:,} | {cpu:.3f} | {fast:.4f} | {cpu / fast:.1f} | {apart} |")
             if apart:
                 raise AssertionError(f"{name}: {apart} bytes differ between {gpu} and the CPU")
 

@@ -186,26 +186,31 @@ def offsets_of(counts: "wp.array") -> "wp.array":
     return room
 
 
-def fill(asked: Asked, counts: "wp.array", refuse: Callable[[int], None]) -> tuple[Any, Any, Any]:
+def fill(
+    asked: Asked, counts: "wp.array", refuse: Callable[[int], None], *, order: str = "index", single: bool = False
+) -> tuple[Any, Any, Any]:
     """offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) float64 of rows as long as ``counts`` says.
 
-    ``refuse`` is called with M before there is room for so many.
+    ``refuse`` is called with M before there is room for so many. ``order`` is "index", or "any" for that of the cells.
+    With ``single`` a CPU gives distance in float32.
     """
     import warp as wp
 
-    from geokit.points._radius_host_kernels import fill_runs_kernel
+    from geokit.points._radius_host_kernels import FILL_KERNELS
     from geokit.points._radius_kernels import fill_kernel
 
     device = asked.device
     offsets = offsets_of(counts)
     total = int(offsets[asked.count :].numpy()[0])
     refuse(total)
-    indices, distance = _room(total, wp.int32, device), _room(total, wp.float64, device)
+    single = single and device.is_cpu
+    indices = _room(total, wp.int32, device)
+    distance = _room(total, wp.float32 if single else wp.float64, device)
     own = asked.first_point if asked.own else NOTHING_LEFT_OUT
     for grid, queries, number in asked.parts:
         given = [queries, grid, asked.radius, own, offsets]
-        _launch_search(fill_runs_kernel, fill_kernel, number, given, [indices, distance], device)
-    if device.is_cuda:
+        _launch_search(FILL_KERNELS[order, single], fill_kernel, number, given, [indices, distance], device)
+    if device.is_cuda and order == "index":
         sort_by_index(offsets, indices, distance)
     return offsets, indices, distance
 

@@ -34,8 +34,8 @@ def require_radii(radius: Any, count: int) -> np.ndarray:
 
 
 def require_order(order: str) -> None:
-    if order not in ("index", "distance"):
-        raise InputError(f"order: {order!r} is not known; give 'index' or 'distance'")
+    if order not in ("index", "distance", "any"):
+        raise InputError(f"order: {order!r} is not known; give 'index', 'distance' or 'any'")
 
 
 def require_self(exclude_self: bool, query_count: int, point_count: int) -> None:

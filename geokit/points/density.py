@@ -83,14 +83,14 @@ def density(
     target = _launch.resolve_device(device)
     neighbors = NeighborGrid(points, radius, device=target)
     masses = wp.array(_require_masses(mass, len(neighbors)), dtype=wp.float64, device=target)
-    asked, give = neighbors._ask(queries, None, False)
+    asked, home = neighbors._ask(queries, None, False)
     smoothing = getattr(kernels, KERNELS[kernel][1])()
     smoothing.inverse_radius = wp.float64(1.0 / radius)
     result = wp.empty(asked.count, dtype=wp.float64, device=target)
     for grid, arranged, number in asked.parts:
         given = [arranged, grid, wp.float64(radius), smoothing, wp.float64(factor), masses]
         _launch.launch(kernels.density_kernel, number, given, [result], target)
-    return give(result)
+    return home.give(result)
 
 
 def _factor(norm: float, radius: float) -> float:

@@ -106,7 +106,8 @@ class NeighborGrid:
         keep_single = self._device.is_cuda and wanted is not None
         batch = read_vectors(points, "points", self._device, defer=True, keep_single=keep_single)
         rows = batch.array
-        self._give, self._count = batch.give, len(rows)
+        # How answers about the points themselves go back; the rows are not kept.
+        self._home, self._count = Batch(None, batch.single, batch.give), len(rows)
         self._survey = survey(rows, lambda: require_finite(batch, "points"))
         self._spacing = usual_spacing(self._survey, self._count)
         # Points that all lie in one place have no spacing: any radius is as good.
@@ -169,8 +170,8 @@ class NeighborGrid:
             InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or there are
                 other than one or Q; exclude_self with queries that are not as many as the points.
         """
-        asked, give = self._ask(queries, radius, exclude_self)
-        return give(search.count(asked))
+        asked, home = self._ask(queries, radius, exclude_self)
+        return home.give(search.count(asked))
 
     def radius_search(
         self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, order: str = "index"
@@ -183,7 +184,9 @@ class NeighborGrid:
             queries: As for :meth:`count`.
             radius: As for :meth:`count`.
             exclude_self: Query i is point i and is not among its own neighbours.
-            order: "index" lists each row by ascending index, "distance" by ascending float64 distance, then index.
+            order: "index" lists each row by ascending index, "distance" by ascending float64 distance, then index;
+                "any" leaves it in the order of the cells, which is the quickest, and the same on every device, but
+                another for another radius or set of points.
         Returns:
             Neighbors with offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) [world], in the container of
             the queries; distance is float32 for float32 queries.
@@ -193,9 +196,8 @@ class NeighborGrid:
                 been allocated for them. :meth:`radius_search_blocks` gives them one block after the other.
         """
         require_order(order)
-        asked, give = self._ask(queries, radius, exclude_self)
-        found = self._filled(asked, search.count(asked), order)
-        return Neighbors(*map(give, found))
+        asked, home = self._ask(queries, radius, exclude_self)
+        return Neighbors(*map(home.give, self._filled(asked, search.count(asked), order, home.single)))
 
     def radius_search_blocks(
         self,
@@ -254,8 +256,8 @@ class NeighborGrid:
 
         from geokit.points import _radius_kernels as kernels
 
-        asked, give = self._ask(None, None if radius is None else require_radius(radius), False)
-        offsets, indices, distance = self._filled(asked, search.count(asked), "index")
+        asked, home = self._ask(None, None if radius is None else require_radius(radius), False)
+        offsets, indices, distance = self._filled(asked, search.count(asked), "index", single=False)
         counts = wp.empty(self._count, dtype=wp.int32, device=self._device)
         _launch.launch(kernels.pair_count_kernel, self._count, [offsets, indices], [counts], self._device)
         starts = search.offsets_of(counts)
@@ -264,7 +266,7 @@ class NeighborGrid:
         lengths = wp.empty(total, dtype=wp.float64, device=self._device)
         given = [offsets, indices, distance, starts]
         _launch.launch(kernels.pair_fill_kernel, self._count, given, [pairs, lengths], self._device)
-        return Pairs(give(pairs), give(lengths))
+        return Pairs(home.give(pairs), home.give(lengths))
 
     def knn(self, queries: Any = None, k: int = 1, *, exclude_self: bool = False) -> KNearest:
         """The k nearest points of each query, however far.
@@ -324,30 +326,35 @@ class NeighborGrid:
             squared = np.square(limit)
         if np.ndim(squared):
             squared = wp.array(squared, dtype=wp.float64, device=self._device)
-        rows, give = (None, self._give) if batch is None else (batch.array, batch.give)
+        rows, give = (None, self._home.give) if batch is None else (batch.array, batch.give)
         found = nearest(self._tree, k, rows, limit_squared=squared, exclude_self=exclude_self)
         return KNearest(*map(give, found))
 
-    def _ask(self, queries: Any, radius: Any, exclude_self: bool) -> tuple[search.Asked, Any]:
-        """The queries with their radii, checked, and what gives results back in their container."""
+    def _ask(self, queries: Any, radius: Any, exclude_self: bool) -> tuple[search.Asked, Batch]:
+        """The queries with their radii, checked, and the batch that gives results back in their container."""
         if queries is None:
             radii = self._radii(radius, self._count)
-            return self._asked(None, self._count, radii, exclude_self), self._give
+            return self._asked(None, self._count, radii, exclude_self), self._home
         batch = read_vectors(queries, "queries", self._device, keep_single=self._device.is_cuda)
         radii = self._radii(radius, len(batch))
         require_self(exclude_self, len(batch), self._count)
-        return self._asked(batch.array, len(batch), radii, exclude_self), batch.give
+        return self._asked(batch.array, len(batch), radii, exclude_self), batch
 
     def _asked(self, rows: Any, count: int, radii: Any, exclude_self: bool, first_point: int = 0) -> search.Asked:
         return search.Asked(
             rows, count, radii, self._cells_for, self._device, own=exclude_self, first_point=first_point
         )
 
-    def _filled(self, asked: search.Asked, counts: "wp.array", order: str) -> tuple[Any, Any, Any]:
-        found = search.fill(asked, counts, lambda total: search.require_room(total, asked.count, self._device))
+    def _filled(self, asked: search.Asked, counts: "wp.array", order: str, single: bool) -> tuple[Any, Any, Any]:
+        def refuse(total: int) -> None:
+            search.require_room(total, asked.count, self._device)
+
         if order == "distance":
+            # Sorted by that of float64; which order they come in does not matter.
+            found = search.fill(asked, counts, refuse, order="any")
             search.sort_by_distance(*found)
-        return found
+            return found
+        return search.fill(asked, counts, refuse, order=order, single=single)
 
     def _blocks(
         self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, budget: int
@@ -358,10 +365,10 @@ class NeighborGrid:
             part = radii if np.ndim(radii) == 0 else radii[begin:end]
             asked = self._asked(batch.array[begin:end].contiguous(), end - begin, part, exclude_self, begin)
             known = wp.array(counts[begin:end], dtype=wp.int32, device=self._device)
-            yield NeighborBlock(begin, Neighbors(*map(batch.give, self._filled(asked, known, order))))
+            yield NeighborBlock(begin, Neighbors(*map(batch.give, self._filled(asked, known, order, batch.single))))
 
     def _own_batch(self) -> Batch:
-        return Batch(self._points(), False, self._give)
+        return Batch(self._points(), self._home.single, self._home.give)
 
     def _radii(self, radius: Any, count: int) -> Any:
         """One radius, or an array of one for each query."""

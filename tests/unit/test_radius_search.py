@@ -46,6 +46,8 @@ def test_self_is_left_out_by_index(grid, queries):
     wanted = [[j for j in row if j != i] for i, row in enumerate(TREE.query_ball_point(POINTS, RADIUS))]
     found = grid.radius_search(queries, exclude_self=True)
     assert rows(found) == [sorted(row) for row in wanted]
+    as_found = grid.radius_search(queries, exclude_self=True, order="any")
+    assert [sorted(row) for row in rows(as_found)] == rows(found)
     np.testing.assert_array_equal(grid.count(queries, exclude_self=True), [len(row) for row in wanted])
 
 
@@ -215,6 +217,9 @@ def test_the_kernels_of_a_gpu_find_the_same(queries, offset):
     offsets = _radius_search.offsets_of(counts)
     given = [sorted_queries, cells, asked.radius, _radius_search.NOTHING_LEFT_OUT, offsets]
     _launch.launch(fill_kernel, number, given, [indices, distance], device)
+    as_found = grid.radius_search(queries, order="any")
+    np.testing.assert_array_equal(indices.numpy(), as_found.indices)
+    np.testing.assert_array_equal(distance.numpy(), as_found.distance)
     _radius_search.sort_by_index(offsets, indices, distance)
     np.testing.assert_array_equal(indices.numpy(), whole.indices)
     np.testing.assert_array_equal(distance.numpy(), whole.distance)
@@ -226,7 +231,13 @@ def test_more_candidates_than_the_buffer_holds(count):
     points = np.random.default_rng(count).random((count, 3)) * 0.5
     assert_rows = cKDTree(points).query_ball_point(points[::7], 0.45, return_sorted=True)
     grid = NeighborGrid(points, 0.45, device="cpu")
-    assert rows(grid.radius_search(points[::7])) == [list(row) for row in assert_rows]
+    found = grid.radius_search(points[::7])
+    assert rows(found) == [list(row) for row in assert_rows]
+    as_found = grid.radius_search(points[::7], order="any")
+    assert [sorted(row) for row in rows(as_found)] == rows(found)
+    owner = np.repeat(np.arange(len(points[::7])), np.diff(as_found.offsets))
+    exact = np.sqrt(squared(points, points[::7], owner, as_found.indices))
+    np.testing.assert_array_equal(as_found.distance, exact)
     np.testing.assert_array_equal(grid.count(points[::7]), [len(row) for row in assert_rows])
 
 
@@ -237,3 +248,19 @@ def test_threads_do_not_matter(grid, monkeypatch):
         other = NeighborGrid(POINTS, RADIUS, device="cpu").radius_search()
         for a, b in zip(whole, other, strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("radius", [0.09, 0.5])
+def test_float32_distances_are_those_of_float64_rounded(radius):
+    single = POINTS[:1500].astype(np.float32)
+    grid = NeighborGrid(single, radius, device="cpu")
+    short, long = grid.radius_search(), grid.radius_search(single.astype(np.float64))
+    assert (short.distance.dtype, long.distance.dtype) == (np.float32, np.float64)
+    np.testing.assert_array_equal(short.indices, long.indices)
+    np.testing.assert_array_equal(short.distance, long.distance.astype(np.float32))
+    by_distance = grid.radius_search(order="distance")
+    assert by_distance.distance.dtype == np.float32
+    first = slice(by_distance.offsets[5], by_distance.offsets[6])
+    assert (np.diff(by_distance.distance[first]) >= 0).all()
+    block = next(iter(grid.radius_search_blocks(memory=1 << 20)))
+    assert block.neighbors.distance.dtype == np.float32
