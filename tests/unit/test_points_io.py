@@ -317,7 +317,10 @@ def test_archives_that_are_no_rays(tmp_path):
 
 
 def test_public_names():
-    assert set(dir(gk.points)) == {"NeighborGrid", "Neighbors", "PointCloud", "load", "load_rays", "save"}
+    results = {"ChamferDistance", "DirectedDistance", "Downsampled", "HausdorffDistance", "KNearest", "NeighborBlock"}
+    results |= {"Neighbors", "Pairs", "PointCloud", "PointNormals", "Registration"}
+    functions = {"chamfer", "cluster", "density", "downsample", "hausdorff", "normals", "outliers", "register"}
+    assert set(dir(gk.points)) == {"NeighborGrid", "load", "load_rays", "save"} | functions | results
     for name in gk.points.__all__:
         assert getattr(gk.points, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'knn_of_old'"):
