@@ -14,12 +14,12 @@ def uniform(count: int) -> tuple[np.ndarray, float]:
 
 
 def clustered(count: int) -> tuple[np.ndarray, float]:
-    """Half of the points in 1% of the volume; the radius gives those in it NEIGHBORS."""
+    """Half of the points in 1% of the volume; the radius gives the average point NEIGHBORS, that half twice as many."""
     random = np.random.default_rng(1)
     points = random.random((count, 3))
     points[: count // 2] *= 0.01 ** (1 / 3)
     points = points[random.permutation(count)]
-    return points, float((NEIGHBORS * 0.01 / (4.19 * 0.5 * count)) ** (1 / 3))
+    return points, float((2 * NEIGHBORS * 0.01 / (4.19 * 0.5 * count)) ** (1 / 3))
 
 
 def plane(count: int) -> tuple[np.ndarray, float]:

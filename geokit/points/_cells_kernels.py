@@ -176,6 +176,32 @@ def tally_kernel(
         out_tally[row + key] = out_tally[row + key] + 1
 
 
+@wp.kernel
+def place_kernel(
+    first: int,
+    share_count: wp.int32,
+    cell_count: wp.int32,
+    tally: wp.array(dtype=wp.int32),
+    out_start: wp.array(dtype=wp.int32),
+):
+    """The table, and in the tally's place where the points of each share and cell go.
+
+    The shares of a cell have their turns, so that its points stay in the order in which they came. One item does it
+    all: it is a sum along the cells.
+    """
+    total = wp.int32(0)
+    for cell in range(cell_count):
+        out_start[cell] = total
+        at = cell
+        for _share in range(share_count):
+            points = tally[at]
+            tally[at] = total
+            total += points
+            at += cell_count
+    out_start[cell_count] = total
+    out_start[cell_count + 1] = total
+
+
 @wp.func
 def put(grid: CellGrid, at: wp.int32, i: wp.int32, p: wp.vec3d):
     """Point i as the sorted point ``at``, on a CPU."""
