@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -75,20 +76,27 @@ class Survey:
     Attributes:
         lower: Lower corner of the box around all of them [world], zeros where there are none.
         upper: Its upper corner.
-        sample: Some of them, evenly over their order, each axis sorted for itself; shape (S, 3) [world].
+        sample: Some of them, evenly over their order; shape (3, S) [world].
     """
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     sample: NDArray[np.float64]
 
-    @property
+    # A GPU waits while these are found: they are found once.
+    @functools.cached_property
     def crowd(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lower and upper corner of a box around all but the outermost points on each axis [world]."""
-        if len(self.sample) == 0:
+        count = self.sample.shape[1]
+        if count == 0:
             return np.zeros(3), np.zeros(3)
-        outermost = len(self.sample) // INTERVALS
-        return self.sample[outermost], self.sample[-1 - outermost]
+        outermost = count // INTERVALS
+        return self.ascending[:, outermost], self.ascending[:, -1 - outermost]
+
+    @functools.cached_property
+    def ascending(self) -> NDArray[np.float64]:
+        """The sample with each axis sorted for itself."""
+        return np.sort(self.sample, axis=1)
 
 
 def survey(points: "wp.array", refuse: Any) -> Survey:
@@ -107,7 +115,7 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     device: Any = points.device
     count = len(points)
     if count == 0:
-        return Survey(np.zeros(3), np.zeros(3), np.zeros((0, 3)))
+        return Survey(np.zeros(3), np.zeros(3), np.zeros((3, 0)))
     runs, step = (-(-count // SURVEY_SHARE), 1) if device.is_cpu else (min(count, SURVEY_THREADS),) * 2
     lowers, uppers = (wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2))
     _launch.launch(
@@ -127,7 +135,7 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
                 f"points: they spread from {lower.tolist()} to {upper.tolist()}, more than a float64 can hold; "
                 "scale them down"
             )
-    return Survey(lower, upper, np.sort(found[:, 2 * few :], axis=1).T)
+    return Survey(lower, upper, found[:, 2 * few :])
 
 
 def usual_spacing(survey: Survey, count: int) -> float:
@@ -178,8 +186,9 @@ def _edge(survey: Survey, count: int, radius: float) -> float:
 
     Cells a fifth longer take a fifth more tests and a fifth fewer ranges to look up, and empty ones cost time to make.
     """
-    with np.errstate(over="ignore"):
-        share = float(np.prod(np.maximum((survey.upper - survey.lower) / radius, 1.0))) / max(FEW_CELLS * count, 1.0)
+    share = 1.0 / max(FEW_CELLS * count, 1.0)
+    for extent in (survey.upper - survey.lower).tolist():
+        share *= max(extent / radius, 1.0)
     return radius * share ** (1.0 / 3.0) if 1.0 < share <= MOST_STRETCH**3 else radius
 
 
@@ -284,7 +293,7 @@ def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any)
     most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
     cuts, sizes, first = [], [], 0
     for axis in range(3):
-        cut = _intervals(survey.sample[:, axis], survey.lower[axis], survey.upper[axis], radius, most)
+        cut = _intervals(survey, axis, radius, most)
         grid.first_cut[axis], grid.last_cut[axis] = first, first + len(cut) - 1
         first += len(cut)
         cuts.append(cut)
@@ -294,19 +303,18 @@ def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any)
     return sizes[0] * sizes[1] * sizes[2]
 
 
-def _intervals(
-    ascending: NDArray[np.float64], lower: float, upper: float, radius: float, most: int
-) -> NDArray[np.float64]:
+def _intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np.float64]:
     """Begin, inverse cell edge, first cell and number of cells of an axis's intervals; shape (I, 4).
 
     Intervals between quantiles that need more than ``most`` cells of the radius get so many; between others nothing is
     to be separated, and they become one.
     """
+    lower, upper = float(survey.lower[axis]), float(survey.upper[axis])
     if upper - lower <= radius * most:
         # No interval can be longer. Without extent there is one cell, which the clamp gives to every coordinate.
-        count = max(np.floor((upper - lower) / radius), 1.0)
-        inverse = min(count / (upper - lower), MAX_INVERSE_EDGE) if upper > lower else 1.0
-        return np.array([[lower, inverse, 0.0, count]])
+        count = max((upper - lower) // radius, 1.0)
+        return np.array([[lower, min(count / (upper - lower), MAX_INVERSE_EDGE) if upper > lower else 1.0, 0.0, count]])
+    ascending = survey.ascending[axis]
     inner = ascending[np.arange(1, INTERVALS) * len(ascending) // INTERVALS]
     knots = np.unique(np.concatenate([[lower, upper], inner]))
     is_long = np.diff(knots) > radius * most
