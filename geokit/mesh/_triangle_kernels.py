@@ -40,9 +40,11 @@ CLOSEST_ON_TRIANGLE = f"""
         const double nn = wp::dot(n, n);
         if (nn > 0.0) {{
             double s = wp::dot(wp::cross(ap, ac), n) / nn, t = wp::dot(wp::cross(ab, ap), n) / nn;
-            const point rest = ap - s * ab - t * ac;
-            s += wp::dot(wp::cross(rest, ac), n) / nn;
-            t += wp::dot(wp::cross(ab, rest), n) / nn;
+            for (int k = 0; k < 3; ++k) {{
+                const point rest = ap - s * ab - t * ac;
+                s += wp::dot(wp::cross(rest, ac), n) / nn;
+                t += wp::dot(wp::cross(ab, rest), n) / nn;
+            }}
             if (s >= 0.0 && t >= 0.0 && s + t <= 1.0) {{
                 squared = squared_at(ap, ab, ac, s, t);
                 if (squared < least) {{ least = squared; v = s; w = t; }}
@@ -52,7 +54,8 @@ CLOSEST_ON_TRIANGLE = f"""
     }};
     auto closest_on_triangle = [&](const point& ap, const point& ab, const point& ac, double& v, double& w) {{
         const double bb = wp::dot(ab, ab), cc = wp::dot(ac, ac), bc = wp::dot(ab, ac);
-        if (bb * cc - bc * bc <= {SLIVER_SINE_SQUARED} * bb * cc) return closest_on_sliver(ap, ab, ac, v, w);
+        const double longer = bb > cc ? bb : cc;
+        if (bb * cc - bc * bc <= {SLIVER_SINE_SQUARED} * longer * longer) return closest_on_sliver(ap, ab, ac, v, w);
         const double d1 = wp::dot(ab, ap), d2 = wp::dot(ac, ap);
         const double d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc;
         const double vc = d1 * d4 - d3 * d2, vb = d5 * d2 - d1 * d6, va = d3 * d6 - d5 * d4;
