@@ -17,7 +17,7 @@ from geokit.errors import (
 )
 
 if TYPE_CHECKING:
-    from geokit import mesh, points, render, volume
+    from geokit import accuracy, mesh, points, render, volume
 
 __version__ = "0.1.0"
 
@@ -30,6 +30,7 @@ __all__ = [
     "MissingDependencyError",
     "UnsupportedGridError",
     "__version__",
+    "accuracy",
     "errors",
     "mesh",
     "points",
@@ -38,7 +39,7 @@ __all__ = [
 ]
 
 # Loaded on first use: a program that only reads meshes should not wait for the rest.
-_NAMESPACES = frozenset({"mesh", "points", "render", "volume"})
+_NAMESPACES = frozenset({"accuracy", "mesh", "points", "render", "volume"})
 
 
 def __getattr__(name: str) -> Any:

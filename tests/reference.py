@@ -1,24 +1,49 @@
-"""Slow and obviously right: float64 NumPy answers to compare geokit's with. Shares no code with geokit."""
+"""Slow and obviously right: float64 NumPy answers to compare geokit's with, in code that no query of geokit's runs."""
 
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import NamedTuple
 
 import numpy as np
+
+from geokit.accuracy.reference import (
+    ClosestReference,
+    RayReference,
+    all_ray_hits,
+    closest_point,
+    first_hit,
+    k_nearest,
+    neighbors_within,
+    segment_parameter,
+    signed_distance,
+    winding_number,
+)
+from geokit.accuracy.reference_volume import (
+    axis_weights,
+    borders_along,
+    first_level,
+    interpolant_along,
+    tensor_interpolant,
+)
 
 __all__ = [
     "ClosestReference",
     "RayReference",
     "all_ray_hits",
+    "axis_weights",
+    "borders_along",
     "closest_on_segments",
     "closest_point",
     "common_points",
     "first_hit",
+    "first_level",
+    "interpolant_along",
     "intersecting_pairs",
+    "k_nearest",
     "meet_beyond_shared",
     "neighbors_within",
     "signed_distance",
+    "tensor_interpolant",
     "triangle_meets_box",
     "triangles_meet",
     "trilinear",
@@ -26,175 +51,12 @@ __all__ = [
     "winding_number",
 ]
 
-# Rows of work at once: queries x triangles stay under about 100 MB of temporaries.
-_BLOCK = 400_000
-
-
-class ClosestReference(NamedTuple):
-    points: np.ndarray  # (N, 3)
-    distance: np.ndarray  # (N,)
-    triangle_id: np.ndarray  # (N,), the lowest of those at the smallest computed distance
-    barycentric: np.ndarray  # (N, 3)
-
-
-class RayReference(NamedTuple):
-    t: np.ndarray  # (N,), inf for a miss
-    triangle_id: np.ndarray  # (N,), -1 for a miss
-    barycentric: np.ndarray  # (N, 3)
-
-
-def _blocks(count: int, width: int):
-    step = max(1, _BLOCK // max(width, 1))
-    for first in range(0, count, step):
-        yield slice(first, min(first + step, count))
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b).sum(axis=-1)
-
-
-def closest_point(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> ClosestReference:
-    """Closest point over all triangles: the nearest of the three edges and, where it falls inside, the plane."""
-    vertices, queries = np.asarray(vertices, np.float64), np.asarray(queries, np.float64)
-    # Differences between nearby coordinates are exact, so the origin may lie anywhere near.
-    origin = vertices.mean(axis=0)
-    corners, moved = (vertices - origin)[np.asarray(faces)], queries - origin
-    result = ClosestReference(
-        points=np.empty((len(queries), 3)),
-        distance=np.empty(len(queries)),
-        triangle_id=np.empty(len(queries), np.int64),
-        barycentric=np.empty((len(queries), 3)),
-    )
-    for rows in _blocks(len(queries), len(corners)):
-        weights = _closest_weights(corners, moved[rows])
-        points = np.einsum("qtc,tck->qtk", weights, corners)
-        distance = np.linalg.norm(points - moved[rows][:, None], axis=2)
-        best = np.argmin(distance, axis=1)
-        pick = np.arange(len(best))
-        result.points[rows] = points[pick, best] + origin
-        result.distance[rows] = distance[pick, best]
-        result.triangle_id[rows] = best
-        result.barycentric[rows] = weights[pick, best]
-    return result
-
-
-def _closest_weights(corners: np.ndarray, queries: np.ndarray) -> np.ndarray:
-    """Barycentric weights (Q, T, 3) of the point of each triangle that is closest to each query."""
-    best = np.full((len(queries), len(corners)), np.inf)
-    weights = np.zeros((len(queries), len(corners), 3))
-    target = queries[:, None]
-    for start, end in ((0, 1), (1, 2), (2, 0)):
-        a, b = corners[:, start], corners[:, end]
-        along = _segment_parameter(a, b, target)
-        candidate = np.zeros_like(weights)
-        candidate[..., start], candidate[..., end] = 1.0 - along, along
-        _keep_nearer(best, weights, candidate, corners, target)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    square = _dot(normal, normal)
-    flat = square == 0.0
-    # Each weight is the share of the area opposite to its corner, measured along the normal.
-    candidate = np.empty_like(weights)
-    for corner in range(3):
-        a, b = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3]
-        candidate[..., corner] = _dot(np.cross(b - a, target - a), normal) / np.where(flat, 1.0, square)
-    inside = (candidate >= 0.0).all(axis=2) & ~flat
-    candidate[~inside] = weights[~inside]
-    _keep_nearer(best, weights, candidate, corners, target)
-    return weights
-
-
-def _segment_parameter(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
-    length = _dot(b - a, b - a)
-    return np.clip(_dot(points - a, b - a) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
-
-
-def _keep_nearer(best, weights, candidate, corners, target) -> None:
-    points = np.einsum("qtc,tck->qtk", candidate, corners)
-    distance = np.linalg.norm(points - target, axis=2)
-    nearer = distance < best
-    best[nearer], weights[nearer] = distance[nearer], candidate[nearer]
-
 
 def closest_on_segments(a: np.ndarray, b: np.ndarray, queries: np.ndarray) -> np.ndarray:
     """Distance (N,) from each query to the nearest of the segments a[i] - b[i]."""
     target = np.asarray(queries, np.float64)[:, None]
-    along = _segment_parameter(a, b, target)[..., None]
+    along = segment_parameter(a, b, target)[..., None]
     return np.linalg.norm(a + along * (b - a) - target, axis=2).min(axis=1)
-
-
-def winding_number(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> np.ndarray:
-    """Sum of the triangles' signed solid angles over 4 pi, (N,): 1 inside of a closed, outward-wound surface.
-
-    Source:
-        Van Oosterom and Strackee, The solid angle of a plane triangle (1983).
-    """
-    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
-    queries = np.asarray(queries, np.float64)
-    winding = np.empty(len(queries))
-    for rows in _blocks(len(queries), len(corners)):
-        a, b, c = (corners[:, corner] - queries[rows][:, None] for corner in range(3))
-        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-        numerator = _dot(a, np.cross(b, c))
-        denominator = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
-        winding[rows] = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
-    return winding
-
-
-def signed_distance(vertices: np.ndarray, faces: np.ndarray, queries: np.ndarray) -> np.ndarray:
-    """Closest distance (N,), negative where the winding number is over one half."""
-    distance = closest_point(vertices, faces, queries).distance
-    return np.where(winding_number(vertices, faces, queries) > 0.5, -distance, distance)
-
-
-def all_ray_hits(
-    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters t (N, T), inf for a miss, and barycentric (N, T, 3) of each ray on each triangle, edges included.
-
-    A hit is where the ray passes all three edges on the same side; t is in units of the direction's length.
-    """
-    corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
-    origins, directions = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
-    times = np.full((len(origins), len(corners)), np.inf)
-    weights = np.zeros((len(origins), len(corners), 3))
-    for rows in _blocks(len(origins), len(corners)):
-        a, b, c = (corners[:, corner] - origins[rows][:, None] for corner in range(3))
-        d = np.broadcast_to(directions[rows][:, None], a.shape)
-        # Volumes of the ray's direction with each edge (Pluecker): all of one sign where the line crosses inside.
-        volumes = np.stack([_dot(d, np.cross(p, q)) for p, q in ((b, c), (c, a), (a, b))], axis=2)
-        total = volumes.sum(axis=2)
-        crosses = ((volumes >= 0.0).all(axis=2) | (volumes <= 0.0).all(axis=2)) & (total != 0.0)
-        share = volumes / np.where(total == 0.0, 1.0, total)[..., None]
-        point = share[..., :1] * a + share[..., 1:2] * b + share[..., 2:] * c
-        t = _dot(point, d) / _dot(d, d)
-        hit = crosses & (t >= 0.0)
-        times[rows] = np.where(hit, t, np.inf)
-        weights[rows] = np.where(hit[..., None], share, 0.0)
-    return times, weights
-
-
-def first_hit(
-    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray, max_distance: float = np.inf
-) -> RayReference:
-    """The hit of smallest t for each ray, (-1, inf) where there is none up to ``max_distance`` (inclusive)."""
-    times, weights = all_ray_hits(vertices, faces, origins, directions)
-    best = np.argmin(times, axis=1)
-    pick = np.arange(len(best))
-    reach = times[pick, best] * np.linalg.norm(np.asarray(directions, np.float64), axis=1)
-    hit = reach <= max_distance if np.isfinite(max_distance) else np.isfinite(reach)
-    return RayReference(
-        np.where(hit, times[pick, best], np.inf),
-        np.where(hit, best, -1),
-        np.where(hit[:, None], weights[pick, best], 0.0),
-    )
-
-
-def neighbors_within(points: np.ndarray, queries: np.ndarray, radius: float) -> list[np.ndarray]:
-    """For each query the ascending indices of the points at a distance of at most ``radius``."""
-    points = np.asarray(points, np.float64)
-    return [
-        np.flatnonzero(np.linalg.norm(points - query, axis=1) <= radius) for query in np.asarray(queries, np.float64)
-    ]
 
 
 def trilinear(values: np.ndarray, index_points: np.ndarray) -> np.ndarray:
@@ -331,101 +193,12 @@ def triangle_meets_box(triangle: np.ndarray, lower: np.ndarray, upper: np.ndarra
     return bool(polygon)
 
 
-def axis_weights(order: int, t: np.ndarray, derivative: int = 0) -> np.ndarray:
-    """Weights (N, 3 or 4) of the voxels at -1, 0, 1 (and 2) for a point at t, of a parabola (order 2) or a cubic (3).
-
-    The parabola goes through the three voxels. The cubic has the values of voxels 0 and 1, and there as slopes half the
-    differences of the voxels beside them, in Hermite's form.
-    """
-    from numpy.polynomial import Polynomial
-
-    x = Polynomial([0.0, 1.0])
-    if order == 2:
-        basis = [x * (x - 1) / 2, (1 - x) * (1 + x), x * (x + 1) / 2]
-    else:
-        value_0, value_1 = (1 + 2 * x) * (1 - x) ** 2, x**2 * (3 - 2 * x)
-        slope_0, slope_1 = x * (1 - x) ** 2, x**2 * (x - 1)
-        basis = [-slope_0 / 2, value_0 - slope_1 / 2, value_1 + slope_0 / 2, slope_1 / 2]
-    return np.stack([(b.deriv(derivative) if derivative else b)(t) for b in basis], axis=-1)
-
-
-def tensor_interpolant(at, u: np.ndarray, order: int, derivatives: tuple[int, int, int] = (0, 0, 0)) -> np.ndarray:
-    """Triquadratic (order 2) or tricubic (3) interpolant at index coordinates u (N, 3), or one of its derivatives.
-
-    Args:
-        at: Gives the values (N, ...) of voxels (N, 3).
-        u: Index coordinates.
-        order: 2 or 3.
-        derivatives: How often to differentiate along each index axis.
-    """
-    base = np.floor(u)
-    weights = [axis_weights(order, u[:, a] - base[:, a], derivatives[a]) for a in range(3)]
-    count = order + 1
-    total = 0.0
-    for p, q, r in np.ndindex(count, count, count):
-        value = at(base.astype(np.int64) + np.array([p - 1, q - 1, r - 1]))
-        weight = weights[0][:, p] * weights[1][:, q] * weights[2][:, r]
-        total = total + weight.reshape(-1, *[1] * (value.ndim - 1)) * value
-    return total
-
-
 def union_of_balls(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Least of ``|x - p| - r`` over all balls (p, r), for each of the points (N, 3)."""
     least = np.full(len(points), np.inf)
     for center, radius in zip(centers, np.broadcast_to(radii, len(centers)), strict=True):
         least = np.minimum(least, np.sqrt(((points - center) ** 2).sum(axis=1)) - radius)
     return least
-
-
-def interpolant_along(at, start: np.ndarray, toward: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Trilinear interpolant at ``start + t * toward`` (index space), shape (T,).
-
-    Args:
-        at: Gives the values (N,) of voxels (N, 3).
-        start: Where the ray starts.
-        toward: Its direction.
-        t: Where to look along it.
-    """
-    u = start + t[:, None] * toward
-    base = np.floor(u)
-    share = u - base
-    total = np.zeros(len(t))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(corner, share, 1.0 - share), axis=1)
-        # A weight of zero must not make NaN of a voxel that does not count.
-        total += np.where(weight == 0.0, 0.0, weight * at(base.astype(np.int64) + corner))
-    return total
-
-
-def borders_along(start: np.ndarray, toward: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Where the ray passes from cell to cell between ``first`` and ``last``, and these two, ascending."""
-    found = [np.array([first, last])]
-    for a in range(3):
-        if toward[a] != 0.0:
-            ends = sorted((start[a] + first * toward[a], start[a] + last * toward[a]))
-            found.append((np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1) - start[a]) / toward[a])
-    t = np.unique(np.concatenate(found))
-    return t[(t >= first) & (t <= last)]
-
-
-def first_level(
-    at, start: np.ndarray, toward: np.ndarray, isovalue: float, first: float, last: float, fine: int = 16
-) -> float:
-    """First t at which the trilinear interpolant along a ray has changed its side of the isovalue; inf for none.
-
-    Every cell is cut into ``fine`` pieces, and a piece in which the side changes into 32 pieces ten times: what touches
-    the isovalue, or crosses it twice within a piece, is overlooked.
-    """
-    borders = borders_along(start, toward, first, last)
-    share = np.arange(fine) / fine
-    t = np.append((borders[:-1, None] + np.diff(borders)[:, None] * share).ravel(), borders[-1])
-    for _ in range(11):
-        over = interpolant_along(at, start, toward, t) > isovalue
-        change = np.flatnonzero(over[:-1] != over[1:])
-        if not len(change):
-            return np.inf
-        t = np.linspace(t[change[0]], t[change[0] + 1], 33)
-    return t[-1]
 
 
 def optical_depth(at, start: np.ndarray, toward: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -535,30 +308,3 @@ def density_clusters(points: np.ndarray, radius: float, minimum_count: int) -> n
         candidates = np.flatnonzero(near[i] & core)
         labels[i] = labels[candidates[np.argmin(squared[i, candidates])]]
     return labels
-
-
-def k_nearest(
-    points: np.ndarray,
-    k: int,
-    queries: np.ndarray | None = None,
-    *,
-    limit_squared: np.ndarray | float = np.inf,
-    exclude_self: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices of the k points with the smallest (squared distance, index), from a list of all of them.
-
-    Rows are filled up with inf and -1.
-    """
-    queries = points if queries is None else queries
-    distance, indices = np.full((len(queries), k), np.inf), np.full((len(queries), k), -1)
-    limits = np.broadcast_to(limit_squared, len(queries))
-    for i, query in enumerate(queries):
-        with np.errstate(over="ignore"):
-            d = points - query
-            squared = (d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1]) + d[:, 2] * d[:, 2]
-        order = np.argsort(squared, kind="stable")
-        order = order[squared[order] <= limits[i]]
-        order = order[order != i] if exclude_self else order
-        order = order[:k]
-        distance[i, : len(order)], indices[i, : len(order)] = np.sqrt(squared[order]), order
-    return distance, indices

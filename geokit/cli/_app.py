@@ -13,6 +13,8 @@ VERBS = {
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",
     "query": "Ask for closest points, signed distances, ray hits, samples or neighbours.",
     "volume": "Combine, move, smooth, resample, differentiate, take apart and measure volumes.",
+    "plan": "List the distance fields of a mesh that keep a tolerance, with memory, time and error.",
+    "bench": "Chart geokit's methods on your data, accuracy against speed, or to where they fail.",
     "render": "Draw a mesh, a volume or a point cloud into a PNG file, off-screen.",
     "doctor": "Report versions, devices, libraries and the kernel cache.",
     "demo": "Run the whole chain on a real mesh and leave files, figures and a table of accuracy and speed.",

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from geokit.volume.io import inspect, load, load_all, save
     from geokit.volume.model import GridInfo, SparseVolume
     from geokit.volume.morphology import closing, dilate, erode, offset, opening, renormalize
+    from geokit.volume.plan import PlannedField, plan
     from geokit.volume.quantize import quantize
     from geokit.volume.raycast import VolumeHits, raycast
     from geokit.volume.resample import resample
@@ -33,6 +34,7 @@ __all__ = [
     "DenseGrid",
     "GridInfo",
     "MeshBand",
+    "PlannedField",
     "SparseVolume",
     "Statistics",
     "Transmittance",
@@ -64,6 +66,7 @@ __all__ = [
     "load_all",
     "offset",
     "opening",
+    "plan",
     "prune",
     "quantize",
     "raycast",
@@ -85,6 +88,7 @@ make_lazy(
         "DenseGrid": "geokit.volume.dense",
         "GridInfo": "geokit.volume.model",
         "MeshBand": "geokit.volume.from_mesh",
+        "PlannedField": "geokit.volume.plan",
         "SparseVolume": "geokit.volume.model",
         "Statistics": "geokit.volume.statistics",
         "Transmittance": "geokit.volume.integrate",
@@ -116,6 +120,7 @@ make_lazy(
         "load_all": "geokit.volume.io",
         "offset": "geokit.volume.morphology",
         "opening": "geokit.volume.morphology",
+        "plan": "geokit.volume.plan",
         "prune": "geokit.volume.topology",
         "quantize": "geokit.volume.quantize",
         "raycast": "geokit.volume.raycast",

@@ -3,14 +3,17 @@
 The keys go through .vdb as OpenVDB metadata and through .nvdb as a channel of blind data
 (:mod:`geokit.volume._nvdb_metadata`). A key that does not apply is absent.
 
-==========================  =============================================================================
-``geokit:source``           name of what the volume was made from: a mesh, a file, a function
-``geokit:source_sha256``    SHA-256 of its content in hexadecimal, see :func:`content_hash`
-``geokit:voxel_size``       edge length of a voxel that was asked for or chosen [world]
-``geokit:tolerance``        error that was asked for [value units]
-``geokit:achieved_error``   error that was achieved, at most the tolerance [value units]
-``geokit:version``          version of geokit that made the volume
-==========================  =============================================================================
+============================  =============================================================================
+``geokit:source``             name of what the volume was made from: a mesh, a file, a function
+``geokit:source_sha256``      SHA-256 of its content in hexadecimal, see :func:`content_hash`
+``geokit:voxel_size``         edge length of a voxel that was asked for or chosen [world]
+``geokit:tolerance``          error that was asked for [value units]
+``geokit:achieved_error``     error that was achieved, at most the tolerance [value units]
+``geokit:achieved_error_999`` its 99.9th percentile, where it was found by sampling [value units]
+``geokit:checked_within``     how far from the surface that holds [world]
+``geokit:order``              order of interpolation for which it holds
+``geokit:version``            version of geokit that made the volume
+============================  =============================================================================
 """
 
 from __future__ import annotations
@@ -23,13 +26,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACHIEVED_ERROR", "TOLERANCE", "content_hash", "provenance", "with_error"]
+__all__ = ["ACHIEVED_999", "ACHIEVED_ERROR", "ORDER", "TOLERANCE", "WITHIN", "content_hash", "provenance", "with_error"]
 
 SOURCE = "geokit:source"
 SOURCE_HASH = "geokit:source_sha256"
 VOXEL_SIZE = "geokit:voxel_size"
 TOLERANCE = "geokit:tolerance"
 ACHIEVED_ERROR = "geokit:achieved_error"
+ACHIEVED_999 = "geokit:achieved_error_999"
+WITHIN = "geokit:checked_within"
+ORDER = "geokit:order"
 VERSION = "geokit:version"
 
 
@@ -76,6 +82,8 @@ def with_error(metadata: Mapping[str, Any], tolerance: float | None, achieved_er
         achieved_error: Largest change of a value in the step [value units].
     """
     made = {**metadata, **provenance()}
+    # What was found by sampling does not hold for other values.
+    made.pop(ACHIEVED_999, None)
     before = _number(made.pop(ACHIEVED_ERROR, None))
     asked = _number(made.pop(TOLERANCE, None))
     made[ACHIEVED_ERROR] = (before or 0.0) + float(achieved_error)

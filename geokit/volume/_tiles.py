@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
     from geokit.mesh.surface import Surface
 
-__all__ = ["Lattice", "Tiles", "counted", "near_tiles"]
+__all__ = ["TILE_VOXELS", "WORKING_BYTES", "Lattice", "Tiles", "counted", "near_tiles"]
 
 # Beyond this index a float32 coordinate, as warp's own volume functions use, resolves less than 1/16 voxel.
 LARGEST_CENTERED_INDEX = 1 << 20
 # Tiles along an axis: as many as 2^12 upper nodes of 512 tiles hold wherever the first starts; a key has 12 bits.
 MOST_TILES = (1 << 21) - 1024
+# Voxels along an edge of a tile.
+TILE_VOXELS = 8
 # Cells that the search starts from: enough for all threads of a GPU, few enough to be tested in no time.
 START_CELLS = 8192
 # A leaf of a float grid in NanoVDB: 512 values, a mask and extrema.
@@ -54,18 +56,28 @@ class Lattice:
         voxel_size: Edge length of a voxel [world].
         reach: Distance [world] of the farthest voxels of the band from the surface.
         hollow: Distance [world] of the nearest, for bands that do not begin at the surface.
+        translation: Position of index 0 [world], a whole multiple of 8 voxels along each axis; None for the origin
+            wherever indices stay small.
     Attributes:
         translation: Position of index 0 [world], shape (3,).
         transform: Index to world, shape (4, 4).
     """
 
-    def __init__(self, surface: Surface, voxel_size: float, reach: float, hollow: float = 0.0) -> None:
+    def __init__(
+        self,
+        surface: Surface,
+        voxel_size: float,
+        reach: float,
+        hollow: float = 0.0,
+        *,
+        translation: NDArray[np.float64] | None = None,
+    ) -> None:
         self.surface = surface
         self.device = surface._device
         self.voxel_size = voxel_size
         self.reach = reach
         self.hollow = hollow
-        self.translation = _translation(surface.bounds, voxel_size)
+        self.translation = _translation(surface.bounds, voxel_size) if translation is None else translation
         self.transform = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
         self.transform[:3, 3] = self.translation
 

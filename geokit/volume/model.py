@@ -61,6 +61,32 @@ class GridInfo:
         world = self.transform[:3, :3] @ corners + self.transform[:3, 3:]
         return np.stack([world.min(axis=1), world.max(axis=1)])
 
+    @property
+    def tolerance(self) -> float | None:
+        """Error that was asked for when the values were made [value units]; None where none was."""
+        return self._known("geokit:tolerance")
+
+    @property
+    def achieved_error(self) -> float | None:
+        """Largest error that was found then [value units]: of voxels, or of interpolated distances; None if unknown."""
+        return self._known("geokit:achieved_error")
+
+    @property
+    def achieved_error_999(self) -> float | None:
+        """99.9th percentile of the interpolated distances' errors [value units]; None if unknown."""
+        return self._known("geokit:achieved_error_999")
+
+    @property
+    def order(self) -> int | None:
+        """Order of interpolation for which the values were made; None where none was chosen."""
+        order = self._known("geokit:order")
+        return int(order) if order in (1.0, 2.0, 3.0) else None
+
+    def _known(self, key: str) -> float | None:
+        # Metadata comes from files: a key of ours may hold anything.
+        value = self.metadata.get(key)
+        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
 
 @dataclass(frozen=True, eq=False)
 class SparseVolume:
@@ -102,7 +128,7 @@ class SparseVolume:
         self,
         points: Any,
         *,
-        order: int = 1,
+        order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
         device: Any = None,
@@ -116,7 +142,7 @@ class SparseVolume:
         self,
         points: Any,
         *,
-        order: int = 1,
+        order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
         device: Any = None,

@@ -33,7 +33,7 @@ def sample(
     volume: SparseVolume,
     points: Any,
     *,
-    order: int = 1,
+    order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
     device: Any = None,
@@ -45,8 +45,9 @@ def sample(
     below the point and its two neighbours, as of OpenVDB's and NanoVDB's quadratic samplers; 27 voxels, continuous, and
     not the same if an axis is reversed. Order 3 is tricubic: Catmull-Rom splines, as of NanoVDB's tricubic sampler; 64
     voxels and a continuous gradient. On a smooth field the error of order 1 shrinks with the square of the voxel size,
-    that of orders 2 and 3 with its cube (at most 0.064 and 0.016 times the third derivative, for each axis): they
-    reproduce quadratic fields, and can overshoot the voxels' range by up to half of it.
+    that of orders 2 and 3 with its cube (at most 0.065 and 0.047 times the third derivative, for each axis; order 3 by
+    0.016 of it where it hardly changes within four voxels): they reproduce quadratic fields, and can overshoot the
+    voxels' range by up to half of it.
 
     Every voxel counts with the tree's own value: outside the active voxels that is the tile's value or the background.
     Of a narrow band of half width w, order 1 sees nothing else up to about w - 1 voxels from the surface, orders 2 and
@@ -61,10 +62,14 @@ def sample(
     in. Held by tests/unit/test_sample.py, tests/unit/test_sample_orders.py, tests/unit/test_staggered.py,
     tests/property/test_sample.py, tests/property/test_sample_orders.py and tests/stability/test_sample_far.py.
 
+    Waves of amplitude 1 are off by at most 1 % from a length of 24 (order 1), 12 (2) and 12 (3) voxels on; order 0 by
+    10 % from 64 on. Up to 1e9 voxels from the origin values are those of a place at most 2e-6 voxel away. Held by
+    tests/stability/test_envelopes.py.
+
     Args:
         volume: Any scalar or vector grid, or an index grid with channels.
         points: Query points [world], shape (N, 3).
-        order: 0, 1, 2 or 3.
+        order: 0, 1, 2 or 3; None for the one that the volume was made for (``info.order``), else 1.
         space: What ``points`` are in: "world", or "index", where voxel centres lie at whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See from_channel.
         device: Where to compute; None for the first GPU, else the CPU.
@@ -85,7 +90,7 @@ def sample(
     """
     import warp as wp
 
-    order = require_order(order)
+    order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
     components = _require_components(volume)
@@ -105,7 +110,7 @@ def gradient(
     volume: SparseVolume,
     points: Any,
     *,
-    order: int = 1,
+    order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
     device: Any = None,
@@ -128,7 +133,7 @@ def gradient(
     Args:
         volume: Any scalar or vector grid, or an index grid with channels.
         points: Query points [world], shape (N, 3).
-        order: 0, 1, 2 or 3.
+        order: 0, 1, 2 or 3; None for the one that the volume was made for (``info.order``), else 1.
         space: What ``points`` are in, and the gradients are along: "world", or "index", where voxel centres lie at
             whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See from_channel.
@@ -143,7 +148,7 @@ def gradient(
     """
     import warp as wp
 
-    order = require_order(order)
+    order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
     components = _require_components(volume)

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WITH_EXAMPLES = sorted(path for path in (ROOT / "geokit").rglob("*.py") if ">>>" in path.read_text(encoding="utf-8"))
 PUBLIC = [
     pytest.param(getattr(namespace, name), id=f"{namespace.__name__}.{name}")
-    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render)
+    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.accuracy)
     for name in namespace.__all__
 ]
 

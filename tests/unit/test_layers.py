@@ -24,11 +24,12 @@ LAYERS = [
     ("native",),
     ("mesh", "volume", "points"),
     ("render",),
+    ("accuracy",),
     ("cli", "__main__"),
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-# The two doors between meshes and volumes.
-DOORS = {("volume", "from_mesh"), ("mesh", "from_volume")}
+# The doors between meshes and volumes.
+DOORS = {("volume", "from_mesh"), ("volume", "_from_mesh_tolerance"), ("mesh", "from_volume")}
 
 
 def module_of(path: Path) -> str:
@@ -122,7 +123,7 @@ def test_importing_geokit_is_light():
     heavy = ("warp", "trimesh", "vtk", "vtkmodules", "pyvista", "meshio", "scipy", "matplotlib", "pxr")
     code = (
         "import sys, geokit\n"
-        "from geokit import mesh, volume, points, errors\n"
+        "from geokit import accuracy, mesh, volume, points, errors\n"
         f"print(sorted(set(sys.modules) & set({heavy!r})))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd="/")
@@ -141,12 +142,13 @@ def test_public_names_are_those_of_the_contract():
         "MissingDependencyError",
         "UnsupportedGridError",
         "__version__",
+        "accuracy",
         "errors",
         "mesh",
         "points",
         "render",
         "volume",
     }
-    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render):
+    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.accuracy):
         for name in namespace.__all__:
             assert getattr(namespace, name) is not None

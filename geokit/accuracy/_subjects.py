@@ -1,0 +1,115 @@
+"""What is measured where the user names nothing: the samples, or small shapes of the same kinds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.model import Subject
+from geokit.errors import GeokitError
+
+__all__ = ["default_subjects", "unique_names"]
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+# Sharp, smooth and open; closed ones first. A quick run takes the first of each kind.
+MESHES = ("bracket.obj", "torus.ply", "shell.stl")
+CLOUDS = ("cloud.ply",)
+# File and grid.
+VOLUMES = (("torus.vdb", "torus"), ("smoke.vdb", "density"))
+# Corners around and across the generated torus, its radii, and the voxels of its level set.
+SEGMENTS = (96, 48)
+RADII = (1.0, 0.4)
+VOXEL_SIZE = 0.04
+HALF_WIDTH = 3.0
+CLOUD_COUNT = 20_000
+
+
+def default_subjects(*, quick: bool = False) -> list[Subject]:
+    """The samples of the source tree; where it is not there, as in an installed wheel, shapes made here.
+
+    Samples that need a part of geokit that is not installed are replaced in the same way.
+
+    Args:
+        quick: One mesh, one volume and one cloud.
+    Returns:
+        Subjects of each kind.
+    """
+    meshes = _loaded_meshes() or [_torus_mesh()]
+    volumes = _loaded_volumes() or [_torus_volume()]
+    clouds = _loaded_clouds() or [_torus_cloud()]
+    return [*meshes[:1], *volumes[:1], *clouds[:1]] if quick else [*meshes, *volumes, *clouds]
+
+
+def unique_names(subjects: list[Subject]) -> list[Subject]:
+    """The subjects, a number behind the name of each that has the name of one before it."""
+    taken: set[str] = set()
+    found: list[Subject] = []
+    for subject in subjects:
+        name, number = subject.name, 1
+        while name in taken:
+            number += 1
+            name = f"{subject.name} ({number})"
+        taken.add(name)
+        found.append(subject._replace(name=name))
+    return found
+
+
+def _loaded_meshes() -> list[Subject]:
+    from geokit.mesh import load
+
+    return [Subject(name, mesh=load(SAMPLES / name)) for name in MESHES if (SAMPLES / name).is_file()]
+
+
+def _loaded_clouds() -> list[Subject]:
+    from geokit.points import load
+
+    return [Subject(name, points=load(SAMPLES / name).points) for name in CLOUDS if (SAMPLES / name).is_file()]
+
+
+def _loaded_volumes() -> list[Subject]:
+    from geokit.volume import load
+
+    found: list[Subject] = []
+    for name, grid in VOLUMES:
+        if not (SAMPLES / name).is_file():
+            continue
+        try:
+            found.append(Subject(name, volume=load(SAMPLES / name, grid=grid)))
+        except GeokitError:  # without the OpenVDB extension
+            return []
+    return found
+
+
+def _torus_mesh() -> Subject:
+    from geokit.mesh import TriangleMesh
+
+    around, across = SEGMENTS
+    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    vertices = _on_torus(2.0 * np.pi * u.ravel() / around, 2.0 * np.pi * v.ravel() / across)
+    corners = [(u + i) % around * across + (v + j) % across for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    faces = [np.stack([corners[k] for k in triple], axis=-1).reshape(-1, 3) for triple in ((0, 1, 2), (0, 2, 3))]
+    return Subject("torus", mesh=TriangleMesh(vertices, np.concatenate(faces), name="torus"))
+
+
+def _on_torus(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    radius = RADII[0] + RADII[1] * np.cos(v)
+    return np.stack([radius * np.cos(u), radius * np.sin(u), RADII[1] * np.sin(v)], axis=-1)
+
+
+def _torus_volume() -> Subject:
+    from geokit.volume import from_mesh
+
+    mesh = _torus_mesh().mesh
+    assert mesh is not None
+    return Subject("torus volume", volume=from_mesh(mesh, VOXEL_SIZE, half_width=HALF_WIDTH, device="cpu"))
+
+
+def _torus_cloud() -> Subject:
+    random = np.random.default_rng(6)
+    # Evenly over the area: the outside of the ring has more of it than the inside.
+    v = random.uniform(0.0, 2.0 * np.pi, 4 * CLOUD_COUNT)
+    chosen = random.random(len(v)) * (RADII[0] + RADII[1]) < RADII[0] + RADII[1] * np.cos(v)
+    v = v[chosen][:CLOUD_COUNT]
+    return Subject("torus cloud", points=_on_torus(random.uniform(0.0, 2.0 * np.pi, len(v)), v))

@@ -1,0 +1,127 @@
+"""``geokit bench``: accuracy against speed, on the user's own data, and where methods fail."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from geokit.cli._console import announce_compiling, note, print_json, print_table
+from geokit.cli._kinds import kind_of_input, load_grid
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.accuracy import Results, Subject
+
+__all__ = ["bench"]
+
+Flag = Annotated[bool, Parameter(negative="")]
+Names = Annotated[list[str] | None, Parameter(negative="")]
+
+
+def bench(
+    *sources: Annotated[Path, Parameter(name="IN")],
+    out: Path = Path("report"),
+    quick: Flag = False,
+    device: Names = None,
+    chart: Names = None,
+    grid: str | None = None,
+    stability: Flag = False,
+    force: Flag = False,
+    json: Flag = False,
+) -> int:
+    """Chart accuracy against speed: results.csv, figures, and a page that says what to choose for which tolerance.
+
+    Args:
+        sources: Meshes, volumes and point clouds of your own; the samples where none is given.
+        out: Folder for the report; it is made where it is missing.
+        quick: Fewer settings and shorter timing: under a minute for the samples on two cores.
+        device: Where to compute: cpu, cuda:0, ...; may be given several times; every device where not given.
+        chart: Name of a chart to make; may be given several times; all of them where not given.
+        grid: Name of the grid where a volume file holds several.
+        stability: Write stability.md instead: sweeps towards failure, and the envelope that each method promises.
+        force: Replace an earlier report.
+        json: Print the rows as JSON.
+    """
+    started = time.perf_counter()
+    if stability:
+        if sources or quick or chart or grid or json or len(device or ()) > 1:
+            raise InputError("--stability: sweeps have their own inputs; give only --out, a --device and --force")
+        _stability(out, device[0] if device else None, force=force)
+        note(f"done in {time.perf_counter() - started:.1f} s")
+        return 0
+    from geokit.accuracy import run, write_report
+    from geokit.accuracy.report import check_folder
+
+    check_folder(out, force=force)
+    subjects = [_subject(source, grid) for source in sources] or None
+    announce_compiling()
+    results = run(subjects, devices=device, quick=quick, charts=chart, progress=note)
+    page = write_report(results, out, force=force)
+    if json:
+        print_json([_facts(row) for row in results])
+    else:
+        _print_fronts(results)
+        print(f"{len(results)} rows, {len(results.failures)} failures: {page}")
+    note(f"done in {time.perf_counter() - started:.1f} s")
+    # A page of failures alone is not what was asked for.
+    return 0 if results else 1
+
+
+def _stability(out: Path, device: str | None, *, force: bool) -> None:
+    from geokit.accuracy import write_stability
+    from geokit.accuracy.stability import check_page
+
+    check_page(out, force=force)
+    announce_compiling()
+    print(write_stability(out, force=force, device=device, progress=note))
+
+
+def _subject(source: Path, grid: str | None) -> "Subject":
+    from geokit.accuracy import Subject
+
+    kind = kind_of_input(source)
+    if kind == "volume":
+        return Subject(source.name, volume=load_grid(source, grid))
+    if grid is not None:
+        raise InputError(f"--grid is for volumes, and {source} is a {kind}; leave it out")
+    if kind == "mesh":
+        from geokit.mesh import load
+
+        return Subject(source.name, mesh=load(source))
+    from geokit.points import load as load_points
+
+    return Subject(source.name, points=load_points(source).points)
+
+
+def _facts(row: object) -> dict[str, object]:
+    from geokit.accuracy._table import COLUMNS
+
+    return {name: getattr(row, name) for name in COLUMNS}
+
+
+def _print_fronts(results: "Results") -> None:
+    """What each chart's front is made of."""
+    from geokit.accuracy._pareto import cost_of, front_of
+    from geokit.accuracy._results import grouped
+    from geokit.accuracy._text import bytes_text, error_text, seconds_text, share_text
+
+    for group in grouped(results):
+        duration = "a call" if group.per_call else "each"
+        columns = ("method", "setting", "device", duration, "max error", "wrong", "memory")
+        cells: list[tuple[str, ...]] = []
+        for device in dict.fromkeys(row.device for row in group.rows):
+            rows = [row for row in group.rows if row.device == device]
+            for place in front_of(rows, group.chart.vertical, group.per_call):
+                row = rows[place]
+                memory = bytes_text(row.byte_count + row.peak_bytes)
+                cells.append((row.method, row.setting, row.device, seconds_text(cost_of(row, group.per_call)),
+                              error_text(row.max_error), share_text(row.wrong_share), memory))  # fmt: skip
+        print_table(columns, cells, title=f"{group.chart.title}: {group.subject} [{group.chart.unit}]")
+        print()
+    for failure in results.failures:
+        from geokit.accuracy._html import failure_text
+
+        note(failure_text(failure))

@@ -1,0 +1,123 @@
+"""Distance fields of meshes that keep a tolerance: what is asked, made into a search, and its outcome into a volume."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit import _arrays
+from geokit.errors import InputError
+from geokit.volume._band import BandShape, build_band, make_band
+from geokit.volume._provenance import ACHIEVED_999, ORDER, WITHIN, provenance
+from geokit.volume._tiles import Lattice
+from geokit.volume._tolerance import made_within
+from geokit.volume._tolerance_memory import BandMemory, lattice_within
+from geokit.volume._tolerance_search import CODECS, ORDERS, Search, Setting, options_of
+from geokit.volume._tolerance_zone import Zone
+from geokit.volume.from_mesh import as_volume, described, field_of, half_widths, head_of, in_float32
+
+if TYPE_CHECKING:
+    from geokit.mesh.model import TriangleMesh
+    from geokit.mesh.surface import Surface
+    from geokit.volume.model import SparseVolume
+
+__all__ = ["make_setting", "tolerance_search", "within_tolerance"]
+
+# Share of the tolerance that a field of an open mesh keeps it within: beside its border the sign jumps, and the field
+# is off by twice the distance there.
+OPEN_SHARE = 0.25
+
+
+def tolerance_search(
+    mesh: TriangleMesh | Surface,
+    tolerance: float,
+    *,
+    within: float | None,
+    order: int | None,
+    half_width: Any,
+    sign: str,
+    thickness: float | None,
+    codec: str | None,
+    device: Any,
+) -> Search:
+    """The search for the setting that keeps a tolerance; see :func:`from_mesh` for the arguments.
+
+    Raises:
+        InputError: As :func:`from_mesh`.
+    """
+    from geokit.mesh.sample_surface import sample_surface
+    from geokit.volume.quantize import CODECS as ALL_CODECS
+
+    tolerance = _arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
+    if order is not None and (isinstance(order, bool) or order not in ORDERS):
+        raise InputError(f"order: {order!r} is no order of a field with a tolerance; use one of 1, 2, 3")
+    if codec is not None and codec not in ALL_CODECS:
+        raise InputError(f"codec: {codec!r} is not known; use one of {', '.join(map(repr, ALL_CODECS))}")
+    if isinstance(half_width, (tuple, list)):
+        raise InputError("half_width: a pair of widths has no meaning with tolerance; give one, or none")
+    if half_width is not None:
+        half_width = half_widths(half_width)[0]
+    surface, method, offset = field_of(mesh, sign, thickness, device)
+    if within is None:
+        within = tolerance if surface.is_closed or method == "none" else OPEN_SHARE * tolerance
+    within = _arrays.require_finite_scalar(within, "within")
+    if within < 0.0:
+        raise InputError(f"within: {within} is negative; use 0 or more")
+
+    def truth(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        if method == "none":
+            return np.asarray(surface.closest_point(points).distance) - offset
+        return np.asarray(surface.signed_distance(points, sign=method).distance)
+
+    def seeds(count: int, seed: int) -> NDArray[np.float64]:
+        return sample_surface(surface.mesh, count, seed=seed).points
+
+    zone = Zone(truth, seeds, surface.bounds, within, offset)
+    options = options_of(ORDERS if order is None else (order,), CODECS if codec is None else (codec,))
+    most_bytes = Lattice(surface, zone.longest, 0.0).free
+    return Search(zone, BandMemory(surface, offset), tolerance, options, most_bytes, half_width)
+
+
+def make_setting(search: Search, setting: Setting, sign: str, method: str, name: str | None) -> SparseVolume:
+    """The field of a setting."""
+    from geokit.volume.quantize import quantize
+
+    surface, size = search.memory.surface, setting.voxel_size
+    width = in_float32(setting.half_width * size)
+    shape = BandShape(width, width, search.zone.offset, method)
+    lattice = lattice_within(surface, size, width, search.zone.offset)
+    band = make_band(lattice, shape)
+    head = head_of(shape, lattice, surface.mesh.name if name is None else name)
+    # What is too thin for voxels to be inside may well be so between them: that the tolerance is kept is what counts.
+    volume = as_volume(build_band(band, head), described(band, sign, warn=False))
+    if setting.option.codec == "float":
+        return volume
+    share = setting.option.share
+    return quantize(volume, setting.option.codec, tolerance=share * search.tolerance if share else None)
+
+
+def within_tolerance(
+    mesh: TriangleMesh | Surface, tolerance: float, asked: dict[str, Any], sign: str, method: str, name: str | None
+) -> SparseVolume:
+    if method != "geokit":
+        raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
+    search = tolerance_search(mesh, tolerance, sign=sign, **asked)
+    surface = search.memory.surface
+    how = field_of(surface, sign, asked["thickness"], None)[1]
+    setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, sign, how, name))
+    assert volume is not None
+    assert achieved is not None
+    found = {
+        **volume.info.metadata,
+        **provenance(tolerance=search.tolerance, achieved_error=achieved.largest),
+        ACHIEVED_999: achieved.p999,
+        WITHIN: search.zone.within,
+        ORDER: setting.option.order,
+    }
+    # Nobody else has seen it yet.
+    object.__setattr__(volume, "info", replace(volume.info, metadata=MappingProxyType(found)))
+    return volume

@@ -1,0 +1,35 @@
+"""``geokit plan``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+
+def test_the_first_of_a_plan_is_what_convert_makes(geokit, cube: Path, tmp_path: Path) -> None:
+    options = ("--tolerance", "0.02", "--order", "1", "--device", "cpu", "--json")
+    planned = geokit("plan", cube, *options)
+    assert planned.returncode == 0, planned.stderr
+    fields = json.loads(planned.stdout)["fields"]
+    made = geokit("convert", cube, tmp_path / "cube.nvdb", *options)
+    assert made.returncode == 0, made.stderr
+    report = json.loads(made.stdout)
+    assert report["voxel_size"] == fields[0]["voxel_size"]
+    assert report["types"] == fields[0]["codec"]
+    assert 0.0 < report["achieved_error"] <= 0.02
+    assert all(field["error"] <= 0.02 and field["order"] == 1 for field in fields)
+
+
+def test_a_table_for_people(geokit, cube: Path) -> None:
+    done = geokit("plan", cube, "--tolerance", "0.05", "--order", "1", "--codec", "float")
+    assert done.returncode == 0, done.stderr
+    head, row = done.stdout.splitlines()[:2]
+    assert head.split()[:2] == ["order", "codec"]
+    assert row.split()[:2] == ["1", "float"]
+    assert "convert --tolerance" in done.stderr
+
+
+def test_refusals(geokit, fails, cube: Path, cube_sdf: Path) -> None:
+    fails(geokit("plan", cube_sdf, "--tolerance", "0.1"), 1, "not a mesh")
+    fails(geokit("plan", cube, "--tolerance", "0"), 1, "tolerance")
+    fails(geokit("plan", cube), 2, "tolerance")
