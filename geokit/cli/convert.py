@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, step
@@ -29,6 +30,8 @@ def convert(
     half_width: float | None = None,
     sign: str | None = None,
     thickness: float | None = None,
+    within: float | None = None,
+    order: int | None = None,
     isovalue: float | None = None,
     adaptivity: float | None = None,
     method: str | None = None,
@@ -44,11 +47,17 @@ def convert(
     Args:
         source: File to read.
         target: File to write; its extension names the format.
-        voxel_size: Mesh to volume: edge length of a voxel in world units; the longest side / 128 where not given.
-        half_width: Mesh to volume: width of the narrow band on each side, in voxels (3).
+        voxel_size: Mesh to volume: edge length of a voxel in world units; the longest side / 128 where neither this nor
+            tolerance is given.
+        half_width: Mesh to volume: width of the narrow band on each side, in voxels (3; with tolerance as little as
+            interpolation needs).
         sign: Mesh to volume: how inside is told from outside: auto, winding, pseudonormal, parity, or none for unsigned
             distances (auto).
         thickness: Mesh to volume: make a solid shell of this thickness around the surface, in world units.
+        within: Mesh to volume with tolerance: how far from the surface it holds, in world units; the tolerance itself
+            where not given, a quarter of it where the mesh is open.
+        order: Mesh to volume with tolerance: the order of interpolation that will be used, 1, 2 or 3; the best where
+            not given.
         isovalue: Volume to mesh: value of the surface (0).
         adaptivity: Volume to mesh: 0 keeps every face, 1 merges as many as it can (0).
         method: Mesh to volume: geokit or openvdb. Volume to mesh: auto, surface_nets, dual_contouring, marching_cubes
@@ -56,8 +65,10 @@ def convert(
         grid: Name of the grid to take where a file holds several.
         codec: How a volume is stored: compressed (none, zip or blosc; blosc for .vdb and none for .nvdb where not
             given), quantised (fp4, fp8, fp16, fpn, or float for 32 bits), or both, as in fp8,zip.
-        tolerance: Quantise a volume: by how much a voxel may change, in its units; takes the smallest codec that keeps
-            it where none is given.
+        tolerance: Mesh to volume without voxel-size: by how much interpolated distances may be off near the surface, in
+            world units; takes the voxel size, order and codec of least memory. To a volume else: by how much a voxel
+            may change when it is quantised; takes the smallest codec that keeps it where none is given. To a mesh: how
+            far it may be from the mesh with every face, in world units; takes as few faces as keep it.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
         force: Replace the target where it exists.
         json: Print a summary as JSON.
@@ -70,6 +81,8 @@ def convert(
         "half-width": half_width,
         "sign": sign,
         "thickness": thickness,
+        "within": within,
+        "order": order,
         "isovalue": isovalue,
         "adaptivity": adaptivity,
         "method": method,
@@ -82,14 +95,16 @@ def convert(
     storage = Storage.of(codec, tolerance)
     announce_compiling()
     if kinds == ("mesh", "mesh"):
-        summary = _mesh_to_mesh(source, target, quiet=json)
+        summary = _mesh_to_mesh(source, target, tolerance, device, quiet=json)
     elif kinds == ("mesh", "volume"):
         how = {"half_width": half_width, "sign": sign, "thickness": thickness, "method": method, "device": device}
+        how.update(within=within, order=order)
         summary = _mesh_to_volume(source, target, voxel_size, how, storage, quiet=json)
     elif kinds == ("volume", "volume"):
         summary = _volume_to_volume(source, target, grid, storage, quiet=json)
     elif kinds == ("volume", "mesh"):
         how = {"isovalue": isovalue, "adaptivity": adaptivity, "method": method, "device": device}
+        how["tolerance"] = tolerance
         summary = _volume_to_mesh(source, target, how, grid, quiet=json)
     else:
         summary = _cloud_to_cloud(source, target, quiet=json)
@@ -102,10 +117,20 @@ def convert(
 
 
 _USES = {
-    ("mesh", "mesh"): (),
-    ("mesh", "volume"): ("voxel-size", "half-width", "sign", "thickness", "method", "codec", "tolerance"),
+    ("mesh", "mesh"): ("tolerance",),
+    ("mesh", "volume"): (
+        "voxel-size",
+        "half-width",
+        "sign",
+        "thickness",
+        "method",
+        "codec",
+        "tolerance",
+        "within",
+        "order",
+    ),
     ("volume", "volume"): ("grid", "codec", "tolerance"),
-    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid"),
+    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance"),
     ("cloud", "cloud"): (),
 }
 
@@ -119,13 +144,20 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
             raise InputError(f"--{name}: has no effect on {kinds[0]} to {kinds[1]}; leave it out")
 
 
-def _mesh_to_mesh(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:
-    from geokit.mesh import load, save
+def _mesh_to_mesh(
+    source: Path, target: Path, tolerance: float | None, device: str | None, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.mesh import load, save, simplify
 
-    with step(f"converting {source}", quiet=quiet):
+    achieved: dict[str, Any] = {}
+    with step(f"converting {source}", quiet=quiet) as converting:
         mesh = load(source)
+        if tolerance is not None:
+            found = simplify(mesh, tolerance=tolerance, device=device)
+            converting.result = f"{len(mesh.faces)} faces become {len(found.mesh.faces)}"
+            mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
         save(target, mesh)
-    return {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    return {"vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 
 
 def _mesh_to_volume(
@@ -137,22 +169,29 @@ def _mesh_to_volume(
     with step(f"reading {source}", quiet=quiet) as reading:
         mesh = load(source)
         reading.result = f"{len(mesh.faces)} faces"
-    if voxel_size is None:
+    if voxel_size is None and storage.tolerance is None:
         longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
         voxel_size = _rounded(longest / DEFAULT_RESOLUTION)
         if not quiet:
             note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
     with step("voxelising", quiet=quiet) as voxelising:
-        volume = from_mesh(mesh, voxel_size=voxel_size, **_given(how))
+        if voxel_size is None:
+            # OpenVDB has no quantised grids: what is smaller in memory would not be in its file.
+            codec = storage.quantisation or ("float" if target.suffix.lower() == ".vdb" else None)
+            volume = from_mesh(mesh, tolerance=storage.tolerance, codec=codec, **_given(how))
+        else:
+            volume = storage.applied(from_mesh(mesh, voxel_size=voxel_size, **_given(how)))
         voxelising.result = f"{volume.info.active_voxel_count} active voxels"
     with step(f"writing {target}", quiet=quiet):
-        volume = storage.applied(volume)
         save(target, volume, codec=storage.compression)
+    band = float(np.abs(volume.info.background)) / float(volume.info.voxel_size[0])
+    chosen = {} if voxel_size else {"order": volume.info.order, "achieved_error_999": volume.info.achieved_error_999}
     return {
         "faces": len(mesh.faces),
-        "voxel_size": voxel_size,
-        "half_width": how["half_width"] or 3.0,
+        "voxel_size": float(volume.info.voxel_size[0]),
+        "half_width": float(f"{band:.4g}"),
         "active_voxels": volume.info.active_voxel_count,
+        **chosen,
         **storage.described([volume]),
     }
 
@@ -184,17 +223,24 @@ def _volume_to_mesh(
     source: Path, target: Path, how: dict[str, Any], grid: str | None, *, quiet: bool
 ) -> dict[str, Any]:
     from geokit.cli._kinds import load_grid
-    from geokit.mesh import from_volume, save
+    from geokit.mesh import from_volume, from_volume_with_deviation, save
 
     with step(f"meshing {source}", quiet=quiet) as meshing:
         volume = load_grid(source, grid)
-        mesh = from_volume(volume, **_given(how))
+        achieved: dict[str, Any] = {}
+        if how["tolerance"] is None:
+            mesh = from_volume(volume, **_given(how))
+        elif how["adaptivity"]:
+            raise InputError("--adaptivity: merges faces by no known distance; leave it out where --tolerance is given")
+        else:
+            found = from_volume_with_deviation(volume, **_given({**how, "adaptivity": None}))
+            mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
         meshing.result = f"{len(mesh.faces)} faces"
         if len(mesh.faces) == 0:
             isovalue = how["isovalue"] or 0.0
             raise InputError(f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue")
         save(target, mesh)
-    return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 
 
 def _cloud_to_cloud(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:

@@ -77,6 +77,9 @@ class PointQueries:
         Exact for float64 coordinates, to 1e-12 of the mesh's diagonal (tests/property/test_closest_point.py); ties go
         to the lowest triangle_id. Triangles without area answer as the segment or point that they are.
 
+        Within 1e-6 of the mesh's size up to 1e8 sizes from the origin, and 1e-12 on slivers of any aspect ratio; for
+        sizes from 1e-70 to 1e70. Held by tests/stability/test_envelopes.py.
+
         Args:
             points: Query points [world], shape (N, 3).
             max_distance: Search radius [world]; farther points are misses.
@@ -149,6 +152,12 @@ class PointQueries:
           (tests/stability/test_sign.py). :meth:`sign_confidence` says how firmly it decides.
         - "parity": odd or even crossings along three rays, by majority. For closed meshes; nested and overlapping
           parts count as holes.
+
+        Within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9 sizes from the
+        origin. Queries may be 1e150 away (4e-15 of the distance). Walls of 1e-14 of the size keep their sides apart. On
+        a sphere, of points in 1.5 times its box: with a hole of 10% of its area the winding number has under 3% of the
+        signs wrong, pseudonormals 2%, parity 7%; with small holes of 20% the winding number under 0.5%, with a soup of
+        which 10% are flipped under 1.5%; copies and overlaps cost it none. Held by tests/stability/test_envelopes.py.
 
         Args:
             points: Query points [world], shape (N, 3).

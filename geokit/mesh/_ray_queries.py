@@ -68,6 +68,11 @@ class RayQueries:
         Watertight: no ray passes between triangles through an edge or a vertex that they share
         (tests/stability/test_ray_leaks.py). Ties go to the lowest triangle_id.
 
+        Within 1e-6 of the mesh's size up to 1e9 sizes from the origin, and from starts up to 1e8 sizes away; from 1e12
+        on they may miss. t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face, and to
+        2e-16 of the ray times the aspect ratio of the triangle. A t_min of 1e-13 of the mesh's size passes over the
+        face that a ray starts on. Held by tests/stability/test_envelopes.py.
+
         Args:
             origins: Where rays start [world], shape (N, 3).
             directions: Their directions, of any length, shape (N, 3).
@@ -108,6 +113,9 @@ class RayQueries:
         vertex from one side is none or two, as if the ray ran an infinitesimal beside it. A line crosses a closed
         surface an even number of times, always (tests/property/test_crossings.py). Rays within a triangle's plane do
         not cross it.
+
+        A passage through an edge or a vertex is one crossing, however exactly it is aimed at. Held by
+        tests/stability/test_envelopes.py.
 
         Args:
             origins: Where rays start [world], shape (N, 3).

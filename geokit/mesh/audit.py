@@ -86,6 +86,9 @@ def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
     1e-12 for up to a million faces, also far away from the origin as far as the coordinates' own digits go. Aspect
     ratios are good to 1e-12 of themselves for triangles that are not slivers (tests/unit/test_audit.py).
 
+    Aspect ratios and areas of slivers are good to 1e-15 times the aspect ratio; from 1e12 on they count as degenerate.
+    Held by tests/stability/test_envelopes.py.
+
     Args:
         mesh: The mesh; it may be empty.
         self_intersections: Count them as well, which takes longer than all the rest: a :class:`geokit.mesh.Surface` is

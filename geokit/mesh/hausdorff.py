@@ -110,6 +110,9 @@ def hausdorff(
     The time goes into regions where distances come near the largest one: two meshes that run close to each other
     everywhere take several times longer than others. Memory is bounded.
 
+    Bounds keep the tolerance down to 1e-11 diagonals; asked for to 1e-7, they stay within 4e-6 diagonals up to 1e8
+    diagonals from the origin. Held by tests/stability/test_envelopes.py.
+
     Args:
         a: The first surface; one that is prepared already is used as it is, on its own device.
         b: The second surface, likewise.

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from geokit.points.cluster import cluster
     from geokit.points.compare import ChamferDistance, DirectedDistance, HausdorffDistance, chamfer, hausdorff
     from geokit.points.density import density
-    from geokit.points.downsample import Downsampled, downsample
+    from geokit.points.downsample import Cover, Downsampled, cover, downsample
     from geokit.points.io import PointCloud, load, load_rays, save
     from geokit.points.neighbors import KNearest, NeighborBlock, NeighborGrid, Neighbors, Pairs
     from geokit.points.normals import PointNormals, normals
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ChamferDistance",
+    "Cover",
     "DirectedDistance",
     "Downsampled",
     "HausdorffDistance",
@@ -32,6 +33,7 @@ __all__ = [
     "Registration",
     "chamfer",
     "cluster",
+    "cover",
     "density",
     "downsample",
     "hausdorff",
@@ -48,7 +50,9 @@ make_lazy(
     {
         "ChamferDistance": "geokit.points.compare",
         "DirectedDistance": "geokit.points.compare",
+        "Cover": "geokit.points.downsample",
         "Downsampled": "geokit.points.downsample",
+        "cover": "geokit.points.downsample",
         "HausdorffDistance": "geokit.points.compare",
         "KNearest": "geokit.points.neighbors",
         "NeighborBlock": "geokit.points.neighbors",

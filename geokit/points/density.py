@@ -49,6 +49,10 @@ def density(
     radius is exact (:class:`NeighborGrid`). Sums are taken in the order of the cells: they do not depend on threads or
     on the order of the queries. Held by tests/unit/test_density.py.
 
+    On a lattice a radius of 2 spacings gives the density to 2 % (cubic_spline), 5 % (poly6), 8 % (wendland_c2), 50 %
+    (count); points at random scatter by 21, 18, 23 and 10 % rms at 3 spacings. Held by
+    tests/stability/test_envelopes.py.
+
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
         radius: Support of the kernel [world], greater than 0.

@@ -71,6 +71,9 @@ def normals(
     tests/unit/test_normals.py and tests/stability/test_normals_envelope.py; the latter also states how far the plane is
     from the surface. Results do not depend on threads or device.
 
+    Noise of a tenth of the spacing tilts normals by at most 15 degrees at k = 16; a neighbourhood with a radius of up
+    to 1.2 radii of curvature gives them to 30 degrees at worst, 4 rms. Held by tests/stability/test_envelopes.py.
+
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
         k: Number of nearest points, 3 to 1024; also the degree of the graph that signs are carried along.

@@ -103,6 +103,9 @@ def register(
     Motions that the pairs do not determine are not made: a plane does not slide along itself, a line does not turn
     about itself. ``rank`` says how many of the six ways to move were determined.
 
+    An ellipsoid (axes 1, 0.7, 0.45) without noise is found again exactly from starts turned by up to 45 degrees; from
+    90 on some end elsewhere, and rmse shows it. Held by tests/stability/test_envelopes.py.
+
     Args:
         source: Positions [world], shape (N, 3), float32 or float64.
         target: Positions [world], shape (M, 3); a Surface or TriangleMesh; or a SparseVolume of class "level set".

@@ -154,3 +154,31 @@ def test_cloud_to_cloud(geokit, tmp_path: Path) -> None:
     cloud = load(target)
     assert cloud.points.tolist() == [[0, 1, 2], [3, 4, 5]]
     assert cloud.data["heat"].tolist() == [5, 6]
+
+
+def test_a_tolerance_makes_the_smallest_field_that_keeps_it(geokit, cube: Path, tmp_path: Path) -> None:
+    options = ("--tolerance", "0.02", "--within", "0.01", "--order", "1", "--device", "cpu", "--json")
+    done = geokit("convert", cube, tmp_path / "cube.vdb", *options)
+    if not native.available():
+        assert done.returncode == 1
+        return
+    report = json.loads(done.stdout)
+    info = load_volume(tmp_path / "cube.vdb").info
+    # OpenVDB keeps floats.
+    assert (report["types"], report["order"]) == ("float", 1)
+    assert report["achieved_error"] == info.achieved_error <= 0.02
+    assert info.metadata["geokit:checked_within"] == 0.01
+
+
+def test_a_tolerance_takes_faces_away(geokit, cube_sdf: Path, tmp_path: Path) -> None:
+    full, few, fewer = (tmp_path / name for name in ("full.ply", "few.ply", "fewer.ply"))
+    assert geokit("convert", cube_sdf, full, "--device", "cpu").returncode == 0
+    done = geokit("convert", cube_sdf, few, "--tolerance", "0.05", "--device", "cpu", "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert 0.0 < report["deviation_p999"] <= report["deviation"] <= 0.05
+    assert report["faces"] == len(load_mesh(few).faces) < 0.5 * len(load_mesh(full).faces)
+    done = geokit("convert", full, fewer, "--tolerance", "0.1", "--device", "cpu", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["deviation"] <= 0.1
+    assert len(load_mesh(fewer).faces) < len(load_mesh(full).faces)

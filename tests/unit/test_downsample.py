@@ -13,7 +13,7 @@ from geokit import _launch
 from geokit.points import _downsample_voxel
 from geokit.points._downsample_farthest_kernels import GROUP_POINTS, LEAF_POINTS
 from geokit.points._downsample_voxel import VoxelOrder, centroids_by_pieces
-from geokit.points.downsample import Downsampled, downsample
+from geokit.points.downsample import Cover, Downsampled, cover, downsample
 from tests.reference import farthest_point_order, poisson_disk_indices, voxel_means
 
 LINE = np.array([[0.1, 0, 0], [0.3, 0, 0], [1.2, 0, 0], [2.9, 0, 0]])
@@ -176,7 +176,55 @@ def test_radius_whose_square_vanishes_keeps_everything():
     assert downsample(points, radius=1e-150, device="cpu").indices.size == 1
 
 
-@pytest.mark.parametrize("choice", [{"voxel_size": 0.5}, {"count": 3}, {"radius": 0.5}])
+def test_cover_of_a_line():
+    found = cover(LINE, tolerance=0.5, device="cpu")
+    assert isinstance(found, Cover)
+    # Tried in the order 2, 0, 1, 3: the second point is near to the first.
+    assert found.indices.tolist() == [0, 2, 3]
+    np.testing.assert_array_equal(found.points, LINE[found.indices])
+    assert found.deviation == LINE[1, 0] - LINE[0, 0]
+    assert found.deviation_p999 == found.deviation
+
+
+@pytest.mark.parametrize("tolerance", [1e-9, 0.1, 0.7, 50.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_cover_is_the_poisson_disk_subset_and_its_deviation_that_of_all_pairs(tolerance, seed):
+    points = np.random.default_rng(8).normal(size=(2000, 3))
+    found = cover(points, tolerance=tolerance, seed=seed, device="cpu")
+    np.testing.assert_array_equal(found.indices, poisson_disk_indices(points, tolerance, seed))
+    apart = np.array([np.sqrt(((points[found.indices] - p) ** 2).sum(axis=1).min()) for p in points])
+    assert found.deviation == pytest.approx(apart.max(), rel=1e-15)
+    assert found.deviation <= tolerance
+    # No more than two of 2000 are farther.
+    assert found.deviation_p999 == pytest.approx(np.sort(apart)[1998], rel=1e-15)
+    same = downsample(points, tolerance=tolerance, seed=seed, device="cpu")
+    np.testing.assert_array_equal(same.indices, found.indices)
+    np.testing.assert_array_equal(same.points, found.points)
+
+
+def test_cover_keeps_container_and_type():
+    single = cover(LINE.astype(np.float32), tolerance=0.5, device="cpu")
+    assert (single.points.dtype, single.indices.dtype) == (np.float32, np.int32)
+    given = wp.array(LINE, dtype=wp.vec3d, device="cpu")
+    found = cover(given, tolerance=0.5, device="cpu")
+    assert isinstance(found.points, wp.array)
+    assert isinstance(found.indices, wp.array)
+    assert isinstance(found.deviation, float)
+    np.testing.assert_array_equal(given.numpy(), LINE)
+
+
+def test_one_point_covers_itself_and_its_copies():
+    found = cover(np.full((7, 3), 1e8), tolerance=1e-9, device="cpu")
+    assert len(found.points) == 1
+    assert found.deviation == found.deviation_p999 == 0.0
+
+
+def test_nothing_to_cover():
+    with pytest.raises(gk.InputError, match="nothing to cover"):
+        cover(np.zeros((0, 3)), tolerance=1.0, device="cpu")
+
+
+@pytest.mark.parametrize("choice", [{"voxel_size": 0.5}, {"count": 3}, {"radius": 0.5}, {"tolerance": 0.5}])
 def test_types_and_containers(choice):
     found = downsample(LINE, **choice, device="cpu")
     assert (found.points.dtype, found.indices.dtype) == (np.float64, np.int32)
@@ -190,7 +238,7 @@ def test_types_and_containers(choice):
     np.testing.assert_array_equal(given.numpy(), LINE)
 
 
-@pytest.mark.parametrize("choice", [{"voxel_size": 0.5}, {"radius": 0.5}])
+@pytest.mark.parametrize("choice", [{"voxel_size": 0.5}, {"radius": 0.5}, {"tolerance": 0.5}])
 def test_no_points(choice):
     found = downsample(np.zeros((0, 3)), **choice, device="cpu")
     assert found.points.shape == (0, 3)
@@ -214,13 +262,22 @@ def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
     assert "fma.rn.f64" not in code
 
 
-@pytest.mark.parametrize("choice", [{}, {"voxel_size": 1.0, "count": 2}, {"count": 2, "radius": 1.0}])
+@pytest.mark.parametrize(
+    "choice",
+    [{}, {"voxel_size": 1.0, "count": 2}, {"count": 2, "radius": 1.0}, {"radius": 1.0, "tolerance": 1.0}],
+)
 def test_exactly_one_method(choice):
     with pytest.raises(gk.InputError, match="exactly one"):
         downsample(LINE, **choice, device="cpu")
 
 
-@pytest.mark.parametrize("name", ["voxel_size", "radius"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "wide"])
+def test_tolerance_of_a_cover_must_be_positive_and_finite(value):
+    with pytest.raises(gk.InputError, match="tolerance"):
+        cover(LINE, tolerance=value, device="cpu")
+
+
+@pytest.mark.parametrize("name", ["voxel_size", "radius", "tolerance"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "wide"])
 def test_lengths_must_be_positive_and_finite(name, value):
     with pytest.raises(gk.InputError, match=name):
@@ -243,6 +300,8 @@ def test_start_must_be_a_point(value):
 def test_seed_must_be_a_whole_number(value):
     with pytest.raises(gk.InputError, match="seed"):
         downsample(LINE, radius=1.0, seed=value, device="cpu")
+    with pytest.raises(gk.InputError, match="seed"):
+        cover(LINE, tolerance=1.0, seed=value, device="cpu")
 
 
 @pytest.mark.parametrize("choice", [{"voxel_size": 0.5}, {"count": 1}, {"radius": 0.5}])
@@ -255,6 +314,15 @@ def test_points_are_checked(choice):
         downsample(LINE[:, :2], **choice, device="cpu")
     with pytest.raises(gk.InputError, match="device"):
         downsample(LINE, **choice, device="abacus")
+
+
+def test_points_of_a_cover_are_checked():
+    bad = LINE.copy()
+    bad[2, 1] = np.inf
+    with pytest.raises(gk.InputError, match="points: row 2"):
+        cover(bad, tolerance=1.0, device="cpu")
+    with pytest.raises(gk.InputError, match="device"):
+        cover(LINE, tolerance=1.0, device="abacus")
 
 
 def test_voxels_below_the_resolution_of_the_coordinates():

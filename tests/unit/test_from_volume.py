@@ -10,11 +10,13 @@ import pytest
 from geokit import native
 from geokit.errors import DeviceMemoryError, InputError, MissingDependencyError, UnsupportedGridError
 from geokit.mesh.audit import audit
-from geokit.mesh.from_volume import _split_quads, from_volume
+from geokit.mesh.from_volume import _split_quads, from_volume, from_volume_with_deviation
+from geokit.mesh.hausdorff import hausdorff
 from geokit.volume._build import build_float_grid
 from geokit.volume._nanovdb import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume._nanovdb_layout import layout_of
 from geokit.volume.model import SparseVolume
+from tests.reference import closest_point
 from tests.typed_grids import TypedGrid
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -210,6 +212,54 @@ class TestBall:
         found = from_volume(volume, method=method, device="cpu")
         np.testing.assert_array_equal(found.vertices, expected.vertices)
         np.testing.assert_array_equal(found.faces, expected.faces)
+
+
+class TestTolerance:
+    def test_fewer_faces_no_farther_than_asked_for(self, method):
+        volume = _grid(_ball, transform=_around(0.125))
+        full = from_volume(volume, method=method, device="cpu")
+        found = from_volume_with_deviation(volume, tolerance=0.02, method=method, device="cpu")
+        assert 8 < len(found.mesh.faces) < 0.4 * len(full.faces)
+        assert 0.0 < found.deviation_p999 <= found.deviation <= 0.02
+        assert found.mesh.name == "ball"
+        assert audit(found.mesh).watertight
+        assert _signed_volume(found.mesh) > 0.9 * _signed_volume(full)
+        # The vertices of the full mesh, which nothing but the bound has seen between them.
+        off = closest_point(found.mesh.vertices, found.mesh.faces, full.vertices).distance.max()
+        assert off <= found.deviation
+
+    def test_flag_gives_the_same_mesh(self):
+        volume = _grid(_ball, transform=_around(0.25), count=16)
+        mesh = from_volume(volume, tolerance=0.05, device="cpu")
+        found = from_volume_with_deviation(volume, tolerance=0.05, device="cpu")
+        assert type(mesh) is type(found.mesh)
+        np.testing.assert_array_equal(mesh.vertices, found.mesh.vertices)
+        np.testing.assert_array_equal(mesh.faces, found.mesh.faces)
+
+    def test_isovalue_is_that_of_the_full_mesh(self):
+        volume = _grid(_ball, transform=_around(0.125))
+        mesh = from_volume(volume, isovalue=0.25, tolerance=0.02, device="cpu")
+        assert np.abs(np.linalg.norm(mesh.vertices - CENTRE, axis=1) - 1.25).max() < 0.04
+
+    def test_tolerance_that_allows_nothing_keeps_every_face(self):
+        volume = _grid(_ball, transform=_around(0.25), count=16)
+        full = from_volume(volume, device="cpu")
+        found = from_volume_with_deviation(volume, tolerance=1e-12, device="cpu")
+        assert found.deviation == 0.0
+        np.testing.assert_array_equal(found.mesh.faces, full.faces)
+
+    def test_no_surface_gives_an_empty_mesh(self):
+        found = from_volume_with_deviation(_grid(_ball, 16), tolerance=0.1, isovalue=50.0, device="cpu")
+        assert found.mesh.faces.shape == (0, 3)
+        assert found.deviation == 0.0
+
+    @needs_openvdb
+    def test_far_fewer_faces_than_adaptivity_leaves_at_the_same_distance(self):
+        volume = _grid(_ball, transform=_around(0.125))
+        full, merged = from_volume(volume, device="cpu"), from_volume(volume, adaptivity=0.2)
+        apart = hausdorff(full, merged, samples=0, device="cpu").max
+        found = from_volume_with_deviation(volume, tolerance=apart, device="cpu")
+        assert len(found.mesh.faces) < 0.5 * len(merged.faces)
 
 
 OWN = ["surface_nets", "marching_cubes", "dual_contouring"]
@@ -457,6 +507,16 @@ class TestRefusals:
     def test_adaptivity(self, adaptivity):
         with pytest.raises(InputError, match="adaptivity"):
             from_volume(_grid(_ball), adaptivity=adaptivity)
+
+    @pytest.mark.parametrize("tolerance", [0.0, -0.1, np.nan, np.inf, "little"])
+    def test_tolerance(self, tolerance):
+        for function in (from_volume, from_volume_with_deviation):
+            with pytest.raises(InputError, match="tolerance"):
+                function(_grid(_ball, 16), tolerance=tolerance)
+
+    def test_tolerance_and_adaptivity(self):
+        with pytest.raises(InputError, match="adaptivity: it merges faces by no known distance"):
+            from_volume(_grid(_ball, 16), tolerance=0.1, adaptivity=0.5)
 
     @pytest.mark.parametrize(
         ("grid_type", "background"), [("vec3f", (0.0, 0.0, 0.0)), ("rgba8", (0, 0, 0, 0)), ("onindex", 0)]
