@@ -58,17 +58,17 @@ def row_of(count: int, out: Path | None) -> str:
         scene.grid.build(scene.x, reach)
 
     def lists() -> None:
-        given = [scene.grid.id, scene.x, w, scene.last_x, *scene.lists, scene.most]
+        given = [0, scene.grid.id, scene.x, w, scene.last_x, *scene.lists, scene.most]
         wp.launch(granular.list_kernel, count, given, device="cuda:0")
 
     def step() -> None:
-        given = [scene.x, scene.v, w, scene.angle, 0.0, scene.step, *scene.lists, *scene.new]
+        given = [0, scene.x, scene.v, w, scene.angle, 0.0, scene.step, *scene.lists, scene.clear, *scene.new]
         wp.launch(granular.step_kernel, count, given, device="cuda:0")
 
     parts = [1e6 * device_median(run, 20) for run in (grid, lists, step)]
     if out is not None:
         np.savez(out / f"granular_{count}.npz", x=positions, size=size, angle=w.turn * scene.time, radius=w.radius)
-    captured = sorted(every for _, every in scene.graphs)
+    captured = sorted(every for _, every in scene.frames)
     cells = [f"{count:,}", str(steps), f"{1e6 * scene.step:.0f}", f"{rate:.0f}", *(f"{part:.0f}" for part in parts)]
     cells += [str(captured), f"{2.0 - apart.min() / w.radius:.3f}", f"{2 * len(apart) / count:.2f}"]
     return "| " + " | ".join([*cells, f"{energy / count:.2e}", str(lost)]) + " |"
