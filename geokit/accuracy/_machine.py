@@ -6,6 +6,7 @@ import datetime
 import importlib.metadata
 import os
 import platform
+from collections.abc import Mapping
 
 from geokit.errors import MissingDependencyError
 
@@ -20,7 +21,8 @@ def machine_facts() -> dict[str, str]:
 
     facts = {
         "processor": processor_name(),
-        "cores": f"{os.cpu_count() or 1}, of which geokit uses {_launch.thread_count()}",
+        "cores": str(os.cpu_count() or 1),
+        "threads": str(_launch.thread_count()),
         "memory": _memory_text(),
     }
     for alias in _launch.cuda_devices():
@@ -35,13 +37,11 @@ def machine_facts() -> dict[str, str]:
     return {name: value for name, value in facts.items() if value}
 
 
-def machine_line() -> str:
-    """The machine in one line, for figures."""
-    facts = machine_facts()
+def machine_line(facts: Mapping[str, str]) -> str:
+    """The machine of :func:`machine_facts` in one line, for figures."""
     gpus = [value for name, value in facts.items() if name.startswith("cuda")]
-    from geokit import _launch
-
-    return ", ".join([facts["processor"], f"{_launch.thread_count()} threads", *gpus])
+    threads = f"{facts['threads']} threads" if "threads" in facts else ""
+    return ", ".join(filter(None, [facts.get("processor", ""), threads, *gpus]))
 
 
 def version_facts() -> dict[str, str]:

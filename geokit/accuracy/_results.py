@@ -44,6 +44,8 @@ class Results(list[Measurement]):
         charts: What each chart asks, by name.
         subjects: What was measured on, by name.
         failures: What could not be measured.
+        machine: Where it was measured: names and values for people; empty where that is not known.
+        versions: Of what measured, likewise.
     """
 
     def __init__(
@@ -53,11 +55,15 @@ class Results(list[Measurement]):
         charts: Mapping[str, ChartInfo] | None = None,
         subjects: Mapping[str, Subject] | None = None,
         failures: Iterable[Failure] = (),
+        machine: Mapping[str, str] | None = None,
+        versions: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(rows)
         self.charts: dict[str, ChartInfo] = dict(charts or {})
         self.subjects: dict[str, Subject] = dict(subjects or {})
         self.failures: list[Failure] = list(failures)
+        self.machine: dict[str, str] = dict(machine or {})
+        self.versions: dict[str, str] = dict(versions or {})
 
 
 class Group(NamedTuple):

@@ -56,7 +56,7 @@ def write_report(
     try:
         write_table(results, made / TABLE)
         (made / FIGURES).mkdir()
-        line = machine_line()
+        line = machine_line(results.machine or machine_facts())
         for group in groups:
             _figure(made / FIGURES / f"{group.slug}.png", group, line)
         _write_page(made / PAGE, groups, results, pictures)
@@ -93,7 +93,8 @@ def _write_page(target: Path, groups: list[Group], results: Results, pictures: b
     failures = list(results.failures)
     if reason:
         failures.append(Failure("pictures of where the error sits", "", "", "", "", reason))
-    target.write_text(page(groups, failures, drawn, machine_facts(), version_facts()), encoding="utf-8")
+    machine, versions = results.machine or machine_facts(), results.versions or version_facts()
+    target.write_text(page(groups, failures, drawn, machine, versions), encoding="utf-8")
 
 
 def _figure(target: Path, group: Group, machine: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from geokit.accuracy._machine import machine_facts, version_facts
 from geokit.accuracy._results import Failure, Results, info_of
 from geokit.accuracy._subjects import default_subjects, unique_names
 from geokit.accuracy.measure import measure
@@ -60,7 +61,8 @@ def run(
         raise InputError("devices: empty; name at least one, or leave it out for all")
     found = unique_names(list(default_subjects(quick=quick) if subjects is None else subjects))
     _check(found)
-    results = Results(subjects={subject.name: subject for subject in found})
+    subjects_by_name = {subject.name: subject for subject in found}
+    results = Results(subjects=subjects_by_name, machine=machine_facts(), versions=version_facts())
     tell = progress or (lambda line: None)
     planned = list(_planned(found, places, quick, results))
     wanted = _wanted(charts, planned)
