@@ -32,6 +32,9 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
     is even, to 0.1 where it changes by 4 % a voxel; next to sharp edges they are up to 0.3 voxel off. Results are the
     same on every device. Held by tests/unit/test_operations_morphology.py.
 
+    Slopes up to half_width / 1.75 keep their surface; steeper fields are cut off, and it is no longer known. Held by
+    tests/stability/test_envelopes.py.
+
     Args:
         volume: Level set.
         half_width: Width of the new band on each side [voxels], at least 1; that of the old one where None.
@@ -55,10 +58,10 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
 def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> SparseVolume:
     """The surface at a signed distance from a level set's own: outside for positive, inside for negative ones.
 
-    Exact to 0.05 voxel where the radius of curvature is at least 10 voxels: the surface is the level set's own
-    isosurface, and only beyond its band that of distances computed from it. All distances are then made new from
-    the new surface. A body that is thinner than twice the distance disappears. Held by
-    tests/unit/test_operations_morphology.py.
+    Exact to 0.05 voxel where the radius of curvature is at least 8 voxels before and after: the surface is the level
+    set's own isosurface, and only beyond its band that of distances computed from it. All distances are then made new
+    from the new surface. A body that is thinner than twice the distance disappears. Held by
+    tests/unit/test_operations_morphology.py and tests/stability/test_envelopes.py.
 
     Args:
         volume: Level set.

@@ -49,6 +49,11 @@ def raycast(
     Held by tests/unit/test_volume_raycast.py, tests/property/test_volume_rays.py and
     tests/stability/test_volume_rays.py.
 
+    No slope makes rays miss. The surface found is the field's own where its slope is at most half_width / 1.75
+    (distance fields: a half width of 1.75); steeper fields are cut off, and it is up to half a voxel off. Rays that
+    would be less than 0.375 voxel^2 over the radius of curvature below the surface may pass. Held by
+    tests/stability/test_envelopes.py.
+
     Args:
         volume: A grid of one component, of any type, with any transform.
         origins: Where rays start [world], shape (N, 3).
