@@ -8,6 +8,7 @@ from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
     from geokit.volume.active import active_at
+    from geokit.volume.adaptive import AdaptiveSDF, adaptive_from_mesh, load_adaptive
     from geokit.volume.csg import difference, intersection, union
     from geokit.volume.curvature import Curvatures, curvature, hessian
     from geokit.volume.dense import DenseGrid, from_dense, to_dense
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from geokit.volume.topology import clip, prune, segment
 
 __all__ = [
+    "AdaptiveSDF",
     "Curvatures",
     "DenseGrid",
     "GridInfo",
@@ -40,6 +42,7 @@ __all__ = [
     "Transmittance",
     "VolumeHits",
     "active_at",
+    "adaptive_from_mesh",
     "channel_names",
     "clip",
     "closing",
@@ -63,6 +66,7 @@ __all__ = [
     "intersection",
     "laplacian",
     "load",
+    "load_adaptive",
     "load_all",
     "offset",
     "opening",
@@ -84,6 +88,7 @@ __all__ = [
 make_lazy(
     __name__,
     {
+        "AdaptiveSDF": "geokit.volume.adaptive",
         "Curvatures": "geokit.volume.curvature",
         "DenseGrid": "geokit.volume.dense",
         "GridInfo": "geokit.volume.model",
@@ -94,6 +99,7 @@ make_lazy(
         "Transmittance": "geokit.volume.integrate",
         "VolumeHits": "geokit.volume.raycast",
         "active_at": "geokit.volume.active",
+        "adaptive_from_mesh": "geokit.volume.adaptive",
         "channel_names": "geokit.volume.from_channel",
         "clip": "geokit.volume.topology",
         "closing": "geokit.volume.morphology",
@@ -117,6 +123,7 @@ make_lazy(
         "intersection": "geokit.volume.csg",
         "laplacian": "geokit.volume.differential",
         "load": "geokit.volume.io",
+        "load_adaptive": "geokit.volume.adaptive",
         "load_all": "geokit.volume.io",
         "offset": "geokit.volume.morphology",
         "opening": "geokit.volume.morphology",

@@ -12,6 +12,8 @@ The keys go through .vdb as OpenVDB metadata and through .nvdb as a channel of b
 ``geokit:achieved_error_999`` its 99.9th percentile, where it was found by sampling [value units]
 ``geokit:checked_within``     how far from the surface that holds [world]
 ``geokit:order``              order of interpolation for which it holds
+``geokit:level``              number of a level of an adaptive field, 0 the coarsest
+``geokit:level_count``        number of its levels
 ``geokit:version``            version of geokit that made the volume
 ============================  =============================================================================
 """
