@@ -14,6 +14,7 @@ from geokit.accuracy._sweep_mesh_questions import (
     OBLIQUE,
     around_and_near,
     judged,
+    on_gpu,
     powers,
     surface_of,
     turned,
@@ -261,10 +262,11 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
             powers(-1, -17, -1),
             partial(_signed_within, device=device),
             Envelope(
-                1e-14,
+                1e-11 if on_gpu(device) else 1e-14,
                 4e-15,
                 0.0,
-                "The two sides of a wall are told apart down to a thickness of 1e-14 of the mesh's size.",
+                "The two sides of a wall are told apart down to a thickness of 1e-14 of the mesh's size, "
+                "on a GPU of 1e-11.",
             ),
         ),
     ]

@@ -14,7 +14,17 @@ from geokit.mesh.model import TriangleMesh
 if TYPE_CHECKING:
     from geokit.mesh.surface import Surface
 
-__all__ = ["OBLIQUE", "around_and_near", "judged", "powers", "surface_of", "turned", "unit_sized", "unit_vectors"]
+__all__ = [
+    "OBLIQUE",
+    "around_and_near",
+    "judged",
+    "on_gpu",
+    "powers",
+    "surface_of",
+    "turned",
+    "unit_sized",
+    "unit_vectors",
+]
 
 # Where meshes are moved to: along no axis and no diagonal, and of length 1 but for rounding.
 OBLIQUE = np.array([2.0, -1.0, 2.0]) / 3.0
@@ -57,6 +67,13 @@ def unit_vectors(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
 def turned(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     """Points as :func:`geokit.accuracy._shapes.rotated` would turn them."""
     return points @ rotation(seed).T
+
+
+def on_gpu(device: Any) -> bool:
+    """Whether queries run on a GPU, where some envelopes are narrower."""
+    from geokit import _launch
+
+    return bool(_launch.resolve_device(device).is_cuda)
 
 
 def surface_of(mesh: TriangleMesh, device: Any) -> Surface:
