@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from geokit.accuracy import reference
 from geokit.accuracy._volume_setup import (
-    CODECS,
     QUICK_CODECS,
     angles,
     coded,
     failed,
     judged,
+    known_codecs,
     on_host,
     send,
     setting_of,
@@ -111,7 +111,7 @@ def gradients_chart(field: VolumePoints) -> Chart:
 
 def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
     points = send(field.points, field.device)
-    for codec in QUICK_CODECS if field.quick else CODECS:
+    for codec in QUICK_CODECS if field.quick else known_codecs():
         try:
             grid = coded(field.volume, codec, field.value_range)
         except Exception as error:

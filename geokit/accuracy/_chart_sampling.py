@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from geokit.accuracy._volume_setup import (
-    CODECS,
     HALF_WIDTH,
     QUICK_CODECS,
     coded,
     failed,
     judged,
+    known_codecs,
     on_host,
     send,
     setting_of,
@@ -52,7 +52,7 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
             yield failed("volume.from_mesh", {"voxel_size": voxel_size}, error)
             continue
         # A quick chart has all of them for its smallest voxels only.
-        for codec in QUICK_CODECS if near.quick and voxel_size != min(near.voxel_sizes) else CODECS:
+        for codec in QUICK_CODECS if near.quick and voxel_size != min(near.voxel_sizes) else known_codecs():
             try:
                 grid = coded(band, codec, 2.0 * HALF_WIDTH * voxel_size)
             except Exception as error:
@@ -76,7 +76,7 @@ def sampling_chart(field: VolumePoints) -> Chart:
 
 def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
     points = send(field.points, field.device)
-    for codec in CODECS:
+    for codec in known_codecs():
         try:
             grid = coded(field.volume, codec, field.value_range)
         except Exception as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy._volume_setup import CODECS, SEED, coded, failed, judged, on_host, send, setting_of
+from geokit.accuracy._volume_setup import SEED, coded, failed, judged, known_codecs, on_host, send, setting_of
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.accuracy.reference_volume import first_level
 
@@ -48,7 +48,7 @@ def _trials(field: VolumePoints) -> Iterator[Trial]:
     checked = min(field.effort.checked_rays, len(rays.origins))
     wanted = _reference(field, rays, checked)
     origins, directions = send(rays.origins, field.device), send(rays.directions, field.device)
-    for codec in CODECS:
+    for codec in known_codecs():
         parameters = {"codec": codec}
         try:
             grid = coded(field.volume, codec, field.value_range)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,6 +32,7 @@ __all__ = [
     "coded",
     "failed",
     "judged",
+    "known_codecs",
     "on_host",
     "send",
     "setting_of",
@@ -40,7 +43,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 # What geokit can write. There is no "half" among them: grids of that type are read and sampled, but not made.
-CODECS = ("float", "fp16", "fp8", "fp4", "fpn")
+# "half" is a .vdb file's: NanoVDB has only a name for it, so it is measured as it comes back from one.
+CODECS = ("float", "half", "fp16", "fp8", "fp4", "fpn")
 # Those of a quick chart where it has another question than what codecs lose.
 QUICK_CODECS = ("float", "fp8")
 # The tolerance that "fpn" is given, as a share of the values' range: between the steps of fp8 (1/255 of a leaf's range)
@@ -184,10 +188,23 @@ def surface_samples(mesh: TriangleMesh, count: int, seed: int) -> Floats:
     return rng.permutation(np.concatenate([vertices, area_samples(mesh, count - len(vertices), rng)[0]]))
 
 
+def known_codecs() -> tuple[str, ...]:
+    """Those that this build can make: "half" needs OpenVDB."""
+    from geokit import native
+
+    return CODECS if native.available() else tuple(codec for codec in CODECS if codec != "half")
+
+
 def coded(volume: SparseVolume, codec: str, value_range: float) -> SparseVolume:
     """A float grid in another codec."""
     if codec == "float":
         return volume
+    if codec == "half":
+        from geokit.volume.io import load, save
+
+        with tempfile.TemporaryDirectory() as folder:
+            save(Path(folder) / "half.vdb", volume, half=True)
+            return load(Path(folder) / "half.vdb", trusted=True)
     return volume.quantize(codec, tolerance=FPN_SHARE * value_range if codec == "fpn" else None)
 
 

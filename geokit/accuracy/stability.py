@@ -21,7 +21,8 @@ INTRODUCTION = """\
 Each sweep makes one thing worse until a method fails, and holds the answers against a float64 reference that shares no
 code with it. Up to the last value of its envelope the promise holds, and `tests/stability/test_envelopes.py` asserts
 it; beyond it, nothing is promised. In the figures the envelope is shaded, exact answers lie on the lowest line, and
-crosses are values at which the method refuses with a named error."""
+crosses are values at which the method refuses with a named error. The step of the granular example is swept in
+docs/granular.md."""
 # The unit of sweeps whose answers are right or wrong and nothing between.
 NO_UNIT = "none"
 PAGE, FIGURES = "stability.md", Path("figures") / "stability"

@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from geokit._frame import Frame
     from geokit.mesh.model import TriangleMesh
 
-__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "SignedDistances"]
+__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "SignedDistances", "require_measurable"]
 
+# Sizes of a mesh, as halves of its box's longest side: queries multiply four lengths, and what leaves float64's 1e-308
+# to 1e308 comes back as 0, inf or NaN (tests/stability/test_envelopes.py).
+LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71
 # The order of queries is resolved over twice the mesh's box: what is farther away is clamped to its sides.
 ORDER_HALF_WIDTH = 2.0
 # Queries of a thread, each starting from its neighbour's answer: more gain nothing on a CPU. On a GPU a thread for each
@@ -87,7 +90,8 @@ class PointQueries:
         Returns:
             ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
         Raises:
-            InputError: points is not (N, 3) or not finite, or max_distance is negative or not a number.
+            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, or the mesh is
+                smaller than 1e-70 or larger than 1e70.
         Source:
             Ericson, Real-Time Collision Detection (2005), 5.1.5. Differs: float64, slivers from their edges.
         Example:
@@ -99,6 +103,7 @@ class PointQueries:
         import warp as wp
 
         reach = _radius(max_distance)
+        require_measurable(self.mesh, self._frame)
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
             # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
@@ -177,6 +182,7 @@ class PointQueries:
             Barill et al., "Fast Winding Numbers for Soups and Clouds" (2018).
         """
         method, reach = self._method(sign), _radius(max_distance)
+        require_measurable(self.mesh, self._frame)
 
         def query(batch: _arrays.Batch) -> SignedDistances:
             closest = self._closest(batch.rows, reach)
@@ -203,6 +209,7 @@ class PointQueries:
         from geokit.mesh._sign_kernels import is_negative_kernel
 
         method, device = self._method(sign), self._device
+        require_measurable(self.mesh, self._frame)
 
         def query(batch: _arrays.Batch) -> Any:
             count = len(batch)
@@ -416,3 +423,16 @@ class PointQueries:
 
 def _radius(max_distance: float) -> float:
     return _arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
+
+
+def require_measurable(mesh: TriangleMesh, frame: Frame) -> None:
+    """Refuse distances from meshes of a size at which their products leave float64.
+
+    Raises:
+        InputError: The mesh is too small or too large.
+    """
+    if not LEAST_SCALE <= frame.scale <= LARGEST_SCALE:
+        raise InputError(
+            f"mesh: {mesh.name or 'it'} is {2.0 * frame.scale:.3g} across; scale it to between {LEAST_SCALE:g} and "
+            f"{LARGEST_SCALE:g}: beyond, products of lengths leave float64"
+        )

@@ -9,11 +9,13 @@ from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
 from geokit._host_array import HostArray
 from geokit.errors import InputError
+from geokit.mesh._point_queries import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit._frame import Frame
+    from geokit.mesh.model import TriangleMesh
 
 __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
@@ -49,6 +51,7 @@ class RayHitLists(NamedTuple):
 class RayQueries:
     """Ray queries of a :class:`geokit.mesh.Surface`."""
 
+    mesh: TriangleMesh
     _device: "wp.Device"
     _frame: Frame
     _tree: Any
@@ -85,13 +88,16 @@ class RayQueries:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
         Raises:
             InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
-                negative or not finite, or max_distance is negative or not a number.
+                negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
+                larger than 1e70.
         Source:
             Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013). Differs: float64 throughout.
         """
         import warp as wp
 
         from geokit.mesh._raycast_kernels import raycast_kernel
+
+        require_measurable(self.mesh, self._frame)
 
         def query(rays: _arrays.Batch, heading: _arrays.Batch) -> RayHits:
             found = RayHits(

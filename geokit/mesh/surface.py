@@ -31,9 +31,6 @@ LEAF_SIZE_CUDA = 1
 # reading fewer nodes, rays lose by testing triangles that they pass (measured on an H100).
 POINT_LEAF = 6
 RAY_LEAF = 1
-# Sizes of a mesh, as halves of its box's longest side: the closest point multiplies four lengths, and what leaves
-# float64's 1e-308 to 1e308 comes back as 0, inf or NaN (tests/stability/test_envelopes.py).
-LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71
 
 
 class Surface(PointQueries, RayQueries, OverlapQueries):
@@ -49,7 +46,7 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
         mesh: The triangles.
         bounds: Box around them [world], shape (2, 3).
     Raises:
-        InputError: The mesh has no faces, is smaller than 1e-70 or larger than 1e71, or there is no such device.
+        InputError: The mesh has no faces, or there is no such device.
         DeviceMemoryError: The device cannot hold the mesh.
     """
 
@@ -76,13 +73,9 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
             ) from error
 
     def _set_mesh(self, mesh: TriangleMesh) -> None:
-        frame = Frame.around(*mesh.bounds)
-        if not LEAST_SCALE <= frame.scale <= LARGEST_SCALE:
-            raise InputError(
-                f"mesh: {mesh.name or 'it'} is {2.0 * frame.scale:.3g} across; scale it to between {LEAST_SCALE:g} and "
-                f"{LARGEST_SCALE:g}: beyond, products of lengths leave float64"
-            )
-        self.mesh, self.bounds, self._frame = mesh, mesh.bounds, frame
+        self.mesh = mesh
+        self.bounds = mesh.bounds
+        self._frame = Frame.around(*self.bounds)
 
     def _upload(self) -> None:
         import warp as wp

@@ -134,17 +134,7 @@ def within_mask(grid: CellGrid, begin: wp.int32, end: wp.int32, q: wp.vec3d, rad
     return within_mask_of(grid.x, grid.y, grid.z, begin, count, q[0], q[1], q[2], radius_squared)
 
 
-# warp 1.19 has neither of these two bit counts.
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __popcll(mask);
-#else
-    return __builtin_popcountll(mask);
-#endif
-""")
-def bit_count(mask: wp.uint64) -> wp.int32: ...
-
-
+# warp 1.19 has no such built-in.
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return __ffsll((long long)mask) - 1;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ class Pairs(NamedTuple):
     paired: "wp.array"
 
 
-class Target:
+class Target(ABC):
     """Anything that points can be brought to.
 
     Attributes:
@@ -44,9 +45,9 @@ class Target:
         self.device = device
         self._room: Pairs | None = None
 
+    @abstractmethod
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
         """Partners within the distance for moved points, vec3d (N,) [world]; the next call writes over them."""
-        raise NotImplementedError
 
     def room(self, count: int) -> Pairs:
         """Arrays for so many pairs, the same for every step."""

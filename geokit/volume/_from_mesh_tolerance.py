@@ -17,7 +17,7 @@ from geokit.volume._tiles import Lattice
 from geokit.volume._tolerance import made_within
 from geokit.volume._tolerance_memory import BandMemory, lattice_within
 from geokit.volume._tolerance_search import CODECS, ORDERS, Search, Setting, options_of
-from geokit.volume._tolerance_zone import Zone
+from geokit.volume._tolerance_zone import Zone, checked_within
 from geokit.volume.from_mesh import as_volume, described, field_of, half_widths, head_of, in_float32
 
 if TYPE_CHECKING:
@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from geokit.volume.model import SparseVolume
 
 __all__ = ["make_setting", "tolerance_search", "within_tolerance"]
-
-# Share of the tolerance that a field of an open mesh keeps it within: beside its border the sign jumps, and the field
-# is off by twice the distance there.
-OPEN_SHARE = 0.25
 
 
 def tolerance_search(
@@ -62,11 +58,7 @@ def tolerance_search(
     if half_width is not None:
         half_width = half_widths(half_width)[0]
     surface, method, offset = field_of(mesh, sign, thickness, device)
-    if within is None:
-        within = tolerance if surface.is_closed or method == "none" else OPEN_SHARE * tolerance
-    within = _arrays.require_finite_scalar(within, "within")
-    if within < 0.0:
-        raise InputError(f"within: {within} is negative; use 0 or more")
+    within = checked_within(within, tolerance, jumps=method != "none" and not surface.is_closed)
 
     def truth(points: NDArray[np.float64]) -> NDArray[np.float64]:
         if method == "none":

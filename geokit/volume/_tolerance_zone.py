@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Zone"]
+from geokit import _arrays
+from geokit.errors import InputError
+
+__all__ = ["Zone", "checked_within"]
+
+# Share of the tolerance that a field of an open mesh keeps it within: beside its border the sign jumps, and the field
+# is off by twice the distance there.
+OPEN_SHARE = 0.25
 
 # Draws before what was found is taken: of a shell little of a draw may lie in the zone.
 DRAWS = 8
@@ -66,3 +73,21 @@ class Zone:
         exact = self.truth(points)
         inside = np.abs(exact) <= self.within
         return points[inside], exact[inside]
+
+
+def checked_within(within: float | None, tolerance: float, *, jumps: bool) -> float:
+    """How far from the surface a tolerance holds [world].
+
+    Args:
+        within: What was asked for; None for the default.
+        tolerance: Largest error [world].
+        jumps: The field is signed and its mesh is open.
+    Raises:
+        InputError: It is no number, not finite, or negative.
+    """
+    if within is None:
+        return OPEN_SHARE * tolerance if jumps else tolerance
+    within = _arrays.require_finite_scalar(within, "within")
+    if within < 0.0:
+        raise InputError(f"within: {within} is negative; use 0 or more")
+    return within

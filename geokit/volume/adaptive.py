@@ -19,6 +19,7 @@ from geokit.volume._adaptive_refine import Refinement
 from geokit.volume._adaptive_table import AdaptiveTable, adaptive_table, shifts_of
 from geokit.volume._provenance import ACHIEVED_999, ORDER, VOXEL_SIZE, WITHIN, content_hash, provenance
 from geokit.volume._space import way_to_index
+from geokit.volume._tolerance_zone import checked_within
 from geokit.volume.from_mesh import field_of
 from geokit.volume.io import load_all, save
 from geokit.volume.model import SparseVolume
@@ -44,9 +45,6 @@ MOST_DRAWS = 12
 # six hundred thousand cells, one point in a million misses the tolerance, and millions of points did not find them all.
 CLIMBING_SHARE, MOST_CLIMBING, CLIMBING_MOVES = 0.6, 100_000, 4
 CLIMBING_RADII = (0.3, 0.15, 0.07)
-# Share of the tolerance that a field of an open mesh keeps it within: beside its border the sign jumps, and the field
-# is off by twice the distance there.
-OPEN_SHARE = 0.25
 SEED = 20
 # Fewest groups of queries worth a thread of their own.
 GRAIN = 16
@@ -216,7 +214,7 @@ def adaptive_from_mesh(
     crease that cuts off next to nothing of a cell can stay unseen.
 
     Against the grid of one voxel size that keeps the same tolerance, at 1e-3 of the box the bracket of data/samples
-    takes a fifth of the bytes and a scanned bunny half, at 1e-4 a hundredth and an eighth (benchmarks/adaptive.py); a
+    takes a fifth of the bytes and a scanned bunny half, at 1e-4 a seventieth and a seventh (docs/design/adaptive.md); a
     smooth body gains nothing.
 
     Args:
@@ -250,11 +248,7 @@ def adaptive_from_mesh(
     if isinstance(max_levels, bool) or not isinstance(max_levels, (int, np.integer)) or max_levels < 1:
         raise InputError(f"max_levels: {max_levels!r} is not a whole number of levels; give 1 or more")
     surface, method, _ = field_of(mesh, sign, None, device)
-    if within is None:
-        within = tolerance if surface.is_closed else OPEN_SHARE * tolerance
-    within = _arrays.require_finite_scalar(within, "within")
-    if within < 0.0:
-        raise InputError(f"within: {within} is negative; use 0 or more")
+    within = checked_within(within, tolerance, jumps=not surface.is_closed)
     name = surface.mesh.name if name is None else name
     tree = choose(surface, method, within, ACCEPTED_SHARE * tolerance, int(max_levels))
     made, largest, p999 = _checked(tree, name, tolerance)

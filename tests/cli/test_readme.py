@@ -45,6 +45,8 @@ def test_commands(folder: Path) -> None:
     assert written == {
         "torus.vdb",
         "torus.nvdb",
+        "bracket.nvdb",
+        "report",
         "thicker.vdb",
         "torus.obj",
         "distances.csv",

@@ -10,7 +10,7 @@ from geokit.accuracy._chart_gradients import REACH
 from geokit.accuracy._chart_volume_raycast import _judge, _Rays, _reference
 from geokit.accuracy._shapes import box, box_distance, icosphere, moved, sphere_distance, without_cap
 from geokit.accuracy._volume_points import VolumePoints
-from geokit.accuracy._volume_setup import Effort, NearSurface, angles, area_samples, surface_samples
+from geokit.accuracy._volume_setup import Effort, NearSurface, angles, area_samples, known_codecs, surface_samples
 from geokit.accuracy.charts_volume import mesh_volume_charts, volume_charts
 from geokit.accuracy.model import Subject
 from geokit.accuracy.reference_volume import (
@@ -297,7 +297,7 @@ class TestMeshCharts:
 
     def test_all_settings_without_quick(self):
         settings = [trial.parameters for trial in charts_of(icosphere(1), quick=False)["sdf_sampling"].trials()]
-        assert len(settings) == 2 * 5 * 4
+        assert len(settings) == 2 * len(known_codecs()) * 4
         assert len({tuple(p.items()) for p in settings}) == len(settings)
 
 

@@ -317,9 +317,9 @@ def test_archives_that_are_no_rays(tmp_path):
 
 
 def test_public_names():
-    results = {"ChamferDistance", "DirectedDistance", "Downsampled", "HausdorffDistance", "KNearest", "NeighborBlock"}
-    results |= {"Neighbors", "Pairs", "PointCloud", "PointNormals", "Registration"}
-    functions = {"chamfer", "cluster", "density", "downsample", "hausdorff", "normals", "outliers", "register"}
+    results = {"ChamferDistance", "Cover", "DirectedDistance", "Downsampled", "HausdorffDistance", "KNearest"}
+    results |= {"NeighborBlock", "Neighbors", "Pairs", "PointCloud", "PointNormals", "Registration"}
+    functions = {"chamfer", "cluster", "cover", "density", "downsample", "hausdorff", "normals", "outliers", "register"}
     assert set(dir(gk.points)) == {"NeighborGrid", "load", "load_rays", "save"} | functions | results
     for name in gk.points.__all__:
         assert getattr(gk.points, name).__name__ == name

@@ -254,7 +254,7 @@ class TestRefusals:
         return _field_grid(np.zeros((8, 8, 8)), np.zeros(3, int))
 
     @pytest.mark.parametrize("function", [sample, gradient])
-    @pytest.mark.parametrize("order", [4, -1, True, 1.0, "1", None])
+    @pytest.mark.parametrize("order", [4, -1, True, 1.0, "1"])
     def test_order(self, volume, function, order):
         with pytest.raises(InputError, match=r"order: .* is not supported; use one of 0"):
             function(volume, [[0.0, 0.0, 0.0]], order=order, device="cpu")
