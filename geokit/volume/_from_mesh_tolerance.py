@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit import _arrays
 from geokit.errors import InputError
 from geokit.volume._band import BandShape, build_band, make_band
+from geokit.volume._leaf_codecs import LeafReader
 from geokit.volume._provenance import ACHIEVED_999, ORDER, WITHIN, provenance
 from geokit.volume._tiles import Lattice
 from geokit.volume._tolerance import made_within
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from geokit.volume.model import SparseVolume
 
 __all__ = ["make_setting", "tolerance_search", "within_tolerance"]
+
+# Voxels along the longest side of the band whose leaves are looked at: some hundred leaves to a thousand.
+RANGED_VOXELS = 100.0
 
 
 def tolerance_search(
@@ -71,7 +75,19 @@ def tolerance_search(
     zone = Zone(truth, seeds, surface.bounds, within, offset)
     options = options_of(ORDERS if order is None else (order,), CODECS if codec is None else (codec,))
     most_bytes = Lattice(surface, zone.longest, 0.0).free
-    return Search(zone, BandMemory(surface, offset), tolerance, options, most_bytes, half_width)
+
+    def leaf_ranges(width: float) -> NDArray[np.float64]:
+        # Leaves are alike at every size: those of a band of voxels this large show what they hold.
+        size = zone.longest / RANGED_VOXELS
+        reach = in_float32(width * size)
+        lattice = lattice_within(surface, size, reach, offset)
+        shape = BandShape(reach, reach, offset, method)
+        grid = as_volume(build_band(make_band(lattice, shape), head_of(shape, lattice, "")), {})
+        reader = LeafReader(grid.nanovdb)
+        values = reader.values(0, reader.count)
+        return np.asarray((values.max(axis=1) - values.min(axis=1)) / (2.0 * reach), np.float64)
+
+    return Search(zone, BandMemory(surface, offset), tolerance, options, most_bytes, leaf_ranges, half_width)
 
 
 def make_setting(search: Search, setting: Setting, sign: str, method: str, name: str | None) -> SparseVolume:

@@ -8,7 +8,7 @@ and thin parts, which are few of the points and most of the error, are seen at e
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -24,10 +24,13 @@ __all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "qui
 ORDERS = (1, 2, 3)
 # From the quickest to read to the slowest, as far as one is not smaller.
 CODECS = ("float", "fp16", "fp8", "fp4", "fpn")
+# Bits of a leaf's voxels in "fpn".
+LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 # What "fpn" may change of a voxel, as shares of the tolerance: more bits, or more voxels.
 FPN_SHARES = (0.5, 0.3, 0.15)
-# Share of the tolerance that is aimed at, and what it is multiplied with whenever a field has missed the tolerance.
-AIM, CAUTION = 0.99, 0.95
+# Share of the tolerance that is aimed at, and what it is multiplied with whenever a field has missed the tolerance, but
+# for so many times: where a lattice suits a mesh by chance, the next best may be far.
+AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 3
 # Voxels that are asked for at a size: half a second of a CPU.
 VOXELS_ASKED = 500_000
 # The worst points of a size are one of so many, for each order; each is moved so often for the next size.
@@ -110,6 +113,7 @@ class Search:
         tolerance: Largest error [world].
         options: What may be chosen.
         most_bytes: What may be taken while the grid is made.
+        leaf_ranges: Of a band of so many voxels on either side, what each of some leaves holds of the range of all.
         half_width: Width of the band [voxels] where it was asked for.
         seed: Of the points.
         levels: The voxel sizes that were looked at, the largest first.
@@ -121,11 +125,13 @@ class Search:
     tolerance: float
     options: list[Option]
     most_bytes: float
+    leaf_ranges: Callable[[float], NDArray[np.float64]]
     half_width: float | None = None
     seed: int = 0
     levels: list[_Level] = field(default_factory=list)
     is_limited_by_memory: bool = False
     _missed: int = 0
+    _shares: dict[float, NDArray[np.float64]] = field(default_factory=dict)
     _worst: tuple[NDArray[np.float64], float] = field(default_factory=lambda: (np.empty((0, 3)), 0.0))
 
     def width_of(self, option: Option, voxel_size: float) -> float:
@@ -158,7 +164,7 @@ class Search:
     @property
     def aim(self) -> float:
         """Error [world] that a setting may have here: other points than those of the search may be a little worse."""
-        return AIM * CAUTION**self._missed * self.tolerance
+        return AIM * CAUTION ** max(0, self._missed - FREE_MISSES) * self.tolerance
 
     def correct(self, setting: Setting, error: float) -> None:
         """Take note that a closer look at a setting found a larger error, and be more careful from now on."""
@@ -175,7 +181,8 @@ class Search:
             points, exact = self.zone.kept(self._worst[0])
             if float(self._errors(points, exact, size, [option])[option].max()) > aim:
                 continue
-            if self._look(size, [option]).errors[option] <= aim:
+            # What suits one codec may suit a smaller one.
+            if self._look(size, [o for o in self.options if o.order == option.order]).errors[option] <= aim:
                 return
 
     def reachable(self) -> float:
@@ -321,11 +328,16 @@ class Search:
         return counts.bytes_of(option.codec, self._bits(option, voxel_size))
 
     def _bits(self, option: Option, voxel_size: float) -> float:
-        """Bits of a voxel in "fpn": what the range of a leaf and the step make necessary."""
+        """Bits of a voxel in "fpn", in the mean over the leaves: what their ranges and the step make necessary."""
         if option.codec != "fpn":
             return 0.0
-        levels = 2.0 * self.width_of(option, voxel_size) * voxel_size / self._step(option, voxel_size)
-        return next((float(bits) for bits in (1, 2, 4, 8) if 2.0**bits - 1.0 >= levels), 16.0)
+        width = self.width_of(option, voxel_size)
+        # Widths differ by the zone's share of a voxel; leaves are alike over that.
+        key = float(np.ceil(4.0 * width) / 4.0)
+        if key not in self._shares:
+            self._shares[key] = self.leaf_ranges(key)
+        levels = self._shares[key] * (2.0 * width * voxel_size / self._step(option, voxel_size))
+        return float(LEAF_BITS[np.searchsorted(2.0 ** LEAF_BITS[:-1] - 1.0, levels)].mean())
 
     def fits(self, option: Option, voxel_size: float) -> bool:
         """Whether such a band can be made with the memory there is."""
