@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from geokit import _arrays
 from geokit.errors import InputError
 from geokit.volume._band import BandShape, build_band, make_band
 from geokit.volume._leaf_codecs import LeafReader
-from geokit.volume._provenance import ACHIEVED_999, ORDER, WITHIN, provenance
+from geokit.volume._provenance import provenance, with_more
 from geokit.volume._tiles import Lattice
 from geokit.volume._tolerance import made_within
 from geokit.volume._tolerance_memory import BandMemory, lattice_within
@@ -119,13 +117,11 @@ def within_tolerance(
     setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, sign, how, name))
     assert volume is not None
     assert achieved is not None
-    found = {
-        **volume.info.metadata,
-        **provenance(tolerance=search.tolerance, achieved_error=achieved.largest),
-        ACHIEVED_999: achieved.p999,
-        WITHIN: search.zone.within,
-        ORDER: setting.option.order,
-    }
-    # Nobody else has seen it yet.
-    object.__setattr__(volume, "info", replace(volume.info, metadata=MappingProxyType(found)))
-    return volume
+    found = provenance(
+        tolerance=search.tolerance,
+        achieved_error=achieved.largest,
+        achieved_error_999=achieved.p999,
+        checked_within=search.zone.within,
+        order=setting.option.order,
+    )
+    return with_more(volume, found)

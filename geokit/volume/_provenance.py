@@ -22,13 +22,28 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACHIEVED_999", "ACHIEVED_ERROR", "ORDER", "TOLERANCE", "WITHIN", "content_hash", "provenance", "with_error"]
+if TYPE_CHECKING:
+    from geokit.volume.model import SparseVolume
+
+__all__ = [
+    "ACHIEVED_999",
+    "ACHIEVED_ERROR",
+    "ORDER",
+    "TOLERANCE",
+    "VOXEL_SIZE",
+    "content_hash",
+    "known_number",
+    "provenance",
+    "with_error",
+    "with_more",
+]
 
 SOURCE = "geokit:source"
 SOURCE_HASH = "geokit:source_sha256"
@@ -47,6 +62,9 @@ def provenance(
     voxel_size: float | None = None,
     tolerance: float | None = None,
     achieved_error: float | None = None,
+    achieved_error_999: float | None = None,
+    checked_within: float | None = None,
+    order: int | None = None,
 ) -> dict[str, Any]:
     """Metadata that says where a volume came from.
 
@@ -56,6 +74,9 @@ def provenance(
         voxel_size: Edge length of a voxel [world].
         tolerance: Error that was asked for [value units].
         achieved_error: Error that was achieved [value units].
+        achieved_error_999: Its 99.9th percentile [value units].
+        checked_within: How far from the surface that holds [world].
+        order: Order of interpolation for which it holds.
     Returns:
         The keys of this module's table whose values are known, and the version of geokit.
     """
@@ -67,6 +88,9 @@ def provenance(
         VOXEL_SIZE: None if voxel_size is None else float(voxel_size),
         TOLERANCE: None if tolerance is None else float(tolerance),
         ACHIEVED_ERROR: None if achieved_error is None else float(achieved_error),
+        ACHIEVED_999: None if achieved_error_999 is None else float(achieved_error_999),
+        WITHIN: None if checked_within is None else float(checked_within),
+        ORDER: order,
         VERSION: geokit.__version__,
     }
     return {key: value for key, value in known.items() if value is not None}
@@ -86,12 +110,19 @@ def with_error(metadata: Mapping[str, Any], tolerance: float | None, achieved_er
     made = {**metadata, **provenance()}
     # What was found by sampling does not hold for other values.
     made.pop(ACHIEVED_999, None)
-    before = _number(made.pop(ACHIEVED_ERROR, None))
-    asked = _number(made.pop(TOLERANCE, None))
+    before = known_number(made.pop(ACHIEVED_ERROR, None))
+    asked = known_number(made.pop(TOLERANCE, None))
     made[ACHIEVED_ERROR] = (before or 0.0) + float(achieved_error)
     if tolerance is not None and (before is None or asked is not None):
         made[TOLERANCE] = (asked or 0.0) + float(tolerance)
     return MappingProxyType(made)
+
+
+def with_more(volume: SparseVolume, more: Mapping[str, Any]) -> SparseVolume:
+    """A volume that was just made, with further metadata: it is changed in place, since nobody else has seen it yet."""
+    metadata = MappingProxyType({**volume.info.metadata, **more})
+    object.__setattr__(volume, "info", replace(volume.info, metadata=metadata))
+    return volume
 
 
 def content_hash(*arrays: NDArray[Any]) -> str:
@@ -109,6 +140,6 @@ def content_hash(*arrays: NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-def _number(value: Any) -> float | None:
-    # Metadata comes from files: a key of ours may hold anything.
+def known_number(value: Any) -> float | None:
+    """A value of metadata as a number: it comes from files, where a key of ours may hold anything."""
     return float(value) if isinstance(value, (int, float, np.number)) and not isinstance(value, bool) else None

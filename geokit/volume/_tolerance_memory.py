@@ -55,7 +55,7 @@ class BandMemory:
 
     surface: Surface
     offset: float
-    _known: dict[tuple[float, float], int] = field(default_factory=dict)
+    _known: dict[tuple[float, float, float | None], int] = field(default_factory=dict)
 
     def counts(self, voxel_size: float, width: float) -> BandCounts:
         """Nodes of a band of so many world units on either side of the field's surface."""
@@ -70,7 +70,7 @@ class BandMemory:
         return BandCounts(leaves, lowers, uppers)
 
     def _counted(self, voxel_size: float, width: float, tile: float | None = None) -> float:
-        key = (voxel_size, width)
+        key = (voxel_size, width, tile)
         if key not in self._known:
             lattice = lattice_within(self.surface, voxel_size, width, self.offset, tile=tile)
             self._known[key] = max(1, len(near_tiles(lattice).keys))

@@ -318,7 +318,7 @@ class Search:
         assert above is not None
         assert below is not None
         slope = math.log(above.errors[option] / max(below.errors[option], 1e-300))
-        share = math.log(above.errors[option] / (self.aim)) / max(slope, 1e-12)
+        share = math.log(above.errors[option] / self.aim) / max(slope, 1e-12)
         # Never beside an end: what is known there would be asked again.
         share = min(max(share, 0.15), 0.85)
         return float(above.voxel_size * (below.voxel_size / above.voxel_size) ** share)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from geokit.volume._adaptive_check import DRAWN_POINTS, check_points
 from geokit.volume._adaptive_ladder import choose
 from geokit.volume._adaptive_refine import Refinement
 from geokit.volume._adaptive_table import AdaptiveTable, adaptive_table, shifts_of
-from geokit.volume._provenance import ACHIEVED_999, ORDER, VOXEL_SIZE, WITHIN, content_hash, provenance
+from geokit.volume._provenance import VOXEL_SIZE, provenance, with_more
 from geokit.volume._space import way_to_index
 from geokit.volume._tolerance_zone import checked_within
-from geokit.volume.from_mesh import field_of
+from geokit.volume.from_mesh import field_of, hash_of
 from geokit.volume.io import load_all, save
 from geokit.volume.model import SparseVolume
 
@@ -252,16 +251,23 @@ def adaptive_from_mesh(
     name = surface.mesh.name if name is None else name
     tree = choose(surface, method, within, ACCEPTED_SHARE * tolerance, int(max_levels))
     made, largest, p999 = _checked(tree, name, tolerance)
-    mesh_hash = content_hash(surface.mesh.vertices, surface.mesh.faces)
     found = {
-        **provenance(surface.mesh.name, mesh_hash, None, tolerance, largest),
-        ACHIEVED_999: p999,
-        WITHIN: within,
-        ORDER: 1,
+        **provenance(
+            surface.mesh.name,
+            hash_of(surface.mesh),
+            tolerance=tolerance,
+            achieved_error=largest,
+            achieved_error_999=p999,
+            checked_within=within,
+            order=1,
+        ),
         "geokit:sign_method": method,
         "geokit:sign_reason": surface.sign_reason if sign == "auto" else "asked for",
     }
-    return AdaptiveSDF(tuple(_described(level, found, row, made) for row, level in enumerate(made.levels)))
+    sizes, count = made.voxel_sizes, made.level_count
+    for number, level in enumerate(made.levels):
+        with_more(level, {**found, VOXEL_SIZE: sizes[number], LEVEL: number, LEVEL_COUNT: count})
+    return made
 
 
 def load_adaptive(path: str | os.PathLike[str]) -> AdaptiveSDF:
@@ -360,11 +366,3 @@ def _built(tree: Refinement, name: str, before: AdaptiveSDF | None) -> AdaptiveS
         for number, keys in enumerate(tree.refined, 1)
     ]
     return AdaptiveSDF((coarsest, *finer))
-
-
-def _described(level: SparseVolume, found: dict[str, Any], number: int, made: AdaptiveSDF) -> SparseVolume:
-    """A level with the metadata of the field and its own."""
-    own = {VOXEL_SIZE: made.voxel_sizes[number], LEVEL: number, LEVEL_COUNT: made.level_count}
-    # Nobody else has seen it yet.
-    object.__setattr__(level, "info", replace(level.info, metadata=MappingProxyType({**found, **own})))
-    return level

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.volume._provenance import ACHIEVED_999, ACHIEVED_ERROR, ORDER, TOLERANCE, known_number
+
 if TYPE_CHECKING:
     import warp as wp
 
@@ -64,28 +66,23 @@ class GridInfo:
     @property
     def tolerance(self) -> float | None:
         """Error that was asked for when the values were made [value units]; None where none was."""
-        return self._known("geokit:tolerance")
+        return known_number(self.metadata.get(TOLERANCE))
 
     @property
     def achieved_error(self) -> float | None:
         """Largest error that was found then [value units]: of voxels, or of interpolated distances; None if unknown."""
-        return self._known("geokit:achieved_error")
+        return known_number(self.metadata.get(ACHIEVED_ERROR))
 
     @property
     def achieved_error_999(self) -> float | None:
         """99.9th percentile of the interpolated distances' errors [value units]; None if unknown."""
-        return self._known("geokit:achieved_error_999")
+        return known_number(self.metadata.get(ACHIEVED_999))
 
     @property
     def order(self) -> int | None:
         """Order of interpolation for which the values were made; None where none was chosen."""
-        order = self._known("geokit:order")
+        order = known_number(self.metadata.get(ORDER))
         return int(order) if order in (1.0, 2.0, 3.0) else None
-
-    def _known(self, key: str) -> float | None:
-        # Metadata comes from files: a key of ours may hold anything.
-        value = self.metadata.get(key)
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def least_bytes(search, within_points, exact) -> float:
     return best
 
 
-@pytest.mark.parametrize("name", ["torus", "thin"])
+@pytest.mark.parametrize("name", ["torus", "sharp", "thin"])
 def test_memory_is_near_the_least_that_an_exhaustive_search_finds(name):
     mesh = MESHES[name]
     tolerance = SHARE * diagonal(mesh)
