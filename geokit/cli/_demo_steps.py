@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.accuracy import reference
+from geokit.accuracy._reference_points import neighbors_within
+from geokit.accuracy.reference_volume import Voxels
 from geokit.cli._demo_input import Camera, camera_rays, points_on
 from geokit.cli._demo_log import DemoLog
-from geokit.cli._reference import closest_distance, first_hit, neighbors_of, trilinear
 from geokit.errors import MissingDependencyError
 from geokit.mesh.model import TriangleMesh
 
@@ -116,7 +118,8 @@ def build_volume(log: DemoLog, surface: "Surface", device: Any) -> "SparseVolume
     stored = np.asarray(volume.sample(positions, order=0, device="cpu"))
     band = np.flatnonzero(np.abs(stored) < abs(volume.info.background))
     some = np.random.default_rng(1).permutation(band)[:CHECKED]
-    entry.error = float(np.abs(np.abs(stored[some]) - closest_distance(mesh, positions[some])).max())
+    exact = reference.closest_point(mesh.vertices, mesh.faces, positions[some]).distance
+    entry.error = float(np.abs(np.abs(stored[some]) - exact).max())
     entry.reference = f"brute force at {len(some)} voxels [world]"
     return volume
 
@@ -187,7 +190,8 @@ def project_points(log: DemoLog, surface: "Surface") -> Projection:
     with log.step("project points", "points") as entry:
         found = surface.closest_point(queries)
         entry.count = len(queries)
-    entry.error = float(np.abs(found.distance[:CHECKED] - closest_distance(mesh, queries[:CHECKED])).max())
+    expected = reference.closest_point(mesh.vertices, mesh.faces, queries[:CHECKED]).distance
+    entry.error = float(np.abs(found.distance[:CHECKED] - expected).max())
     entry.reference = f"brute force of {CHECKED} [world]"
     return Projection(queries, found.points, found.distance, found.triangle_id)
 
@@ -200,7 +204,8 @@ def cast_image(log: DemoLog, surface: "Surface") -> tuple[Camera, "RayHits"]:
     # As many hits as misses, spread over the picture.
     random = np.random.default_rng(3)
     some = np.concatenate([random.permutation(np.flatnonzero(mask))[: CHECKED // 2] for mask in _hit_masks(hits)])
-    expected = first_hit(surface.mesh, camera.origins[some], camera.directions[some])
+    mesh = surface.mesh
+    expected = reference.first_hit(mesh.vertices, mesh.faces, camera.origins[some], camera.directions[some]).t
     both = np.isfinite(expected) & np.isfinite(hits.t[some])
     disagree = np.isfinite(expected) != np.isfinite(hits.t[some])
     entry.error = float("inf") if disagree.any() else float(np.abs(expected[both] - hits.t[some][both]).max())
@@ -221,30 +226,14 @@ def sample_volume(log: DemoLog, surface: "Surface", volume: "SparseVolume", devi
     with log.step("sample the SDF", "points") as entry:
         values = np.asarray(volume.sample(queries, device=device))
         entry.count = len(queries)
-    few = queries[:CHECKED]
-    expected_value, expected_gradient = _reference_sample(volume, few)
-    entry.error = float(np.abs(values[:CHECKED] - expected_value).max())
+    few, voxels = queries[:CHECKED], Voxels(volume)
+    entry.error = float(np.abs(values[:CHECKED] - voxels.sample(few, order=1)).max())
     entry.reference = f"float64 trilinear of {CHECKED} [world]"
     with log.step("sample its gradient", "points") as entry:
         gradients = np.asarray(volume.gradient(queries, device=device))
         entry.count = len(queries)
-    entry.error = float(np.abs(gradients[:CHECKED] - expected_gradient).max())
+    entry.error = float(np.abs(gradients[:CHECKED] - voxels.gradient(few, order=1)).max())
     entry.reference = f"float64 trilinear of {CHECKED} [world per world]"
-
-
-def _reference_sample(
-    volume: "SparseVolume", points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    linear, shift = volume.info.transform[:3, :3], volume.info.transform[:3, 3]
-    inverse = np.linalg.inv(linear)
-    index = (points - shift) @ inverse.T
-    base = np.floor(index)
-    offsets = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
-    centres = (base[:, None, :] + offsets) @ linear.T + shift
-    corners = np.asarray(volume.sample(centres.reshape(-1, 3), order=0, device="cpu"), dtype=np.float64)
-    value, gradient = trilinear(corners.reshape(-1, 2, 2, 2), index - base)
-    # A row vector of derivatives with respect to index turns into world by the inverse map.
-    return value, gradient @ inverse
 
 
 def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhood:
@@ -260,8 +249,8 @@ def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhoo
         found = grid.radius_search(cloud)
         entry.count = len(cloud)
     worst = 0.0
-    for query in range(CHECKED):
-        indices, distances = neighbors_of(cloud, cloud[query], radius)
+    for query, indices in enumerate(neighbors_within(cloud, cloud[:CHECKED], radius)):
+        distances = np.linalg.norm(cloud[indices] - cloud[query], axis=1)
         row = slice(int(found.offsets[query]), int(found.offsets[query + 1]))
         order = np.argsort(found.indices[row], kind="stable")
         same = np.array_equal(found.indices[row][order], indices)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from geokit import native
+from geokit.accuracy import reference
 from geokit.cli._demo_input import camera_rays, points_on
-from geokit.cli._reference import closest_distance, first_hit, neighbors_of, trilinear
 from geokit.mesh import TriangleMesh
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -89,44 +89,12 @@ def test_nothing_is_replaced_without_force(geokit, fails, tmp_path: Path) -> Non
     fails(geokit("demo", "--out", tmp_path / "file" / "deeper"), 1, "cannot be made a folder")
 
 
-# The references themselves, against answers that are known.
-
 TETRAHEDRON = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
-
-def test_reference_distance() -> None:
-    points = np.array([[0.2, 0.2, -1.0], [-1.0, -1.0, 0.5], [2.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.25, 0.25, 0.0]])
-    expected = [1.0, np.sqrt(2.0), 1.0, 2.0 / np.sqrt(3.0), 0.0]
-    np.testing.assert_allclose(closest_distance(TETRAHEDRON, points), expected, rtol=1e-15, atol=1e-15)
-
-
-def test_reference_hit() -> None:
-    origins = np.array([[0.2, 0.2, 5.0], [0.2, 0.2, -5.0], [2.0, 2.0, 5.0]])
-    directions = np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    np.testing.assert_allclose(first_hit(TETRAHEDRON, origins, directions), [2.2, 5.0, np.inf], rtol=1e-15)
-
-
-def test_reference_neighbors() -> None:
-    indices, distance = neighbors_of(np.array([[0.0, 0, 0], [3.0, 4, 0], [9.0, 0, 0]]), np.zeros(3), 5.0)
-    assert indices.tolist() == [0, 1]
-    assert distance.tolist() == [0.0, 5.0]
-
-
-def test_reference_trilinear() -> None:
-    random = np.random.default_rng(0)
-    fraction = random.random((20, 3))
-    x, y, z = np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")
-    # Of the functions that trilinear interpolation reproduces.
-    corners = np.broadcast_to(1.0 + 2.0 * x - 3.0 * y + x * z, (20, 2, 2, 2))
-    value, gradient = trilinear(corners, fraction)
-    u, v, w = fraction.T
-    np.testing.assert_allclose(value, 1.0 + 2.0 * u - 3.0 * v + u * w, atol=1e-14)
-    np.testing.assert_allclose(gradient, np.stack([2.0 + w, np.full(20, -3.0), u], axis=1), atol=1e-14)
 
 
 def test_points_lie_on_the_mesh_and_cover_it() -> None:
     points = points_on(TETRAHEDRON, 4000, np.random.default_rng(0))
-    assert closest_distance(TETRAHEDRON, points[:200]).max() < 1e-15
+    assert reference.closest_point(TETRAHEDRON.vertices, TETRAHEDRON.faces, points[:200]).distance.max() < 1e-15
     # Half of the slanted face's share: its area is sqrt(3) / 2 of (3 / 2 + sqrt(3) / 2).
     share = (points.sum(axis=1) > 1.0 - 1e-9).mean()
     assert share == pytest.approx(np.sqrt(3.0) / (3.0 + np.sqrt(3.0)), abs=0.03)
@@ -134,7 +102,8 @@ def test_points_lie_on_the_mesh_and_cover_it() -> None:
 
 def test_the_camera_sees_the_whole_mesh() -> None:
     camera = camera_rays(TETRAHEDRON, 64, 48)
-    hit = np.isfinite(first_hit(TETRAHEDRON, camera.origins, camera.directions)).reshape(48, 64)
+    hits = reference.first_hit(TETRAHEDRON.vertices, TETRAHEDRON.faces, camera.origins, camera.directions)
+    hit = (hits.triangle_id >= 0).reshape(48, 64)
     border = np.concatenate([hit[0], hit[-1], hit[:, 0], hit[:, -1]])
     assert hit.sum() > 100
     assert not border.any()
