@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
 from geokit.errors import InputError
+from geokit.mesh._measurable import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
@@ -19,11 +20,8 @@ if TYPE_CHECKING:
     from geokit._frame import Frame
     from geokit.mesh.model import TriangleMesh
 
-__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "SignedDistances", "require_measurable"]
+__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "SignedDistances"]
 
-# Sizes of a mesh, as halves of its box's longest side: queries multiply four lengths, and what leaves float64's 1e-308
-# to 1e308 comes back as 0, inf or NaN (tests/stability/test_envelopes.py).
-LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71
 # The order of queries is resolved over twice the mesh's box: what is farther away is clamped to its sides.
 ORDER_HALF_WIDTH = 2.0
 # Queries of a thread, each starting from its neighbour's answer: more gain nothing on a CPU. On a GPU a thread for each
@@ -423,16 +421,3 @@ class PointQueries:
 
 def _radius(max_distance: float) -> float:
     return _arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
-
-
-def require_measurable(mesh: TriangleMesh, frame: Frame) -> None:
-    """Refuse distances from meshes of a size at which their products leave float64.
-
-    Raises:
-        InputError: The mesh is too small or too large.
-    """
-    if not LEAST_SCALE <= frame.scale <= LARGEST_SCALE:
-        raise InputError(
-            f"mesh: {mesh.name or 'it'} is {2.0 * frame.scale:.3g} across; scale it to between {LEAST_SCALE:g} and "
-            f"{LARGEST_SCALE:g}: beyond, products of lengths leave float64"
-        )

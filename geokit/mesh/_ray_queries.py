@@ -9,7 +9,7 @@ from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
 from geokit._host_array import HostArray
 from geokit.errors import InputError
-from geokit.mesh._point_queries import require_measurable
+from geokit.mesh._measurable import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
