@@ -85,21 +85,22 @@ def tolerance_search(
         values = reader.values(0, reader.count)
         return np.asarray((values.max(axis=1) - values.min(axis=1)) / (2.0 * reach), np.float64)
 
-    return Search(zone, BandMemory(surface, offset), tolerance, options, most_bytes, leaf_ranges, half_width)
+    memory = BandMemory(surface, offset)
+    return Search(zone, memory, tolerance, options, most_bytes, leaf_ranges, half_width, sign, method)
 
 
-def make_setting(search: Search, setting: Setting, sign: str, method: str, name: str | None) -> SparseVolume:
+def make_setting(search: Search, setting: Setting, name: str | None = None) -> SparseVolume:
     """The field of a setting."""
     from geokit.volume.quantize import quantize
 
     surface, size = search.memory.surface, setting.voxel_size
     width = in_float32(setting.half_width * size)
-    shape = BandShape(width, width, search.zone.offset, method)
+    shape = BandShape(width, width, search.zone.offset, search.sign_method)
     lattice = lattice_within(surface, size, width, search.zone.offset)
     band = make_band(lattice, shape)
     head = head_of(shape, lattice, surface.mesh.name if name is None else name)
     # What is too thin for voxels to be inside may well be so between them: that the tolerance is kept is what counts.
-    volume = as_volume(build_band(band, head), described(band, sign, warn=False))
+    volume = as_volume(build_band(band, head), described(band, search.sign, warn=False))
     if setting.option.codec == "float":
         return volume
     share = setting.option.share
@@ -112,9 +113,7 @@ def within_tolerance(
     if method != "geokit":
         raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
     search = tolerance_search(mesh, tolerance, sign=sign, **asked)
-    surface = search.memory.surface
-    how = field_of(surface, sign, asked["thickness"], None)[1]
-    setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, sign, how, name))
+    setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, name))
     assert volume is not None
     assert achieved is not None
     found = provenance(

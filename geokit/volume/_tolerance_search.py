@@ -115,6 +115,8 @@ class Search:
         most_bytes: What may be taken while the grid is made.
         leaf_ranges: Of a band of so many voxels on either side, what each of some leaves holds of the range of all.
         half_width: Width of the band [voxels] where it was asked for.
+        sign: How inside was to be told from outside.
+        sign_method: How it is.
         seed: Of the points.
         levels: The voxel sizes that were looked at, the largest first.
         is_limited_by_memory: Whether finer voxels were left out because they do not fit.
@@ -127,6 +129,8 @@ class Search:
     most_bytes: float
     leaf_ranges: Callable[[float], NDArray[np.float64]]
     half_width: float | None = None
+    sign: str = "auto"
+    sign_method: str = "none"
     seed: int = 0
     levels: list[_Level] = field(default_factory=list)
     is_limited_by_memory: bool = False

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.volume._from_mesh_tolerance import make_setting, tolerance_search
 from geokit.volume._tolerance import made_within
 from geokit.volume._tolerance_search import Search, Setting, quickest
-from geokit.volume.from_mesh import field_of
 
 if TYPE_CHECKING:
     from geokit.mesh.model import TriangleMesh
@@ -97,8 +96,7 @@ def plan(
         codec=codec,
         device=device,
     )
-    method = field_of(search.memory.surface, sign, thickness, None)[1]
-    made = made_within(search, lambda s: make_setting(search, s, sign, method, None), most_leaves=CHECKED_LEAVES)
+    made = made_within(search, lambda s: make_setting(search, s), most_leaves=CHECKED_LEAVES)
     settings = _best_of_each(search)
     if made.achieved is not None:
         settings[0] = made.setting._replace(error=made.achieved.largest)
@@ -107,7 +105,7 @@ def plan(
     for setting in settings:
         kind = setting.option.codec
         if kind not in per_leaf:
-            per_leaf[kind] = _seconds_per_leaf(search, setting, sign, method)
+            per_leaf[kind] = _seconds_per_leaf(search, setting)
         planned.append(
             PlannedField(
                 setting.option.order,
@@ -130,13 +128,13 @@ def _best_of_each(search: Search) -> list[Setting]:
     return list(found.values())
 
 
-def _seconds_per_leaf(search: Search, setting: Setting, sign: str, method: str) -> float:
+def _seconds_per_leaf(search: Search, setting: Setting) -> float:
     """Of making a band like this one, from a small one: the first call also loads the kernels."""
     coarser = max(1.0, setting.counts.leaves / TIMED_LEAVES) ** 0.5
     small = setting._replace(voxel_size=setting.voxel_size * coarser)
     for _ in range(2):
         start = time.perf_counter()
-        volume = make_setting(search, small, sign, method, None)
+        volume = make_setting(search, small)
         seconds = time.perf_counter() - start
     leaves = search.memory.counts(small.voxel_size, small.half_width * small.voxel_size).leaves
     return seconds / leaves if volume.info.active_voxel_count else 0.0

@@ -82,7 +82,7 @@ def least_bytes(search, within_points, exact) -> float:
         for option in search.options:
             width = search.width_of(option, size)
             setting = Setting(option, size, width, 0.0, search.memory.counts(size, width * size), 0.0)
-            field = make_setting(search, setting, "auto", search.memory.surface.sign_method, None)
+            field = make_setting(search, setting)
             error = np.abs(field.sample(within_points, order=option.order, device=DEVICE) - exact).max()
             if error <= search.tolerance:
                 best = min(best, field.info.byte_count)

@@ -82,7 +82,7 @@ def test_foreseen_errors_are_those_of_the_grid():
     for order, codec in ((1, "float"), (2, "float"), (3, "float"), (3, "fp8")):
         setting = next(s for s in search.settings() if s.option.order == 3)
         setting = setting._replace(option=setting.option._replace(order=order, codec=codec, share=0.0))
-        field = make_setting(search, setting, "auto", "pseudonormal", None)
+        field = make_setting(search, setting)
         size, limit = setting.voxel_size, setting.half_width * setting.voxel_size
         step = quantisation_step(codec, setting.half_width, size)
         foreseen = interpolation_errors(stencils_of(search.zone, points, exact, size, 3), order, limit, step)
@@ -96,9 +96,9 @@ def test_foreseen_errors_are_those_of_the_grid():
 def test_a_field_that_is_worse_than_the_search_believes_is_noticed():
     search = tolerance_search(TORUS, 0.02, **ASKED, device=None)
     setting = next(quickest(search.settings()))
-    honest = checked_errors(search.zone, make_setting(search, setting, "auto", "pseudonormal", None), setting, 3)
+    honest = checked_errors(search.zone, make_setting(search, setting), setting, 3)
     coarse = setting._replace(voxel_size=2.0 * setting.voxel_size)
-    spoilt = checked_errors(search.zone, make_setting(search, coarse, "auto", "pseudonormal", None), coarse, 3)
+    spoilt = checked_errors(search.zone, make_setting(search, coarse), coarse, 3)
     assert honest.p999 < honest.largest < 1.3 * setting.error
     assert spoilt.largest > 2.0 * honest.largest
 
@@ -114,7 +114,7 @@ def test_a_plan_says_what_comes():
     assert made.info.byte_count == pytest.approx(best.byte_count, rel=0.25)
     search = tolerance_search(TORUS, tolerance, **ASKED, device=None)
     for setting in search.settings():
-        field = make_setting(search, setting, "auto", "pseudonormal", None)
+        field = make_setting(search, setting)
         assert field.info.byte_count == pytest.approx(setting.byte_count, rel=0.25)
         # What was not checked may turn out a little worse, and from_mesh would then take another.
         assert checked_errors(search.zone, field, setting, 4).largest <= 1.3 * tolerance
