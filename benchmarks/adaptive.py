@@ -21,8 +21,8 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
-from benchmarks.measure import cpu_name
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 from geokit.volume._adaptive_build import build_band_level
 from geokit.volume._adaptive_cells import CORNERS, CellLattice, cells_of, keys_of
 from geokit.volume._adaptive_check import check_points
@@ -143,8 +143,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     lines = [
-        f"{cpu_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; sizes and errors in "
-        "tolerances, MB of float grids, M samples a second, medians of pairs.\n",
+        f"{processor_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; sizes and errors "
+        "in tolerances, MB of float grids, M samples a second, medians of pairs.\n",
         "| mesh | tolerance | levels | largest voxel | error | MB | uniform voxel | its error | its MB | memory ratio "
         "| M/s | its M/s | time ratio | made in [s] |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-import platform
 import statistics
 import sys
 import time
@@ -46,17 +45,6 @@ HEADER = (
     "| task | geokit M/s | peer | peer M/s | ratio | bar | met | largest difference |\n"
     "|---|---:|---|---:|---:|---:|---|---|"
 )
-
-
-def cpu_name() -> str:
-    """Of this machine, for the head of a report."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 class Asked(NamedTuple):

@@ -20,9 +20,10 @@ import numpy as np
 
 from benchmarks import inputs, peers
 from benchmarks.growth import grow_queries, grow_triangles, powers
-from benchmarks.measure import SAME, Bar, Case, Peer, Report, Row, Table, cpu_name, in_process, median_seconds, paired
+from benchmarks.measure import SAME, Bar, Case, Peer, Report, Row, Table, in_process, median_seconds, paired
 from benchmarks.sign_check import UNDECIDED, as_wound
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 from geokit.mesh import Surface, TriangleMesh
 
 # libigl's signed_distance multiplies with 1 - 2w, and its fast w is off by hundredths; point-cloud-utils calls it too.
@@ -373,7 +374,7 @@ def begin(setting: Setting, out: Path | None) -> Table:
     os.environ.setdefault("OMP_NUM_THREADS", str(_launch.thread_count()))
     table = Table(path=out)
     table.add(
-        f"{cpu_name()}, {_launch.thread_count()} threads; {setting.queries:,} queries a call; medians of pairs.\n"
+        f"{processor_name()}, {_launch.thread_count()} threads; {setting.queries:,} queries a call; medians of pairs.\n"
     )
     table.begin()
     return table

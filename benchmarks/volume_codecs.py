@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import inputs
-from benchmarks.measure import cpu_name
+from geokit.accuracy._machine import processor_name
 from geokit.volume import from_mesh, load, save
 from geokit.volume._nvdb_file import read
 from geokit.volume.dense import from_dense, to_dense
@@ -300,7 +300,7 @@ def main() -> None:
         memory(arguments.resolution)
         return
     volume = level_set(arguments.resolution)
-    print(f"{cpu_name()}; a level set of {arguments.resolution} voxels across, medians of {RUNS} runs\n")
+    print(f"{processor_name()}; a level set of {arguments.resolution} voxels across, medians of {RUNS} runs\n")
     print("| task | geokit ms | peer | peer ms | ratio | answers |\n|---|---:|---|---:|---:|---|")
     with tempfile.TemporaryDirectory() as folder:
         against_nanovdb_convert(volume, Path(folder))

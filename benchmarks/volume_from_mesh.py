@@ -21,8 +21,9 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
-from benchmarks.measure import Report, Row, Table, cpu_name, in_process, paired
+from benchmarks.measure import Report, Row, Table, in_process, paired
 from geokit import _launch, native
+from geokit.accuracy._machine import processor_name
 
 TRIANGLES = 195_200
 RESOLUTIONS = (128, 256, 512)
@@ -148,7 +149,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{cpu_name()}, {_launch.thread_count()} threads; {TRIANGLES:,} triangles; medians of pairs.\n")
+    table.add(f"{processor_name()}, {_launch.thread_count()} threads; {TRIANGLES:,} triangles; medians of pairs.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for task in (band, shares, memory):

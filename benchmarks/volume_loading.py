@@ -17,9 +17,10 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
-from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, cpu_name, in_process
+from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, in_process
 from benchmarks.volume_sampling import level_set, points_of
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 
 RESOLUTIONS = (128, 256, 512)
 CHECKED = 10_000
@@ -83,7 +84,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{cpu_name()}, {_launch.thread_count()} threads; rates in active voxels; medians of pairs.\n")
+    table.add(f"{processor_name()}, {_launch.thread_count()} threads; rates in active voxels; medians of pairs.\n")
     table.begin()
     with tempfile.TemporaryDirectory() as folder:
         for resolution in arguments.resolutions:

@@ -21,8 +21,9 @@ import numpy as np
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
-from benchmarks.measure import Report, Row, Table, cpu_name, in_process, paired
+from benchmarks.measure import Report, Row, Table, in_process, paired
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 from geokit.volume import _crossing_blocks
 from geokit.volume.integrate import integrate
 from geokit.volume.raycast import raycast
@@ -189,7 +190,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{cpu_name()}, {_launch.thread_count()} threads; {RAYS:,} rays, {TRIANGLES:,} triangles.\n")
+    table.add(f"{processor_name()}, {_launch.thread_count()} threads; {RAYS:,} rays, {TRIANGLES:,} triangles.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for kind in KINDS:

@@ -18,8 +18,9 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
-from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, cpu_name, in_process
+from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, in_process
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 
 # As a share of the largest value, three voxels: peers compute index coordinates in float32, which rounds 500 by 3e-5.
 SAME = 3e-5
@@ -95,7 +96,7 @@ def main() -> None:
     arguments = parser.parse_args()
     table = Table(arguments.out)
     table.add(
-        f"{cpu_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; medians of pairs.\n"
+        f"{processor_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; medians of pairs.\n"
     )
     table.begin()
     for resolution in arguments.resolutions:

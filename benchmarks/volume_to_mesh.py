@@ -21,9 +21,10 @@ import numpy as np
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import program
-from benchmarks.measure import Report, Row, Table, cpu_name, in_process
+from benchmarks.measure import Report, Row, Table, in_process
 from benchmarks.volume_from_mesh import stages
 from geokit import _launch
+from geokit.accuracy._machine import processor_name
 
 TRIANGLES = 195_200
 RESOLUTIONS = (256, 512)
@@ -149,7 +150,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{cpu_name()}, {_launch.thread_count()} threads; rates are millions of triangles per second.\n")
+    table.add(f"{processor_name()}, {_launch.thread_count()} threads; rates are millions of triangles per second.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for task in (surfaces, shares):

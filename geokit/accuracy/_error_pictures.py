@@ -72,7 +72,8 @@ def error_picture(group: Group, subject: Subject) -> Picture | None:
     name = f"{row.method}, {row.setting}, {row.device}"
     if group.chart.vertical == "wrong":
         shown = _some(wrong, errors)
-        caption = f"{name}: the {int(wrong.sum())} wrong answers of {len(wrong)}."
+        answers = "wrong answer" if wrong.sum() == 1 else "wrong answers"
+        caption = f"{name}: the {int(wrong.sum())} {answers} of {len(wrong)}."
         return Picture(_draw(subject, positions[shown], WRONG_COLOR, ""), caption)
     shown = _some(~wrong & np.isfinite(positions).all(axis=1), errors)
     caption = f"{name}: {len(shown)} of {len(errors)} checked answers by the logarithm of their error"

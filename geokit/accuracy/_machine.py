@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from geokit.errors import MissingDependencyError
 
-__all__ = ["machine_facts", "machine_line", "version_facts"]
+__all__ = ["machine_facts", "machine_line", "processor_name", "version_facts"]
 
 PACKAGES = {"warp": "warp-lang", "numpy": "numpy"}
 
