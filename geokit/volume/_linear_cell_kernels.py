@@ -97,7 +97,7 @@ ENTRY_OF = f"""
 
 
 def group_positions(rows):
-    """Up to 64 queries from ``start`` on: their voxels, fractions (u, v, w) there, and who is ``outside`` of the box."""
+    """Up to 64 queries from ``start`` on: their voxels, fractions (u, v, w), and who is ``outside`` of the box."""
     return f"""
     constexpr int G = 64;
     const double origin_x = origin[0], origin_y = origin[1], origin_z = origin[2];
