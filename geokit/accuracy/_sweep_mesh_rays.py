@@ -217,11 +217,10 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
             powers(1, 17),
             partial(_hits_on_slivers, device=device),
             Envelope(
-                1e9,
-                1e-6,
+                1e15,
+                1e-14,
                 0.0,
-                "Slivers are hit; t is good to 2e-16 of the ray times the aspect ratio of the triangle, to 2e-7 where "
-                "that is 1e9.",
+                "Slivers are hit, and t is that of their planes, until rounding their corners makes gaps between them.",
             ),
         ),
         Sweep(

@@ -72,9 +72,9 @@ class RayQueries:
         (tests/stability/test_ray_leaks.py). Ties go to the lowest triangle_id.
 
         Within 1e-6 of the mesh's size up to 1e9 sizes from the origin, and from starts up to 1e8 sizes away; from 1e12
-        on they may miss. t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face, and to
-        2e-16 of the ray times the aspect ratio of the triangle. A t_min of 1e-13 of the mesh's size passes over the
-        face that a ray starts on. Held by tests/stability/test_envelopes.py.
+        on they may miss. t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face, on
+        slivers as well. A t_min of 1e-13 of the mesh's size passes over the face that a ray starts on. Held by
+        tests/stability/test_envelopes.py.
 
         Args:
             origins: Where rays start [world], shape (N, 3).
