@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh._ray_triangle_kernels import RAY_CROSSING
+from geokit.mesh._ray_triangle_kernels import RAY_CROSSING, REFINE
 from geokit.mesh._raycast_kernels import ray_walk
 from geokit.mesh._tree_kernels import SurfaceTree
 
@@ -12,8 +12,10 @@ wp.set_module_options({"enable_backward": False})
 
 _COUNT = "++r.count;"
 _WRITE_COUNT = "out_count.data[r.id] = r.count;"
-# Kept in order as they come, by t and then by triangle: rays have few crossings.
+# Kept in order as they come, by t and then by triangle: rays have few crossings. What is within the ray's limits was
+# decided before t is refined, as it was for their number.
 _INSERT = """
+    refine(r.start, r.direction, slot, t, v, w);
     const int triangle = tree.slot_triangle.data[slot];
     const wp::int64 from = offsets.data[r.id];
     wp::int64 place = from + r.count++;
@@ -44,7 +46,7 @@ def count_crossings(
 ): ...
 
 
-@wp.func_native(ray_walk(RAY_CROSSING, _INSERT, ""))
+@wp.func_native(ray_walk(RAY_CROSSING + REFINE, _INSERT, ""))
 def list_crossings(
     begin: int,
     end: int,

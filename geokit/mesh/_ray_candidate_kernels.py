@@ -2,7 +2,8 @@
 
 Deciding in float64 on the way would make threads wait for each other at every triangle. A triangle that the ray meets
 well inside ends the search behind it; one that it meets within the margins of an edge does not, and is decided with the
-others.
+others. What refines t on slivers would cost all rays a third of their rate: rays that meet one are left to the walk
+that has it.
 """
 
 # mypy: ignore-errors
@@ -10,7 +11,7 @@ others.
 import warp as wp
 
 from geokit.mesh._packed_nodes_kernels import LOAD_NODE
-from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
+from geokit.mesh._ray_triangle_kernels import RAY_HIT_AT_ALL, SHORTEST_DIRECTION, SLIVER
 from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_raycast_kernels import ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
@@ -19,6 +20,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it.
 CANDIDATES = 8
+# Bit of a candidate's slot; slots are fewer.
+IS_SLIVER = 1 << 30
 
 _SEARCH = f"""
     #if !defined(__CUDA_ARCH__)
@@ -112,7 +115,7 @@ _SEARCH = f"""
             full = true;
             return;
         }}
-        slot_of[count] = slot;
+        slot_of[count] = cy < {1.01 * SLIVER}f * longest ? slot | {IS_SLIVER} : slot;
         nearest_of[count++] = (depth - {PLANE_MARGIN}f) / down * 0.999999f;
     }};
     int stack[64], height = 0, node = tree.ray_children.data[0];
@@ -151,19 +154,21 @@ _SEARCH = f"""
 """
 
 _DECIDE = f"""
-    {RAY_HIT}
-    if (found[0] == {UNDECIDED}) {{
+    {RAY_HIT_AT_ALL}
+    auto leave = [&]() {{
         out_triangle_id.data[ray] = {UNDECIDED};
         out_bad.data[1] = 1;
-        return;
-    }}
+    }};
+    if (found[0] == {UNDECIDED}) return leave();
     double best = t_max, weight_b = 0.0, weight_c = 0.0;
     int winner = -1;
     for (int i = 0; i < {CANDIDATES}; ++i) {{
-        const int slot = found[i];
-        if (slot < 0) break;
+        if (found[i] < 0) break;
+        const int slot = found[i] & ~{IS_SLIVER};
         double t, v, w;
-        if (!hit(start, direction, slot, t, v, w) || t > best) continue;
+        if (!hit_at_all(start, direction, slot, t, v, w)) continue;
+        if (slot != found[i]) return leave();
+        if (t < t_min || t > best) continue;
         // Ties go to the lowest triangle.
         if (t == best && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) continue;
         best = t;
@@ -226,7 +231,7 @@ def first_hit_kernel(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """First hits; rays with more candidates than fit, or from too far away for float32, have triangle UNDECIDED."""
+    """First hits; rays with more candidates than fit, on slivers, or from too far away for float32, are UNDECIDED."""
     ray = first + wp.tid()
     start = origins[ray]
     direction = directions[ray]

@@ -5,54 +5,8 @@ from geokit.mesh._predicates_kernels import EXACT
 # Directions shorter than this would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
 
-# Twice a triangle's projected area over the squares of its two edges there, below which t is that of the plane.
+# Height of a triangle over its longest edge, below which t is that of the plane.
 SLIVER = 1e-3
-
-# Shares of a sliver lose digits along its longest edge, as many as its area is smaller than that edge's square, and t
-# would with them. Its plane does not: from the corner between the two shorter edges, with a normal whose components
-# are right to a few roundings (Kahan's difference of products), t is off by roundings of the longest edge. It never
-# leaves the triangle: where it is seen edge-on, and has no plane to speak of, its longest edge tells. The weights then
-# are those of a point that lies as far along that edge as t says.
-_SLIVER_HIT = """
-    auto difference_of_products = [&](double p, double q, double r, double s) {
-        const double rs = product(r, s);
-        return plus(fused(p, q, -rs), fused(-r, s, rs));
-    };
-    // Corners in the sheared frame, depths in units of the direction.
-    struct Sheared { double x[3], y[3], depth[3]; };
-    auto sliver_hit = [&](const point& start, const point& direction, int slot, const Sheared& seen, double& t,
-                          double& v, double& w) OUT_OF_LINE {
-        const point p[3] = {tree.corners.data[3 * slot], tree.corners.data[3 * slot + 1],
-                            tree.corners.data[3 * slot + 2]};
-        const point bc = p[2] - p[1], ca = p[0] - p[2], ab = p[1] - p[0];
-        const double bc2 = wp::dot(bc, bc), ca2 = wp::dot(ca, ca), ab2 = wp::dot(ab, ab);
-        // The longest edge runs from corner i to corner j.
-        const int o = bc2 >= ca2 ? (bc2 >= ab2 ? 0 : 2) : (ca2 >= ab2 ? 1 : 2), i = (o + 1) % 3, j = (o + 2) % 3;
-        const point e = p[i] - p[o], f = p[j] - p[o], edge = p[j] - p[i];
-        const point normal(difference_of_products(e[1], f[2], e[2], f[1]),
-                           difference_of_products(e[2], f[0], e[0], f[2]),
-                           difference_of_products(e[0], f[1], e[1], f[0]));
-        const double slope = wp::dot(normal, direction), square = wp::dot(edge, edge);
-        if (slope != 0.0) {
-            t = wp::dot(normal, p[o] - start) / slope;
-        } else {
-            const double dx = seen.x[j] - seen.x[i], dy = seen.y[j] - seen.y[i], length2 = dx * dx + dy * dy;
-            const double along = length2 > 0.0 ? -(seen.x[i] * dx + seen.y[i] * dy) / length2 : 0.5;
-            t = seen.depth[i] + wp::min(wp::max(along, 0.0), 1.0) * (seen.depth[j] - seen.depth[i]);
-        }
-        const double nearest = wp::min(wp::min(seen.depth[0], seen.depth[1]), seen.depth[2]);
-        const double farthest = wp::max(wp::max(seen.depth[0], seen.depth[1]), seen.depth[2]);
-        t = wp::min(wp::max(t, nearest), farthest);
-        if (square == 0.0)
-            return;
-        const double weight_o = o == 0 ? 1.0 - v - w : o == 1 ? v : w;
-        const double along = wp::dot((start - p[i]) + direction * t, edge) / square;
-        const double of_j = along + weight_o * wp::dot(e, edge) / square;
-        const double weight_j = wp::min(wp::max(of_j, 0.0), 1.0 - weight_o);
-        v = o == 1 ? weight_o : j == 1 ? weight_j : 1.0 - weight_o - weight_j;
-        w = o == 2 ? weight_o : j == 2 ? weight_j : 1.0 - weight_o - weight_j;
-    };
-"""
 
 # Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
 # round the two products of each differently, and a ray through the edge could miss both (Woop, Benthin, Wald,
@@ -62,7 +16,6 @@ _SLIVER_HIT = """
 # the direction, v and w the weights of b and c.
 _HIT = (
     EXACT
-    + _SLIVER_HIT
     + """
     auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
         double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
@@ -82,29 +35,91 @@ _HIT = (
         double fb = minus(product(ax, cy), product(ay, cx));
         double fc = minus(product(bx, ay), product(by, ax));
         ON_EDGE
-        const double area = fa + fb + fc;
-        double whole = area;
+        double whole = fa + fb + fc;
         if (whole == 0.0) {
             ON_LINE
         }
         v = fb / whole;
         w = fc / whole;
         t = (fa * a[kz] + fb * b[kz] + fc * c[kz]) * sz / whole;
-        const double ux = bx - ax, uy = by - ay, vx = cx - ax, vy = cy - ay;
-        if ((area < 0.0 ? -area : area) < SLIVER * ((ux * ux + uy * uy) + (vx * vx + vy * vy))) {
-            const Sheared seen = {{ax, bx, cx}, {ay, by, cy}, {a[kz] * sz, b[kz] * sz, c[kz] * sz}};
-            sliver_hit(start, direction, slot, seen, t, v, w);
-        }
         return t >= t_min;
     };
 """
-).replace("SLIVER *", f"{SLIVER} *")
+)
 
-# A ray through an edge or a vertex hits all triangles there: what is closed has no hole.
+# Weights of a sliver lose digits along its longest edge, as many as the edge is longer than the height, and t with
+# them. Its plane does not: from the corner between the two shorter edges, with a normal whose components are right to a
+# few roundings (Kahan's difference of products), t is off by roundings of the longest edge. It never leaves the
+# triangle: where that is seen edge-on, its longest edge tells. The weights then are those of a point that lies as far
+# along that edge as t says. Names that the text expects: those of EXACT, and tree.
+REFINE = f"""
+    auto difference_of_products = [&](double p, double q, double r, double s) {{
+        const double rs = product(r, s);
+        return plus(fused(p, q, -rs), fused(-r, s, rs));
+    }};
+    auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{
+        const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
+                    c = tree.corners.data[3 * slot + 2];
+        const point ab = b - a, bc = c - b, ca = a - c;
+        const double ab2 = wp::dot(ab, ab), bc2 = wp::dot(bc, bc), ca2 = wp::dot(ca, ca);
+        // The longest edge runs from corner i to corner j.
+        const int o = bc2 >= ca2 ? (bc2 >= ab2 ? 0 : 2) : (ca2 >= ab2 ? 1 : 2), i = (o + 1) % 3;
+        const point edge = o == 0 ? bc : o == 1 ? ca : ab;
+        const point e = o == 0 ? ab : o == 1 ? bc : ca, f = o == 0 ? -ca : o == 1 ? -ab : -bc;
+        const point normal(difference_of_products(e[1], f[2], e[2], f[1]),
+                           difference_of_products(e[2], f[0], e[0], f[2]),
+                           difference_of_products(e[0], f[1], e[1], f[0]));
+        const double length2 = wp::dot(edge, edge);
+        if (!(wp::dot(normal, normal) < {SLIVER**2} * length2 * length2) || length2 == 0.0)
+            return;
+        // From the start of the ray to the ends of the edge and the corner opposite.
+        const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
+        const point last = first + edge;
+        const int axis = wp::abs(direction[0]) >= wp::abs(direction[1])
+            ? (wp::abs(direction[0]) >= wp::abs(direction[2]) ? 0 : 2)
+            : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
+        const double of_first = first[axis] / direction[axis], of_last = last[axis] / direction[axis],
+                     of_opposite = opposite[axis] / direction[axis];
+        const double slope = wp::dot(normal, direction);
+        if (slope != 0.0) {{
+            t = wp::dot(normal, opposite) / slope;
+        }} else {{
+            // Seen along the ray: where the edge passes by it.
+            const double along2 = wp::dot(direction, direction);
+            const point seen = edge - direction * (wp::dot(edge, direction) / along2);
+            const double seen2 = wp::dot(seen, seen), share = seen2 > 0.0 ? -wp::dot(first, seen) / seen2 : 0.5;
+            t = of_first + wp::min(wp::max(share, 0.0), 1.0) * (of_last - of_first);
+        }}
+        t = wp::max(t, wp::min(wp::min(of_first, of_last), of_opposite));
+        t = wp::min(t, wp::max(wp::max(of_first, of_last), of_opposite));
+        const double weight_o = o == 0 ? 1.0 - v - w : o == 1 ? v : w;
+        const double along = (wp::dot(direction * t - first, edge) + weight_o * wp::dot(e, edge)) / length2;
+        const double weight_j = wp::min(wp::max(along, 0.0), 1.0 - weight_o);
+        const double weight_i = 1.0 - weight_o - weight_j;
+        v = o == 1 ? weight_o : i == 1 ? weight_i : weight_j;
+        w = o == 2 ? weight_o : i == 2 ? weight_i : weight_j;
+    }};
+"""
+
+# A ray through an edge or a vertex hits all triangles there: what is closed has no hole. t is not refined.
 RAY_HIT = _HIT.replace(
     "ON_EDGE",
     "if ((fa < 0.0 || fb < 0.0 || fc < 0.0) && (fa > 0.0 || fb > 0.0 || fc > 0.0)) return false;",
 ).replace("ON_LINE", "return false;  // seen edge-on: its neighbours take the ray")
+
+RAY_HIT_AT_ALL = RAY_HIT.replace("auto hit =", "auto hit_at_all =").replace("return t >= t_min;", "return true;")
+# With t refined before it is compared with anything.
+RAY_HIT_REFINED = (
+    RAY_HIT_AT_ALL
+    + REFINE
+    + """
+    auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
+        if (!hit_at_all(start, direction, slot, t, v, w)) return false;
+        refine(start, direction, slot, t, v, w);
+        return t >= t_min;
+    };
+"""
+)
 
 # A ray through an edge or a vertex hits as many triangles there as one moved by an infinitesimal (e, e^2) in x and y
 # of the sheared frame: each passage through the surface counts once, a touch from one side twice or not at all

@@ -5,7 +5,7 @@
 import warp as wp
 
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
-from geokit.mesh._ray_triangle_kernels import RAY_HIT, SHORTEST_DIRECTION
+from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_HIT_REFINED, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
 from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
@@ -69,7 +69,7 @@ _ANY = "r.winner = slot; r.height = -1; break;"
 _WRITE_ANY = "out_occluded.data[r.id] = r.winner >= 0;"
 
 
-@wp.func_native(ray_walk(RAY_HIT, _NEARER, _WRITE_HIT))
+@wp.func_native(ray_walk(RAY_HIT_REFINED, _NEARER, _WRITE_HIT))
 def cast_rays(
     begin: int,
     end: int,
