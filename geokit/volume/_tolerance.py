@@ -21,6 +21,8 @@ __all__ = ["Achieved", "Made", "checked_errors", "made_within"]
 # Points at which a field is checked; then so many of the worst, each moved about so often, by shares of a voxel.
 CHECKED, WORST, MOVES = 120_000, 2_000, 4
 RADII = (0.5, 0.25, 0.12, 0.06)
+# Of the worst points of each round, how many the search is told where a check has failed.
+TOLD = 100
 # Seeds that the search does not use.
 FIRST_SEED = 1_000_003
 # Times that another field is made because a check found an error that the search had not seen.
@@ -28,10 +30,17 @@ TRIES = 10
 
 
 class Achieved(NamedTuple):
-    """Errors [world] at points that were not used to choose: the largest, and the 99.9th percentile."""
+    """Errors [world] at points that were not used to choose.
+
+    Attributes:
+        largest: The largest.
+        p999: The 99.9th percentile.
+        worst: Where the largest are [world], shape (N, 3).
+    """
 
     largest: float
     p999: float
+    worst: NDArray[np.float64]
 
 
 class Made(NamedTuple):
@@ -64,7 +73,7 @@ def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most
         if achieved.largest <= search.tolerance:
             return Made(setting, volume, achieved)
         best = min(best, achieved.largest)
-        search.correct(setting, achieved.largest)
+        search.correct(setting, achieved.largest, achieved.worst)
     raise _refusal(search, best)
 
 
@@ -74,6 +83,7 @@ def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int
     errors = _errors(volume, points, exact, setting.option.order)
     largest = float(errors.max())
     p999 = float(np.quantile(errors, 0.999))
+    found = []
     random = np.random.default_rng(seed)
     for radius in RADII:
         worst = np.argsort(errors)[-WORST:]
@@ -82,7 +92,8 @@ def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int
         points, exact = zone.kept(np.concatenate([points[worst], moved]))
         errors = _errors(volume, points, exact, setting.option.order)
         largest = max(largest, float(errors.max()))
-    return Achieved(largest, p999)
+        found.append(points[np.argsort(errors)[-TOLD:]])
+    return Achieved(largest, p999, np.concatenate(found))
 
 
 def _refusal(search: Search, best: float) -> InputError | DeviceMemoryError:
@@ -92,7 +103,10 @@ def _refusal(search: Search, best: float) -> InputError | DeviceMemoryError:
         search: What was wanted.
         best: Least error [world] of the fields that were made.
     """
-    reachable = min(search.reachable(), best)
+    reachable = search.reachable()
+    if reachable <= search.tolerance or best < reachable:
+        # What the search believes has been made and found wrong.
+        reachable = best
     if not math.isfinite(reachable):
         return DeviceMemoryError(
             f"tolerance: not even a coarse band fits into {search.most_bytes / 2**20:.0f} MiB; free some memory"

@@ -30,7 +30,7 @@ LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 FPN_SHARES = (0.5, 0.3, 0.15)
 # Share of the tolerance that is aimed at, and what it is multiplied with whenever a field has missed the tolerance, but
 # for so many times: where a lattice suits a mesh by chance, the next best may be far.
-AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 3
+AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 6
 # Voxels that are asked for at a size: half a second of a CPU.
 VOXELS_ASKED = 500_000
 # The worst points of a size are one of so many, for each order; each is moved so often for the next size.
@@ -136,6 +136,7 @@ class Search:
     is_limited_by_memory: bool = False
     _missed: int = 0
     _shares: dict[float, NDArray[np.float64]] = field(default_factory=dict)
+    _told: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
     _worst: tuple[NDArray[np.float64], float] = field(default_factory=lambda: (np.empty((0, 3)), 0.0))
 
     def width_of(self, option: Option, voxel_size: float) -> float:
@@ -170,12 +171,26 @@ class Search:
         """Error [world] that a setting may have here: other points than those of the search may be a little worse."""
         return AIM * CAUTION ** max(0, self._missed - FREE_MISSES) * self.tolerance
 
-    def correct(self, setting: Setting, error: float) -> None:
-        """Take note that a closer look at a setting found a larger error, and be more careful from now on."""
+    def correct(self, setting: Setting, error: float, worst: NDArray[np.float64]) -> None:
+        """Take note that a closer look at a setting found a larger error, and be more careful from now on.
+
+        Args:
+            setting: What was looked at.
+            error: Its largest error [world].
+            worst: Where its errors are largest [world], shape (N, 3): all sizes are looked at there from now on.
+        """
         self._missed += 1
+        self._told = np.concatenate([self._told, worst])
+        random = np.random.default_rng(self._missed)
         for level in self.levels:
             if level.voxel_size == setting.voxel_size:
                 level.errors[setting.option] = max(error, level.errors.get(setting.option, 0.0))
+            options = [option for option, known in level.errors.items() if known <= self.aim]
+            if not options:
+                continue
+            around = np.concatenate([worst, self.zone.moved(worst, 0.5 * level.voxel_size, random)])
+            found = self._errors(*self.zone.kept(around), level.voxel_size, options)
+            level.errors.update({o: max(level.errors[o], float(found[o].max(initial=0.0))) for o in options})
 
     def _scan(self, setting: Setting) -> None:
         """Coarser voxels that a lattice may suit by chance: faces and edges that lie on it cost nothing."""
@@ -280,8 +295,9 @@ class Search:
             return fresh, exact
         random = np.random.default_rng(seed)
         moves = np.geomspace(voxel_size, old_size, MOVES)
-        old = np.concatenate([worst, *(self.zone.moved(worst, size, random) for size in moves)])
-        old, old_exact = self.zone.kept(old[: count // 2])
+        old = np.concatenate([worst, *(self.zone.moved(worst, size, random) for size in moves)])[: count // 2]
+        told = [self._told, self.zone.moved(self._told, voxel_size, random)]
+        old, old_exact = self.zone.kept(np.concatenate([old, *told]))
         return np.concatenate([old, fresh]), np.concatenate([old_exact, exact])
 
     def _step(self, option: Option, voxel_size: float) -> float:

@@ -7,7 +7,7 @@ import pytest
 
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import Surface
-from geokit.volume import from_mesh, load, plan, save
+from geokit.volume import _tolerance, from_mesh, load, plan, save
 from geokit.volume._from_mesh_tolerance import make_setting, tolerance_search
 from geokit.volume._tolerance import checked_errors
 from geokit.volume._tolerance_errors import interpolation_errors, quantisation_step, stencils_of
@@ -101,6 +101,33 @@ def test_a_field_that_is_worse_than_the_search_believes_is_noticed():
     spoilt = checked_errors(search.zone, make_setting(search, coarse), coarse, 3)
     assert honest.p999 < honest.largest < 1.3 * setting.error
     assert spoilt.largest > 2.0 * honest.largest
+
+
+def test_a_search_looks_where_it_was_told_of_errors():
+    cone = Surface(catalogue.cone(24, 2.0), device=DEVICE)
+    search = tolerance_search(cone, 0.02, **ASKED, device=None)
+    tip = cone.mesh.vertices[cone.mesh.vertices[:, 2].argmax()]
+    told, exact = search.zone.kept(tip - np.linspace(0.0, 0.01, 50)[:, None] * (0.0, 0.0, 1.0))
+    assert len(told) > 10
+    before = next(quickest(search.settings()))
+    search.correct(before, 0.03, told)
+    for level in search.levels:
+        trusted = [option for option, error in level.errors.items() if error <= search.aim]
+        found = search._errors(told, exact, level.voxel_size, trusted) if trusted else {}
+        assert all(found[option].max() <= level.errors[option] for option in trusted)
+    points, _ = search._points(0.1, 1000)
+    assert all((np.abs(points - place).max(axis=1) == 0.0).any() for place in told)
+    after = next(quickest(search.settings()))
+    assert after != before
+    assert after.error <= search.aim
+
+
+def test_a_refusal_names_an_error_above_the_tolerance(monkeypatch):
+    # Whatever the search believes: what was made is what can be reached.
+    found = _tolerance.Achieved(0.05, 0.01, TORUS.mesh.vertices[:10])
+    monkeypatch.setattr(_tolerance, "checked_errors", lambda *_: found)
+    with pytest.raises(InputError, match=r"0.02 cannot be kept: errors do not fall below about 0.05"):
+        from_mesh(TORUS, tolerance=0.02)
 
 
 def test_a_plan_says_what_comes():
