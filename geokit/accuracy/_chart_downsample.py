@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geokit.accuracy import reference
-from geokit.accuracy._volume_setup import judged, on_host, send, setting_of
+from geokit.accuracy._trials import judged, on_host, send, setting_of
 from geokit.accuracy.model import Chart, Judgement, Trial
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from geokit.accuracy import reference
 from geokit.accuracy._chart_closest_point import warp_tree_bytes
 from geokit.accuracy._held_bytes import held_bytes
 from geokit.accuracy._mesh_setup import SEED
-from geokit.accuracy._volume_setup import failed, judged, on_host, send, setting_of, without_warnings
+from geokit.accuracy._trials import failed, judged, on_host, send, setting_of, without_warnings
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.errors import GeokitError
 

@@ -7,14 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.accuracy._volume_setup import (
-    HALF_WIDTH,
-    SEED,
-    area_samples,
-    failed,
-    judged,
-    setting_of,
-)
+from geokit.accuracy._trials import failed, judged, setting_of
+from geokit.accuracy._volume_setup import HALF_WIDTH, SEED, area_samples
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.accuracy.reference_volume import Voxels
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.accuracy import reference
-from geokit.accuracy._volume_setup import SEED, Effort, failed, judged, setting_of, surface_samples
+from geokit.accuracy._trials import failed, judged, setting_of
+from geokit.accuracy._volume_setup import SEED, Effort, surface_samples
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.accuracy.reference_volume import nearest_to_level
 

@@ -9,17 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy import reference
-from geokit.accuracy._volume_setup import (
-    QUICK_CODECS,
-    angles,
-    coded,
-    failed,
-    judged,
-    known_codecs,
-    on_host,
-    send,
-    setting_of,
-)
+from geokit.accuracy._trials import angles, failed, judged, on_host, send, setting_of
+from geokit.accuracy._volume_setup import QUICK_CODECS, coded, known_codecs
 from geokit.accuracy.model import Chart, Judgement, Trial
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy import reference
 from geokit.accuracy._held_bytes import held_bytes
-from geokit.accuracy._volume_setup import judged, on_host, send, setting_of
+from geokit.accuracy._trials import judged, on_host, send, setting_of
 from geokit.accuracy.model import Chart, Judgement, Trial
 
 if TYPE_CHECKING:

@@ -11,16 +11,8 @@ import numpy as np
 from geokit.accuracy import reference
 from geokit.accuracy._chart_first_hit import DIVISIONS, QUICK_DIVISIONS
 from geokit.accuracy._mesh_setup import MOST, SEED
-from geokit.accuracy._volume_setup import (
-    angles,
-    area_samples,
-    failed,
-    judged,
-    on_host,
-    send,
-    setting_of,
-    without_warnings,
-)
+from geokit.accuracy._trials import angles, failed, judged, on_host, send, setting_of, without_warnings
+from geokit.accuracy._volume_setup import area_samples
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.errors import GeokitError
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy import reference
 from geokit.accuracy._points_setup import SEED
-from geokit.accuracy._volume_setup import angles, judged, on_host, send, setting_of
+from geokit.accuracy._trials import angles, judged, on_host, send, setting_of
 from geokit.accuracy.model import Chart, Judgement, Trial
 
 if TYPE_CHECKING:

@@ -5,17 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from geokit.accuracy._volume_setup import (
-    HALF_WIDTH,
-    QUICK_CODECS,
-    coded,
-    failed,
-    judged,
-    known_codecs,
-    on_host,
-    send,
-    setting_of,
-)
+from geokit.accuracy._trials import failed, judged, on_host, send, setting_of
+from geokit.accuracy._volume_setup import HALF_WIDTH, QUICK_CODECS, coded, known_codecs
 from geokit.accuracy.model import Chart, Judgement, Trial
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy._volume_setup import SEED, coded, failed, judged, known_codecs, on_host, send, setting_of
+from geokit.accuracy._trials import failed, judged, on_host, send, setting_of
+from geokit.accuracy._volume_setup import SEED, coded, known_codecs
 from geokit.accuracy.model import Chart, Judgement, Trial
 from geokit.accuracy.reference_volume import first_level
 

@@ -1,10 +1,8 @@
-"""What the charts of volumes share: how much is asked, points near a mesh, and trials that tell why they failed."""
+"""What the charts of volumes share: how much is asked, codecs, and points near a mesh."""
 
 from __future__ import annotations
 
 import tempfile
-import warnings
-from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy import reference
-from geokit.accuracy.model import Judgement, Trial
+from geokit.accuracy._trials import without_warnings
 
 if TYPE_CHECKING:
     from geokit.mesh.model import TriangleMesh
@@ -27,23 +25,15 @@ __all__ = [
     "Effort",
     "Known",
     "NearSurface",
-    "angles",
     "area_samples",
     "coded",
-    "failed",
-    "judged",
     "known_codecs",
-    "on_host",
-    "send",
-    "setting_of",
     "surface_samples",
-    "without_warnings",
 ]
 
 Floats = NDArray[np.float64]
 
-# What geokit can write. There is no "half" among them: grids of that type are read and sampled, but not made.
-# "half" is a .vdb file's: NanoVDB has only a name for it, so it is measured as it comes back from one.
+# What geokit can make. "half" is a .vdb file's, measured as it comes back from one: NanoVDB only has a name for it.
 CODECS = ("float", "half", "fp16", "fp8", "fp4", "fpn")
 # Those of a quick chart where it has another question than what codecs lose.
 QUICK_CODECS = ("float", "fp8")
@@ -206,53 +196,3 @@ def coded(volume: SparseVolume, codec: str, value_range: float) -> SparseVolume:
             save(Path(folder) / "half.vdb", volume, half=True)
             return load(Path(folder) / "half.vdb", trusted=True)
     return volume.quantize(codec, tolerance=FPN_SHARE * value_range if codec == "fpn" else None)
-
-
-def send(points: Floats, device: Any) -> Any:
-    """Points on the device, so that a call is not timed with the way there."""
-    import warp as wp
-
-    return wp.array(points, dtype=wp.vec3d, device=device)
-
-
-def on_host(answer: Any) -> Floats:
-    """An answer in NumPy, whatever container it came in."""
-    return np.asarray(answer.numpy() if hasattr(answer, "numpy") else answer, np.float64)
-
-
-def without_warnings(call: Callable[[], Any]) -> Any:
-    """What the call gives; its warnings are dropped."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        return call()
-
-
-def judged(errors: Any, positions: Floats, wrong: Any = None) -> Judgement:
-    """Answers that are not finite are wrong too, and the errors of wrong ones are 0."""
-    errors = np.abs(np.asarray(errors, np.float64))
-    wrong = ~np.isfinite(errors) if wrong is None else np.asarray(wrong, bool) | ~np.isfinite(errors)
-    return Judgement(np.where(wrong, 0.0, errors), wrong, positions)
-
-
-def angles(a: Floats, b: Floats) -> Floats:
-    """Angles between vectors (N, 3) [degrees], NaN where one is zero."""
-    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
-    return np.where(lengths > 0.0, angle, np.nan)
-
-
-def setting_of(parameters: Mapping[str, Any]) -> str:
-    """Parameters as a reader would type them."""
-    return ", ".join(f"{name}={value!r}" for name, value in parameters.items())
-
-
-def failed(method: str, parameters: Mapping[str, Any], error: Exception) -> Trial:
-    """A trial that could not be prepared: it raises when it is run, so that the others of its chart are still made."""
-
-    def run() -> Any:
-        raise error
-
-    def judge(_: Any) -> Judgement:
-        raise error
-
-    return Trial(method, setting_of(parameters), run, judge, 0, 0, dict(parameters))

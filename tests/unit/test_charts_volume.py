@@ -9,8 +9,9 @@ from geokit.accuracy import _chart_sampling
 from geokit.accuracy._chart_gradients import REACH
 from geokit.accuracy._chart_volume_raycast import _judge, _Rays, _reference
 from geokit.accuracy._shapes import box, box_distance, icosphere, moved, sphere_distance, without_cap
+from geokit.accuracy._trials import angles
 from geokit.accuracy._volume_points import VolumePoints
-from geokit.accuracy._volume_setup import Effort, NearSurface, angles, area_samples, known_codecs, surface_samples
+from geokit.accuracy._volume_setup import Effort, NearSurface, area_samples, known_codecs, surface_samples
 from geokit.accuracy.charts_volume import mesh_volume_charts, volume_charts
 from geokit.accuracy.model import Subject
 from geokit.accuracy.reference_volume import (
