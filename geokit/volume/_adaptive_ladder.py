@@ -26,10 +26,12 @@ MOST_LEVELS = 16
 FIRST_SIZE = 3.0
 # Factors for the sizes of a ladder that are thought of; with 2 it would be the same ladder again.
 FACTORS = tuple(2.0 ** (step / 8.0) for step in (-4, -3, -2, -1, 1, 2, 3))
-# A second ladder takes as long as the first: it must promise this share of its bytes, and the first have had no more
+# Further ladders take as long as the first: they must promise this share of its bytes, and the first have had no more
 # cells than so many, which take some seconds.
 WORTH_ANOTHER = 0.95
 CELLS_WORTH_ANOTHER = 1 << 20
+# What is promised is rough: sizes on either side of the one that promises most are looked at as well.
+NEARBY = (2.0 ** (-1.0 / 16.0), 1.0, 2.0 ** (1.0 / 16.0))
 # Of the area of a part that was drawn on a lattice, the share that lies on planes along the axes.
 PLANE_SHARE = 0.25
 # Planes nearer than this share of the box are one, and so are vertices on a plane: coordinates of float32 meshes.
@@ -42,8 +44,9 @@ def choose(surface: Surface, sign: str, within: float, limit: float, level_limit
     """The refinement of least memory, of some ladders of voxel sizes and of all levels to begin at.
 
     The error in a cell on a crease is proportional to its size. So from the errors of one ladder follows about how many
-    cells of another would be handed on, and the one that promises most is looked at as well. Of a part that was drawn
-    on a lattice only the ladder is looked at on whose voxels its faces lie: straight edges cost nothing there.
+    cells of another would be handed on, and those about the one that promises most are looked at as well. Of a part
+    that was drawn on a lattice only the ladder is looked at on whose voxels its faces lie: straight edges cost nothing
+    there.
 
     Args:
         surface: What distances are to.
@@ -65,8 +68,8 @@ def choose(surface: Surface, sign: str, within: float, limit: float, level_limit
     factor = first.better_factor()
     if factor == 1.0:
         return first.from_start()
-    other = ladder(factor * first.size)
-    return min(first, other, key=lambda made: made.byte_count).from_start()
+    others = [ladder(factor * nearby * first.size) for nearby in NEARBY]
+    return min([first, *others], key=lambda made: made.byte_count).from_start()
 
 
 def common_step(mesh: TriangleMesh) -> float | None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Achieved", "Made", "checked_errors", "made_within"]
 
 # Points at which a field is checked; then so many of the worst, each moved about so often, by shares of a voxel.
-CHECKED, WORST, MOVES = 120_000, 2_000, 4
+CHECKED, WORST, MOVES = 120_000, 2_000, 9
 RADII = (0.5, 0.25, 0.12, 0.06)
 # Of the worst points of each round, how many the search is told where a check has failed.
 TOLD = 100

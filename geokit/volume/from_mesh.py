@@ -90,7 +90,7 @@ def from_mesh(
 
     With ``tolerance`` instead of ``voxel_size`` the voxel size, and whatever of half width, order and codec is not
     given, are those of least memory with which ``sample`` is within the tolerance of the exact distance, wherever it is
-    checked: at 120,000 points no farther than ``within`` from the surface and at some 40,000 more around the worst of
+    checked: at 120,000 points no farther than ``within`` from the surface and at some 80,000 more around the worst of
     them, none of them used to choose. ``info.order`` is the order that was chosen, and what ``sample`` and
     ``gradient`` take where they are not told another; ``info.achieved_error`` is the largest error that the check
     found, ``info.achieved_error_999`` its 99.9th percentile. Rays and surfaces are those of the trilinear interpolant:
