@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,21 +31,31 @@ AMBIGUOUS = 0.1
 HOLE = 0.03
 FLIPPED = 0.1
 DOUBLED = 0.1
-DAMAGES = ("hole", "flips", "doubles")
+DAMAGES = {"hole": "with a hole", "flips": "with turned faces", "doubles": "with doubled faces"}
 
 
 def sign_charts(setup: MeshSetup) -> list[Chart]:
     """Shares of wrong signs: of the mesh as it is, and of the mesh with a hole, with turned and with doubled faces.
 
+    What one damage does to a method says nothing about another: each has a chart of its own.
     Inside is where the winding number of the whole mesh, with faces that wind outward, is over one half; damaged meshes
     are held against the whole one. Half of the points are near the surface. Points on it are left out, and those of an
     open mesh where the winding number is near one half.
     """
     title, judge = "Inside or outside", _judge(setup)
     return [
-        Chart("sign", title, "relative", "queries", lambda: _intact(setup, judge), "wrong"),
-        Chart(
-            "sign_damaged", f"{title} of a damaged mesh", "relative", "queries", lambda: _broken(setup, judge), "wrong"
+        Chart("sign", title, "relative", "queries", lambda: _trials(setup, setup.surface, judge), "wrong"),
+        *(
+            Chart(
+                f"sign_{damage}",
+                f"{title} of the mesh {what}",
+                "relative",
+                "queries",
+                partial(_broken, setup, damage, judge),
+                "wrong",
+            )
+            for damage, what in DAMAGES.items()
+            if not (setup.quick and damage == "doubles")
         ),
     ]
 
@@ -76,28 +86,18 @@ def damaged(mesh: TriangleMesh, damage: str, seed: int = 0) -> TriangleMesh:
     return TriangleMesh(mesh.vertices, faces, name=f"{mesh.name}, {damage}")
 
 
-def _intact(setup: MeshSetup, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
-    yield from _of_surface(setup, setup.surface, judge, {})
-
-
-def _broken(setup: MeshSetup, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
+def _broken(setup: MeshSetup, damage: str, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
     from geokit.mesh.surface import Surface
 
-    for damage in DAMAGES[:2] if setup.quick else DAMAGES:
-        mesh = damaged(setup.mesh, damage)
-        if len(mesh.faces):
-            yield from _of_surface(setup, Surface(mesh, device=setup.device), judge, {"mesh": damage})
+    mesh = damaged(setup.mesh, damage)
+    if len(mesh.faces):
+        yield from _trials(setup, Surface(mesh, device=setup.device), judge)
 
 
-def _of_surface(
-    setup: MeshSetup,
-    surface: Surface,
-    judge: Callable[[Any], Judgement],
-    parameters: dict[str, Any],
-) -> Iterator[Trial]:
+def _trials(setup: MeshSetup, surface: Surface, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
     points = send(setup.mixed().points, setup.device)
     for method in METHODS:
-        chosen = {"sign": method, **parameters}
+        chosen = {"sign": method}
         run = _asking(surface, points, method)
         yield Trial(f"contains, {method}", setting_of(chosen), run, judge, setup.count, held_bytes(surface), chosen)
 

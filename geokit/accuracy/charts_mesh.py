@@ -22,8 +22,8 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
 
     - "closest_point" and "closest_point_near": geokit's exact answers in float64 and float32, with search radii, with
       the tree made in the call, and warp's own query in float32; anywhere and near the surface.
-    - "sign" and "sign_damaged": shares of wrong signs of every method; on the mesh, and on it with a hole, turned faces
-      and doubled faces.
+    - "sign", "sign_hole", "sign_flips" and, unless it has to be quick, "sign_doubles": shares of wrong signs of every
+      method; on the mesh, and on it with a hole, with turned faces, with doubled faces.
     - "first_hit": watertight or not, warp's own query, and rays through level sets of several voxel sizes.
     - "first_hit_edges": shares of leaks of rays that are aimed at edges and vertices.
     - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the faces' normals.

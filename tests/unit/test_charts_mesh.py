@@ -19,7 +19,8 @@ from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
 from tests import catalogue
 
-NAMES = ["closest_point", "closest_point_near", "sign", "sign_damaged", "first_hit", "first_hit_edges", "normals"]
+SIGNS = ["sign", "sign_hole", "sign_flips", "sign_doubles"]
+NAMES = ["closest_point", "closest_point_near", *SIGNS, "first_hit", "first_hit_edges", "normals"]
 # Shares of the diagonal: float64 keeps some roundings, float32 some of its own.
 DOUBLE, SINGLE = 1e-14, 1e-6
 COUNT = 600
@@ -49,18 +50,15 @@ def sphere():
 
 
 def test_names_and_order(sphere):
-    charts = charts_of(sphere)
+    charts = charts_of(sphere, quick=False)
     assert list(charts) == NAMES
-    assert [name for name, chart in charts.items() if chart.vertical == "wrong"] == [
-        "sign",
-        "sign_damaged",
-        "first_hit_edges",
-    ]
+    assert [name for name, chart in charts.items() if chart.vertical == "wrong"] == [*SIGNS, "first_hit_edges"]
+    assert list(charts_of(sphere)) == [name for name in NAMES if name != "sign_doubles"]
     assert charts["normals"].unit == "degrees"
 
 
 def test_an_open_mesh_has_no_normals_to_read_from_a_field():
-    assert list(charts_of(catalogue.holed_sphere())) == NAMES[:-1]
+    assert list(charts_of(catalogue.holed_sphere(), quick=False)) == NAMES[:-1]
 
 
 @pytest.mark.parametrize(
@@ -139,11 +137,11 @@ def test_signs_of_an_open_mesh_leave_out_what_may_be_either(monkeypatch):
 
 def test_damage_shows_who_fails(monkeypatch):
     monkeypatch.setattr(_mesh_setup, "COUNTS", {"cpu": (COUNT, 4 * COUNT)})
-    trials = list(charts_of(catalogue.torus(), quick=False)["sign_damaged"].trials())
-    assert {(t.parameters["sign"], t.parameters["mesh"]) for t in trials} == {
-        (sign, damage) for sign in ("auto", "pseudonormal", "parity", "winding") for damage in _chart_sign.DAMAGES
-    }
-    shares = {(t.parameters["sign"], t.parameters["mesh"]): judged(t).wrong.mean() for t in trials}
+    charts = charts_of(catalogue.torus(), quick=False)
+    trials = {name: list(charts[f"sign_{name}"].trials()) for name in _chart_sign.DAMAGES}
+    for some in trials.values():
+        assert [t.parameters for t in some] == [{"sign": sign} for sign in _chart_sign.METHODS]
+    shares = {(t.parameters["sign"], name): judged(t).wrong.mean() for name, some in trials.items() for t in some}
     # Rays that leave through the hole, or pass two faces for one, count wrong; winding numbers hardly notice.
     assert shares["parity", "hole"] > 0.0
     assert shares["parity", "doubles"] > 0.0
@@ -269,7 +267,7 @@ def test_the_reference_is_computed_once_for_a_chart(sphere):
     count = reference.winding_number
     with mock.patch.object(reference, "winding_number", side_effect=count) as asked:
         charts = charts_of(sphere)
-        for trial in [*charts["sign"].trials(), *charts["sign_damaged"].trials()]:
+        for trial in [*charts["sign"].trials(), *charts["sign_hole"].trials(), *charts["sign_flips"].trials()]:
             trial.judge(trial.run())
         assert asked.call_count == 1
 
