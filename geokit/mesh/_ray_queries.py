@@ -121,7 +121,8 @@ class RayQueries:
         not cross it.
 
         A passage through an edge or a vertex is one crossing, however exactly it is aimed at. Held by
-        tests/stability/test_envelopes.py.
+        tests/stability/test_envelopes.py. t is that of :meth:`raycast`; the limits of a ray are compared with one that
+        has lost digits on slivers.
 
         Args:
             origins: Where rays start [world], shape (N, 3).
@@ -190,6 +191,8 @@ class RayQueries:
         progress: Progress | None = None,
     ) -> Any:
         """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
+
+        On slivers the limits of a ray are compared with a t that has lost digits.
 
         Args:
             origins: Where rays start [world], shape (N, 3).

@@ -1,6 +1,7 @@
 """C++ text of the exact test of a ray against a triangle, in float64."""
 
 from geokit.mesh._predicates_kernels import EXACT
+from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, SLOT_WORDS
 
 # Directions shorter than this would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
@@ -57,7 +58,18 @@ REFINE = f"""
         const double rs = product(r, s);
         return plus(fused(p, q, -rs), fused(-r, s, rs));
     }};
+    // By the leaf's own numbers, the longest edge and the height, which the walk has just read.
+    auto is_sliver = [&](int slot) {{
+        #if defined(__CUDA_ARCH__)
+        const float* const number = tree.leaves.data + {SLOT_WORDS} * slot;
+        return number[14] < {SLIVER}f * number[12];
+        #else
+        const float* const number = tree.leaves.data + {8 * PLANE_ROWS} * (slot >> 3) + (slot & 7);
+        return number[8 * 14] < {SLIVER}f * number[8 * 12];
+        #endif
+    }};
     auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{
+        if (!is_sliver(slot)) return;
         const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
                     c = tree.corners.data[3 * slot + 2];
         const point ab = b - a, bc = c - b, ca = a - c;
@@ -70,8 +82,7 @@ REFINE = f"""
                            difference_of_products(e[2], f[0], e[0], f[2]),
                            difference_of_products(e[0], f[1], e[1], f[0]));
         const double length2 = wp::dot(edge, edge);
-        if (!(wp::dot(normal, normal) < {SLIVER**2} * length2 * length2) || length2 == 0.0)
-            return;
+        if (length2 == 0.0) return;
         // From the start of the ray to the ends of the edge and the corner opposite.
         const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
         const point last = first + edge;
