@@ -57,12 +57,10 @@ class Judge:
     """
 
     def __init__(self, mesh: gk.mesh.TriangleMesh, surface: gk.mesh.Surface, within: float) -> None:
-        random = np.random.default_rng(77)
-        directions = random.normal(size=(JUDGED, 3))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        away = within * random.uniform(size=(JUDGED, 1)) * 0.999
+        from tests.property.test_from_mesh_tolerance import points_near
+
         self.surface, self.within = surface, within
-        self.points = gk.mesh.sample_surface(mesh, JUDGED, seed=77).points + away * directions
+        self.points = points_near(mesh, within, JUDGED, seed=77)
         self.exact = np.asarray(surface.signed_distance(self.points).distance)
 
     def largest(self, field: gk.volume.SparseVolume, order: int, enough: float = math.inf) -> float:
