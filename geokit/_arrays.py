@@ -29,7 +29,6 @@ __all__ = [
     "require_finite",
     "require_finite_scalar",
     "require_length",
-    "zeros",
 ]
 
 # Numbers that are looked at one by one as quickly as warnings are held back around their sum.
@@ -120,17 +119,6 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
     if dtype in (wp.vec3d, wp.vec3f):
         return HostArray(np.empty((count, 3), np.float64 if dtype is wp.vec3d else np.float32))
     return HostArray(np.empty(count, wp.dtype_to_numpy(dtype)))
-
-
-def zeros(count: int, dtype: Any, like: Any) -> Any:
-    """As :func:`empty`, filled with zeros."""
-    import warp as wp
-
-    if not isinstance(like, HostArray):
-        return wp.zeros(count, dtype=dtype, device=like.device)
-    room = empty(count, dtype, like)
-    room.values.fill(0)
-    return room
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:

@@ -52,7 +52,7 @@ def in_blocks(
     """
     on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
     total = len(values[0]) if on_host else 0
-    rows = _block_rows(device)
+    rows = _block_rows(device) if on_host else 0
     if not on_host or total <= rows or (device.is_cpu and progress is None) or any(len(v) != total for v in values):
         batches = [_arrays.read_vectors(v, name, device, defer=defer) for v, name in zip(values, names, strict=True)]
         answer = query(*batches)

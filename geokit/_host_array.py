@@ -77,7 +77,7 @@ class HostArray:
 
 def unwrapped(argument: Any) -> Any:
     """A kernel's argument as warp's launch takes it."""
-    return argument.descriptor if type(argument) is HostArray else argument
+    return argument.descriptor if isinstance(argument, HostArray) else argument
 
 
 @functools.lru_cache(maxsize=1)

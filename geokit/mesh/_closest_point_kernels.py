@@ -11,8 +11,11 @@ from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_trian
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 80
 
-@wp.kernel
+
+@wp.kernel(cuda_max_registers=REGISTERS)
 def closest_point_kernel(
     first: int,
     group: int,

@@ -10,6 +10,9 @@ from geokit.mesh._tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 64
+
 _COUNT = "++r.count;"
 _WRITE_COUNT = "out_count.data[r.id] = r.count;"
 # Kept in order as they come, by t and then by triangle: rays have few crossings. What is within the ray's limits was
@@ -63,7 +66,7 @@ def list_crossings(
 ): ...
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def count_crossings_kernel(
     first: int,
     group: int,
@@ -80,7 +83,7 @@ def count_crossings_kernel(
     count_crossings(begin, end, origins, directions, tree, t_min, max_distance, out_count, out_bad)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def list_crossings_kernel(
     first: int,
     group: int,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _arrays, _launch, _memory
+from geokit._flags import Flags
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:
@@ -129,11 +130,10 @@ class OverlapQueries:
 
     def _has_self_intersections(self) -> bool:
         """Whether :meth:`self_intersections` has any; stops at the first that is found."""
-        import warp as wp
 
         from geokit.mesh._intersect_kernels import find_pair_kernel
 
-        found = wp.zeros(1, dtype=wp.int32, device=self._device)
+        found = Flags(1, self._device)
         _launch.launch(
             find_pair_kernel, self._leaf_count, self._pair_inputs(self), [found], self._device, grain=LEAF_GRAIN
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
+from geokit._flags import Flags
 from geokit.errors import InputError
 from geokit.mesh._measurable import require_measurable
 
@@ -98,14 +99,13 @@ class PointQueries:
             >>> surface.closest_point([[0.25, 0.25, 2.0]]).distance
             array([2.])
         """
-        import warp as wp
 
         reach = _radius(max_distance)
         require_measurable(self.mesh, self._frame)
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
             # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
-            bad = _arrays.zeros(1, wp.int32, batch.rows)
+            bad = Flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
             if bad.numpy()[0]:
                 _arrays.require_finite(batch, "points")
@@ -363,7 +363,7 @@ class PointQueries:
             barycentric=_arrays.empty(count, wp.vec3d, points),
         )
         group = QUERY_GROUP if device.is_cpu else 1
-        bad = _arrays.zeros(1, wp.int32, points) if bad is None else bad
+        bad = Flags(1, device) if bad is None else bad
         self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group, bad)
         return found
 

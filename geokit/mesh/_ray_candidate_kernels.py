@@ -1,9 +1,8 @@
 """First hits on CUDA: a float32 walk that leaves a few candidates, then float64 for those.
 
 Deciding in float64 on the way would make threads wait for each other at every triangle. A triangle that the ray meets
-well inside ends the search behind it; one that it meets within the margins of an edge does not, and is decided with the
-others. What refines t on slivers would cost all rays a third of their rate: rays that meet one are left to the walk
-that has it.
+well inside ends the search behind it; one that it meets within the margins of an edge does not, and is decided with
+the others.
 """
 
 # mypy: ignore-errors
@@ -11,15 +10,18 @@ that has it.
 import warp as wp
 
 from geokit.mesh._packed_nodes_kernels import LOAD_NODE
-from geokit.mesh._ray_triangle_kernels import RAY_HIT_AT_ALL, SHORTEST_DIRECTION, SLIVER
+from geokit.mesh._ray_triangle_kernels import RAY_HIT_AT_ALL, REFINE_SLIVER, SHORTEST_DIRECTION, SLIVER
 from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_raycast_kernels import ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
 
 wp.set_module_options({"enable_backward": False})
 
-# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it.
-CANDIDATES = 8
+# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it. With 16 one ray
+# of four million had too many among 3 million triangles, and the second walk took a quarter of the first one's time.
+CANDIDATES = 32
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 48
 # Bit of a candidate's slot; slots are fewer.
 IS_SLIVER = 1 << 30
 
@@ -115,11 +117,10 @@ _SEARCH = f"""
             full = true;
             return;
         }}
-        slot_of[count] = cy < {1.01 * SLIVER}f * longest ? slot | {IS_SLIVER} : slot;
+        slot_of[count] = cy < {SLIVER}f * longest ? slot | {IS_SLIVER} : slot;
         nearest_of[count++] = (depth - {PLANE_MARGIN}f) / down * 0.999999f;
     }};
     int stack[64], height = 0, node = tree.ray_children.data[0];
-    float entry[64];
     while (true) {{
         bool in_box = true;
         while (node >= 0 && in_box) {{
@@ -128,19 +129,15 @@ _SEARCH = f"""
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
             const float later = left_first ? tr : tl;
-            if (later < INFINITY) {{
-                stack[height] = left_first ? n.right : n.left;
-                entry[height++] = later;
-            }}
+            if (later < INFINITY) stack[height++] = left_first ? n.right : n.left;
             node = left_first ? n.left : n.right;
             in_box = (left_first ? tl : tr) < INFINITY;
         }}
         if (in_box) {{
             for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         }}
-        do --height; while (height >= 0 && entry[height] > last);
-        if (height < 0) break;
-        node = stack[height];
+        if (height == 0) break;
+        node = stack[--height];
     }}
     prune();
     if (full) {{
@@ -155,11 +152,12 @@ _SEARCH = f"""
 
 _DECIDE = f"""
     {RAY_HIT_AT_ALL}
-    auto leave = [&]() {{
+    {REFINE_SLIVER}
+    if (found[0] == {UNDECIDED}) {{
         out_triangle_id.data[ray] = {UNDECIDED};
         out_bad.data[1] = 1;
-    }};
-    if (found[0] == {UNDECIDED}) return leave();
+        return;
+    }}
     double best = t_max, weight_b = 0.0, weight_c = 0.0;
     int winner = -1;
     for (int i = 0; i < {CANDIDATES}; ++i) {{
@@ -167,7 +165,7 @@ _DECIDE = f"""
         const int slot = found[i] & ~{IS_SLIVER};
         double t, v, w;
         if (!hit_at_all(start, direction, slot, t, v, w)) continue;
-        if (slot != found[i]) return leave();
+        if (slot != found[i]) refine_sliver(start, direction, slot, t, v, w);
         if (t < t_min || t > best) continue;
         // Ties go to the lowest triangle.
         if (t == best && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) continue;
@@ -218,7 +216,7 @@ def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
     return t_max
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
 def first_hit_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
+from geokit._flags import Flags
 from geokit._host_array import HostArray
 from geokit.errors import InputError
 from geokit.mesh._measurable import require_measurable
@@ -250,8 +251,7 @@ class RayQueries:
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        # Set by kernels: there is a bad ray; some are undecided. One look at both costs half of two.
-        bad = _arrays.zeros(2, wp.int32, rays.rows)
+        bad = Flags(2, self._device)  # there is a bad ray; some are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:

@@ -18,20 +18,27 @@ SLIVER = 1e-3
 _HIT = (
     EXACT
     + """
+    // By an index that is not known in advance a GPU could read memory only, and would keep all points there.
+    auto pick = [&](const point& p, int k) { return k == 0 ? p[0] : k == 1 ? p[1] : p[2]; };
     auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
         double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
                           direction[1] < 0 ? -direction[1] : direction[1],
                           direction[2] < 0 ? -direction[2] : direction[2]};
         // The axis along which the ray moves most becomes z of a sheared frame in which the ray is the z axis.
         const int kz = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
-        const int kx = direction[kz] < 0.0 ? (kz + 2) % 3 : (kz + 1) % 3;
-        const int ky = direction[kz] < 0.0 ? (kz + 1) % 3 : (kz + 2) % 3;
-        const double sz = 1.0 / direction[kz], sx = direction[kx] * sz, sy = direction[ky] * sz;
-        const point a = tree.corners.data[3 * slot] - start, b = tree.corners.data[3 * slot + 1] - start,
-                    c = tree.corners.data[3 * slot + 2] - start;
-        const double ax = minus(a[kx], product(sx, a[kz])), ay = minus(a[ky], product(sy, a[kz]));
-        const double bx = minus(b[kx], product(sx, b[kz])), by = minus(b[ky], product(sy, b[kz]));
-        const double cx = minus(c[kx], product(sx, c[kz])), cy = minus(c[ky], product(sy, c[kz]));
+        const double most = pick(direction, kz);
+        const int kx = most < 0.0 ? (kz + 2) % 3 : (kz + 1) % 3;
+        const int ky = most < 0.0 ? (kz + 1) % 3 : (kz + 2) % 3;
+        const double sz = 1.0 / most, sx = pick(direction, kx) * sz, sy = pick(direction, ky) * sz;
+        // From the start of the ray, along the axes of that frame.
+        auto from_start = [&](int corner) {
+            const point p = tree.corners.data[3 * slot + corner] - start;
+            return point(pick(p, kx), pick(p, ky), pick(p, kz));
+        };
+        const point a = from_start(0), b = from_start(1), c = from_start(2);
+        const double ax = minus(a[0], product(sx, a[2])), ay = minus(a[1], product(sy, a[2]));
+        const double bx = minus(b[0], product(sx, b[2])), by = minus(b[1], product(sy, b[2]));
+        const double cx = minus(c[0], product(sx, c[2])), cy = minus(c[1], product(sy, c[2]));
         double fa = minus(product(cx, by), product(cy, bx));
         double fb = minus(product(ax, cy), product(ay, cx));
         double fc = minus(product(bx, ay), product(by, ax));
@@ -42,7 +49,7 @@ _HIT = (
         }
         v = fb / whole;
         w = fc / whole;
-        t = (fa * a[kz] + fb * b[kz] + fc * c[kz]) * sz / whole;
+        t = (fa * a[2] + fb * b[2] + fc * c[2]) * sz / whole;
         return t >= t_min;
     };
 """
@@ -52,24 +59,13 @@ _HIT = (
 # them. Its plane does not: from the corner between the two shorter edges, with a normal whose components are right to a
 # few roundings (Kahan's difference of products), t is off by roundings of the longest edge. It never leaves the
 # triangle: where that is seen edge-on, its longest edge tells. The weights then are those of a point that lies as far
-# along that edge as t says. Names that the text expects: those of EXACT, and tree.
-REFINE = f"""
-    auto difference_of_products = [&](double p, double q, double r, double s) {{
+# along that edge as t says. Names that the text expects: those of EXACT and of the test above, and tree.
+REFINE_SLIVER = """
+    auto difference_of_products = [&](double p, double q, double r, double s) {
         const double rs = product(r, s);
         return plus(fused(p, q, -rs), fused(-r, s, rs));
-    }};
-    // By the leaf's own numbers, the longest edge and the height, which the walk has just read.
-    auto is_sliver = [&](int slot) {{
-        #if defined(__CUDA_ARCH__)
-        const float* const number = tree.leaves.data + {SLOT_WORDS} * slot;
-        return number[14] < {SLIVER}f * number[12];
-        #else
-        const float* const number = tree.leaves.data + {8 * PLANE_ROWS} * (slot >> 3) + (slot & 7);
-        return number[8 * 14] < {SLIVER}f * number[8 * 12];
-        #endif
-    }};
-    auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{
-        if (!is_sliver(slot)) return;
+    };
+    auto refine_sliver = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
         const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
                     c = tree.corners.data[3 * slot + 2];
         const point ab = b - a, bc = c - b, ca = a - c;
@@ -89,18 +85,18 @@ REFINE = f"""
         const int axis = wp::abs(direction[0]) >= wp::abs(direction[1])
             ? (wp::abs(direction[0]) >= wp::abs(direction[2]) ? 0 : 2)
             : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
-        const double of_first = first[axis] / direction[axis], of_last = last[axis] / direction[axis],
-                     of_opposite = opposite[axis] / direction[axis];
+        const double step = pick(direction, axis), of_first = pick(first, axis) / step,
+                     of_last = pick(last, axis) / step, of_opposite = pick(opposite, axis) / step;
         const double slope = wp::dot(normal, direction);
-        if (slope != 0.0) {{
+        if (slope != 0.0) {
             t = wp::dot(normal, opposite) / slope;
-        }} else {{
+        } else {
             // Seen along the ray: where the edge passes by it.
             const double along2 = wp::dot(direction, direction);
             const point seen = edge - direction * (wp::dot(edge, direction) / along2);
             const double seen2 = wp::dot(seen, seen), share = seen2 > 0.0 ? -wp::dot(first, seen) / seen2 : 0.5;
             t = of_first + wp::min(wp::max(share, 0.0), 1.0) * (of_last - of_first);
-        }}
+        }
         t = wp::max(t, wp::min(wp::min(of_first, of_last), of_opposite));
         t = wp::min(t, wp::max(wp::max(of_first, of_last), of_opposite));
         const double weight_o = o == 0 ? 1.0 - v - w : o == 1 ? v : w;
@@ -109,8 +105,28 @@ REFINE = f"""
         const double weight_i = 1.0 - weight_o - weight_j;
         v = o == 1 ? weight_o : i == 1 ? weight_i : weight_j;
         w = o == 2 ? weight_o : i == 2 ? weight_i : weight_j;
+    };
+"""
+
+# The same where a triangle is a sliver by the leaf's own numbers, the longest edge and the height, which the walk has
+# just read.
+REFINE = (
+    REFINE_SLIVER
+    + f"""
+    auto is_sliver = [&](int slot) {{
+        #if defined(__CUDA_ARCH__)
+        const float* const number = tree.leaves.data + {SLOT_WORDS} * slot;
+        return number[14] < {SLIVER}f * number[12];
+        #else
+        const float* const number = tree.leaves.data + {8 * PLANE_ROWS} * (slot >> 3) + (slot & 7);
+        return number[8 * 14] < {SLIVER}f * number[8 * 12];
+        #endif
+    }};
+    auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{
+        if (is_sliver(slot)) refine_sliver(start, direction, slot, t, v, w);
     }};
 """
+)
 
 # A ray through an edge or a vertex hits all triangles there: what is closed has no hole. t is not refined.
 RAY_HIT = _HIT.replace(

@@ -11,6 +11,9 @@ from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 64
+
 # Rays are taken as they stand: putting them in order costs more than it gives, on a CPU and on a GPU.
 _FETCH = """
     auto fetch = [&](int number, int& id, point& start, point& direction, double& t_max) {
@@ -130,7 +133,7 @@ def raycast_kernel(
     )
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def occluded_kernel(
     first: int,
     group: int,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _arrays, _launch
+from geokit._flags import Flags
 
 if TYPE_CHECKING:
     import warp as wp
@@ -20,11 +21,10 @@ PARITY_DIRECTIONS = (
 
 
 def any_missed(triangle_id: "wp.array") -> bool:
-    import warp as wp
 
     from geokit.mesh._sign_kernels import missed_kernel
 
-    found = wp.zeros(1, dtype=wp.int32, device=triangle_id.device)
+    found = Flags(1, triangle_id.device)
     _launch.launch(missed_kernel, len(triangle_id), [triangle_id], [found], triangle_id.device)
     return bool(found.numpy()[0])
 

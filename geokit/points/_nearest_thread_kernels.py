@@ -13,6 +13,9 @@ from geokit.points._nearest_tree_kernels import LEAF, NONE, WIDTH, NearestQuerie
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 96
+
 # Lists of 8, 16 or 32, sorted by (squared distance, index). The loops have constant ends: unrolled, everything stays in
 # registers. A list of fewer begins with entries that nothing is before, so that its last is always the k-th.
 _SHORT_LIST = """
@@ -158,19 +161,19 @@ def nearest_32(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 def nearest_many(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_8_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Lists of up to 8."""
     nearest_8(tree, out_queries, first + wp.tid())
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_16_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Lists of up to 16."""
     nearest_16(tree, out_queries, first + wp.tid())
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_32_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Lists of up to 32."""
     nearest_32(tree, out_queries, first + wp.tid())

@@ -20,6 +20,9 @@ from geokit.points._neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 96
+
 # Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
 MAX_SWEEPS = wp.constant(8)
 # Off-diagonals below this share of the trace turn no eigenvector by more than the roundings before them did.
@@ -265,7 +268,7 @@ def place_neighbors_kernel(
     place_row(place, neighbor, order[i], i, out_neighbor)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_plane_kernel(
     first: int,
     order: wp.array(dtype=wp.int32),
@@ -293,7 +296,7 @@ def nearest_plane_kernel(
     out_curvature[row] = plane.curvature
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def within_plane_kernel(
     first: int,
     grid: CellGrid,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._flags import Flags
 from geokit.volume._isosurface_cells import crossed_cells
 from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
 from geokit.volume._marching_cubes_cases import triangle_table
@@ -45,7 +46,7 @@ def marching_cubes(
     start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
     records = wp.empty(3 * planes, dtype=wp.uint64, device=device)
     vertices, triangles = (wp.empty(planes, dtype=wp.int32, device=device) for _ in range(2))
-    flag = wp.zeros(1, dtype=wp.int32, device=device)
+    flag = Flags(1, device)
     outputs = [records, vertices, triangles, flag]
     launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
     base, vertex_count = offsets_of(vertices)

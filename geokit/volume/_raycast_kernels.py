@@ -13,6 +13,9 @@ from geokit.volume._traverse_kernels import traversal
 # Equal bits on every device; loops as they stand compile in a tenth of the time.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 96
+
 # Directions shorter than this would lose digits as denormal numbers.
 SHORTEST_DIRECTION = wp.constant(wp.float64(1e-150))
 # Bisection alone needs 53 halvings to reach the last bit of a position in a cell; Newton's steps take about five.
@@ -273,7 +276,7 @@ def write_hit(
     out_normals[i] = wp.normalize(wp.transpose(to_index) * slope)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def raycast_float_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
@@ -318,7 +321,7 @@ def raycast_float_kernel(
     write_hit(i, found, scale, field.to_index, origin, direction, out_t, out_points, out_normals)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def raycast_scalar_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from geokit import _arrays, _launch
+from geokit._flags import Flags
 from geokit.volume._crossing_blocks import crossing_blocks
 from geokit.volume._ray_field import ray_field, read_rays, refuse_bad_rays
 from geokit.volume.model import SparseVolume
@@ -97,7 +98,7 @@ def raycast(
         points=_arrays.empty(len(rays), wp.vec3d, rays.rows),
         normals=_arrays.empty(len(rays), wp.vec3d, rays.rows),
     )
-    bad = _arrays.zeros(1, wp.int32, rays.rows)
+    bad = Flags(1, target)
     single = volume.info.grid_type == "float"
     kernel = raycast_float_kernel if single else raycast_scalar_kernel
     levels = [wp.float64(number) for number in (level, *(_neighbours(level) if single else (level, level)))]

@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From left to right; a module may import from its own layer and from those before it.
 LAYERS = [
     ("errors",),
-    ("_files", "_frame", "_host_array", "_lazy", "_memory", "_ply_header"),
+    ("_files", "_flags", "_frame", "_host_array", "_lazy", "_memory", "_ply_header"),
     ("kernels",),
     ("_launch",),
     ("_arrays",),
