@@ -58,11 +58,11 @@ def row_of(count: int, out: Path | None) -> str:
         scene.grid.build(scene.x, reach)
 
     def lists() -> None:
-        given = [0, scene.grid.id, scene.x, w, scene.last_x, *scene.lists, scene.most]
+        given = [0, 1, scene.grid.id, scene.x, w, scene.last_x, *scene.lists, scene.most]
         wp.launch(granular.list_kernel, count, given, device="cuda:0")
 
     def step() -> None:
-        given = [0, scene.x, scene.v, w, scene.angle, 0.0, scene.step, *scene.lists, scene.clear, *scene.new]
+        given = [0, 1, scene.x, scene.v, w, scene.angle, 0.0, scene.step, *scene.lists, scene.clear, *scene.new]
         wp.launch(granular.step_kernel, count, given, device="cuda:0")
 
     parts = [1e6 * device_median(run, 20) for run in (grid, lists, step)]

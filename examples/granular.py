@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 from granular_charts import animate
-from granular_kernels import MOST_NEAR, SKIN, World, list_kernel, step_kernel
+from granular_kernels import BLOCK, MOST_NEAR, SKIN, World, list_kernel, step_kernel
 
 import geokit as gk
 
 RING = Path(__file__).resolve().parents[1] / "data" / "samples" / "torus.ply"
 STEP_SHARE = 0.2  # the default step's share of a pair's critical one, 2 / omega; packings stand 0.29 and more
-SLICE = 1024  # fewest grains worth a thread of a CPU
-THREADS = os.cpu_count() or 1
+SLICE, THREADS = 512, os.cpu_count() or 1  # fewest grains worth a thread of a CPU, and the threads there are
 POOL = ThreadPoolExecutor(THREADS)
 
 
@@ -43,16 +42,16 @@ class Scene:
     def __init__(self, x, world, *, v=0.0, volume=None, surface=None, turn=0.0, step=None, device=None):
         self.w, self.time, self.every, self.frames, self.volume, self.surface = world, 0.0, 16, {}, volume, surface
         self.step, self.device = step or STEP_SHARE * np.sqrt(2.0 * world.mass / world.stiffness), wp.get_device(device)
+        self.threads = 1 if self.device.is_cuda else max(1, min(THREADS, len(x) // SLICE))
         side, world.volume = int(1.5 * len(x) ** (1 / 3)) + 4, volume.id(self.device) if volume else 0
         if surface:
             world.mesh, world.origin, world.scale, world.turn = surface.id, surface.origin, surface.scale, turn
         with wp.ScopedDevice(self.device):
             self.x, self.v, self.last_x = (wp.array(np.zeros_like(x) + a, dtype=wp.vec3) for a in (x, v, x))
-            self.new, self.angle = (wp.empty_like(self.x), wp.empty_like(self.x)), wp.zeros(1, dtype=float)
+            self.new, self.grid = (wp.empty_like(self.x), wp.empty_like(self.x)), wp.HashGrid(side, side, side)
             self.lists = wp.empty((MOST_NEAR, len(x)), dtype=int), wp.empty(len(x), dtype=int)
-            self.grid, self.most = wp.HashGrid(side, side, side), wp.zeros(2, dtype=float)
+            self.angle, self.most = wp.zeros(1, dtype=float), wp.zeros((self.threads, 2), dtype=float)
             self.clear = wp.zeros(len(x), dtype=wp.vec2)
-        self.slice = -(-len(x) // (1 if self.device.is_cuda else max(1, min(THREADS, len(x) // SLICE))))
         self._run(self._list(self.x))
 
     def advance(self, steps):
@@ -63,7 +62,7 @@ class Scene:
             self.most.zero_()
             frame = self.frames[steps, self.every] = self.frames.get((steps, self.every)) or self._frame(steps)
             self._run(frame)
-            moved, near = self.most.numpy()
+            moved, near = self.most.numpy().max(axis=0)
             if near > MOST_NEAR or (self.every == 1 and not moved <= half):
                 raise RuntimeError(f"unstable: a grain has {near:g} neighbours or moved {moved:g} m: shorten the step")
             if not moved <= half:  # neighbours may have been missed: once more, with twice as many lists
@@ -82,8 +81,7 @@ class Scene:
             given = *old, self.w, self.angle, k * self.step, self.step, *self.lists, self.clear, *new
             rounds.append(self._round(step_kernel, given))
             old, new = new, old
-            if k % self.every == self.every - 1 or k == steps - 1:
-                rounds += self._list(old[0])
+            rounds += self._list(old[0]) if k + 1 == steps or (k + 1) % self.every == 0 else []
         if self.device.is_cuda:
             with wp.ScopedCapture(self.device) as capture:
                 self._run(rounds)
@@ -97,17 +95,17 @@ class Scene:
         return [[functools.partial(self.grid.build, x, cell)], self._round(list_kernel, given)]
 
     def _round(self, kernel, given):
-        """Launches that go at once: one for each slice of the grains."""
-        return [wp.launch(kernel, min(self.slice, len(self.x) - first), [first, *given], device=self.device,
-                          record_cmd=True).launch for first in range(0, len(self.x), self.slice)]  # fmt: skip
+        """Launches that go at once: one for each thread's blocks of grains."""
+        whose = np.bincount(np.arange(len(self.x)) // BLOCK % self.threads)
+        return [wp.launch(kernel, int(own), [thread, self.threads, *given], device=self.device, record_cmd=True).launch
+                for thread, own in enumerate(whose)]  # fmt: skip
 
     def _run(self, rounds):
         """One round after the other. Warp lets go of Python's lock while a kernel runs: threads run side by side."""
         for own, *others in rounds:
             jobs = [POOL.submit(other) for other in others]
             own()
-            for job in jobs:
-                job.result()
+            [job.result() for job in jobs]
 
 
 def stirred_bowl(count, world, *, mesh=RING, turn=np.pi, step=None, device=None):
@@ -124,7 +122,7 @@ def stirred_bowl(count, world, *, mesh=RING, turn=np.pi, step=None, device=None)
     x = np.stack(np.meshgrid(*[np.arange(-size, size, 2.1 * r)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     x = x[far(x) < size - r] + np.random.default_rng(1).uniform(-0.04 * r, 0.04 * r, (np.sum(far(x) < size - r), 3))
     x = x[surface.signed_distance(x).distance > r]
-    x = x[np.sort(np.argsort(x[:, 2], kind="stable")[:count])]  # halves of them, by x, have equal work
+    x = x[np.sort(np.argsort(x[:, 2], kind="stable")[:count])]
     return Scene(x, world, volume=bowl, surface=surface, turn=turn, step=step, device=device), size
 
 
@@ -135,9 +133,10 @@ def main():
     parser.add_argument("--frames", type=int, default=60, help="pictures in the animation; 0 draws nothing")
     parser.add_argument("--device", help="cpu, cuda:0, ...; the first GPU if there is one")
     parser.add_argument("--step", type=float, help="[s]; a fifth of a pair's critical step if none")
+    parser.add_argument("--stiffness", type=float, default=5000.0, help="[N/m]; softer grains, longer steps")
     parser.add_argument("--out", type=Path, default=Path("granular"), help="writes OUT.png and OUT.gif")
     given = parser.parse_args()
-    scene, size = stirred_bowl(given.grains, grains(), step=given.step, device=given.device)
+    scene, size = stirred_bowl(given.grains, grains(stiffness=given.stiffness), step=given.step, device=given.device)
     steps, r, states = 2 * int(np.ceil(1.0 / 120.0 / scene.step)), scene.w.radius, []
     scene.step, count, start = 1.0 / 60.0 / steps, round(60 * given.seconds), time.perf_counter()
     for _ in range(count):

@@ -1,12 +1,14 @@
 """Kernels of granular.py: who is near whom, and a step of all grains.
 
-Item i of a launch is first + wp.tid(): the threads of a CPU take slices. Only float32, and nothing is added up by
+Each thread of a CPU has every so many blocks of grains, so that the few at the ring, which take longest, are of all
+threads; a GPU counts as one. Only float32, and nothing is added up by
 atomics, so that a run gives the same bits each time, on any number of threads.
 """
 
 import warp as wp
 
 SKIN = 0.4  # grains so much farther off than they act are listed too [radii]: a list lasts for several steps
+BLOCK = 32  # grains in a row that are one thread's
 MOST_NEAR = 24  # room in a list: 18 equal spheres fit within its reach, a few more where they overlap
 vectors, integers, floats = wp.array(dtype=wp.vec3), wp.array(dtype=wp.int32), wp.array(dtype=float)
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -42,9 +44,9 @@ def contact(gap: float, n: wp.vec3, v: wp.vec3, w: World):
 
 
 @wp.kernel
-def list_kernel(first: int, grid: wp.uint64, x: vectors, w: World, last_x: vectors, near: wp.array2d(dtype=int),
-                count: integers, most: floats):  # fmt: skip
-    i = first + wp.tid()
+def list_kernel(thread: int, threads: int, grid: wp.uint64, x: vectors, w: World, last_x: vectors,
+                near: wp.array2d(dtype=int), count: integers, most: wp.array2d(dtype=float)):  # fmt: skip
+    i = (wp.tid() // BLOCK * threads + thread) * BLOCK + wp.tid() % BLOCK
     p, act = wp.vec3(x[i]), 2.0 * w.radius + w.range
     reach, found, acting = act + SKIN * w.radius, wp.int32(0), wp.int32(0)
     for j in wp.hash_grid_query(grid, p, reach):
@@ -60,16 +62,16 @@ def list_kernel(first: int, grid: wp.uint64, x: vectors, w: World, last_x: vecto
     count[i] = wp.min(found, MOST_NEAR)
     values = wp.vec2(wp.length(p - last_x[i]), float(found))
     for k in range(2):
-        if not (values[k] <= most[k]):  # spares most threads the atomic, and lets NaN through
-            wp.atomic_max(most, k, wp.where(values[k] >= 0.0, values[k], 1.0e30))
+        if not (values[k] <= most[thread, k]):  # spares most of a GPU's threads the atomic, and lets NaN through
+            wp.atomic_max(most, thread, k, wp.where(values[k] >= 0.0, values[k], 1.0e30))  # a CPU's have one each
     last_x[i] = p
 
 
 @wp.kernel
-def step_kernel(first: int, x: vectors, v: vectors, w: World, angle: floats, since: float, dt: float,
+def step_kernel(thread: int, threads: int, x: vectors, v: vectors, w: World, angle: floats, since: float, dt: float,
                 near: wp.array2d(dtype=int), count: integers, clear: wp.array(dtype=wp.vec2),
                 out_x: vectors, out_v: vectors):  # fmt: skip
-    i = first + wp.tid()
+    i = (wp.tid() // BLOCK * threads + thread) * BLOCK + wp.tid() % BLOCK
     p, u, act = wp.vec3(x[i]), wp.vec3(v[i]), 2.0 * w.radius + w.range
     force = wp.vec3(0.0, 0.0, -w.gravity * w.mass)
     for k in range(count[i]):

@@ -204,7 +204,7 @@ def test_threads_do_not_change_a_bit(granular, alone, monkeypatch):
     monkeypatch.setattr(granular, "SLICE", 1)
     monkeypatch.setattr(granular, "THREADS", 3)
     together = stirred(granular)
-    assert (alone[2].slice, together[2].slice) == (200, 67)
+    assert (alone[2].threads, together[2].threads) == (1, 3)
     np.testing.assert_array_equal(together[0], alone[0])
     np.testing.assert_array_equal(together[1], alone[1])
 
