@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
 from geokit._flags import Flags
+from geokit._host_array import HostArray
 from geokit.errors import InputError
 from geokit.mesh._measurable import require_measurable
 
@@ -184,7 +185,7 @@ class PointQueries:
 
         def query(batch: _arrays.Batch) -> SignedDistances:
             closest = self._closest(batch.rows, reach)
-            self._sign(method, batch.rows, closest)
+            self._sign(method, batch.rows, closest, reach)
             found = closest.distance, closest.points, closest.triangle_id, closest.barycentric
             return SignedDistances(*(batch.give(array) for array in found))
 
@@ -215,7 +216,9 @@ class PointQueries:
                 found = self._closest(batch.rows, math.inf)
             else:
                 found = ClosestPoints(None, wp.full(count, wp.float64(1.0), device=device), None, None)
-            self._sign(method, batch.rows, found)
+            self._sign(method, batch.rows, found, math.inf)
+            if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
+                return batch.give(HostArray(found.distance.values < 0.0))
             inside = _arrays.empty(count, wp.bool, batch.rows)
             _launch.launch(is_negative_kernel, count, [found.distance], [inside], device)
             return batch.give(inside)
@@ -331,8 +334,8 @@ class PointQueries:
             raise InputError(f"sign: {sign!r} is not a method; use one of {', '.join(map(repr, SIGN_METHODS))}")
         return self.sign_method if sign == "auto" else sign
 
-    def _sign(self, method: str, points: "wp.array", closest: ClosestPoints) -> None:
-        """Turns the distances of inside points negative, in place."""
+    def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
+        """Turns the distances of inside points negative, in place; ``reach`` is how far was searched."""
         from geokit.mesh import _sign
         from geokit.mesh._pseudonormals import by_pseudonormal
 
@@ -340,7 +343,8 @@ class PointQueries:
             tables, device = self._pseudonormals, self._device
             found = [points, closest.points, closest.triangle_id, closest.barycentric]
             by_pseudonormal(found, tables, closest.distance, device)
-            if _sign.any_missed(closest.triangle_id):
+            # Without a limit only what is 1e150 away can be missed, and that is outside.
+            if reach < math.inf and _sign.any_missed(closest.triangle_id):
                 _sign.missed_by_winding(self._winding(points), closest, device)
         elif method == "winding":
             from geokit.mesh._wide_winding_kernels import sign_kernel
