@@ -18,8 +18,12 @@ SLIVER = 1e-3
 _HIT = (
     EXACT
     + """
+    #if defined(__CUDA_ARCH__)
     // By an index that is not known in advance a GPU could read memory only, and would keep all points there.
     auto pick = [&](const point& p, int k) { return k == 0 ? p[0] : k == 1 ? p[1] : p[2]; };
+    #else
+    auto pick = [&](const point& p, int k) { return p[k]; };
+    #endif
     auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
         double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
                           direction[1] < 0 ? -direction[1] : direction[1],

@@ -7,6 +7,8 @@ import warp as wp
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
 from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_HIT_REFINED, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
+from geokit.mesh._wide_packet_kernels import PACKETS
+from geokit.mesh._wide_ray_groups_kernels import RAY_GROUPS
 from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
@@ -35,20 +37,21 @@ _FETCH = """
 """
 
 
-def ray_walk(hit: str, on_hit: str, on_end: str) -> str:
-    """The text of a walk along rays: the test of a triangle, what is done with a hit, and with a ray at its end."""
+def ray_walk(hit: str, on_hit: str, on_end: str, packets: str = "") -> str:
+    """The text of a walk along rays: the test of a triangle, what is done with a hit, and with a ray at its end.
+
+    On a CPU ``packets`` comes first: what is done with eight rays at once.
+    """
     walk = f"""
+        {hit}
         #if defined(__CUDA_ARCH__)
+        {_FETCH}
         {BINARY_WALK}
         #else
-        {WIDE_WALK}
+        {WIDE_WALK.replace("RAY_GROUPS", RAY_GROUPS.replace("PACKETS", packets))}
         #endif
     """
-    return (
-        hit
-        + _FETCH.replace("SHORTEST", str(SHORTEST_DIRECTION))
-        + walk.replace("ON_HIT", on_hit).replace("ON_END", on_end)
-    )
+    return walk.replace("ON_HIT", on_hit).replace("ON_END", on_end).replace("SHORTEST", str(SHORTEST_DIRECTION))
 
 
 # Ties go to the lowest triangle: the answer must not depend on the order of the walk.
@@ -69,10 +72,12 @@ _WRITE_HIT = """
                                         : point(1.0 - r.weight_b - r.weight_c, r.weight_b, r.weight_c);
 """
 _ANY = "r.winner = slot; r.height = -1; break;"
+# The same of eight rays that are walked together: nothing is within the reach of this one any more.
+_ANY_OF_EIGHT = "r.winner = slot; group.last[i] = -1.f; break;"
 _WRITE_ANY = "out_occluded.data[r.id] = r.winner >= 0;"
 
 
-@wp.func_native(ray_walk(RAY_HIT_REFINED, _NEARER, _WRITE_HIT))
+@wp.func_native(ray_walk(RAY_HIT_REFINED, _NEARER, _WRITE_HIT, PACKETS))
 def cast_rays(
     begin: int,
     end: int,
@@ -88,7 +93,7 @@ def cast_rays(
 ): ...
 
 
-@wp.func_native(ray_walk(RAY_HIT, _ANY, _WRITE_ANY))
+@wp.func_native(ray_walk(RAY_HIT, _ANY, _WRITE_ANY, PACKETS.replace("ON_HIT", _ANY_OF_EIGHT)))
 def test_rays(
     begin: int,
     end: int,

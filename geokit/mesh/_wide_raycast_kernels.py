@@ -3,6 +3,9 @@
 Boxes and triangles are tested in float32 with margins that cover its rounding; what passes is decided in float64 by
 edge functions that are exact opposites on the two sides of an edge, so that no ray leaks.
 
+Rays are set up by eights (_wide_ray_groups_kernels); those that run alike are walked together (_wide_packet_kernels)
+where hits but not all of them are asked for, all others as follows.
+
 A thread walks several rays in turn, one node each: while a node is fetched for one ray the others go on. The latency
 of the caches, not arithmetic, is what a single ray waits for.
 """
@@ -10,8 +13,6 @@ of the caches, not arithmetic, is what a single ray waits for.
 from geokit.mesh._wide_build_kernels import STACK
 from geokit.mesh._wide_leaf_kernels import PLANE_ROWS
 
-# Cache lines of a leaf that are asked for ahead; the hardware goes on where it sees a stream.
-PREFETCHED_LINES = 8
 # Rays in flight on a thread.
 IN_FLIGHT = 8
 # Rays that start farther out than this, in local units, are tested from where they enter the cube around the mesh.
@@ -26,99 +27,116 @@ ENDLESS = 1.0e30
 # Direction components, where the largest is 1, that are smaller count as this: its reciprocal must not overflow.
 LEAST_COMPONENT = 1.0e-18
 
-# Names that the text expects: tree; begin and end (of the rays' numbers); fetch (a lambda that fills id, start,
-# direction and t_max for a number); t_min; hit (a lambda: start, direction, slot, t, v, w -> bool, in float64). ON_HIT
-# is replaced by what is done with a hit of the ray `r` at t, which may lower r.best and call shorten(r), or set
-# r.height to -1 to end the walk, or `continue`; ON_END by what is done when a ray's walk is over, hit or not. Both may
-# use r.winner (-1 at first), r.count (0), r.weight_b and r.weight_c (0).
-_WALK = f"""
+# Which triangles of a leaf a ray may hit: lanes. Names that the text expects: row (of the leaf), ax, ay and az (from
+# the triangles' corners to the ray's start), tx, ty and tz (its direction), limit (its length).
+LEAF_TEST = """
+    const v8 oz = ax * row[9] + ay * row[10] + az * row[11];
+    const v8 dz = tx * row[9] + ty * row[10] + tz * row[11];
+    // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+    const i8 sign = (i8)dz & (int)0x80000000;
+    const v8 depth = (v8)((i8)(-oz) ^ sign), down = (v8)((i8)dz ^ sign);
+    const v8 ox = ax * row[3] + ay * row[4] + az * row[5];
+    const v8 oy = ax * row[6] + ay * row[7] + az * row[8];
+    const v8 dx = tx * row[3] + ty * row[4] + tz * row[5];
+    const v8 dy = tx * row[6] + ty * row[7] + tz * row[8];
+    const v8 x = ox * down + dx * depth, y = oy * down + dy * depth;
+    const v8 longest = row[12], cx = row[13], cy = row[14];
+    const v8 margin = longest * lowest;
+    const v8 ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
+    const unsigned lanes = mask_of((depth >= lowest) & (depth <= limit * down - lowest) & (y >= lowest)
+                                   & (ca >= margin) & (bc >= margin));
+"""
+# What float64 needs of the triangles in those lanes of the leaf `block`.
+ASK_AHEAD = """
+    for (unsigned left = lanes; left; left &= left - 1) {
+        const int slot = 8 * block + __builtin_ctz(left);
+        __builtin_prefetch(tree.corners.data + 3 * slot);
+        __builtin_prefetch((const char*)(tree.corners.data + 3 * slot) + 64);
+        __builtin_prefetch(tree.slot_triangle.data + slot);
+    }
+"""
+
+# Names that the text expects: tree; origins and directions; begin and end (of the rays' numbers); t_min; hit (a lambda:
+# start, direction, slot, t, v, w -> bool, in float64). RAY_GROUPS is replaced by the text of that name; ON_HIT by what
+# is done with a hit of the ray `r` at t, which may lower r.best and call shorten(r), or set r.height to -1 to end the
+# walk, or `continue`; ON_END by what is done when a ray's walk is over, hit or not. Both may use r.winner (-1 at
+# first), r.count (0), r.weight_b and r.weight_c.
+WIDE_WALK = f"""
     {{
     // What follows only selects: fused products round less, and are quicker.
     #pragma clang fp contract(fast)
     typedef float v8 __attribute__((ext_vector_type(8), aligned(4)));
     typedef int i8 __attribute__((ext_vector_type(8), aligned(4)));
     typedef bool b8 __attribute__((ext_vector_type(8)));
-    typedef double d4 __attribute__((ext_vector_type(4)));
-    typedef float f4 __attribute__((ext_vector_type(4)));
-    auto mask_of = [](i8 lanes) {{
+    auto mask_of = [](auto lanes) {{
         return (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b8));
     }};
-    struct Ray {{
-        f4 at, toward, reciprocal, to_near, to_far;
+    // One instruction each: the built-in functions make sure that the other number comes back for one that is none.
+    auto larger = [](auto a, auto b) {{ return a > b ? a : b; }};
+    auto smaller = [](auto a, auto b) {{ return a < b ? a : b; }};
+    auto greatest = [&](v8 a) {{
+        a = larger(a, __builtin_shufflevector(a, a, 4, 5, 6, 7, 0, 1, 2, 3));
+        a = larger(a, __builtin_shufflevector(a, a, 2, 3, 0, 1, 6, 7, 4, 5));
+        a = larger(a, __builtin_shufflevector(a, a, 1, 0, 3, 2, 5, 4, 7, 6));
+        return a[0];
+    }};
+    auto least = [&](v8 a) {{ return -greatest(-a); }};
+    // What is known of a ray so far.
+    struct Found {{
+        double best, weight_b, weight_c;
+        int id, winner, count;
+    }};
+    struct Ray : Found {{
+        float at[3], toward[3], reciprocal[3], to_near[3], to_far[3];
         const float *near_row[3], *far_row[3];
         point start, direction;
-        double best, enter, unit, weight_b, weight_c;
+        double enter, unit;
         float last;
-        int id, winner, count, node, height, block;
+        int node, height, block;
         unsigned hits;  // lanes of `block` that are to be decided in float64
         int stack[{STACK}];
         float entry[{STACK}];
     }};
     Ray rays[{IN_FLIGHT}];
     int next = begin, flying = 0;
-    const double local = 1.0 / tree.scale;
-    // Finite, so that its product with a zero is zero.
-    auto shorten = [&](Ray& r) {{
-        r.last = __builtin_fminf((float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f, {ENDLESS}f);
+    auto finish = [&](Found& r) {{ ON_END }};
+    // Without a branch, which would be foreseen as badly as the one that follows for the node itself: of an inner node
+    // three lines of boxes and that of its children, of a leaf eight lines.
+    auto prefetch = [&](int node) {{
+        const char* data = node < 0 ? (const char*)(tree.leaves.data + {8 * PLANE_ROWS} * (-1 - node))
+                                    : (const char*)(tree.boxes.data + 48 * node);
+        const char* rest = node < 0 ? data + 256 : (const char*)(tree.children.data + 8 * node);
+        const int step = node < 0 ? 64 : 0;
+        for (int i = 0; i < 4; ++i) __builtin_prefetch(data + 64 * i);
+        for (int i = 0; i < 4; ++i) __builtin_prefetch(rest + step * i);
     }};
-    // False where the ray passes by the mesh.
-    auto set_up = [&](Ray& r, const point& start, const point& direction) {{
-        r.winner = -1; r.count = 0; r.node = 0; r.height = 0; r.hits = 0; r.weight_b = 0.0; r.weight_c = 0.0;
-        // The ray as from + s * along in local units, the largest component of along being 1: s = unit * t.
-        const d4 heading = {{direction[0], direction[1], direction[2], 0.0}};
-        const d4 begin = {{start[0] - tree.origin[0], start[1] - tree.origin[1], start[2] - tree.origin[2], 0.0}};
-        const double largest = __builtin_reduce_max(__builtin_elementwise_abs(heading));
-        const d4 from = begin * local, along = heading * (1.0 / largest);
-        r.unit = largest * local;
-        r.toward = __builtin_convertvector(along, f4);
-        const f4 least = {LEAST_COMPONENT}f;
-        r.reciprocal = __builtin_elementwise_copysign(
-            1.f / __builtin_elementwise_max(__builtin_elementwise_abs(r.toward), least), r.toward);
-        r.enter = t_min * r.unit;
-        const double far = __builtin_reduce_max(__builtin_elementwise_abs(from));
-        if (far > {NEAR_START}) {{
-            // A little early and late: these reciprocals have the digits of float32, and the cube has a margin.
-            const d4 rate = __builtin_convertvector(r.reciprocal, d4);
-            const double edge = 1.0 + 1e-5 + 1e-6 * far;
-            const d4 t0 = (-edge - from) * rate, t1 = (edge - from) * rate;
-            const d4 in = __builtin_elementwise_min(t0, t1), out = __builtin_elementwise_max(t0, t1);
-            r.enter = wp::max(r.enter, wp::max(in[0], wp::max(in[1], in[2])));
-            if (r.enter > wp::min(out[0], wp::min(out[1], out[2]))) return false;
+    RAY_GROUPS
+    auto shorten = [&](Ray& r) {{
+        const float last = (float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f;
+        r.last = smaller(last, {ENDLESS}f);
+    }};
+    // The next ray that may hit something takes the place of one that is done; false where there is none.
+    auto refill = [&](Ray& r) {{
+        while (!group.waiting) {{
+            if (next >= end) return false;
+            const int count = end - next < 8 ? end - next : 8;
+            next_group(next, count);
+            next += count;
         }}
-        shorten(r);
-        r.at = __builtin_convertvector(from + r.enter * along, f4);
-        const f4 margin = {BOX_MARGIN}f, aside = __builtin_elementwise_copysign(margin, r.toward);
-        r.to_near = -(r.at + aside) * r.reciprocal;
-        r.to_far = -(r.at - aside) * r.reciprocal;
+        const int i = __builtin_ctz(group.waiting);
+        group.waiting &= group.waiting - 1;
+        r.id = group.first + i;
+        r.winner = -1; r.count = 0; r.node = 0; r.height = 0; r.hits = 0; r.weight_b = 0.0; r.weight_c = 0.0;
+        r.start = origins.data[r.id]; r.direction = directions.data[r.id];
+        r.best = group.best[i]; r.enter = group.enter[i]; r.unit = group.unit[i]; r.last = group.last[i];
         for (int k = 0; k < 3; ++k) {{
+            r.at[k] = group.at[k][i]; r.toward[k] = group.toward[k][i]; r.reciprocal[k] = group.reciprocal[k][i];
+            r.to_near[k] = group.to_near[k][i]; r.to_far[k] = group.to_far[k][i];
             const int back = r.reciprocal[k] < 0.f ? 24 : 0;
             r.near_row[k] = tree.boxes.data + 8 * k + back;
             r.far_row[k] = tree.boxes.data + 8 * k + 24 - back;
         }}
         return true;
-    }};
-    auto finish = [&](Ray& r) {{ ON_END }};
-    // The next ray that may hit something takes the place of one that is done; false where there is none.
-    auto refill = [&](Ray& r) {{
-        while (next < end) {{
-            // In registers: what was just stored is slow to load again in other pieces.
-            point start, direction;
-            fetch(next++, r.id, start, direction, r.best);
-            if (set_up(r, start, direction)) {{
-                r.start = start;
-                r.direction = direction;
-                return true;
-            }}
-            finish(r);
-        }}
-        return false;
-    }};
-    auto prefetch = [&](int node) {{
-        const char* data = node < 0 ? (const char*)(tree.leaves.data + {8 * PLANE_ROWS} * (-1 - node))
-                                    : (const char*)(tree.boxes.data + 48 * node);
-        const int lines = node < 0 ? {PREFETCHED_LINES} : 3;
-        for (int i = 0; i < lines; ++i) __builtin_prefetch(data + 64 * i);
-        if (node >= 0) __builtin_prefetch(tree.children.data + 8 * node);
     }};
     while (flying < {IN_FLIGHT} && refill(rays[flying])) ++flying;
     const v8 zero = 0.f, lowest = -{PLANE_MARGIN}f;
@@ -135,11 +153,11 @@ _WALK = f"""
             const int at_box = 48 * r.node;
             v8 in = *(const v8*)(r.near_row[0] + at_box) * r.reciprocal[0] + r.to_near[0];
             v8 out = *(const v8*)(r.far_row[0] + at_box) * r.reciprocal[0] + r.to_far[0];
-            in = __builtin_elementwise_max(in, *(const v8*)(r.near_row[1] + at_box) * r.reciprocal[1] + r.to_near[1]);
-            out = __builtin_elementwise_min(out, *(const v8*)(r.far_row[1] + at_box) * r.reciprocal[1] + r.to_far[1]);
-            in = __builtin_elementwise_max(in, *(const v8*)(r.near_row[2] + at_box) * r.reciprocal[2] + r.to_near[2]);
-            out = __builtin_elementwise_min(out, *(const v8*)(r.far_row[2] + at_box) * r.reciprocal[2] + r.to_far[2]);
-            in = __builtin_elementwise_max(in, zero);
+            in = larger(in, *(const v8*)(r.near_row[1] + at_box) * r.reciprocal[1] + r.to_near[1]);
+            out = smaller(out, *(const v8*)(r.far_row[1] + at_box) * r.reciprocal[1] + r.to_far[1]);
+            in = larger(in, *(const v8*)(r.near_row[2] + at_box) * r.reciprocal[2] + r.to_near[2]);
+            out = smaller(out, *(const v8*)(r.far_row[2] + at_box) * r.reciprocal[2] + r.to_far[2]);
+            in = larger(in, zero);
             const v8 limit = r.last;
             unsigned mask = mask_of((in <= out) & (in <= limit));
             if (mask) {{
@@ -163,23 +181,16 @@ _WALK = f"""
             const int block = -1 - r.node;
             const v8* row = (const v8*)(tree.leaves.data + {8 * PLANE_ROWS} * block);
             const v8 ax = r.at[0] - row[0], ay = r.at[1] - row[1], az = r.at[2] - row[2];
-            const v8 oz = ax * row[9] + ay * row[10] + az * row[11];
-            const v8 dz = r.toward[0] * row[9] + r.toward[1] * row[10] + r.toward[2] * row[11];
-            // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
-            const i8 sign = (i8)dz & (int)0x80000000;
-            const v8 depth = (v8)((i8)(-oz) ^ sign), down = (v8)((i8)dz ^ sign);
+            const float tx = r.toward[0], ty = r.toward[1], tz = r.toward[2];
             const v8 limit = r.last;
-            const v8 ox = ax * row[3] + ay * row[4] + az * row[5];
-            const v8 oy = ax * row[6] + ay * row[7] + az * row[8];
-            const v8 dx = r.toward[0] * row[3] + r.toward[1] * row[4] + r.toward[2] * row[5];
-            const v8 dy = r.toward[0] * row[6] + r.toward[1] * row[7] + r.toward[2] * row[8];
-            const v8 x = ox * down + dx * depth, y = oy * down + dy * depth;
-            const v8 longest = row[12], cx = row[13], cy = row[14];
-            const v8 margin = longest * lowest;
-            const v8 ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
-            r.hits = mask_of((depth >= lowest) & (depth <= limit * down - lowest) & (y >= lowest) & (ca >= margin)
-                             & (bc >= margin));
-            ON_LANES
+            {LEAF_TEST}
+            // What may be hit is decided in float64 at the ray's next turn: until then its corners are on their way.
+            if (lanes) {{
+                r.hits = lanes;
+                r.block = block;
+                {ASK_AHEAD}
+                continue;
+            }}
         }}
         // On to the nearest box that waits and is still within reach.
         while (--r.height >= 0 && r.entry[r.height] > r.last) {{}}
@@ -197,19 +208,3 @@ _WALK = f"""
     }}
     }}
 """
-
-# Lanes that may be hit are decided in float64, at the ray's next turn: until then their corners are on their way.
-_DECIDE_EXACTLY = """
-            if (r.hits) {
-                r.block = block;
-                for (unsigned lanes = r.hits; lanes; lanes &= lanes - 1) {
-                    const int slot = 8 * block + __builtin_ctz(lanes);
-                    __builtin_prefetch(tree.corners.data + 3 * slot);
-                    __builtin_prefetch((const char*)(tree.corners.data + 3 * slot) + 64);
-                    __builtin_prefetch(tree.slot_triangle.data + slot);
-                }
-                continue;
-            }
-"""
-
-WIDE_WALK = _WALK.replace("ON_LANES", _DECIDE_EXACTLY)
