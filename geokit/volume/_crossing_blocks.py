@@ -20,12 +20,13 @@ __all__ = ["CrossingBlocks", "crossing_blocks"]
 
 # To look at a block takes about as long as a fourth of a ray: fewer rays than that go without.
 BLOCKS_PER_RAY = 4
-# Blocks that are looked at, at most: five bytes for each of them, 80 MiB. Wider grids go without.
+# Blocks that are looked at, at most: twelve bytes for each of them, 192 MiB. Wider grids go without.
 MOST_BLOCKS = 1 << 24
 # Isovalues that are remembered for each volume and device.
 REMEMBERED = 4
 # Rows of blocks worth a slice of a launch.
 GRAIN = 4
+LINE_GRAIN = 128
 
 _found: weakref.WeakKeyDictionary[SparseVolume, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
@@ -97,11 +98,16 @@ def _find(
     found = int(numbers[total:].numpy()[0])
     blocks = wp.empty(kernels.BLOCK_WORDS * max(found, 1), dtype=wp.uint64, device=device)
     reach = wp.empty(total, dtype=wp.int8, device=device)
-    distance, other = wp.empty(total, dtype=wp.int32, device=device), busy[:total]
-    _launch.launch(write, rows, [*inputs, numbers], [reach, distance, blocks], device, grain=GRAIN)
-    stride = 1
-    for along in count[::-1].tolist():
-        _launch.launch(kernels.spread_distance_kernel, total, [stride, along, distance], [other], device)
-        distance, other, stride = other, distance, stride * along
-    _launch.launch(kernels.write_reach_kernel, total, [distance], [reach], device)
+    _launch.launch(write, rows, [*inputs, numbers], [reach, blocks], device, grain=GRAIN)
+    stride = total
+    for along in count.tolist():
+        stride //= along
+        wider = wp.empty(2 * reach.size, dtype=wp.int8, device=device)
+        if device.is_cpu:
+            across = [total, stride, along, int(count[2]), reach]
+            lines = wider.size // int(count[2])
+            _launch.launch(kernels.spread_lines_kernel, lines, across, [wider], device, grain=LINE_GRAIN)
+        else:
+            _launch.launch(kernels.spread_distance_kernel, wider.size, [total, stride, along, reach], [wider], device)
+        reach = wider
     return CrossingBlocks(reach, numbers, first_block, block_count, blocks)

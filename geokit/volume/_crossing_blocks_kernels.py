@@ -4,8 +4,9 @@ Of a level set a ray then touches 128 bytes for each block near the surface, in 
 those of its neighbours, and the tree not at all.
 
 - reach: for each block of the box around what is stored, x slowest, and for a rim of one block around it, how many
-  blocks away the nearest is that may hold a crossing (the largest of the three coordinates' differences); 0 for such a
-  block itself, -1 in the rim. One byte each: it is all that rays look at on most of their way.
+  blocks ahead the nearest is that may hold a crossing (the largest of the three coordinates' differences); 0 for such a
+  block itself, -1 in the rim. Eight times: ahead of rays of each octant, 4, 2 and 1 for backwards along x, y and z. One
+  byte each: it is all that rays look at on most of their way.
 - numbers: which one of `blocks` a block is.
 - first_block, block_count: the first block, relative to the anchor voxel, in blocks, and how many there are.
 - blocks: BLOCK_WORDS words for each busy block: for each x the bits 8 y + z of the cells that may hold a crossing, then
@@ -71,11 +72,9 @@ _WRITE = (
         const address at = (address)row * block_count[2] + n;
         const int own = numbers.data[at];
         if (numbers.data[at + 1] == own) {
-            out_reach.data[at] = rim || n == 0 || n == block_count[2] - 1 ? -1 : 1;
-            out_distance.data[at] = FARTHEST;
+            out_distance.data[at] = rim || n == 0 || n == block_count[2] - 1 ? -1 : FARTHEST;
             continue;
         }
-        out_reach.data[at] = 0;
         out_distance.data[at] = 0;
         const int z = 8 * (first_block[2] + n);
         unsigned long long* block = (unsigned long long*)out_blocks.data + BLOCK_WORDS * (address)own;
@@ -107,6 +106,31 @@ _WRITE = (
     }
 """
 ).replace("FARTHEST", str(int(FARTHEST)))
+
+# A line of blocks along z of those that spread_distance_kernel writes: byte by byte, which a CPU does for many at once.
+# Seen without a sign the rim is far away.
+_SPREAD = """
+    typedef unsigned char byte;
+    const int lines = total / length, part = line / lines, first = (line - part * lines) * length;
+    const byte* const in = (const byte*)distance.data + (long long)(part >> 1) * total + first;
+    byte* const out = (byte*)out_distance.data + (long long)part * total + first;
+    const bool back = part & 1;
+    for (int k = 0; k < length; ++k) out[k] = in[k];
+    auto see = [](byte* to, const byte* from, int r, int n) {
+        for (int k = 0; k < n; ++k) {
+            const byte other = from[k] > (byte)r ? from[k] : (byte)r;
+            to[k] = to[k] < other ? to[k] : other;
+        }
+    };
+    const int i = first / stride % count, ahead = stride == 1 ? length - 1 : back ? i : count - 1 - i;
+    const long long step = back ? -(long long)stride : (long long)stride;
+    for (int r = 1; r < FARTHEST && r <= ahead; ++r) {
+        if (stride > 1) see(out, in + r * step, r, length);
+        else if (back) see(out + r, in, r, length - r);
+        else see(out, in + r, r, length - r);
+    }
+    for (int k = 0; k < length; ++k) out[k] = in[k] == 255 ? in[k] : out[k];
+""".replace("FARTHEST", str(int(FARTHEST)))
 
 
 @wp.func_native(tree_text(_MARK, "float"))
@@ -145,8 +169,7 @@ def write_float_row(
     below: wp.float64,
     above: wp.float64,
     numbers: wp.array(dtype=int),
-    out_reach: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=int),
+    out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
 ): ...
 
@@ -161,8 +184,7 @@ def write_scalar_row(
     below: wp.float64,
     above: wp.float64,
     numbers: wp.array(dtype=int),
-    out_reach: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=int),
+    out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
 ): ...
 
@@ -205,8 +227,7 @@ def write_float_blocks_kernel(
     below: wp.float64,
     above: wp.float64,
     numbers: wp.array(dtype=int),
-    out_reach: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=int),
+    out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
 ):
     write_float_row(
@@ -218,7 +239,6 @@ def write_float_blocks_kernel(
         below,
         above,
         numbers,
-        out_reach,
         out_distance,
         out_blocks,
     )
@@ -234,8 +254,7 @@ def write_scalar_blocks_kernel(
     below: wp.float64,
     above: wp.float64,
     numbers: wp.array(dtype=int),
-    out_reach: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=int),
+    out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
 ):
     write_scalar_row(
@@ -247,7 +266,6 @@ def write_scalar_blocks_kernel(
         below,
         above,
         numbers,
-        out_reach,
         out_distance,
         out_blocks,
     )
@@ -255,24 +273,60 @@ def write_scalar_blocks_kernel(
 
 @wp.kernel
 def spread_distance_kernel(
-    first: int, stride: int, count: int, distance: wp.array(dtype=int), out_distance: wp.array(dtype=int)
+    first: int,
+    total: int,
+    stride: int,
+    count: int,
+    distance: wp.array(dtype=wp.int8),
+    out_distance: wp.array(dtype=wp.int8),
 ):
-    """The distance by one more axis: its blocks are ``stride`` numbers apart, ``count`` of them in a line."""
-    n = first + wp.tid()
-    i = (n // stride) % count
-    best = distance[n]
-    r = int(1)
-    while r < best:
-        if i >= r:
-            best = wp.min(best, wp.max(r, distance[n - r * stride]))
-        if i + r < count:
-            best = wp.min(best, wp.max(r, distance[n + r * stride]))
-        r += 1
-    out_distance[n] = best
+    """Distances by one more axis: its blocks are ``stride`` numbers apart, ``count`` of them in a line.
+
+    Each ``total`` of them become twice as many: those forwards along the axis, and those backwards.
+    """
+    k = first + wp.tid()
+    part = k // total
+    n = k - part * total
+    at = (part // 2) * total + n
+    best = int(distance[at])
+    if best > 0:
+        i = (n // stride) % count
+        room = count - 1 - i
+        step = stride
+        if part % 2 == 1:
+            room = i
+            step = -stride
+        r = int(1)
+        while r < best and r <= room:
+            at += step
+            other = int(distance[at])
+            if other >= 0:
+                best = wp.min(best, wp.max(r, other))
+            r += 1
+    out_distance[k] = wp.int8(best)
+
+
+@wp.func_native(_SPREAD)
+def spread_line(
+    line: int,
+    total: int,
+    stride: int,
+    count: int,
+    length: int,
+    distance: wp.array(dtype=wp.int8),
+    out_distance: wp.array(dtype=wp.int8),
+): ...
 
 
 @wp.kernel
-def write_reach_kernel(first: int, distance: wp.array(dtype=int), out_reach: wp.array(dtype=wp.int8)):
-    n = first + wp.tid()
-    if out_reach[n] > wp.int8(0):
-        out_reach[n] = wp.int8(distance[n])
+def spread_lines_kernel(
+    first: int,
+    total: int,
+    stride: int,
+    count: int,
+    length: int,
+    distance: wp.array(dtype=wp.int8),
+    out_distance: wp.array(dtype=wp.int8),
+):
+    """As spread_distance_kernel; an item is a line of ``length`` blocks along z."""
+    spread_line(first + wp.tid(), total, stride, count, length, distance, out_distance)

@@ -26,6 +26,10 @@ __all__ = [
     "voxel_entry",
 ]
 
+# Before loops that read what lies apart: compilers make gather instructions of them, which take several times as long
+# as the loads on processors whose microcode guards them (Intel's before 2023).
+ONE_BY_ONE = "#pragma clang loop vectorize(disable)"
+
 # Queries of a thread on a CPU: as many bits as the mask of those that the table does not answer.
 GROUP = wp.constant(64)
 
@@ -104,6 +108,7 @@ def group_positions(rows):
     const {rows}* const rows = (const {rows}*)points.data;
     const int count = stop - start < G ? stop - start : G;
     double u[G], v[G], w[G];
+    {ONE_BY_ONE}
     for (int q = 0; q < G; ++q) {{
         const {rows}* const p = rows + 3ll * (start + (q < count ? q : 0));
         u[q] = (double)p[0]; v[q] = (double)p[1]; w[q] = (double)p[2];
@@ -127,6 +132,7 @@ def group_positions(rows):
         last_top[q] = {slots_of("x1", "y1", "z1")[0]}; last_slot[q] = {slots_of("x1", "y1", "z1")[1]};
     }}
     int first[G], last[G];
+    {ONE_BY_ONE}
     for (int q = 0; q < G; ++q) {{
         const int a = top[first_top[q]], b = top[last_top[q]];
         first[q] = a < 0 ? a : slots[a + first_slot[q]];
@@ -178,6 +184,7 @@ def group_cells(voxels, tree):
             cell[4][q] = c[0]; cell[5][q] = c[z]; cell[6][q] = c[y]; cell[7][q] = c[y + z];
         }} else {{
             {tree}
+            {ONE_BY_ONE}
             for (int n = 0; n < 8; ++n) {{
                 const int x = at_x[q] + (n >> 2), y = at_y[q] + ((n >> 1) & 1), z = at_z[q] + (n & 1);
                 {voxel_entry("x", "y", "z")}

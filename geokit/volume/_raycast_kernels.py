@@ -8,7 +8,7 @@ of sign there brackets exactly one root, and without one there is none.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.volume._traverse_kernels import traversal
+from geokit.volume._traverse_kernels import traversal, with_hooks
 
 # Equal bits on every device; loops as they stand compile in a tenth of the time.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -40,7 +40,7 @@ CUBIC = """
     const double p3 = gx * gy * gz * kxyz;
 """
 
-_START = """
+START = """
     // 2 for NaN. Voxels are compared with the isovalue in their own type.
     auto side_of = [&](real v) { return v > (real)below ? 1 : v < (real)above ? -1 : v == v ? 0 : 2; };
     // The side of the isovalue on which the ray was last, 0 where that is not known. Two cells may differ by a rounding
@@ -58,7 +58,7 @@ _START = """
         if (side == 2) side = 0;
     }
 """
-_ON_UNSEEN = "                    side = 0;"
+ON_UNSEEN = "                    side = 0;"
 _SAME = "side_of(value) == side_of(other)"
 _ON_REGION = """
             const int now = side_of(value);
@@ -68,7 +68,8 @@ _ON_REGION = """
             }
             side = now == 2 ? 0 : now;
 """
-_ON_CELL = (
+# HAND_ON may end the walk where the bracket of a root is known.
+ON_CELL = (
     (
         """
             if (unseen >= 0) side = c[unseen] > (real)below ? 1 : -1;
@@ -108,6 +109,7 @@ _ON_CELL = (
                         if (at_hi == 0.0) {
                             root = hi;
                         } else if ((at_hi > 0.0) != (at_lo > 0.0) && at_hi == at_hi) {
+                            HAND_ON
                             // Newton, kept between the ends of the bracket.
                             double s = lo + (hi - lo) * (at_lo / (at_lo - at_hi)), left_end = lo, right_end = hi;
                             double moved = hi - lo;
@@ -148,7 +150,7 @@ _ON_CELL = (
     .replace("ROUNDS", str(MOST_ITERATIONS))
     .replace("RESOLUTION", str(RESOLUTION))
 )
-_END = """
+END = """
     if (left) {
         const int now = side_of(background);
         if (now == 0 || (now != 2 && now * side < 0)) hit = t0 + last;
@@ -159,8 +161,9 @@ done:
 
 
 def _first_crossing(grid_type: str) -> str:
+    on_cell = with_hooks(ON_CELL, {"HAND_ON": ""})
     return traversal(
-        grid_type, start=_START, same=_SAME, on_unseen=_ON_UNSEEN, on_region=_ON_REGION, on_cell=_ON_CELL, end=_END
+        grid_type, start=START, same=_SAME, on_unseen=ON_UNSEEN, on_region=_ON_REGION, on_cell=on_cell, end=END
     )
 
 

@@ -19,9 +19,9 @@ from geokit.volume._node_kernels import TREE, tree_text
 #   through which the ray came out of blocks or cells that it crossed unseen.
 # - END runs at t0 + last, where the box or the ray ends.
 # The hooks end the walk by `goto done`.
-_WALK = (
-    TREE
-    + """
+
+# Where the ray enters the box, and how far it goes; without branches, so that it does for several rays at once.
+SET_UP = """
     const double qx0 = start[0], qy0 = start[1], qz0 = start[2];
     // So small a component moves the ray by less than 2^-60 voxels within the range of int32.
     const double dx = wp::abs(toward[0]) < 1e-30 ? 0.0 : toward[0], dy = wp::abs(toward[1]) < 1e-30 ? 0.0 : toward[1],
@@ -33,13 +33,11 @@ _WALK = (
     const int fx = sx > 0 ? 1 : 0, fy = sy > 0 ? 1 : 0, fz = sz > 0 ? 1 : 0;
     double t0 = t_first, t1 = t_last;
     auto clip = [&](double at, double d, double inverse, double low, double high) {
-        if (d == 0.0) {
-            if (!(at >= low && at <= high)) t1 = -(double)INFINITY;
-            return;
-        }
         const double one = (low - at) * inverse, other = (high - at) * inverse;
-        t0 = wp::max(t0, wp::min(one, other));
-        t1 = wp::min(t1, wp::max(one, other));
+        const double begin = wp::max(t0, wp::min(one, other)), end = wp::min(t1, wp::max(one, other));
+        const bool beside = !(at >= low && at <= high);
+        t0 = d == 0.0 ? t0 : begin;
+        t1 = d != 0.0 ? end : beside ? -(double)INFINITY : t1;
     };
     clip(qx0, dx, ix, lower[0], upper[0]);
     clip(qy0, dy, iy, lower[1], upper[1]);
@@ -59,25 +57,31 @@ _WALK = (
                                                                            ((fz ? upper[2] : lower[2]) - qz) * iz));
     const double last = wp::min(out, t_last - t0);
     const bool left = !crosses || out < t_last - t0;
-    double ta = 0.0, tb = 0.0;
+    // On its upper side the box ends with a cell, not with the voxel behind it.
+    int bx = (int)(crosses ? wp::min(wp::floor(qx), upper[0] - 1.0) : 0.0);
+    int by = (int)(crosses ? wp::min(wp::floor(qy), upper[1] - 1.0) : 0.0);
+    int bz = (int)(crosses ? wp::min(wp::floor(qz), upper[2] - 1.0) : 0.0);
+"""
+STEPS = """
     // The cell around a coordinate among those from `low` on; rounding must not put it anywhere else.
     auto within = [](double at, int low, int count) {
         const double above = at - (double)low;
         return low + (above < 0.0 ? 0 : above >= (double)count ? count - 1 : (int)above);
     };
-    int bx = 0, by = 0, bz = 0, unseen = -1;
-    if (crosses) {
-        // On its upper side the box ends with a cell, not with the voxel behind it.
-        bx = (int)wp::min(wp::floor(qx), upper[0] - 1.0);
-        by = (int)wp::min(wp::floor(qy), upper[1] - 1.0);
-        bz = (int)wp::min(wp::floor(qz), upper[2] - 1.0);
-    }
     // Which border is next cannot be predicted: a selection is quicker than a branch.
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
     auto pick = [](bool which, auto one, auto other) { return __builtin_unpredictable(which) ? one : other; };
 #else
     auto pick = [](bool which, auto one, auto other) { return which ? one : other; };
 #endif
+"""
+_WALK = (
+    TREE
+    + SET_UP
+    + STEPS
+    + """
+    double ta = 0.0, tb = 0.0;
+    int unseen = -1;
     START
     BLOCK_WALK
     while (crosses && ta <= last) {
@@ -176,20 +180,26 @@ _WALK = (
 )
 
 # The same by the blocks and cells that _crossing_blocks_kernels found; where it found none the walk above goes on.
-_BLOCK_WALK = """
+# CLEAR is `int clear` of the block that the ray is in, how many blocks ahead of it hold no crossing; CELLS goes through
+# the cells of a block that may hold one.
+BLOCK_WALK = """
     if (reach.shape[0] != 0) {
+        // The distances ahead, for rays of this octant.
+        const signed char* const ahead = (const signed char*)reach.data
+            + (long long)(reach.shape[0] >> 3) * ((1 - fx) << 2 | (1 - fy) << 1 | (1 - fz));
         while (crosses) {
             auto here = [&]() {
                 return (((bx >> 3) - first_block[0]) * block_count[1] + ((by >> 3) - first_block[1])) * block_count[2]
                      + ((bz >> 3) - first_block[2]);
             };
-            int clear = reach.data[here()];
+            CLEAR
             bool along_x = false, along_y = false;
             if (clear > 0) {
                 do {
-                    // No block fewer than this number of blocks away holds a crossing: leave the cube that they make.
-                    const int beyond = 8 * clear - 8, span = 16 * clear - 8;
-                    const int lx = (bx & ~7) - beyond, ly = (by & ~7) - beyond, lz = (bz & ~7) - beyond;
+                    // No block fewer than this number of blocks ahead holds a crossing: leave the cube that they make.
+                    const int span = 8 * clear, beyond = span - 8;
+                    const int lx = (bx & ~7) - (fx ? 0 : beyond), ly = (by & ~7) - (fy ? 0 : beyond),
+                              lz = (bz & ~7) - (fz ? 0 : beyond);
                     const double tx = ((double)(lx + fx * span) - qx) * ix, ty = ((double)(ly + fy * span) - qy) * iy,
                                  tz = ((double)(lz + fz * span) - qz) * iz;
                     along_x = (tx <= ty) & (tx <= tz);
@@ -200,7 +210,7 @@ _BLOCK_WALK = """
                     bx = along_x ? (fx ? lx + span : lx - 1) : within(qx + ta * dx, lx, span);
                     by = along_y ? (fy ? ly + span : ly - 1) : within(qy + ta * dy, ly, span);
                     bz = !(along_x | along_y) ? (fz ? lz + span : lz - 1) : within(qz + ta * dz, lz, span);
-                    clear = reach.data[here()];
+                    clear = ahead[here()];
                 } while (clear > 0);
                 unseen = along_x ? 4 * (1 - fx) : along_y ? 2 * (1 - fy) : 1 - fz;
                 ON_UNSEEN
@@ -209,6 +219,14 @@ _BLOCK_WALK = """
             const int number = numbers.data[here()];
             const address* block = (const address*)blocks.data + BLOCK_WORDS * (address)number;
             const address* nodes = block + 8;
+            CELLS
+        }
+        crosses = false;
+    }
+"""
+
+# From cell to cell of a block; which border is next is a branch.
+_CELLS = """
             const int lx = bx & ~7, ly = by & ~7, lz = bz & ~7;
             int x = bx - lx, y = by - ly, z = bz - lz;
             double tx = ((double)(bx + fx) - qx) * ix, ty = ((double)(by + fy) - qy) * iy,
@@ -256,9 +274,6 @@ _BLOCK_WALK = """
             bx = lx + x;
             by = ly + y;
             bz = lz + z;
-        }
-        crosses = false;
-    }
 """
 
 
@@ -278,9 +293,11 @@ def traversal(
     Returns:
         C++ text in which the ray's names are expected, see above.
     """
-    blocks = "" if on_unseen is None else _BLOCK_WALK
+    blocks = "" if on_unseen is None else BLOCK_WALK
     hooks = {
         "BLOCK_WALK": blocks,
+        "CELLS": _CELLS,
+        "CLEAR": "            int clear = ahead[here()];",
         "START": start,
         "ON_UNSEEN": on_unseen or "",
         "ON_REGION": on_region,
@@ -288,6 +305,11 @@ def traversal(
         "END": end,
     }
     text = _WALK.replace("alike = SAME;", f"alike = {same};")
+    return tree_text(with_hooks(text, hooks), grid_type)
+
+
+def with_hooks(text: str, hooks: dict[str, str]) -> str:
+    """The text with the lines that are a hook's name replaced by the hook, one after the other."""
     for name, hook in hooks.items():
         text = "\n".join(hook if line.strip() == name else line for line in text.split("\n"))
-    return tree_text(text, grid_type)
+    return text

@@ -15,6 +15,9 @@ from geokit.volume.model import SparseVolume
 
 __all__ = ["VolumeHits", "raycast"]
 
+# Fewest groups of rays worth a thread of their own.
+GRAIN = 32
+
 
 class VolumeHits(NamedTuple):
     """t (N,) in units of the ray's direction, points (N, 3) and normals (N, 3) [world].
@@ -100,13 +103,19 @@ def raycast(
     )
     bad = Flags(1, target)
     single = volume.info.grid_type == "float"
-    kernel = raycast_float_kernel if single else raycast_scalar_kernel
     levels = [wp.float64(number) for number in (level, *(_neighbours(level) if single else (level, level)))]
     blocks = crossing_blocks(volume, levels[1:], len(rays), target)
     if blocks:
         field.reach, field.numbers, field.first_block, field.block_count, field.blocks = blocks
     inputs = [rays.rows, heading.rows, field, start, reach, *levels]
-    _launch.launch(kernel, len(rays), inputs, [*found, bad], target)
+    if blocks and target.is_cpu:
+        from geokit.volume import _raycast_group_kernels as groups
+
+        kernel = groups.raycast_float_groups_kernel if single else groups.raycast_scalar_groups_kernel
+        _launch.launch(kernel, -(-len(rays) // groups.GROUP), inputs, [*found, bad], target, grain=GRAIN)
+    else:
+        kernel = raycast_float_kernel if single else raycast_scalar_kernel
+        _launch.launch(kernel, len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
     return VolumeHits(*(rays.give(array) for array in found))
@@ -117,6 +126,7 @@ def _neighbours(level: float) -> tuple[float, float]:
     them instead, in their own type."""
     with np.errstate(over="ignore"):
         near = np.float32(level)
-    below = near if near <= level else np.nextafter(near, np.float32(-np.inf))
-    above = near if near >= level else np.nextafter(near, np.float32(np.inf))
+    # NumPy would round a number of Python's to float32 before it compares.
+    below = near if float(near) <= level else np.nextafter(near, np.float32(-np.inf))
+    above = near if float(near) >= level else np.nextafter(near, np.float32(np.inf))
     return float(below), float(above)

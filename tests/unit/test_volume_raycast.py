@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 import warp as wp
 
+from geokit import _launch
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import _crossing_blocks
+from geokit.volume._crossing_blocks_kernels import FARTHEST, spread_distance_kernel
+from geokit.volume._nanovdb import aligned_buffer, info_of
+from geokit.volume.model import SparseVolume
 from geokit.volume.raycast import raycast
 from tests import reference
 from tests.typed_grids import QUANTISED, SCALARS, TypedGrid
@@ -53,6 +57,13 @@ class TestFields:
         hits = both_ways(monkeypatch, field.volume, start, toward)
         assert_first_crossings(field.at, start, toward, hits.t, size=scale)
         assert np.isfinite(hits.t).mean() > 0.4
+
+    def test_a_level_beside_the_background(self, monkeypatch):
+        # 0.7 lies between two float32 numbers, of which the field has one.
+        field = Field(np.full((8, 8, 8), 0.7), background=0.7)
+        start, toward = np.full((1, 3), 3.0), np.ones((1, 3))
+        assert both_ways(monkeypatch, field.volume, start, toward, isovalue=0.7).t[0] == math.inf
+        assert both_ways(monkeypatch, field.volume, start, toward, isovalue=float(np.float32(0.7))).t[0] == 0.0
 
     def test_level_set_with_an_inside(self, monkeypatch):
         volume = sphere(20.0)
@@ -240,6 +251,68 @@ class TestBlocks:
         assert not _crossing_blocks._found[volume]
         raycast(volume, np.full((20_000, 3), -30.0), np.ones((20_000, 3)), device="cpu")
         assert len(_crossing_blocks._found[volume]) == 1
+
+    def test_distances_ahead(self):
+        # Few crossings, so that the largest distance that is told apart is reached as well.
+        field = Field(np.where(np.random.default_rng(1).random((320, 24, 40)) < 2e-5, -1.0, 1.0))
+        levels, device = [wp.float64(0.0)] * 2, wp.get_device("cpu")
+        blocks = _crossing_blocks.crossing_blocks(field.volume, levels, 1 << 20, device)
+        shape = tuple(blocks.block_count)
+        ahead = blocks.reach.numpy().reshape(8, *shape)
+        rim = np.pad(np.zeros(np.array(shape) - 2, bool), 1, constant_values=True)
+        busy = np.argwhere(ahead[0] == 0)
+        assert 0 < len(busy) < 40
+        for octant, distances in enumerate(ahead):
+            sign = np.where([octant & 4, octant & 2, octant & 1], -1, 1)
+            apart = (busy - np.argwhere(~rim)[:, None]) * sign
+            farthest = np.where((apart >= 0).all(axis=2), apart.max(axis=2), int(FARTHEST)).min(axis=1)
+            np.testing.assert_array_equal(distances[~rim], np.minimum(farthest, int(FARTHEST)))
+            assert (distances[rim] == -1).all()
+        # A GPU goes block by block, with the same numbers.
+        distance, stride = np.where(rim, -1, np.where(ahead[0] == 0, 0, int(FARTHEST))), rim.size
+        found = wp.array(distance.ravel(), dtype=wp.int8, device=device)
+        for along in shape:
+            stride //= along
+            wider = wp.empty(2 * found.size, dtype=wp.int8, device=device)
+            _launch.launch(spread_distance_kernel, wider.size, [rim.size, stride, along, found], [wider], device)
+            found = wider
+        np.testing.assert_array_equal(found.numpy(), ahead.ravel())
+
+
+class TestGroups:
+    """On a CPU rays go side by side, by blocks."""
+
+    def test_neighbours_do_not_matter(self, rough, monkeypatch):
+        monkeypatch.setattr(_crossing_blocks, "BLOCKS_PER_RAY", 1 << 20)
+        start, toward = rays_through(rough.lower - 1.0, rough.lower + rough.dense.shape, 37, 5)
+        together = raycast(rough.volume, start, toward, device="cpu")
+        assert 0 < np.isfinite(together.t).sum() < 37
+        for n in range(37):
+            alone = raycast(rough.volume, start[n : n + 1], toward[n : n + 1], device="cpu")
+            for one, other in zip(alone, together, strict=True):
+                np.testing.assert_array_equal(one[0], other[n])
+
+    def test_values_near_the_largest_number(self, monkeypatch):
+        grid = TypedGrid("double")
+        buffer = aligned_buffer(len(grid.volume.nanovdb))
+        buffer[:] = grid.volume.nanovdb
+        for end in (0, grid.layout.leaf_size):
+            voxels = buffer[len(buffer) - end - 4096 : len(buffer) - end].view(np.float64)
+            voxels *= 2.0**1000 / 2.0 ** np.ceil(np.log2(np.abs(grid.leaves).max()))
+        start = np.random.default_rng(6).uniform(0.5, 6.5, (200, 3))
+        toward = np.full((200, 3), 3.5) - start
+        hits = both_ways(monkeypatch, SparseVolume(buffer, info_of(buffer)), start, toward, max_distance=2.0)
+        assert np.isfinite(hits.t).sum() > 50
+
+    @pytest.mark.parametrize("row", [0, 17, 39])
+    def test_one_bad_ray_refuses_all(self, row, monkeypatch):
+        monkeypatch.setattr(_crossing_blocks, "BLOCKS_PER_RAY", 1 << 20)
+        origins, directions = np.full((40, 3), -30.0), np.ones((40, 3))
+        origins[row, 1] = np.nan
+        with pytest.raises(InputError, match=f"origins: row {row} is not finite"):
+            raycast(sphere(), origins, directions, device="cpu")
+        with pytest.raises(InputError, match=f"directions: row {row} is zero"):
+            raycast(sphere(), directions, np.where(np.isnan(origins[:, 1:2]), 0.0, directions), device="cpu")
 
 
 class TestContainers:
