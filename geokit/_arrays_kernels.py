@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._atomic_kernels import lower_to
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -13,7 +15,7 @@ def first_nonfinite_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_row
     i = first + wp.tid()
     p = points[i]
     if not (wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])):
-        wp.atomic_min(out_row, 0, i)
+        lower_to(out_row, 0, i)
 
 
 @wp.kernel
@@ -24,7 +26,7 @@ def first_short_kernel(
     i = first + wp.tid()
     v = vectors[i]
     if wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2])) < shortest:
-        wp.atomic_min(out_row, 0, i)
+        lower_to(out_row, 0, i)
 
 
 @wp.kernel

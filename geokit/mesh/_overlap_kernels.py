@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._atomic_kernels import lower_to
 from geokit.mesh._box_walk_kernels import BOX_WALK, LOCAL_BOX
 from geokit.mesh._tree_kernels import SurfaceTree
 
@@ -130,7 +131,7 @@ def first_inverted_kernel(
     i = first + wp.tid()
     for k in range(3):
         if lower[i][k] > upper[i][k]:
-            wp.atomic_min(out_row, 0, i)
+            lower_to(out_row, 0, i)
 
 
 @wp.kernel

@@ -7,6 +7,7 @@ Positions are those of the sorted points, so that a point's neighbours are near 
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._atomic_kernels import lower_to
 from geokit.points._cells_kernels import MASK_BITS, CellGrid
 from geokit.points._neighbors_kernels import (
     cells_around,
@@ -67,24 +68,6 @@ def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
     Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
     replaced only while it still is one; everything else may be overwritten with an ancestor at any time.
     """
-    ...
-
-
-LOWER = """
-#if defined(__CUDA_ARCH__)
-    atomicMin(values.data + at, value);
-#else
-    int seen = __atomic_load_n(values.data + at, __ATOMIC_RELAXED);
-    while (value < seen &&
-           !__atomic_compare_exchange_n(values.data + at, &seen, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
-    }
-#endif
-"""
-
-
-@wp.func_native(LOWER)
-def lower_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32):
-    """``values[at] = min(values[at], value)``, also in several threads of a CPU."""
     ...
 
 

@@ -13,32 +13,14 @@ and for all.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._atomic_kernels import lower_to
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 # Above every edge and every index.
 NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 # Below it, a component is what rounding left of 0, and its sign says nothing.
 NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
-
-# warp's own atomics are plain reads and writes on a CPU, where geokit runs a launch in several threads.
-LOWER = """
-#if defined(__CUDA_ARCH__)
-    if (*(volatile int64_t*)(values.data + at) > value)
-        atomicMin((long long*)(values.data + at), (long long)value);
-#else
-    int64_t seen = __atomic_load_n(values.data + at, __ATOMIC_RELAXED);
-    while (value < seen &&
-           !__atomic_compare_exchange_n(values.data + at, &seen, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
-    }
-#endif
-"""
-
-
-@wp.func_native(LOWER)
-def lower_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64):
-    """``values[at] = min(values[at], value)``, also in several threads of a CPU."""
-    ...
-
 
 # Every link read is that of some ancestor with its parity, before or after another thread has shortened it.
 FLATTEN = """

@@ -103,6 +103,12 @@ def test_kernel_files_import_only_warp_and_kernels(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_no_kernel_uses_warp_s_atomics(path):
+    # On a CPU they are plain reads and writes, and geokit runs a launch in several threads.
+    assert "wp.atomic_" not in path.read_text()
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
 def test_only_the_extension_s_package_imports_it(path):
     inside_native = path.is_relative_to(PACKAGE / "native")
     for name, _ in imports_of(path):
