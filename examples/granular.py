@@ -103,9 +103,9 @@ class Scene:
     def _run(self, rounds):
         """One round after the other. Warp lets go of Python's lock while a kernel runs: threads run side by side."""
         for own, *others in rounds:
-            jobs = [POOL.submit(other) for other in others]
+            done = POOL.map(lambda launch: launch(), others)
             own()
-            [job.result() for job in jobs]
+            list(done)  # waits for them, and raises what they raise
 
 
 def stirred_bowl(count, world, *, mesh=RING, turn=np.pi, step=None, device=None):

@@ -25,7 +25,7 @@ class Flags(HostArray):
     """A few int32, zero until a kernel raises them; an argument of :func:`geokit._launch.launch`.
 
     For a GPU they lie in pinned memory of the host, which its kernels write to: reading them is waiting for the stream,
-    where an array on the device would have to be made, cleared and copied, half of what a query of one point takes.
+    where an array on the device would have to be made, cleared and copied.
 
     A flag that is raised by mistake must do no harm: a buffer may be handed on while a kernel runs whose caller was
     interrupted.

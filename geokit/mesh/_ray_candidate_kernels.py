@@ -18,7 +18,7 @@ from geokit.mesh._wide_raycast_kernels import ENDLESS, LEAST_COMPONENT, NEAR_STA
 wp.set_module_options({"enable_backward": False})
 
 # Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it. With 16 one ray
-# of four million had too many among 3 million triangles, and the second walk took a quarter of the first one's time.
+# of four million had too many among 3 million triangles, and the second walk took a sixth of the first one's time.
 CANDIDATES = 32
 # Of a thread on a GPU; see docs/design/layers.md.
 REGISTERS = 48

@@ -13,9 +13,6 @@ from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
 wp.set_module_options({"enable_backward": False})
 
-# Of a thread on a GPU; see docs/design/layers.md.
-REGISTERS = 64
-
 # Rays are taken as they stand: putting them in order costs more than it gives, on a CPU and on a GPU.
 _FETCH = """
     auto fetch = [&](int number, int& id, point& start, point& direction, double& t_max) {
@@ -138,7 +135,7 @@ def raycast_kernel(
     )
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def occluded_kernel(
     first: int,
     group: int,

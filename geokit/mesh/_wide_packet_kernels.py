@@ -70,8 +70,7 @@ PACKETS = f"""
         }}
         auto shorten = [&](Found& r) {{
             const int i = r.id - group.first;
-            const float last = (float)(r.best * group.unit[i] - group.enter[i]) * 1.000001f + {PLANE_MARGIN}f;
-            group.last[i] = smaller(last, {ENDLESS}f);
+            group.last[i] = length_of(r.best, group.unit[i], group.enter[i]);
         }};
         const v8 zero = 0.f, lowest = -{PLANE_MARGIN}f;
         unsigned active = group.waiting;

@@ -110,7 +110,7 @@ RAY_GROUPS = f"""
             length[h] = __builtin_convertvector(reach[h] * unit - enter, f4);
             for (int k = 0; k < 3; ++k) start[k][h] = __builtin_convertvector(from[k] + enter * along[k], f4);
         }}
-        // Finite, so that its product with a zero is zero.
+        // As length_of, for all.
         const v8 last = smaller(joined(length) * 1.000001f + {PLANE_MARGIN}f, (v8){ENDLESS}f);
         *(v8*)group.last = last;
         v8 in = 0.f, out = last;

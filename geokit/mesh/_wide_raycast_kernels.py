@@ -110,10 +110,13 @@ WIDE_WALK = f"""
         for (int i = 0; i < 4; ++i) __builtin_prefetch(data + 64 * i);
         for (int i = 0; i < 4; ++i) __builtin_prefetch(rest + step * i);
     }};
+    // What is left of a ray up to `best`; finite, so that its product with a zero is zero.
+    auto length_of = [&](double best, double unit, double enter) {{
+        return smaller((float)(best * unit - enter) * 1.000001f + {PLANE_MARGIN}f, {ENDLESS}f);
+    }};
     RAY_GROUPS
     auto shorten = [&](Ray& r) {{
-        const float last = (float)(r.best * r.unit - r.enter) * 1.000001f + {PLANE_MARGIN}f;
-        r.last = smaller(last, {ENDLESS}f);
+        r.last = length_of(r.best, r.unit, r.enter);
     }};
     // The next ray that may hit something takes the place of one that is done; false where there is none.
     auto refill = [&](Ray& r) {{

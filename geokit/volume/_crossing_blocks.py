@@ -24,7 +24,7 @@ BLOCKS_PER_RAY = 4
 MOST_BLOCKS = 1 << 24
 # Isovalues that are remembered for each volume and device.
 REMEMBERED = 4
-# Rows of blocks worth a slice of a launch.
+# Rows of blocks worth a slice of a launch, to look at and to spread distances over.
 GRAIN = 4
 LINE_GRAIN = 128
 

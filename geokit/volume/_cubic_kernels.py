@@ -11,9 +11,6 @@ from geokit.volume._stencil_kernels import stencil_bends, stencil_slopes, stenci
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/layers.md.
-REGISTERS = 96
-
 CUBIC_VOXELS = wp.constant(4)
 
 
@@ -70,7 +67,7 @@ def cubic_slopes(volume: wp.uint64, u: wp.vec3d, zero: Any):
     )
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def sample_cubic_kernel(
     first: int,
     volume: wp.uint64,
@@ -84,7 +81,7 @@ def sample_cubic_kernel(
     out_value[i] = cubic_value(volume, to_index * (points[i] - origin), background)
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def gradient_cubic_kernel(
     first: int,
     volume: wp.uint64,
@@ -100,7 +97,7 @@ def gradient_cubic_kernel(
         store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def hessian_cubic_kernel(
     first: int,
     volume: wp.uint64,

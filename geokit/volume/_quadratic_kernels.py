@@ -11,9 +11,6 @@ from geokit.volume._stencil_kernels import stencil_bends, stencil_slopes, stenci
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/layers.md.
-REGISTERS = 96
-
 QUADRATIC_VOXELS = wp.constant(3)
 
 
@@ -57,7 +54,7 @@ def quadratic_slopes(volume: wp.uint64, u: wp.vec3d, zero: Any):
     )
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def sample_quadratic_kernel(
     first: int,
     volume: wp.uint64,
@@ -71,7 +68,7 @@ def sample_quadratic_kernel(
     out_value[i] = quadratic_value(volume, to_index * (points[i] - origin), background)
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def gradient_quadratic_kernel(
     first: int,
     volume: wp.uint64,
@@ -87,7 +84,7 @@ def gradient_quadratic_kernel(
         store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
+@wp.kernel
 def hessian_quadratic_kernel(
     first: int,
     volume: wp.uint64,

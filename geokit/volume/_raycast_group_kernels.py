@@ -13,7 +13,7 @@ from geokit.volume._linear_cell_kernels import MATRIX, ONE_BY_ONE
 from geokit.volume._node_kernels import TREE, tree_text
 from geokit.volume._ray_group_kernels import ARRAYS, BRACKET, GROUP, JUMPS, RAY, READ, ROOTS, WRITE, lines
 from geokit.volume._raycast_kernels import END, ON_CELL, ON_UNSEEN, START, RayField
-from geokit.volume._traverse_kernels import BLOCK_WALK, SET_UP, STEPS, with_hooks
+from geokit.volume._traverse_kernels import BLOCK_WALK, CELL, SET_UP, STEPS, with_hooks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -72,23 +72,7 @@ _CELLS = """
                 const double next = t > ta ? t : ta;
                 if (block[cell >> 20 & 7] >> ((cell >> 7 & 56) | (cell & 7)) & 1) {
                     const int x = cell >> 20 & 7, y = cell >> 10 & 7, z = cell & 7;
-                    bx = lx + x;
-                    by = ly + y;
-                    bz = lz + z;
-                    tb = next < last ? next : last;
-                    const bool mixed = true;
-                    const address node = nodes[0];
-                    const bool in_leaf = node & 1;
-                    real c[8];
-                    READ_INNER
-                    {
-                        for (int m = 0; m < 8; ++m) {
-                            const int i = x + (m >> 2), j = y + (m >> 1 & 1), k = z + (m & 1);
-                            c[m] = voxel(nodes[i >> 3 << 2 | j >> 3 << 1 | k >> 3], lx + i, ly + j, lz + k);
-                        }
-                    }
-                    ON_CELL
-                    unseen = -1;
+                    CELL
                 } else {
                     unseen = pick(along_x, 4 * (1 - fx), pick(along_y, 2 * (1 - fy), 1 - fz));
                     ON_UNSEEN
@@ -142,6 +126,7 @@ def _group(grid_type):
         "START": START,
         "BLOCK_WALK": BLOCK_WALK,
         "CELLS": _CELLS,
+        "CELL": CELL,
         "CLEAR": _CLEAR,
         "END": END,
         "ON_UNSEEN": ON_UNSEEN,

@@ -225,18 +225,8 @@ BLOCK_WALK = """
     }
 """
 
-# From cell to cell of a block; which border is next is a branch.
-_CELLS = """
-            const int lx = bx & ~7, ly = by & ~7, lz = bz & ~7;
-            int x = bx - lx, y = by - ly, z = bz - lz;
-            double tx = ((double)(bx + fx) - qx) * ix, ty = ((double)(by + fy) - qy) * iy,
-                   tz = ((double)(bz + fz) - qz) * iz;
-            do {
-                along_x = tx <= ty && tx <= tz;
-                along_y = !along_x && ty <= tz;
-                const double t = along_x ? tx : along_y ? ty : tz;
-                const double next = t > ta ? t : ta;
-                if (block[x] >> (y << 3 | z) & 1) {
+# The cell x, y, z of a block, with a crossing perhaps, from ta to the next border.
+CELL = """
                     bx = lx + x;
                     by = ly + y;
                     bz = lz + z;
@@ -254,6 +244,21 @@ _CELLS = """
                     }
                     ON_CELL
                     unseen = -1;
+"""
+
+# From cell to cell of a block; which border is next is a branch.
+_CELLS = """
+            const int lx = bx & ~7, ly = by & ~7, lz = bz & ~7;
+            int x = bx - lx, y = by - ly, z = bz - lz;
+            double tx = ((double)(bx + fx) - qx) * ix, ty = ((double)(by + fy) - qy) * iy,
+                   tz = ((double)(bz + fz) - qz) * iz;
+            do {
+                along_x = tx <= ty && tx <= tz;
+                along_y = !along_x && ty <= tz;
+                const double t = along_x ? tx : along_y ? ty : tz;
+                const double next = t > ta ? t : ta;
+                if (block[x] >> (y << 3 | z) & 1) {
+                    CELL
                 } else {
                     unseen = along_x ? 4 * (1 - fx) : along_y ? 2 * (1 - fy) : 1 - fz;
                     ON_UNSEEN
@@ -297,6 +302,7 @@ def traversal(
     hooks = {
         "BLOCK_WALK": blocks,
         "CELLS": _CELLS,
+        "CELL": CELL,
         "CLEAR": "            int clear = ahead[here()];",
         "START": start,
         "ON_UNSEEN": on_unseen or "",
