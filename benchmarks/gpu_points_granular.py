@@ -29,7 +29,7 @@ WARM, TIMED = 60, 60
 def scene_of(count: int, device: str) -> tuple[Any, int, float]:
     import granular
 
-    scene, size = granular.stirred_bowl(count, granular.grains(), device=device)
+    scene, size = granular.stirred_bowl(count, granular.soft_grains(count), device=device)
     steps = 2 * int(np.ceil(1.0 / 120.0 / scene.step))
     scene.step = 1.0 / 60.0 / steps
     return scene, steps, size
@@ -57,14 +57,9 @@ def row_of(count: int, out: Path | None) -> str:
     def grid() -> None:
         scene.grid.build(scene.x, reach)
 
-    def lists() -> None:
-        given = [0, 1, scene.grid.id, scene.x, w, scene.last_x, *scene.lists, scene.most]
-        wp.launch(granular.list_kernel, count, given, device="cuda:0")
-
-    def step() -> None:
-        given = [0, 1, scene.x, scene.v, w, scene.angle, 0.0, scene.step, *scene.lists, scene.clear, *scene.new]
-        wp.launch(granular.step_kernel, count, given, device="cuda:0")
-
+    lists = scene._list(0)[1]
+    given = 0, 1, scene.xs, scene.vs, w, scene.angle, scene.step, *scene.lists, scene.clear
+    step = scene.team.record(granular.step_kernel, count, given)
     parts = [1e6 * device_median(run, 20) for run in (grid, lists, step)]
     if out is not None:
         np.savez(out / f"granular_{count}.npz", x=positions, size=size, angle=w.turn * scene.time, radius=w.radius)

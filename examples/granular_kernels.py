@@ -1,16 +1,17 @@
 """Kernels of granular.py: who is near whom, and a step of all grains.
 
-Each thread of a CPU has every so many blocks of grains, so that the few at the ring, which take longest, are of all
-threads; a GPU counts as one. Only float32, and nothing is added up by
-atomics, so that a run gives the same bits each time, on any number of threads.
+Only float32, and nothing is added up by atomics, so that a run gives the same
+bits each time, on any number of threads.
 """
 
 import warp as wp
 
-SKIN = 0.4  # grains so much farther off than they act are listed too [radii]: a list lasts for several steps
-BLOCK = 32  # grains in a row that are one thread's
-MOST_NEAR = 24  # room in a list: 18 equal spheres fit within its reach, a few more where they overlap
+import geokit as gk
+
+SKIN = 0.5  # grains so much farther off than they act are listed too [radii]: a list lasts for several steps
+MOST_NEAR = 28  # room in a list: 18 equal spheres fit within its reach, a few more where they overlap
 vectors, integers, floats = wp.array(dtype=wp.vec3), wp.array(dtype=wp.int32), wp.array(dtype=float)
+vectors2, integers2, floats2 = wp.array2d(dtype=wp.vec3), wp.array2d(dtype=wp.int32), wp.array2d(dtype=float)
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
@@ -44,34 +45,33 @@ def contact(gap: float, n: wp.vec3, v: wp.vec3, w: World):
 
 
 @wp.kernel
-def list_kernel(thread: int, threads: int, grid: wp.uint64, x: vectors, w: World, last_x: vectors,
-                near: wp.array2d(dtype=int), count: integers, most: wp.array2d(dtype=float)):  # fmt: skip
-    i = (wp.tid() // BLOCK * threads + thread) * BLOCK + wp.tid() % BLOCK
-    p, act = wp.vec3(x[i]), 2.0 * w.radius + w.range
-    reach, found, acting = act + SKIN * w.radius, wp.int32(0), wp.int32(0)
-    for j in wp.hash_grid_query(grid, p, reach):
-        square = wp.length_sq(x[j] - p)
-        if j != i and square < reach * reach:
-            at = wp.min(found, MOST_NEAR - 1)
-            if square < act * act:  # those that act come first: a CPU foretells the steps' branches
-                near[at, i] = near[wp.min(acting, at), i]
-                at = wp.min(acting, at)
-                acting += 1
-            near[at, i] = j
-            found += 1
-    count[i] = wp.min(found, MOST_NEAR)
-    values = wp.vec2(wp.length(p - last_x[i]), float(found))
-    for k in range(2):
-        if not (values[k] <= most[thread, k]):  # spares most of a GPU's threads the atomic, and lets NaN through
-            wp.atomic_max(most, thread, k, wp.where(values[k] >= 0.0, values[k], 1.0e30))  # a CPU's have one each
-    last_x[i] = p
+def list_kernel(share: gk.threads.Share, now: int, grid: wp.uint64, x: vectors2, w: World, last_x: vectors,
+                near: integers2, count: integers, most: floats2):  # fmt: skip
+    act, reach = 2.0 * w.radius + w.range, (2.0 + SKIN) * w.radius + w.range
+    for k in range(wp.tid(), share.count, share.step):
+        i = gk.threads.item(share, k)
+        p, found, acting = x[now, i], wp.int32(0), wp.int32(0)
+        for j in wp.hash_grid_query(grid, p, reach):
+            square = wp.length_sq(x[now, j] - p)
+            if j != i and square < reach * reach:
+                at = wp.min(found, MOST_NEAR - 1)
+                if square < act * act:  # those that act come first: a CPU foretells the steps' branches
+                    near[at, i] = near[wp.min(acting, at), i]
+                    at = wp.min(acting, at)
+                    acting += 1
+                near[at, i] = j
+                found += 1
+        count[i] = wp.min(found, MOST_NEAR)
+        values = wp.vec2(wp.length(p - last_x[i]), float(found))
+        for e in range(2):  # each thread of a CPU has a row: warp's atomics are none there
+            if not (values[e] <= most[share.thread, e]):  # spares most of a GPU's the atomic, and lets NaN through
+                wp.atomic_max(most, share.thread, e, wp.where(values[e] >= 0.0, values[e], 1.0e30))
+        last_x[i] = p
 
 
-@wp.kernel
-def step_kernel(thread: int, threads: int, x: vectors, v: vectors, w: World, angle: floats, since: float, dt: float,
-                near: wp.array2d(dtype=int), count: integers, clear: wp.array(dtype=wp.vec2),
-                out_x: vectors, out_v: vectors):  # fmt: skip
-    i = (wp.tid() // BLOCK * threads + thread) * BLOCK + wp.tid() % BLOCK
+@wp.func
+def step_one(i: int, x: vectors, v: vectors, w: World, angle: float, dt: float, near: integers2, count: integers,
+             clear: wp.array(dtype=wp.vec2), out_x: vectors, out_v: vectors):  # fmt: skip
     p, u, act = wp.vec3(x[i]), wp.vec3(v[i]), 2.0 * w.radius + w.range
     force = wp.vec3(0.0, 0.0, -w.gravity * w.mass)
     for k in range(count[i]):
@@ -87,7 +87,7 @@ def step_kernel(thread: int, threads: int, x: vectors, v: vectors, w: World, ang
         force += contact(gap, wp.normalize(slope), u, w)
         free[0] = (gap - w.range) / 1.7321  # distances that are linear between voxels climb by sqrt(3) at most
     if w.mesh != wp.uint64(0) and not free[1] > 0.0:  # it stays where it is: the grain is turned back
-        turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), angle[0] + w.turn * since)
+        turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), angle)
         local = (wp.quat_rotate_inv(turn, p) - w.origin) / w.scale
         found = wp.mesh_query_point_no_sign(w.mesh, local, act / w.scale)
         free[1] = w.radius
@@ -101,3 +101,14 @@ def step_kernel(thread: int, threads: int, x: vectors, v: vectors, w: World, ang
     u += force * (dt / w.mass)  # symplectic Euler: the new velocity moves the grain
     out_v[i] = u
     out_x[i] = p + u * dt
+
+
+@wp.kernel
+def step_kernel(share: gk.threads.Share, first: int, steps: int, x: vectors2, v: vectors2, w: World, angle: floats,
+                dt: float, near: integers2, count: integers, clear: wp.array(dtype=wp.vec2)):  # fmt: skip
+    for s in range(first, first + steps):
+        now, turned = s % 2, angle[0] + w.turn * float(s) * dt
+        for k in range(wp.tid(), share.count, share.step):
+            i = gk.threads.item(share, k)
+            step_one(i, x[now], v[now], w, turned, dt, near, count, clear, x[1 - now], v[1 - now])
+        gk.threads.barrier(share)

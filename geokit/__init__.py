@@ -17,7 +17,7 @@ from geokit.errors import (
 )
 
 if TYPE_CHECKING:
-    from geokit import accuracy, mesh, points, render, volume
+    from geokit import accuracy, mesh, points, render, threads, volume
 
 __version__ = "0.1.0"
 
@@ -35,11 +35,12 @@ __all__ = [
     "mesh",
     "points",
     "render",
+    "threads",
     "volume",
 ]
 
 # Loaded on first use: a program that only reads meshes should not wait for the rest.
-_NAMESPACES = frozenset({"accuracy", "mesh", "points", "render", "volume"})
+_NAMESPACES = frozenset({"accuracy", "mesh", "points", "render", "threads", "volume"})
 
 
 def __getattr__(name: str) -> Any:

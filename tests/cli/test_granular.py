@@ -197,31 +197,33 @@ def stirred(granular):
 
 @pytest.fixture(scope="module")
 def alone(granular):
-    return stirred(granular)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GEOKIT_THREADS", "1")
+        return stirred(granular)
 
 
 def test_threads_do_not_change_a_bit(granular, alone, monkeypatch):
-    monkeypatch.setattr(granular, "SLICE", 1)
-    monkeypatch.setattr(granular, "THREADS", 3)
+    monkeypatch.setenv("GEOKIT_THREADS", "3")
     together = stirred(granular)
-    assert (alone[2].threads, together[2].threads) == (1, 3)
+    assert (alone[2].team.threads, together[2].team.threads) == (1, 3)
     np.testing.assert_array_equal(together[0], alone[0])
     np.testing.assert_array_equal(together[1], alone[1])
 
 
 def test_bodies_that_are_not_asked_touch_nothing(granular, alone, monkeypatch):
     # A scene that asks volume and mesh for all grains in each step: what the other leaves out would have been zero.
-    rounds, asked = granular.Scene._round, []
+    asked = []
 
-    def always(scene, kernel, given):
-        def launch(call):
-            scene.clear.zero_()
-            call()
-            asked.append(call)
+    def always(scene, steps):
+        calls = []
+        for k in range(steps):
+            given = k, 1, scene.xs, scene.vs, scene.w, scene.angle, scene.step, *scene.lists, scene.clear
+            calls += [scene.clear.zero_, scene.team.record(granular.step_kernel, len(scene.x), given)]
+            calls += [lambda k=k: asked.append(k)]
+            calls += scene._list((k + 1) % 2) if (k + 1) % scene.every == 0 or k + 1 == steps else []
+        return scene.team.sequence(calls)
 
-        return [lambda call=call: launch(call) for call in rounds(scene, kernel, given)]
-
-    monkeypatch.setattr(granular.Scene, "_round", always)
+    monkeypatch.setattr(granular.Scene, "_frame", always)
     thorough = stirred(granular)
     assert len(asked) > 300
     np.testing.assert_array_equal(alone[0], thorough[0])
@@ -244,6 +246,16 @@ def test_what_was_clear_is_forgotten_when_a_frame_is_done_again(granular):
         ends.append(scene.x.numpy())
     np.testing.assert_array_equal(*ends)
     assert ends[0][0, 2] > 1.5 * w.radius
+
+
+def test_soft_grains_overlap_as_told(granular):
+    # The lowest of a heap at rest, which carry the others, to a factor of two: it is an estimate by layers.
+    w = granular.soft_grains(300, overlap=0.02)
+    assert w.stiffness < granular.soft_grains(3000, overlap=0.02).stiffness < granular.soft_grains(3000, 0.01).stiffness
+    scene, _ = granular.stirred_bowl(300, w, turn=0.0, device="cpu")
+    x, _ = go_on(scene, 0.4)
+    overlap = 2.0 * w.radius - gk.points.NeighborGrid(x, 2.0 * w.radius, device="cpu").pairs().distance
+    assert 0.01 * w.radius < np.quantile(overlap, 0.99) < 0.04 * w.radius
 
 
 def test_kernels_compile_for_sm_90(granular, tmp_path):

@@ -16,9 +16,22 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From left to right; a module may import from its own layer and from those before it.
 LAYERS = [
     ("errors",),
-    ("_files", "_flags", "_frame", "_host_array", "_lazy", "_memory", "_ply_header"),
+    (
+        "_files",
+        "_flags",
+        "_frame",
+        "_host_array",
+        "_lazy",
+        "_memory",
+        "_pinned",
+        "_ply_header",
+        "_recorded",
+        "_scratch",
+    ),
     ("kernels",),
     ("_launch",),
+    ("threads",),
+    ("_download",),
     ("_arrays",),
     ("_blocks",),
     ("native",),
@@ -129,7 +142,7 @@ def test_importing_geokit_is_light():
     heavy = ("warp", "trimesh", "vtk", "vtkmodules", "pyvista", "meshio", "scipy", "matplotlib", "pxr")
     code = (
         "import sys, geokit\n"
-        "from geokit import accuracy, mesh, volume, points, errors\n"
+        "from geokit import accuracy, mesh, volume, points, threads, errors\n"
         f"print(sorted(set(sys.modules) & set({heavy!r})))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd="/")
@@ -153,8 +166,9 @@ def test_public_names_are_those_of_the_contract():
         "mesh",
         "points",
         "render",
+        "threads",
         "volume",
     }
-    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.accuracy):
+    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.threads, geokit.accuracy):
         for name in namespace.__all__:
             assert getattr(namespace, name) is not None

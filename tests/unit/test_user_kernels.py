@@ -38,7 +38,7 @@ def run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleTyp
 
 
 def test_every_block_is_checked():
-    assert set(BLOCKS) == {"mesh", "volume", "grid", "all"}
+    assert set(BLOCKS) == {"mesh", "volume", "grid", "team", "all"}
     assert PAGE.count("```python") == len(BLOCKS)
 
 
@@ -57,6 +57,17 @@ def test_mesh(tmp_path, monkeypatch):
         face = page.torus.faces[triangle[row : row + 1]]
         nearest = reference.closest_point(page.torus.vertices, face, page.points[row : row + 1]).distance[0]
         assert abs(nearest - found.distance[row]) < SINGLE
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_team(tmp_path, monkeypatch, threads):
+    monkeypatch.setenv("GEOKIT_THREADS", threads)
+    page = run("team", tmp_path, monkeypatch)
+    expected = page.start
+    for _ in range(100):
+        padded = np.pad(expected, 1, mode="edge")
+        expected = np.float32(0.5) * expected + np.float32(0.25) * (padded[:-2] + padded[2:])
+    np.testing.assert_allclose(page.values.numpy()[0], expected, atol=SINGLE)
 
 
 def test_mesh_far_from_the_origin(tmp_path, monkeypatch):
