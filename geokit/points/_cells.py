@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit import _launch
+from geokit import _kept_memory, _launch
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,8 +39,7 @@ TABLE_ENTRIES_MORE = 1 << 16
 TABLE_RUN_HOST = 64
 TABLE_RUN_GPU = 8
 TABLE_GRAIN = 16
-# Points of a share when they are surveyed on a CPU; shares on a GPU, where each thread takes one.
-SURVEY_SHARE = 1 << 10
+# The points are surveyed in shares: so many at least a slice on a CPU, so many threads with one each on a GPU.
 SURVEY_GRAIN = 16
 SURVEY_THREADS = 1 << 16
 # Their boxes are condensed to so many before they travel to the host.
@@ -111,19 +110,21 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     import warp as wp
 
     from geokit.points import _cells_kernels as kernels
+    from geokit.points._box_host_kernels import SHARE, survey_host_kernel
 
     device: Any = points.device
     count = len(points)
     if count == 0:
         return Survey(np.zeros(3), np.zeros(3), np.zeros((3, 0)))
-    runs, step = (-(-count // SURVEY_SHARE), 1) if device.is_cpu else (min(count, SURVEY_THREADS),) * 2
-    lowers, uppers = (wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2))
-    _launch.launch(
-        kernels.SURVEY[points.dtype], runs, [points, runs, step], [lowers, uppers], device, grain=SURVEY_GRAIN
-    )
+    runs = -(-count // int(SHARE)) if device.is_cpu else min(count, SURVEY_THREADS)
+    boxes = [wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2)]
+    if device.is_cpu:
+        _launch.launch(survey_host_kernel, runs, [points], boxes, device, grain=SURVEY_GRAIN)
+    else:
+        _launch.launch(kernels.SURVEY[points.dtype], runs, [points, runs], boxes, device)
     few, taken = min(runs, CONDENSED), min(count, SAMPLE_SIZE)
     out = wp.empty((3, 2 * few + taken), dtype=wp.float64, device=device)
-    given = [points, lowers, uppers, few, taken]
+    given = [points, *boxes, few, taken]
     _launch.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device)
     found = out.numpy()
     if not np.isfinite(found).all():
@@ -220,9 +221,7 @@ def _make_room(grid: Any, count: int, device: Any) -> None:
 
 def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
     """Room for ``padded`` entries of which those from ``count`` on are 0."""
-    import warp as wp
-
-    array = wp.empty(padded, dtype=dtype, device=device)
+    array = _kept_memory.room(padded, dtype, device)
     array[count:].zero_()
     return array
 
@@ -236,13 +235,13 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     device: Any = points.device
     count = len(points)
     share = -(-count // rows)
-    keys = wp.empty(count, dtype=wp.int32, device=device)
+    keys = _kept_memory.room(count, wp.int32, device)
     tally = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
     _launch.launch(kernels.tally_kernel, rows, [points, grid, share, cell_count], [keys, tally], device, grain=1)
     grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
     _launch.launch(kernels.place_kernel, 1, [rows, cell_count], [tally, grid.start], device)
     grid.key = wp.empty(0, dtype=wp.int64, device=device)
-    grid.index = wp.empty(count, dtype=wp.int32, device=device)
+    grid.index = _kept_memory.room(count, wp.int32, device)
     _launch.launch(kernels.scatter_kernel, rows, [points, keys, share, cell_count, tally], [grid], device, grain=1)
 
 
@@ -254,7 +253,7 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
     device: Any = points.device
     count = len(points)
     keys, order = sorted_keys(grid, points, cell_count)
-    grid.index = wp.empty(count, dtype=wp.int32, device=device)
+    grid.index = _kept_memory.room(count, wp.int32, device)
     gather = kernels.gather_kernel if device.is_cpu else kernels.GATHER_PACKED[points.dtype]
     _launch.launch(gather, count, [points, order], [grid], device)
     grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)

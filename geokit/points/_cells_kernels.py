@@ -89,34 +89,26 @@ def survey_kernel(
     first: int,
     points: wp.array(dtype=Any),
     run_count: wp.int32,
-    step: wp.int32,
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
-    """Boxes around ``run_count`` shares of the points.
+    """Boxes around ``run_count`` shares of the points on a GPU, the CPU's being in _box_host_kernels.
 
-    A share's points are ``step`` apart: 1 on a CPU, where a thread reads on, ``run_count`` on a GPU, where threads side
-    by side do. A box around a point that is not finite is not finite.
+    A share's points are ``run_count`` apart, so that threads side by side read points side by side. A box around a
+    point that is not finite is not finite.
     """
     i = first + wp.tid()
-    count = points.shape[0]
-    length = (count + run_count - 1) // run_count
-    at = i * length
-    if step > 1:
-        at = i
-    opening = points[wp.min(at, count - 1)]
+    opening = points[i]
     lower = wp.vec3d(wp.float64(opening[0]), wp.float64(opening[1]), wp.float64(opening[2]))
     upper = lower
     # What is not finite survives in a sum; min and max may pass over it.
     total = lower - lower
-    for _j in range(length):
-        if at < count:
-            given = points[at]
-            p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
-            lower = wp.min(lower, p)
-            upper = wp.max(upper, p)
-            total += p - p
-            at += step
+    for at in range(i, points.shape[0], run_count):
+        given = points[at]
+        p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+        lower = wp.min(lower, p)
+        upper = wp.max(upper, p)
+        total += p - p
     out_lower[i] = lower + total
     out_upper[i] = upper + total
 

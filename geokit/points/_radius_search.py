@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit import _launch, _memory
-from geokit._host_array import HostArray
+from geokit import _kept_memory, _launch, _memory
 from geokit.errors import DeviceMemoryError
 from geokit.points._cells import Cells, sorted_keys
 
@@ -204,8 +203,9 @@ def fill(
     total = int(offsets[asked.count :].numpy()[0])
     refuse(total)
     single = single and device.is_cpu
-    indices = _room(total, wp.int32, device)
-    distance = _room(total, wp.float32 if single else wp.float64, device)
+    # NumPy asks for large pages: rows are written all over it.
+    indices = _kept_memory.room(total, wp.int32, device)
+    distance = _kept_memory.room(total, wp.float32 if single else wp.float64, device)
     own = asked.first_point if asked.own else NOTHING_LEFT_OUT
     for grid, queries, number in asked.parts:
         given = [queries, grid, asked.radius, own, offsets]
@@ -240,15 +240,6 @@ def sort_by_index(offsets: "wp.array", indices: "wp.array", distance: "wp.array"
     for begin in range(0, rows, ROWS_AT_ONCE):
         part = offsets[begin : min(begin + ROWS_AT_ONCE, rows) + 1]
         _launch.launch(sort_rows_kernel, 32 * (len(part) - 1), [part], [indices, distance], device)
-
-
-def _room(count: int, dtype: Any, device: "wp.Device") -> "wp.array":
-    """Room for many numbers; on a CPU NumPy's, which asks for large pages: rows are written all over it."""
-    import warp as wp
-
-    if device.is_cuda:
-        return wp.empty(count, dtype=dtype, device=device)
-    return HostArray(np.empty(count, wp.dtype_to_numpy(dtype))).warp
 
 
 def sort_by_distance(offsets: "wp.array", indices: "wp.array", distance: "wp.array") -> None:
