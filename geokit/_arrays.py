@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _launch
+from geokit._download import download
 from geokit._host_array import HostArray
+from geokit._pinned import FEWEST_ROWS, Pinned, PinnedArray, serves
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Batch",
     "empty",
+    "full",
     "read_vectors",
     "reported_row",
     "require_finite",
@@ -41,7 +44,8 @@ class Batch:
 
     Attributes:
         rows: The rows as kernels take them: vec3d (vec3f where float32 rows are kept), shape (N,), contiguous, on the
-            query device; a HostArray where they are NumPy's and stay on the host.
+            query device; a HostArray where they are NumPy's and stay on the host, a PinnedArray where a GPU reads them
+            there.
         single: True where the caller's rows were float32 (results are then float32 too).
         give: Turns a warp result array on the query device into the caller's kind of array.
         first_row: Where the rows stand among the caller's, for messages.
@@ -62,7 +66,14 @@ class Batch:
 
 
 def read_vectors(
-    values: Any, name: str, device: "wp.Device", *, defer: bool = False, first_row: int = 0, keep_single: bool = False
+    values: Any,
+    name: str,
+    device: "wp.Device",
+    *,
+    defer: bool = False,
+    first_row: int = 0,
+    keep_single: bool = False,
+    pin: bool = False,
 ) -> Batch:
     """Rows of three from any supported container, on ``device``.
 
@@ -74,6 +85,8 @@ def read_vectors(
             them: a pass over the rows, and on a GPU a wait for its answer, are saved.
         first_row: Where the rows stand among the caller's, for messages.
         keep_single: Leave float32 rows as they are, vec3f, for kernels that take both.
+        pin: Let a GPU read few rows of NumPy's from the host, and write what :func:`empty` makes for them there: for
+            queries that do nothing with either but pass them to kernels.
     Returns:
         A Batch.
     Raises:
@@ -86,7 +99,7 @@ def read_vectors(
         vectors = values.ndim == 1
         give = _giver(source, lambda out: out if vectors else _as_table(out))
     elif isinstance(values, np.ndarray) or not _exports(values):
-        return _read_numpy(values, name, device, first_row, defer, keep_single)
+        return _read_numpy(values, name, device, first_row, defer, keep_single, pin)
     else:
         source = _import_exporter(values, name)
         give = _giver(source, _reexporter(values))
@@ -110,15 +123,29 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
         dtype: ``wp.vec3d``, ``wp.vec3f``, or a warp scalar type.
         like: ``Batch.rows``.
     Returns:
-        A HostArray if ``like`` is one, else a warp array on its device.
+        A HostArray if ``like`` is one (in the same pinned memory, if it is pinned), else a warp array on its device.
     """
     import warp as wp
 
     if not isinstance(like, HostArray):
         return wp.empty(count, dtype=dtype, device=like.device)
+    shape: tuple[int, ...] = (count,)
     if dtype in (wp.vec3d, wp.vec3f):
-        return HostArray(np.empty((count, 3), np.float64 if dtype is wp.vec3d else np.float32))
-    return HostArray(np.empty(count, wp.dtype_to_numpy(dtype)))
+        shape, kind = (count, 3), np.float64 if dtype is wp.vec3d else np.float32
+    else:
+        kind = wp.dtype_to_numpy(dtype)
+    return like.room.take(shape, kind) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, kind))
+
+
+def full(count: int, value: float, dtype: Any, like: Any) -> Any:
+    """As :func:`empty`, of a number that each result has."""
+    import warp as wp
+
+    if not isinstance(like, HostArray):
+        return wp.full(count, value, dtype=dtype, device=like.device)
+    results = empty(count, dtype, like)
+    results.values.fill(value)
+    return results
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
@@ -178,7 +205,9 @@ def _exports(values: Any) -> bool:
     return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
 
 
-def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_single: bool) -> Batch:
+def _read_numpy(
+    values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_single: bool, pin: bool
+) -> Batch:
     try:
         given = np.asarray(values)
         single = given.dtype == np.float32
@@ -195,8 +224,12 @@ def _read_numpy(values: Any, name: str, device: "wp.Device", first_row: int, def
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
     if not defer and not _all_finite(table):
         _refuse_nonfinite(table, name, first_row)
-    host = HostArray(table)
-    rows = host if device.is_cpu else host.warp.to(device)
+    if pin and len(table) < FEWEST_ROWS and serves(device):
+        rows: Any = Pinned(device).take(table.shape, table.dtype)
+        rows.values[:] = table
+    else:
+        host = HostArray(table)
+        rows = host if device.is_cpu else host.warp.to(device)
     return Batch(rows, single, lambda out: _to_numpy(out, single), first_row)
 
 
@@ -218,7 +251,7 @@ def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:
 
 
 def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
-    result = out.numpy()
+    result = out.numpy() if isinstance(out, HostArray) else download(out)[0]
     return result.astype(np.float32) if single and result.dtype == np.float64 else result
 
 
@@ -292,8 +325,8 @@ def _widen(rows: "wp.array") -> "wp.array":
 def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
     if len(rows) == 0:
         return
-    if rows.device.is_cpu:
-        _refuse_nonfinite(rows.numpy(), name, first_row)
+    if isinstance(rows, HostArray) or rows.device.is_cpu:
+        _refuse_nonfinite(rows.values if isinstance(rows, HostArray) else rows.numpy(), name, first_row)
         return
     import warp as wp
 

@@ -41,7 +41,8 @@ def in_blocks(
     ``progress`` is asked for.
 
     Args:
-        query: Takes a Batch for each of ``values`` and gives an array or a NamedTuple of arrays, in the caller's kind.
+        query: Takes a Batch for each of ``values`` and gives an array or a NamedTuple of arrays, in the caller's kind;
+            passes the rows to nothing but kernels, as ``pin`` of :func:`geokit._arrays.read_vectors` wants it.
         values: The caller's arrays, (N, 3) each.
         names: Their names for messages.
         device: The query device.
@@ -52,9 +53,11 @@ def in_blocks(
     """
     on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
     total = len(values[0]) if on_host else 0
-    rows = _block_rows(device) if on_host else 0
+    rows = _block_rows(device, total) if on_host else 0
     if not on_host or total <= rows or (device.is_cpu and progress is None) or any(len(v) != total for v in values):
-        batches = [_arrays.read_vectors(v, name, device, defer=defer) for v, name in zip(values, names, strict=True)]
+        batches = [
+            _arrays.read_vectors(v, name, device, defer=defer, pin=True) for v, name in zip(values, names, strict=True)
+        ]
         answer = query(*batches)
         if progress:
             progress(len(batches[0]), len(batches[0]))
@@ -77,7 +80,9 @@ def in_blocks(
     return type(part)(*whole) if isinstance(part, tuple) else whole[0]
 
 
-def _block_rows(device: "wp.Device") -> int:
+def _block_rows(device: "wp.Device", total: int) -> int:
     if device.is_cpu:
         return MOST_ROWS
+    if total <= FEWEST_ROWS:  # to ask for the free memory takes a tenth of a small query
+        return FEWEST_ROWS
     return int(np.clip(SHARE * _memory.available(device) / BYTES_PER_ROW, FEWEST_ROWS, MOST_ROWS))

@@ -10,10 +10,21 @@ import numpy as np
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["HostArray", "unwrapped"]
+__all__ = ["Described", "HostArray", "array_descriptor", "unwrapped"]
 
 
-class HostArray:
+class Described:
+    """What :func:`geokit._launch.launch` takes for an array: it says where the rows are."""
+
+    __slots__ = ()
+
+    @property
+    def descriptor(self) -> Any:
+        """What a kernel's launch passes for an array: where it is and how long."""
+        raise NotImplementedError
+
+
+class HostArray(Described):
     """Contiguous rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) for what it takes as vec3d.
 
     To make and drop a warp array takes as long as a query of one point does; this takes a fifth of it. It goes where
@@ -44,14 +55,9 @@ class HostArray:
 
     @property
     def descriptor(self) -> Any:
-        """What a kernel's launch passes for an array: where it is and how long."""
         if self._descriptor is None:
-            descriptor = _descriptor_type()()
-            descriptor.data = self.values.__array_interface__["data"][0]
-            descriptor.ndim = 1
-            descriptor.shape[0] = len(self.values)
-            descriptor.strides[0] = self.values.strides[0]
-            self._descriptor = descriptor
+            data = self.values.__array_interface__["data"][0]
+            self._descriptor = array_descriptor(data, self.values.shape[:1], self.values.strides[0])
         return self._descriptor
 
     @property
@@ -77,7 +83,19 @@ class HostArray:
 
 def unwrapped(argument: Any) -> Any:
     """A kernel's argument as warp's launch takes it."""
-    return argument.descriptor if isinstance(argument, HostArray) else argument
+    return argument.descriptor if isinstance(argument, Described) else argument
+
+
+def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
+    """What a launch passes for contiguous elements of ``size`` bytes at an address."""
+    descriptor = _descriptor_type()()
+    descriptor.data = data
+    descriptor.ndim = len(shape)
+    for axis in range(len(shape) - 1, -1, -1):
+        descriptor.shape[axis] = shape[axis]
+        descriptor.strides[axis] = size
+        size *= shape[axis]
+    return descriptor
 
 
 @functools.lru_cache(maxsize=1)

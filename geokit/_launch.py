@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
-from geokit._host_array import unwrapped
+from geokit import _recorded
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ __all__ = [
     "load_module",
     "morton_order",
     "on_compile",
+    "pool",
     "resolve_device",
     "thread_count",
 ]
@@ -146,6 +147,11 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="geokit")
 
 
+def pool() -> ThreadPoolExecutor:
+    """The threads that take slices of launches."""
+    return _pool(thread_count())
+
+
 def on_compile(listener: Callable[[str], None] | None) -> None:
     """Have ``listener(module_name)`` called when a kernel module is being compiled rather than read from the cache."""
     global _compile_listener
@@ -212,9 +218,7 @@ def launch(
 def _launch_slice(
     wp: Any, kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
 ) -> None:
-    given = [first, *map(unwrapped, inputs), *map(unwrapped, outputs)]
-    block_dim = 1 if device.is_cpu else BLOCK_DIM
-    wp.launch(kernel, dim=count, inputs=given, device=device, record_tape=False, block_dim=block_dim)
+    _recorded.run(kernel, count, [first, *inputs, *outputs], device, 1 if device.is_cpu else BLOCK_DIM)
 
 
 def launch_queries(

@@ -8,8 +8,9 @@ from geokit._lazy import make_lazy
 
 if TYPE_CHECKING:
     from geokit.mesh._overlap_queries import BoxOverlaps
-    from geokit.mesh._point_queries import ClosestPoints, FurthestPoints, SignedDistances
+    from geokit.mesh._point_queries import ClosestPoints, FurthestPoints
     from geokit.mesh._ray_queries import RayHitLists, RayHits
+    from geokit.mesh._sign_queries import SignedDistances
     from geokit.mesh.attributes import sample_attributes
     from geokit.mesh.audit import MeshAudit, audit
     from geokit.mesh.from_volume import from_volume, from_volume_with_deviation
@@ -64,7 +65,7 @@ make_lazy(
         "OrientedMesh": "geokit.mesh.repair",
         "RayHitLists": "geokit.mesh._ray_queries",
         "RayHits": "geokit.mesh._ray_queries",
-        "SignedDistances": "geokit.mesh._point_queries",
+        "SignedDistances": "geokit.mesh._sign_queries",
         "Simplified": "geokit.mesh.simplify",
         "Surface": "geokit.mesh.surface",
         "SurfaceSamples": "geokit.mesh.sample_surface",

@@ -18,7 +18,7 @@ _WRITE_COUNT = "out_count.data[r.id] = r.count;"
 # Kept in order as they come, by t and then by triangle: rays have few crossings. What is within the ray's limits was
 # decided before t is refined, as it was for their number.
 _INSERT = """
-    refine(r.start, r.direction, slot, t, v, w);
+    refine(origins.data[r.id], directions.data[r.id], slot, t, v, w);
     const int triangle = tree.slot_triangle.data[slot];
     const wp::int64 from = offsets.data[r.id];
     wp::int64 place = from + r.count++;

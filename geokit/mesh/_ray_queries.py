@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit import _arrays, _launch
@@ -20,8 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
-# Rays of a thread on a CPU, where several are in flight at once; a GPU has a thread for each.
-RAY_GROUP = 256
+# Rays of a thread on a CPU, where many are in flight at once: with few there are none to take the places of those that
+# are done, with many threads wait for the last. A GPU has a thread for each.
+FEWEST_IN_GROUP = 256
+MOST_IN_GROUP = 1024
+GROUPS_PER_THREAD = 8
 # Rays on a GPU for which two launches are quicker than one.
 FEWEST_IN_PASSES = 1 << 14
 
@@ -82,8 +86,8 @@ class RayQueries:
             directions: Their directions, of any length, shape (N, 3).
             t_min: Hits nearer than this are passed over, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            watertight: False allows rays to slip between triangles where that would be quicker. It is not, so far:
-                deciding in float32 was slower than in float64, and both are the same.
+            watertight: False allows rays to slip between triangles where that is quicker. It is not: the walk is the
+                same, and so is every bit of the answers (tests/property/test_ray_leaves.py).
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
@@ -193,7 +197,8 @@ class RayQueries:
     ) -> Any:
         """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
 
-        On slivers the limits of a ray are compared with a t that has lost digits.
+        On a CPU always as :meth:`raycast` has it. On a GPU the limits of a ray are compared, on slivers, with a t that
+        has lost digits.
 
         Args:
             origins: Where rays start [world], shape (N, 3).
@@ -216,6 +221,20 @@ class RayQueries:
             return rays.give(occluded)
 
         return self._in_blocks(query, origins, directions, progress)
+
+    @cached_property
+    def _ray_tree(self) -> Any:
+        """The tree with leaves for rays, which a CPU makes when first asked."""
+        if not self._device.is_cpu:
+            return self._tree
+        from geokit.mesh._tree_kernels import SurfaceTree
+        from geokit.mesh._wide_tree import ray_leaves
+
+        tree = SurfaceTree()
+        for name in ("origin", "scale", "corners", "slot_triangle", "boxes", "children", "leaves"):
+            setattr(tree, name, getattr(self._tree, name))
+        tree.ray_leaves = ray_leaves(tree)
+        return tree
 
     def _count_crossings(
         self, rays: _arrays.Batch, directions: _arrays.Batch, t_min: float, max_distance: float
@@ -253,11 +272,11 @@ class RayQueries:
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
         bad = Flags(2, self._device)  # there is a bad ray; some are undecided
         count = len(rays)
-        shared = [rays.rows, heading.rows, *streams, self._tree, start, reach]
+        shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
             self._cast_in_passes(count, shared, outputs, bad)
         else:
-            group = RAY_GROUP if self._device.is_cpu else 1
+            group = _group_size(count) if self._device.is_cpu else 1
             _launch.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
         if bad.numpy()[0]:
             _arrays.require_finite(rays, "origins")
@@ -271,6 +290,11 @@ class RayQueries:
         _launch.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
         if bad.numpy()[1]:
             _launch.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
+
+
+def _group_size(count: int) -> int:
+    size = count // (GROUPS_PER_THREAD * _launch.thread_count())
+    return min(max(size, FEWEST_IN_GROUP), MOST_IN_GROUP)
 
 
 def _widened(count: "wp.array") -> "wp.array":

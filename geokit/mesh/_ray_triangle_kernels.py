@@ -1,13 +1,11 @@
 """C++ text of the exact test of a ray against a triangle, in float64."""
 
 from geokit.mesh._predicates_kernels import EXACT
-from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, SLOT_WORDS
+from geokit.mesh._ray_leaf_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 
 # Directions shorter than this would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
-
-# Height of a triangle over its longest edge, below which t is that of the plane.
-SLIVER = 1e-3
 
 # Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
 # round the two products of each differently, and a ray through the edge could miss both (Woop, Benthin, Wald,
@@ -112,8 +110,8 @@ REFINE_SLIVER = """
     };
 """
 
-# The same where a triangle is a sliver by the leaf's own numbers, the longest edge and the height, which the walk has
-# just read.
+# The same where a triangle is a sliver by the leaf's own numbers, the longest edge and the height: on a CPU they have
+# become a bit of what the walk has just read.
 REFINE = (
     REFINE_SLIVER
     + f"""
@@ -122,8 +120,8 @@ REFINE = (
         const float* const number = tree.leaves.data + {SLOT_WORDS} * slot;
         return number[14] < {SLIVER}f * number[12];
         #else
-        const float* const number = tree.leaves.data + {8 * PLANE_ROWS} * (slot >> 3) + (slot & 7);
-        return number[8 * 14] < {SLIVER}f * number[8 * 12];
+        const float* const head = tree.ray_leaves.data + {LEAF_WORDS} * (wp::int64)(slot >> 3) + {HEAD};
+        return (((const unsigned*)head)[6] >> 8 >> (slot & 7) & 1u) != 0;
         #endif
     }};
     auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{

@@ -7,7 +7,6 @@ import warp as wp
 from geokit.mesh._binary_raycast_kernels import BINARY_WALK
 from geokit.mesh._ray_triangle_kernels import RAY_HIT, RAY_HIT_REFINED, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import UNDECIDED, SurfaceTree
-from geokit.mesh._wide_packet_kernels import PACKETS
 from geokit.mesh._wide_ray_groups_kernels import RAY_GROUPS
 from geokit.mesh._wide_raycast_kernels import WIDE_WALK
 
@@ -34,18 +33,21 @@ _FETCH = """
 """
 
 
-def ray_walk(hit: str, on_hit: str, on_end: str, packets: str = "") -> str:
+def ray_walk(hit: str, on_hit: str, on_end: str, cpu_hit: str = "") -> str:
     """The text of a walk along rays: the test of a triangle, what is done with a hit, and with a ray at its end.
 
-    On a CPU ``packets`` comes first: what is done with eight rays at once.
+    A CPU takes ``cpu_hit`` for the test, where it is given.
     """
     walk = f"""
-        {hit}
         #if defined(__CUDA_ARCH__)
+        {hit}
         {_FETCH}
+        const int NOTHING_WAITS = -1;
         {BINARY_WALK}
         #else
-        {WIDE_WALK.replace("RAY_GROUPS", RAY_GROUPS.replace("PACKETS", packets))}
+        {cpu_hit or hit}
+        const int NOTHING_WAITS = 1;
+        {WIDE_WALK.replace("RAY_GROUPS", RAY_GROUPS)}
         #endif
     """
     return walk.replace("ON_HIT", on_hit).replace("ON_END", on_end).replace("SHORTEST", str(SHORTEST_DIRECTION))
@@ -68,13 +70,11 @@ _WRITE_HIT = """
     out_barycentric.data[r.id] = missed ? point(none, none, none)
                                         : point(1.0 - r.weight_b - r.weight_c, r.weight_b, r.weight_c);
 """
-_ANY = "r.winner = slot; r.height = -1; break;"
-# The same of eight rays that are walked together: nothing is within the reach of this one any more.
-_ANY_OF_EIGHT = "r.winner = slot; group.last[i] = -1.f; break;"
+_ANY = "r.winner = slot; r.height = NOTHING_WAITS; break;"
 _WRITE_ANY = "out_occluded.data[r.id] = r.winner >= 0;"
 
 
-@wp.func_native(ray_walk(RAY_HIT_REFINED, _NEARER, _WRITE_HIT, PACKETS))
+@wp.func_native(ray_walk(RAY_HIT_REFINED, _NEARER, _WRITE_HIT))
 def cast_rays(
     begin: int,
     end: int,
@@ -90,7 +90,8 @@ def cast_rays(
 ): ...
 
 
-@wp.func_native(ray_walk(RAY_HIT, _ANY, _WRITE_ANY, PACKETS.replace("ON_HIT", _ANY_OF_EIGHT)))
+# A CPU has just read which triangles are slivers; a GPU would have to ask.
+@wp.func_native(ray_walk(RAY_HIT, _ANY, _WRITE_ANY, RAY_HIT_REFINED))
 def test_rays(
     begin: int,
     end: int,

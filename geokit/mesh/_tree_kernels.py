@@ -41,6 +41,8 @@ class SurfaceTree:
     ray_children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see _wide_leaf_kernels.
     leaves: wp.array(dtype=wp.float32)
+    # The same for rays, on the CPU only: LEAF_WORDS words a block; see _ray_leaf_kernels.
+    ray_leaves: wp.array(dtype=wp.float32)
 
 
 @wp.kernel

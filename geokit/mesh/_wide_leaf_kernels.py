@@ -10,6 +10,8 @@ barycentric coordinates of far or thin triangles lose digits with the square of 
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.mesh._ray_leaf_kernels import PACK_LEAF
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # Rows of eight in a block: origin 0-2, x 3-5, y 6-8, z 9-11, length of the edge along x 12, third corner 13 14,
@@ -119,3 +121,32 @@ def leaf_planes_kernel(
     put(out_leaves, start, 14, lanes, cy)
     put(out_leaves, start, 15, lanes, reciprocal_or_zero(cx * cx + cy * cy))
     put(out_leaves, start, 16, lanes, reciprocal_or_zero((cx - length) * (cx - length) + cy * cy))
+
+
+_PACK = PACK_LEAF.replace("PLANE_WORDS", str(8 * PLANE_ROWS))
+
+
+@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_PACK}\n#endif\n;")
+def pack_leaf(
+    block: int,
+    slot_triangle: wp.array(dtype=int),
+    corners: wp.array(dtype=wp.vec3d),
+    leaves: wp.array(dtype=wp.float32),
+    origin: wp.vec3d,
+    scale: wp.float64,
+    out_leaves: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def ray_leaves_kernel(
+    first: int,
+    slot_triangle: wp.array(dtype=int),
+    corners: wp.array(dtype=wp.vec3d),
+    leaves: wp.array(dtype=wp.float32),
+    origin: wp.vec3d,
+    scale: wp.float64,
+    out_leaves: wp.array(dtype=wp.float32),
+):
+    """The same leaves as rays read them."""
+    pack_leaf(first + wp.tid(), slot_triangle, corners, leaves, origin, scale, out_leaves)

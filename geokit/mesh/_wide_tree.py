@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from geokit._frame import Frame
 
-__all__ = ["build_wide_tree", "fill_leaves", "refit_wide_tree"]
+__all__ = ["build_wide_tree", "fill_leaves", "ray_leaves", "refit_wide_tree"]
 
 # References of a subtree that one thread builds. Smaller ones balance better, larger ones leave less to the top,
 # which one thread builds alone.
@@ -45,6 +45,7 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     import warp as wp
 
     from geokit.mesh import _wide_build_kernels as kernels
+    from geokit.mesh._tree_memory import tree_array
 
     device = wp.get_device("cpu")
     count = len(faces) // 3
@@ -81,8 +82,8 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     sizes = size.numpy().reshape(-1, 2)
     node_offset, leaf_offset = top_count + _offsets(sizes[:, 0]), _offsets(sizes[:, 1])
     node_count, leaf_count = int(node_offset[-1]), int(leaf_offset[-1])
-    boxes, children = empty(48 * node_count, wp.float32), empty(8 * node_count)
-    slot_triangle = empty(8 * leaf_count)
+    boxes, children = tree_array(48 * node_count, wp.float32), tree_array(8 * node_count, wp.int32)
+    slot_triangle = tree_array(8 * leaf_count, wp.int32)
     offsets = [wp.array(a[:-1], dtype=wp.int32, device=device) for a in (node_offset, leaf_offset)]
     _launch.launch(
         kernels.join_kernel,
@@ -100,14 +101,31 @@ def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *,
     """The float32 frames of the triangles in the slots, from their world ``corners``: by eights where ``wide``."""
     import warp as wp
 
+    from geokit.mesh._tree_memory import tree_array
     from geokit.mesh._wide_leaf_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
 
     device = slot_triangle.device
     lanes, rows = (WIDTH, PLANE_ROWS) if wide else (1, SLOT_WORDS)
-    leaves = wp.empty(rows * len(slot_triangle), dtype=wp.float32, device=device)
+    size = rows * len(slot_triangle)
+    leaves = tree_array(size, wp.float32) if wide else wp.empty(size, dtype=wp.float32, device=device)
     placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
     inputs = [slot_triangle, corners, *placed, lanes, rows]
     _launch.launch(leaf_planes_kernel, len(slot_triangle), inputs, [leaves], device)
+    return leaves
+
+
+def ray_leaves(tree: Any) -> "wp.array":
+    """The leaves of a tree on the CPU as rays read them."""
+    import warp as wp
+
+    from geokit.mesh._ray_leaf_kernels import LEAF_WORDS
+    from geokit.mesh._tree_memory import tree_array
+    from geokit.mesh._wide_leaf_kernels import ray_leaves_kernel
+
+    blocks = len(tree.slot_triangle) // WIDTH
+    leaves = tree_array(LEAF_WORDS * blocks, wp.float32)
+    inputs = [tree.slot_triangle, tree.corners, tree.leaves, tree.origin, tree.scale]
+    _launch.launch(ray_leaves_kernel, blocks, inputs, [leaves], tree.slot_triangle.device)
     return leaves
 
 

@@ -11,8 +11,8 @@ from geokit import _launch
 from geokit._frame import Frame
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh._overlap_queries import OverlapQueries
-from geokit.mesh._point_queries import PointQueries
 from geokit.mesh._ray_queries import RayQueries
+from geokit.mesh._sign_queries import SignQueries
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ POINT_LEAF = 6
 RAY_LEAF = 1
 
 
-class Surface(PointQueries, RayQueries, OverlapQueries):
+class Surface(SignQueries, RayQueries, OverlapQueries):
     """A mesh prepared once for many queries on one device.
 
     On a CPU queries walk a tree of eight children a node; on a GPU they walk the tree of a warp ``Mesh``. Answers are
@@ -63,7 +63,7 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
                 self._build_wide_tree()
             else:
                 self._take_warp_tree()
-        except RuntimeError as error:
+        except (RuntimeError, MemoryError) as error:
             if "allocat" not in str(error).lower():
                 raise
             size = 350 * len(mesh.faces) + 36 * len(mesh.vertices)
@@ -114,13 +114,17 @@ class Surface(PointQueries, RayQueries, OverlapQueries):
         import warp as wp
 
         from geokit.mesh._tree_kernels import gather_corners_kernel
+        from geokit.mesh._tree_memory import tree_array
         from geokit.mesh._wide_tree import fill_leaves
 
         tree = self._tree
         tree.origin = wp.vec3d(*map(float, self._frame.origin))
         tree.scale = wp.float64(self._frame.scale)
         slots = len(tree.slot_triangle)
-        tree.corners = wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
+        on_cpu = self._device.is_cpu
+        tree.corners = (
+            tree_array(3 * slots, wp.vec3d) if on_cpu else wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
+        )
         inputs = [tree.slot_triangle, self._vertices, self._faces]
         _launch.launch(gather_corners_kernel, slots, inputs, [tree.corners], self._device)
         tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame, wide=not tree.mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,22 +11,23 @@ from numpy.typing import NDArray
 from geokit import _launch
 from geokit.errors import InputError
 from geokit.volume._leaf_links import AROUND, LinkedLeaves
-from geokit.volume._leaves import LEAF_VOXELS, Leaves, assemble, require_volume, voxelized
-from geokit.volume._nanovdb import TREE_OFFSET, tree_header
-from geokit.volume._nanovdb_layout import LAYOUTS
+from geokit.volume._leaves import LEAF_VOXELS, QUANTISED, Leaves, require_volume, voxelized
+from geokit.volume._typed_build import built
+from geokit.volume._typed_tree import VALUE_TYPES, TypedTree, bits_of, differs, tree_of, voxelized_tree
 from geokit.volume.model import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["NEIGHBORS", "TYPES", "changed_topology"]
+__all__ = ["NEIGHBORS", "changed_topology"]
 
-TYPES = ("float", "double", "vec3f", "vec3d")
 NEIGHBORS = ("faces", "edges", "vertices")
 # Voxels that leaves grow by before room for more is made: no farther than the leaves beside them.
 STAGE = 8
 # Most voxels at a time: beyond this a grid should have larger voxels.
 MOST_VOXELS = 1024
+# Leaves from the origin on along an axis.
+FARTHEST_TILE = 1 << 28
 # Fewest planes worth a thread.
 GRAIN = 64
 
@@ -37,33 +39,44 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
 
     Raises:
         InputError: Unknown neighbours, or voxels too many.
-        UnsupportedGridError: Values of another type than TYPES.
+        UnsupportedGridError: A grid that holds no values of its own.
         DeviceMemoryError: The result needs more memory than there is.
     """
-    require_volume(volume, "volume", TYPES)
+    require_volume(volume, "volume", VALUE_TYPES)
     if neighbors not in NEIGHBORS:
         raise InputError(f"neighbors: {neighbors!r} is not one of {', '.join(NEIGHBORS)}")
-    source = voxelized(volume)
-    leaves = LinkedLeaves.bare(source, _launch.resolve_device(device))
+    source = voxelized(volume) if volume.info.grid_type in QUANTISED else volume
+    target = _launch.resolve_device(device)
+    source.on(target)  # looks at the grid before anything of it is believed
+    tree = voxelized_tree(tree_of(source), volume.info.name)
+    leaves = LinkedLeaves.bare(source, Leaves(tree.origins, tree.masks), target)
     words = leaves.active
     for step in steps:
         words = _grown(leaves, words, step, neighbors) if step > 0 else _stepped(leaves, words, -step, neighbors, True)
     masks = words.numpy().view(np.uint8).reshape(-1, LEAF_VOXELS // 8)
-    kept = np.flatnonzero(masks.any(axis=1))
-    background = np.asarray(source.info.background)
-    held = _values(source)
-    values = np.empty((len(kept), *held.shape[1:]), held.dtype)
-    values[:] = background
-    old = kept < len(held)
-    values[old] = held[kept[old]]
-    values[np.unpackbits(masks[kept], axis=1, bitorder="little") == 0] = background
-    return assemble(
-        Leaves(8 * leaves.tiles[kept], masks[kept]),
-        values,
-        volume,
-        background=source.info.background,
-        grid_class=volume.info.grid_class,
-    )
+    return built(_with_masks(tree, 8 * leaves.tiles, masks), source)
+
+
+def _with_masks(tree: TypedTree, origins: NDArray[np.int32], masks: NDArray[np.uint8]) -> TypedTree:
+    """The tree with other active voxels; its own leaves come first, those added have the values of its tiles.
+
+    What is turned off becomes background; what was inactive and stays so is as it was.
+    """
+    count = len(tree.origins)
+    values = np.empty((len(origins), *tree.values.shape[1:]), tree.values.dtype)
+    values[:count] = tree.values
+    values[count:] = tree.tiles_at(origins[count:])[0][:, None]
+    off = tree.masks & ~masks[:count]
+    rows = np.flatnonzero(off.any(axis=1))
+    part = values[rows]
+    part[bits_of(off[rows])] = tree.background
+    values[rows] = part
+    # Added leaves without an active voxel are the tiles in whose place they are; others go where all is background.
+    kept = np.asarray(masks.any(axis=1))
+    empty = np.flatnonzero(~kept[:count])
+    if tree.layout.name != "mask":
+        kept[empty] = differs(values[empty], tree.background).any(axis=1)
+    return replace(tree, origins=origins[kept], masks=masks[kept], values=values[kept])
 
 
 def _grown(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str) -> "wp.array":
@@ -81,7 +94,9 @@ def _grown(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str) 
         for axis in range(3):
             wanted &= (AROUND[:, axis] >= 0) | (box[:, 0, axis, None] < stage)
             wanted &= (AROUND[:, axis] <= 0) | (box[:, 1, axis, None] + stage > 7)
-        leaves.add(leaves.around(*np.nonzero(wanted)))
+        tiles = leaves.around(*np.nonzero(wanted))
+        # Indices end with int32.
+        leaves.add(tiles[((tiles >= -FARTHEST_TILE) & (tiles < FARTHEST_TILE)).all(axis=1)])
         words = _stepped(leaves, leaves.extended(words, 8, 0), stage, neighbors, False)
     return words
 
@@ -98,18 +113,3 @@ def _stepped(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str
         _launch.launch(kernel, len(words), [words, flip, leaves.beside], [following], leaves.device, grain=GRAIN)
         words = following
     return words
-
-
-def _values(volume: SparseVolume) -> NDArray[Any]:
-    """Values of the leaves in the order of the buffer, sharing its memory."""
-    layout = LAYOUTS[volume.info.grid_type]
-    tree = tree_header(volume.nanovdb)
-    count = int(tree["node_count"][0])
-    kind = layout.background
-    row = LEAF_VOXELS * kind.itemsize
-    if not count:
-        return np.empty((0, LEAF_VOXELS, *kind.shape), kind.base)
-    # The values are the last that a leaf holds, and fill a multiple of 32 bytes.
-    begin = TREE_OFFSET + int(tree["node_offset"][0]) + layout.leaf_size - row
-    rows = np.ndarray((count, row), np.uint8, volume.nanovdb, begin, (layout.leaf_size, 1))
-    return np.ascontiguousarray(rows).view(kind.base).reshape(count, LEAF_VOXELS, *kind.shape)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _launch
+from geokit._flags import Flags
 from geokit.volume._band_sign import inside_bits
 from geokit.volume._device_build import BuiltGrid, Leaves, build_grid
 from geokit.volume._grid_head import GridHead
@@ -72,6 +73,7 @@ class Band:
     inside: "wp.array"
     active: "wp.array"
     negative: "wp.array"
+    has_negative: Flags
 
     @property
     def limits(self) -> list[Any]:
@@ -89,12 +91,14 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     """
     import warp as wp
 
+    from geokit._order_kernels import identity_kernel
     from geokit.volume import _band_kernels as kernels
 
     device = lattice.device
     tiles = near_tiles(lattice, SLOT_BYTES if with_slots else 0)
     distance, slots = _distances(lattice, tiles, shape, with_slots)
-    rows = wp.array(np.arange(len(tiles.keys), dtype=np.int32), dtype=wp.int32, device=device)
+    rows = wp.empty(len(tiles.keys), dtype=wp.int32, device=device)
+    _launch.launch(identity_kernel, len(rows), [], [rows], device)
     leaves = Leaves(tiles.keys, tiles.coordinates, rows, tiles.axes)
     safe = min(shape.exterior, shape.interior) > SAFE_HALF_WIDTH * lattice.voxel_size
     edge = shape.reach - shape.offset
@@ -103,19 +107,25 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
         limits = [wp.float32(-np.inf if shape.method != "none" else -shape.interior), wp.float32(edge)]
         _launch.launch(kernels.near_rows_kernel, len(rows), [distance, *limits], [near], device, grain=64)
         leaves, _ = _kept(leaves, near, [])
+    uneven = safe and shape.method != "none" and shape.exterior != shape.interior
+    if not uneven:
+        leaves.nodes  # noqa: B018 - they are made while the host and the device are at the signs
     inside = wp.empty((0, 0), dtype=wp.uint64, device=device)
+    has_negative = Flags(1, device)
     if shape.method != "none":
         # Which of the voxels count is not known before their signs are: those within the wider side may.
         wide = replace(shape, exterior=shape.reach, interior=shape.reach)
         closed = lattice.surface.is_closed
-        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside)[0]
+        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, Flags(1, device))[0]
         inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, may_count, shape.method)
-    active, negative = _bits(lattice, shape, leaves, distance, inside)
-    if safe and shape.method != "none" and shape.exterior != shape.interior:
+    active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
+    if uneven:
         some = wp.empty(len(leaves.keys), dtype=wp.int32, device=device)
         _launch.launch(kernels.set_rows_kernel, len(some), [active], [some], device)
         leaves, (inside, active, negative) = _kept(leaves, some, [inside, active, negative])
-    return Band(lattice, shape, leaves, distance, slots, inside, active, negative)
+        has_negative = Flags(1, device)
+        _launch.launch(kernels.any_bits_kernel, len(leaves.keys), [negative], [has_negative], device)
+    return Band(lattice, shape, leaves, distance, slots, inside, active, negative, has_negative)
 
 
 def build_band(band: Band, head: GridHead) -> BuiltGrid:
@@ -179,9 +189,9 @@ def _distances(lattice: Lattice, tiles: Tiles, shape: BandShape, with_slots: boo
 
 
 def _bits(
-    lattice: Lattice, shape: BandShape, leaves: Leaves, distance: "wp.array", inside: "wp.array"
+    lattice: Lattice, shape: BandShape, leaves: Leaves, distance: "wp.array", inside: "wp.array", has_negative: Flags
 ) -> list["wp.array"]:
-    """Bits of the active voxels and of those with negative values."""
+    """Bits of the active voxels and of those with negative values, and whether there are any of these."""
     import warp as wp
 
     from geokit.volume._band_kernels import bits_kernel
@@ -189,7 +199,7 @@ def _bits(
     count, device = len(leaves.keys), lattice.device
     bits = [wp.empty((count, 8), dtype=wp.uint64, device=device) for _ in range(2)]
     inputs = [leaves.rows, distance, inside, wp.float32(shape.exterior), wp.float32(-shape.interior)]
-    _launch.launch(bits_kernel, 8 * count, inputs, bits, device)
+    _launch.launch(bits_kernel, 8 * count, inputs, [*bits, has_negative], device)
     return bits
 
 

@@ -9,7 +9,7 @@ from geokit.mesh._pseudonormal_kernels import pseudonormal
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh._wide_winding_kernels import WindingTree, is_inside
-from geokit.volume._band_sign_kernels import bit_at, voxel_position
+from geokit.volume._band_sign_kernels import set_in_row, unset_in_row, voxel_position
 
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
@@ -89,6 +89,7 @@ def regions_behind_kernel(
 @wp.kernel
 def voxels_behind_kernel(
     first: int,
+    span: int,
     known: wp.array2d(dtype=wp.uint64),
     tiles: wp.array(dtype=wp.vec3i),
     rows: wp.array(dtype=int),
@@ -105,22 +106,21 @@ def voxels_behind_kernel(
     vertex_normals: wp.array(dtype=wp.vec3d),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the pseudonormal at the voxels of a plane whose sides are not known."""
-    i = first + wp.tid()
-    leaf = i >> 3
-    x = i & 7
-    left = ~known[leaf, x]
-    if left != wp.uint64(0):
-        row = rows[leaf]
-        word = out_inside[leaf, x]
-        for b in range(64):
-            if bit_at(left, b):
-                voxel = 64 * x + b
-                p = voxel_position(tiles[row], voxel, translation, voxel_size)
-                radius = search_radius(distance[row, voxel], reach, voxel_size)
-                if is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius):
-                    word = word | (wp.uint64(1) << wp.uint64(b))
-        out_inside[leaf, x] = word
+    """Asks the pseudonormal at the voxels of ``span`` rows of eight whose sides are not known."""
+    for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
+        leaf = item >> 6
+        left = unset_in_row(known, leaf, item & 63)
+        if left != 0:
+            row = rows[leaf]
+            found = int(0)
+            for b in range(8):
+                if ((left >> b) & 1) != 0:
+                    voxel = 8 * (item & 63) + b
+                    p = voxel_position(tiles[row], voxel, translation, voxel_size)
+                    radius = search_radius(distance[row, voxel], reach, voxel_size)
+                    if is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius):
+                        found = found | (1 << b)
+            set_in_row(out_inside, leaf, item & 63, found)
 
 
 @wp.kernel
@@ -147,6 +147,7 @@ def regions_wound_kernel(
 @wp.kernel
 def voxels_wound_kernel(
     first: int,
+    span: int,
     known: wp.array2d(dtype=wp.uint64),
     tiles: wp.array(dtype=wp.vec3i),
     rows: wp.array(dtype=int),
@@ -157,16 +158,15 @@ def voxels_wound_kernel(
     empty: wp.float64,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the winding number at the voxels of a plane whose sides are not known."""
-    i = first + wp.tid()
-    leaf = i >> 3
-    x = i & 7
-    left = ~known[leaf, x]
-    if left != wp.uint64(0):
-        word = out_inside[leaf, x]
-        for b in range(64):
-            if bit_at(left, b):
-                p = voxel_position(tiles[rows[leaf]], 64 * x + b, translation, voxel_size)
-                if is_inside(tree, winding, empty, p):
-                    word = word | (wp.uint64(1) << wp.uint64(b))
-        out_inside[leaf, x] = word
+    """Asks the winding number at the voxels of ``span`` rows of eight whose sides are not known."""
+    for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
+        leaf = item >> 6
+        left = unset_in_row(known, leaf, item & 63)
+        if left != 0:
+            found = int(0)
+            for b in range(8):
+                if ((left >> b) & 1) != 0:
+                    p = voxel_position(tiles[rows[leaf]], 8 * (item & 63) + b, translation, voxel_size)
+                    if is_inside(tree, winding, empty, p):
+                        found = found | (1 << b)
+            set_in_row(out_inside, leaf, item & 63, found)

@@ -41,6 +41,15 @@ def set_rows_kernel(
 
 
 @wp.kernel
+def any_bits_kernel(first: int, bits: wp.array2d(dtype=wp.uint64), out_some: wp.array(dtype=int)):
+    """Raises ``out_some`` where a bit is set."""
+    i = first + wp.tid()
+    for x in range(8):
+        if bits[i, x] != wp.uint64(0):
+            out_some[0] = 1
+
+
+@wp.kernel
 def keep_rows_kernel(
     first: int,
     kept: wp.array(dtype=int),
@@ -131,10 +140,16 @@ def bits_kernel(
     interior: wp.float32,
     out_active: wp.array2d(dtype=wp.uint64),
     out_negative: wp.array2d(dtype=wp.uint64),
+    out_some: wp.array(dtype=int),
 ):
-    """Bits of the active voxels of a plane, and of those with a negative value; ``inside`` may be empty."""
+    """Bits of the active voxels of a plane, and of those with a negative value; ``inside`` may be empty.
+
+    Where there is such a value, ``out_some`` is raised.
+    """
     i = first + wp.tid()
     plane_bits(i >> 3, i & 7, rows, distance, inside, exterior, interior, out_active, out_negative)
+    if out_negative[i >> 3, i & 7] != wp.uint64(0):
+        out_some[0] = 1
 
 
 @wp.func_native(_LEAF_VALUES)

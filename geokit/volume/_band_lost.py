@@ -21,19 +21,22 @@ __all__ = ["lost_components"]
 LEAVES_AT_A_TIME = 1024
 
 
-def lost_components(band: Band, pieces: NDArray[np.int32]) -> list[int]:
+def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> list[int]:
     """Pieces of a mesh of which no face is the nearest to a negative voxel.
 
     Args:
         band: The band.
         pieces: Piece of each face, (F,), counted from 0 in the order of their first faces.
+        piece_count: How many there are.
     """
     import warp as wp
 
     from geokit.volume import _band_sign_kernels as kernels
 
     device, count = band.lattice.device, len(band.leaves.keys)
-    found = np.zeros(int(pieces.max()) + 1, np.bool_)
+    if piece_count == 1:
+        return [] if band.has_negative.numpy()[0] else [0]
+    found = np.zeros(piece_count, np.bool_)
     both = wp.empty((count, 8), dtype=wp.uint64, device=device)
     _launch.launch(kernels.common_bits_kernel, count, [band.active, band.negative], [both], device)
     # Where the band ends one voxel within, the only negative voxels of a piece may be those beyond its end.
@@ -58,9 +61,6 @@ def _mark(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArra
         ends, total = counted(counts)
         if total == 0:
             continue
-        if len(found) == 1:
-            found[0] = True
-            return
         points = wp.empty(total, dtype=wp.vec3d, device=counts.device)
         inputs = [part, ends, counts, band.leaves.tiles, rows, *band.lattice.arguments]
         _launch.launch(kernels.bit_positions_kernel, stop - start, inputs, [points], counts.device)

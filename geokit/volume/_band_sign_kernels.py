@@ -14,8 +14,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 REGIONS = 4
 # Share of the spacing that a region's farthest voxel must have: what is nearer is left to its diagonal neighbours.
 LEAST_SHARE = 0.3
-# Rounds over the diagonal neighbours of voxels that have no link along an axis.
-DIAGONAL_ROUNDS = 2
 
 # Distances of eight voxels in a row, compared with what comes `step` voxels later.
 _LINKS = """
@@ -123,9 +121,11 @@ _REGIONS = (
         float largest = least;
         for (int x = 0; x < 8; ++x)
             for (int b = 0; open[x] && b < 64; ++b)
-                if ((open[x] >> b & 1) && d[64 * x + b] >= largest) {{
-                    if (farthest >= 0 && d[64 * x + b] == largest) continue;
-                    largest = d[64 * x + b];
+                if (open[x] >> b & 1) {{
+                    // Where a distance is cut off the search would be wide: such a voxel only where there is no other.
+                    const float here = d[64 * x + b] < reach ? d[64 * x + b] : least;
+                    if (!(here >= largest) || (farthest >= 0 && here == largest)) continue;
+                    largest = here;
                     farthest = 64 * x + b;
                 }}
         out_seed.data[{REGIONS}ll * leaf + n] = farthest;
@@ -145,6 +145,7 @@ def find_regions(
     all_links: wp.array2d(dtype=wp.uint64),
     known_bits: wp.array2d(dtype=wp.uint64),
     least: float,
+    reach: float,
     out_seed: wp.array(dtype=int),
 ): ...
 
@@ -157,13 +158,14 @@ def regions_kernel(
     links: wp.array2d(dtype=wp.uint64),
     known: wp.array2d(dtype=wp.uint64),
     least: float,
+    reach: float,
     out_seed: wp.array(dtype=int),
 ):
-    """The farthest voxel of each region of a leaf, the region of the farthest first; -1 where there is none.
+    """The farthest voxel within reach of each region of a leaf, that of the farthest first; -1 where there is none.
 
-    Voxels nearer to the surface than ``least`` start no region.
+    Voxels nearer to the surface than ``least`` start no region; any does for a region that lies beyond reach.
     """
-    find_regions(first + wp.tid(), rows, distance, links, known, least, out_seed)
+    find_regions(first + wp.tid(), rows, distance, links, known, least, reach, out_seed)
 
 
 _SPREAD = (
@@ -188,11 +190,14 @@ _SPREAD = (
     }}
     // Diagonal neighbours are farther apart, and one of them lies nearly straight away from the surface.
     const float edge = spacing * 1.41421356f, corner = spacing * 1.73205081f;
-    for (int round = 0; round < {DIAGONAL_ROUNDS}; ++round)
+    for (int round = 0; round < rounds; ++round)
         for (int x = 0; x < 8; ++x)
             for (unsigned long long left = ~known[x]; left; left &= left - 1) {{
-                int b = 0;
-                while (!(left >> b & 1)) ++b;
+                #if defined(__CUDA_ARCH__)
+                const int b = __ffsll((long long)left) - 1;
+                #else
+                const int b = __builtin_ctzll(left);
+                #endif
                 const int y = b >> 3, z = b & 7;
                 const float here = d[64 * x + b];
                 bool found = false;
@@ -222,6 +227,7 @@ def spread(
     seeds: wp.array(dtype=int),
     answers: wp.array(dtype=wp.bool),
     spacing: float,
+    rounds: int,
     out_known: wp.array2d(dtype=wp.uint64),
     out_inside: wp.array2d(dtype=wp.uint64),
 ): ...
@@ -236,12 +242,13 @@ def spread_kernel(
     seeds: wp.array(dtype=int),
     answers: wp.array(dtype=wp.bool),
     spacing: float,
+    rounds: int,
     out_known: wp.array2d(dtype=wp.uint64),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Spreads the answers over their regions, then to voxels that only a diagonal neighbour tells."""
+    """Spreads the answers over their regions, then, in rounds, to voxels that only a diagonal neighbour tells."""
     leaf = first + wp.tid()
-    spread(leaf, rows, distance, links, seeds, answers, spacing, out_known, out_inside)
+    spread(leaf, rows, distance, links, seeds, answers, spacing, rounds, out_known, out_inside)
 
 
 @wp.func
@@ -289,6 +296,16 @@ def count_bits_kernel(first: int, bits: wp.array2d(dtype=wp.uint64), out_count: 
             word = word & (word - wp.uint64(1))
             count += 1
     out_count[leaf] = count
+
+
+@wp.func_native("return ~((const unsigned char*)bits.data)[64ll * leaf + row] & 0xff;")
+def unset_in_row(bits: wp.array2d(dtype=wp.uint64), leaf: int, row: int) -> int:
+    """Bits of the eight voxels in a row of a leaf, ``8 x + y``, that are not set: a byte of a word."""
+    ...
+
+
+@wp.func_native("((unsigned char*)bits.data)[64ll * leaf + row] |= (unsigned char)more;")
+def set_in_row(bits: wp.array2d(dtype=wp.uint64), leaf: int, row: int, more: int): ...
 
 
 @wp.func

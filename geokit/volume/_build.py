@@ -31,7 +31,7 @@ from geokit.volume._nanovdb import (
 from geokit.volume._nanovdb_checksum import full_checksum, partial_checksum
 from geokit.volume._nanovdb_layout import LEAF_VOXELS, GridLayout, layout_of
 
-__all__ = ["FloatGridLayout", "allocate_float_grid", "build_float_grid", "finish"]
+__all__ = ["NO_BOX", "FloatGridLayout", "allocate_float_grid", "build_float_grid", "finish", "local_boxes"]
 
 FLOAT_TYPE = 1
 # 32.4.2 is what OpenVDB 10 writes; later readers take it too.
@@ -271,7 +271,7 @@ def _leaf_statistics(
         if not hasattr(scratch, "values"):
             scratch.values = np.empty((LEAVES_AT_A_TIME, LEAF_VOXELS), np.float32)
         _active_extrema(layout.values[rows], packed, scratch.values[: len(packed)], extrema[rows])
-        local = _local_boxes(packed)
+        local = local_boxes(packed)
         some = local[:, :1, :1] <= local[:, 1:, :1]
         boxes[rows] = np.where(some, local + topology.leaf_origins[rows, None, :], NO_BOX)
         return int(_BITS[packed].sum(dtype=np.int64))
@@ -300,7 +300,7 @@ def _active_extrema(
         reduce(scratch, axis=1, out=out[:, column])
 
 
-def _local_boxes(packed: NDArray[np.uint8]) -> NDArray[np.int32]:
+def local_boxes(packed: NDArray[np.uint8]) -> NDArray[np.int32]:
     """First and last active voxel of leaves within themselves, shape (L, 2, 3); first > last where none is active."""
     planes = packed.view("<u8")
     columns = np.bitwise_or.reduce(planes, axis=1, keepdims=True).view(np.uint8)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _launch
+from geokit._host_array import HostArray
+from geokit._pinned import PinnedArray, host_arrays
+from geokit._scratch import Scratch, ScratchArray
 from geokit.volume._grid_head import GridHead, Places, places_of, write_head, write_root
 from geokit.volume._nanovdb import HEAD_SIZE, aligned_buffer
 from geokit.volume._nanovdb_checksum import partial_checksum
-from geokit.volume._tiles import counted
+from geokit.volume._tiles import summed
 
 if TYPE_CHECKING:
     import warp as wp
@@ -23,6 +27,10 @@ __all__ = ["BuiltGrid", "Leaves", "build_grid"]
 # Logarithms of the slots along an axis of a lower and of an upper node, and voxels along an axis.
 LOWER_BITS, LOWER_SPAN = 4, 128
 UPPER_BITS, UPPER_SPAN = 5, 4096
+# Upper nodes whose keys the host gets without a copy of its own: each spans 4096^3 voxels.
+FEW_UPPERS = 256
+# Parts of a lower node's children that threads of a GPU look at side by side; a CPU looks at all in a row.
+PARTS_CPU, PARTS_CUDA = 0, 64
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,11 @@ class Leaves:
     rows: "wp.array"
     axes: tuple[NDArray[np.int64], ...]
 
+    @cached_property
+    def nodes(self) -> _Nodes:
+        """The nodes above them; who asks long before the grid is built need not wait for them then."""
+        return _Nodes(self.keys)
+
 
 @dataclass(frozen=True)
 class BuiltGrid:
@@ -56,11 +69,19 @@ class BuiltGrid:
 
 @dataclass(frozen=True)
 class _Level:
-    """Nodes of one kind: key and first child of each (one more entry ends the last), and the parent of each child."""
+    """Nodes of one kind, as many as ``count``; arrays may be longer.
 
-    keys: "wp.array"
-    first_child: "wp.array"
-    parent: "wp.array"
+    Attributes:
+        keys: Of each node.
+        first_child: Of each node; one more entry ends the last.
+        first_leaf: Of each node.
+        parent: For each child the nodes up to its own.
+    """
+
+    keys: ScratchArray
+    first_child: ScratchArray
+    first_leaf: ScratchArray
+    parent: ScratchArray
     count: int
 
 
@@ -87,9 +108,7 @@ def build_grid(
     """
     device = leaves.keys.device
     count = len(leaves.keys)
-    lower = _parents(leaves.keys, 3 * LOWER_BITS)
-    upper = _parents(lower.keys, 3 * UPPER_BITS)
-    ranks = upper.keys.numpy()[: upper.count]
+    lower, upper, ranks = leaves.nodes.read()
     uppers = np.stack(
         [axis[ranks >> shift & 0xFFF] for axis, shift in zip(leaves.axes, (24, 12, 0), strict=True)], axis=1
     )
@@ -99,8 +118,9 @@ def build_grid(
     _link(buffer, head, places, (leaves, lower, upper), states)
     write_leaves(buffer, places.leaf_begin)
     boxes, extrema, active = _statistics(buffer, head, places, leaves, lower, upper)
-    start = write_head(head, places, faces)
-    write_root(start, head, boxes, extrema, active)
+    # Until here nothing of it was waited for, and for most grids nothing is before the head is written.
+    start = write_head(head, places, faces.numpy() if places.gaps else np.zeros(upper.count, np.uint8))
+    write_root(start, head, boxes.numpy().reshape(-1, 2, 3), extrema.numpy().view(head.word).reshape(-1, 2), active())
     if seal:
         start[8:16].view("<u8")[0] = partial_checksum(start[:HEAD_SIZE], start)
     _put(buffer, host, start)
@@ -128,25 +148,48 @@ def _put(buffer: "wp.array", host: NDArray[np.uint8] | None, start: NDArray[np.u
         wp.copy(buffer, wp.array(start, dtype=wp.uint8, device="cpu", copy=False), count=len(start))
 
 
-def _parents(keys: "wp.array", bits: int) -> _Level:
-    import warp as wp
+class _Nodes:
+    """Lower and upper nodes that are being made."""
 
-    from geokit.volume._device_build_kernels import parents_kernel, starts_kernel
+    def __init__(self, keys: "wp.array") -> None:
+        import warp as wp
 
-    count, device = len(keys), keys.device
-    starts = wp.empty(count, dtype=wp.int32, device=device)
-    _launch.launch(starts_kernel, count, [keys, bits], [starts], device)
-    ends, total = counted(starts)
-    parents = wp.empty(total, dtype=wp.int64, device=device)
-    first_child = wp.zeros(total + 1, dtype=wp.int32, device=device)
-    _launch.launch(parents_kernel, count, [keys, bits, starts, ends], [parents, first_child], device)
-    return _Level(parents, first_child, ends, total)
+        from geokit.volume import _device_build_kernels as kernels
+
+        count, device = len(keys), keys.device
+        shifts = [3 * LOWER_BITS, 3 * (LOWER_BITS + UPPER_BITS)]
+        # There are no more nodes of either kind than leaves: how many there are is read once both are made.
+        shapes = [*[((count,), wp.int32)] * 6, *[((count + 1,), wp.int32)] * 2, *[((count,), wp.int64)] * 2]
+        arrays = Scratch(device, *shapes).arrays
+        starts, ends, (upper_of, first_leaf), (lower_first, upper_first), (lower_keys, upper_keys) = (
+            arrays[k : k + 2] for k in range(0, 10, 2)
+        )
+        _launch.launch(kernels.starts_kernel, count, [keys, *shifts], starts, device)
+        if count:
+            for some, sums in zip(starts, ends, strict=True):
+                wp.utils.array_scan(some.warp, sums.warp, inclusive=True)
+        self._few, self._counts = host_arrays(device, ((FEW_UPPERS,), np.int64), ((2,), np.int32))
+        self._counts.values.fill(0)
+        inputs = [keys, *shifts, starts[0], ends[0], starts[1], ends[1]]
+        outputs = [lower_keys, lower_first, upper_of, upper_keys, upper_first, first_leaf, self._few, self._counts]
+        _launch.launch(kernels.nodes_kernel, count, inputs, outputs, device)
+        if isinstance(self._few, PinnedArray):
+            self._few.room.close()
+        self._lower = lower_keys, lower_first, lower_first, ends[0]
+        self._upper = upper_keys, upper_first, first_leaf, upper_of
+
+    def read(self) -> tuple[_Level, _Level, NDArray[np.int64]]:
+        """Lower nodes, upper nodes, and the keys of the latter on the host."""
+        lower_count, upper_count = self._counts.numpy().tolist()
+        keys = self._few if upper_count <= FEW_UPPERS else self._upper[0]
+        lower, upper = _Level(*self._lower, lower_count), _Level(*self._upper, upper_count)
+        return lower, upper, keys.numpy()[:upper_count]
 
 
 def _spread_signs(
     inside: "wp.array | None", leaves: Leaves, lower: _Level, upper: _Level
-) -> tuple[list["wp.array | None"], NDArray[np.uint8]]:
-    """States of the slots of lower and upper nodes, and the faces of the upper ones.
+) -> tuple[list[ScratchArray | None], Any]:
+    """States of the slots of lower and upper nodes, and the faces of the upper ones, for the host to read.
 
     A narrow band keeps every sign change inside its leaves: a slot without child lies on one side, the one that the
     touching face of any neighbour shows. One sweep each along z, y and x reaches every slot of a node with a child.
@@ -156,21 +199,26 @@ def _spread_signs(
     from geokit.volume import _node_signs_kernels as kernels
 
     if inside is None:
-        return [None, None], np.zeros(upper.count, np.uint8)
+        return [None, None], HostArray(np.zeros(upper.count, np.uint8))
     device = inside.device
-    faces = wp.empty(len(leaves.keys), dtype=wp.uint8, device=device)
-    _launch.launch(kernels.leaf_faces_kernel, len(faces), [inside], [faces], device)
-    states: list[wp.array | None] = []
-    for keys, level, bits in ((leaves.keys, lower, LOWER_BITS), (lower.keys, upper, UPPER_BITS)):
-        state = wp.zeros(level.count << (3 * bits), dtype=wp.uint8, device=device)
+    count = len(leaves.keys)
+    faces: Any
+    faces, of_lower = Scratch(device, ((count,), wp.uint8), ((lower.count,), wp.uint8)).arrays
+    slots = (lower.count << (3 * LOWER_BITS), upper.count << (3 * UPPER_BITS))
+    states: list[ScratchArray | None] = [*Scratch(device, *(((n,), wp.uint8) for n in slots), zeroed=True).arrays]
+    _launch.launch(kernels.leaf_faces_kernel, count, [inside], [faces], device)
+    (of_upper,) = host_arrays(device, ((upper.count,), np.uint8))
+    for keys, level, bits, state, next_faces in (
+        (leaves.keys, lower, LOWER_BITS, states[0], of_lower),
+        (lower.keys, upper, UPPER_BITS, states[1], of_upper),
+    ):
         inputs = [keys, 3 * bits, level.parent, faces]
-        _launch.launch(kernels.place_children_kernel, len(keys), inputs, [state], device)
+        _launch.launch(kernels.place_children_kernel, count, inputs, [state], device)
         for axis in (2, 1, 0):
             _launch.launch(kernels.sweep_kernel, level.count << (2 * bits), [bits, axis], [state], device)
-        faces = wp.empty(level.count, dtype=wp.uint8, device=device)
-        _launch.launch(kernels.node_faces_kernel, level.count, [bits, state], [faces], device)
-        states.append(state)
-    return states, faces.numpy()
+        count, faces = level.count, next_faces
+        _launch.launch(kernels.node_faces_kernel, count, [bits, state], [faces], device)
+    return states, faces
 
 
 def _link(
@@ -178,7 +226,7 @@ def _link(
     head: GridHead,
     places: Places,
     levels: tuple[Leaves, _Level, _Level],
-    states: list["wp.array | None"],
+    states: list[ScratchArray | None],
 ) -> None:
     import warp as wp
 
@@ -206,38 +254,48 @@ def _word_of(value: float, kind: np.dtype[Any]) -> int:
 
 def _statistics(
     buffer: "wp.array", head: GridHead, places: Places, leaves: Leaves, lower: _Level, upper: _Level
-) -> tuple[NDArray[np.int32], NDArray[Any], int]:
-    """Boxes and extrema of all nodes, written into them; those of the upper ones, and the number of active voxels."""
+) -> tuple[Any, Any, Callable[[], int]]:
+    """Boxes and extrema of all nodes, written into them.
+
+    Those of the upper ones are given, and the number of active voxels, for the host to read.
+    """
     import warp as wp
 
     from geokit.volume import _device_build_kernels as kernels
 
     device, layout = buffer.device, head.layout
-    of_leaf, of_node = (
-        (kernels.float_leaf_kernel, kernels.float_node_kernel)
-        if layout.name == "float"
-        else (kernels.int_leaf_kernel, kernels.int_node_kernel)
-    )
-
-    def room(count: int) -> list["wp.array"]:
-        return [wp.empty(n * count, dtype=wp.int32, device=device) for n in (6, 2)]
+    is_float = layout.name == "float"
+    of_leaf = kernels.float_leaf_kernel if is_float else kernels.int_leaf_kernel
+    of_part = kernels.float_part_kernel if is_float else kernels.int_part_kernel
+    of_node = kernels.float_node_kernel if is_float else kernels.int_node_kernel
 
     count = len(leaves.keys)
-    active = wp.empty(count, dtype=wp.int32, device=device)
+    # Lower nodes are few, with hundreds of children each.
+    parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
+    # Boxes and extrema of leaves, parts and lower nodes.
+    items = (count, parts * lower.count, lower.count)
+    shapes = [((n * k,), wp.int32) for k in items for n in (6, 2)]
+    active, *arrays = Scratch(device, ((count,), wp.int32), *shapes).arrays
+    of_leaves, of_parts, of_lowers = arrays[:2], arrays[2:4], arrays[4:]
+    of_uppers = host_arrays(device, *(((n * upper.count,), np.int32) for n in (6, 2)))
     where = [leaves.tiles, leaves.rows]
-    found = room(count)
+    found: list[Any] = of_leaves
     begin = wp.int64(places.leaf_begin)
     _launch.launch(of_leaf, count, [begin, *where], [buffer, *found, active], device, grain=64)
-    first_leaf = wp.empty(upper.count, dtype=wp.int32, device=device)
-    _launch.launch(kernels.first_leaf_kernel, upper.count, [upper.first_child, lower.first_child], [first_leaf], device)
-    for nodes, first, span, begin_at, size, bits in (
-        (lower, lower.first_child, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS),
-        (upper, first_leaf, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS),
+    for level, span, begin_at, size, bits, of_nodes in (
+        (lower, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS, of_lowers),
+        (upper, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS, of_uppers),
     ):
+        nodes = level.count
+        if level is upper:
+            parts = 0
+        elif parts:
+            inputs, found = [parts, level.first_child, *found], of_parts
+            _launch.launch(of_part, parts * nodes, inputs, found, device)
         statistics = 32 + 2 * (1 << (3 * bits)) // 8
-        numbers = [span, wp.int64(begin_at), wp.int64(size), wp.int64(statistics)]
-        inputs = [*numbers, nodes.first_child, first, *found, *where]
-        found = room(nodes.count)
-        _launch.launch(of_node, nodes.count, inputs, [buffer, *found], device, grain=1)
-    boxes, extrema = found[0].numpy().reshape(-1, 2, 3), found[1].numpy().view(head.word).reshape(-1, 2)
-    return boxes, extrema, counted(active)[1]
+        numbers = [parts, span, wp.int64(begin_at), wp.int64(size), wp.int64(statistics)]
+        inputs = [*numbers, level.first_child, level.first_leaf, *found, *where]
+        found = of_nodes
+        _launch.launch(of_node, nodes, inputs, [buffer, *found], device, grain=1)
+    boxes, extrema = of_uppers
+    return boxes, extrema, summed(active.warp)[1]

@@ -12,33 +12,66 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 
 @wp.kernel
-def starts_kernel(first: int, keys: wp.array(dtype=wp.int64), shift: int, out_start: wp.array(dtype=int)):
-    """1 where a new parent begins: where the key without its last ``shift`` bits changes."""
+def starts_kernel(
+    first: int,
+    keys: wp.array(dtype=wp.int64),
+    lower_shift: int,
+    upper_shift: int,
+    out_lower: wp.array(dtype=int),
+    out_upper: wp.array(dtype=int),
+):
+    """1 where a new lower node begins, and where a new upper node does: where the key changes before its last bits."""
     i = first + wp.tid()
-    start = int(1)
+    changed = wp.int64(-1)
     if i > 0:
-        if (keys[i] >> wp.int64(shift)) == (keys[i - 1] >> wp.int64(shift)):
-            start = int(0)
-    out_start[i] = start
+        changed = keys[i] ^ keys[i - 1]
+    out_lower[i] = wp.where((changed >> wp.int64(lower_shift)) != wp.int64(0), 1, 0)
+    out_upper[i] = wp.where((changed >> wp.int64(upper_shift)) != wp.int64(0), 1, 0)
 
 
 @wp.kernel
-def parents_kernel(
+def nodes_kernel(
     first: int,
     keys: wp.array(dtype=wp.int64),
-    shift: int,
-    starts: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    out_key: wp.array(dtype=wp.int64),
-    out_first: wp.array(dtype=int),
+    lower_shift: int,
+    upper_shift: int,
+    lower_starts: wp.array(dtype=int),
+    lower_ends: wp.array(dtype=int),
+    upper_starts: wp.array(dtype=int),
+    upper_ends: wp.array(dtype=int),
+    out_lower_key: wp.array(dtype=wp.int64),
+    out_lower_first: wp.array(dtype=int),
+    out_lower_end: wp.array(dtype=int),
+    out_upper_key: wp.array(dtype=wp.int64),
+    out_upper_first: wp.array(dtype=int),
+    out_upper_leaf: wp.array(dtype=int),
+    out_few: wp.array(dtype=wp.int64),
+    out_count: wp.array(dtype=int),
 ):
-    """Key and first child of each parent; one more entry ends the last."""
+    """Key and first child of each node (one more entry ends the last), and for uppers their first leaf.
+
+    ``out_lower_end`` is for each lower node the upper nodes up to its own; ``out_few`` takes keys of upper nodes as far
+    as there is room; ``out_count`` the numbers of lower and of upper nodes.
+    """
     i = first + wp.tid()
-    if starts[i] != 0:
-        out_key[ends[i] - 1] = keys[i] >> wp.int64(shift)
-        out_first[ends[i] - 1] = i
+    lower = lower_ends[i]
+    upper = upper_ends[i]
+    if lower_starts[i] != 0:
+        out_lower_key[lower - 1] = keys[i] >> wp.int64(lower_shift)
+        out_lower_first[lower - 1] = i
+        out_lower_end[lower - 1] = upper
+    if upper_starts[i] != 0:
+        key = keys[i] >> wp.int64(upper_shift)
+        out_upper_key[upper - 1] = key
+        out_upper_first[upper - 1] = lower - 1
+        out_upper_leaf[upper - 1] = i
+        if upper <= out_few.shape[0]:
+            out_few[upper - 1] = key
     if i == keys.shape[0] - 1:
-        out_first[ends[i]] = i + 1
+        out_lower_first[lower] = i + 1
+        out_upper_first[upper] = lower
+        out_count[0] = lower
+        out_count[1] = upper
 
 
 _LINK = """
@@ -176,12 +209,12 @@ _LEAF = """
     out_count.data[leaf] = count;
 """
 
-# A node's box and extrema from those of its children, which stand from first_child[node] on.
-_NODE = """
+# Box and extrema of `child` to `end`.
+_MERGE = """
     int box[6] = {2147483647, 2147483647, 2147483647, -2147483647 - 1, -2147483647 - 1, -2147483647 - 1};
     T least = 0, most = 0;
     bool some = false;
-    for (int child = first_child.data[node]; child < first_child.data[node + 1]; ++child) {
+    for (; child < end; ++child) {
         const int* of = boxes.data + 6ll * child;
         if (of[0] > of[3]) continue;
         const T low = ((const T*)extrema.data)[2ll * child], high = ((const T*)extrema.data)[2ll * child + 1];
@@ -193,6 +226,32 @@ _NODE = """
             box[3 + k] = of[3 + k] > box[3 + k] ? of[3 + k] : box[3 + k];
         }
     }
+"""
+
+# A part of a node's children, which stand from first_child[node] on.
+_PART = (
+    """
+    const int node = item / parts, part = item % parts;
+    const int begin = first_child.data[node], count = first_child.data[node + 1] - begin;
+    int child = begin + (int)((long long)count * part / parts);
+    const int end = begin + (int)((long long)count * (part + 1) / parts);
+"""
+    + _MERGE
+    + """
+    for (int k = 0; k < 6; ++k) out_boxes.data[6ll * item + k] = box[k];
+    ((T*)out_extrema.data)[2ll * item] = least;
+    ((T*)out_extrema.data)[2ll * item + 1] = most;
+"""
+)
+
+# A node's box and extrema from those of its children, or of as many parts of them as there are.
+_NODE = (
+    """
+    int child = parts ? node * parts : first_child.data[node];
+    const int end = parts ? child + parts : first_child.data[node + 1];
+"""
+    + _MERGE
+    + """
     unsigned char* out = out_buffer.data + begin + node * size;
     const wp::vec_t<3, int> tile = tiles.data[rows.data[first_leaf.data[node]]];
     for (int k = 0; k < 6; ++k) {
@@ -204,6 +263,7 @@ _NODE = """
     ((T*)(out + statistics))[0] = ((T*)out_extrema.data)[2ll * node] = least;
     ((T*)(out + statistics))[1] = ((T*)out_extrema.data)[2ll * node + 1] = most;
 """
+)
 
 
 def _of_type(text: str, name: str) -> str:
@@ -269,6 +329,7 @@ def int_leaf_kernel(
 @wp.func_native(_of_type(_NODE, "float"))
 def float_node(
     node: int,
+    parts: int,
     span: int,
     begin: wp.int64,
     size: wp.int64,
@@ -288,6 +349,7 @@ def float_node(
 @wp.func_native(_of_type(_NODE, "int"))
 def int_node(
     node: int,
+    parts: int,
     span: int,
     begin: wp.int64,
     size: wp.int64,
@@ -307,6 +369,7 @@ def int_node(
 @wp.kernel
 def float_node_kernel(
     first: int,
+    parts: int,
     span: int,
     begin: wp.int64,
     size: wp.int64,
@@ -323,7 +386,7 @@ def float_node_kernel(
 ):
     """Box, flag and extrema of an internal node from those of its children."""
     float_node(
-        first + wp.tid(), span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles, rows,
+        first + wp.tid(), parts, span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles, rows,
         out_buffer, out_boxes, out_extrema,
     )  # fmt: skip
 
@@ -331,6 +394,7 @@ def float_node_kernel(
 @wp.kernel
 def int_node_kernel(
     first: int,
+    parts: int,
     span: int,
     begin: wp.int64,
     size: wp.int64,
@@ -347,18 +411,61 @@ def int_node_kernel(
 ):
     """As :func:`float_node_kernel`, of integers."""
     int_node(
-        first + wp.tid(), span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles, rows,
+        first + wp.tid(), parts, span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles, rows,
         out_buffer, out_boxes, out_extrema,
     )  # fmt: skip
 
 
+@wp.func_native(_of_type(_PART, "float"))
+def float_part(
+    item: int,
+    parts: int,
+    first_child: wp.array(dtype=int),
+    boxes: wp.array(dtype=int),
+    extrema: wp.array(dtype=int),
+    out_boxes: wp.array(dtype=int),
+    out_extrema: wp.array(dtype=int),
+): ...
+
+
+@wp.func_native(_of_type(_PART, "int"))
+def int_part(
+    item: int,
+    parts: int,
+    first_child: wp.array(dtype=int),
+    boxes: wp.array(dtype=int),
+    extrema: wp.array(dtype=int),
+    out_boxes: wp.array(dtype=int),
+    out_extrema: wp.array(dtype=int),
+): ...
+
+
 @wp.kernel
-def first_leaf_kernel(
-    first: int, first_lower: wp.array(dtype=int), first_leaf: wp.array(dtype=int), out_first: wp.array(dtype=int)
+def float_part_kernel(
+    first: int,
+    parts: int,
+    first_child: wp.array(dtype=int),
+    boxes: wp.array(dtype=int),
+    extrema: wp.array(dtype=int),
+    out_boxes: wp.array(dtype=int),
+    out_extrema: wp.array(dtype=int),
 ):
-    """First leaf of each upper node, through its first lower node."""
-    i = first + wp.tid()
-    out_first[i] = first_leaf[first_lower[i]]
+    """Box and extrema of one of ``parts`` parts of a node's children, for threads that would wait for the last node."""
+    float_part(first + wp.tid(), parts, first_child, boxes, extrema, out_boxes, out_extrema)
+
+
+@wp.kernel
+def int_part_kernel(
+    first: int,
+    parts: int,
+    first_child: wp.array(dtype=int),
+    boxes: wp.array(dtype=int),
+    extrema: wp.array(dtype=int),
+    out_boxes: wp.array(dtype=int),
+    out_extrema: wp.array(dtype=int),
+):
+    """As :func:`float_part_kernel`, of integers."""
+    int_part(first + wp.tid(), parts, first_child, boxes, extrema, out_boxes, out_extrema)
 
 
 # A row of 64 values of 32 bits, whatever they are, and their mask.

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume._isosurface_launch import GRAIN, launch_even, require_memory
+from geokit._flags import Flags
+from geokit._scratch import Scratch, ScratchArray
+from geokit.volume._isosurface_launch import GRAIN, launch_even, offsets_of, require_memory
 from geokit.volume._isosurface_nodes import Topology, topology_of
 from geokit.volume._isosurface_rims import add_rims, rim_origins
 from geokit.volume._nanovdb import TREE_OFFSET, grid_header, tree_header
@@ -82,25 +84,43 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     cells.volume = wp.uint64(grid.id)
     cells.leaf_count = count
     cells.leaf_offset, cells.origin = topology.on(device)[:2]
-    cells.sides = wp.empty(8 * count, dtype=wp.uint64, device=device)
-    cells.refs = wp.empty(8 * count, dtype=wp.int32, device=device)
+    lowers = len(topology.lower.offset)
+    sides, refs, rims, tile_inside, around = Scratch(
+        device,
+        ((8 * count,), wp.uint64),
+        ((8 * count,), wp.int32),
+        ((count,), wp.uint8),
+        ((64 * lowers,), wp.uint64),
+        ((27 * lowers,), wp.int32),
+    ).arrays
+    cells.sides, cells.refs = sides.warp, refs.warp
     keep = _find_sides(cells, isovalue, is_float, int(topology.leaves.offset[0]) if count else 0, layout, device)
-    tree = _tree(cells, topology, layout, isovalue, volume.nanovdb, device)
-    rims = wp.empty(count, dtype=wp.uint8, device=device)
-    launch_even(kernels.link_kernel, count, [cells, tree], [rims], device, least=GRAIN)
-    add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
-    blocks = len(cells.origin)
-    mixed = wp.empty(blocks, dtype=wp.int32, device=device)
-    launch_even(kernels.mixed_kernel, blocks, [cells], [mixed], device, least=GRAIN)
-    place = wp.empty(blocks, dtype=wp.int32, device=device)
-    crossed = 0
-    if blocks:
-        wp.utils.array_scan(mixed, place, inclusive=False)
-        crossed = int(place[-1:].numpy()[0] + mixed[-1:].numpy()[0])
-    cells.crossed = wp.empty(crossed, dtype=wp.int32, device=device)
-    cells.slot = wp.empty(blocks, dtype=wp.int32, device=device)
-    launch_even(kernels.list_kernel, blocks, [mixed, place], [cells.crossed, cells.slot], device)
+    tree = _tree(cells, topology, layout, isovalue, volume.nanovdb, device, tile_inside.warp, around.warp)
+    some = Flags(1, device)
+    launch_even(kernels.link_kernel, count, [cells, tree], [rims, some], device, least=GRAIN)
+    # Few level sets have rims: without them nothing is waited for until the crossed blocks are counted.
+    mixed, place, crossed = _count_mixed(cells)
+    if some.numpy()[0] or topology.has_tiles:
+        add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
+        mixed, place, crossed = _count_mixed(cells)
+    cells.crossed, cells.slot = (
+        array.warp for array in Scratch(device, ((crossed,), wp.int32), ((len(mixed),), wp.int32)).arrays
+    )
+    launch_even(kernels.list_kernel, len(mixed), [mixed, place], [cells.crossed, cells.slot], device)
     return CrossedCells(cells, tree, crossed, device, (volume, grid, keep))
+
+
+def _count_mixed(cells: Any) -> tuple[ScratchArray, ScratchArray, int]:
+    """Which blocks have crossed cells, where each of these goes in a list of them, and how many there are."""
+    import warp as wp
+
+    from geokit.volume import _isosurface_cells_kernels as kernels
+
+    device, blocks = cells.origin.device, len(cells.origin)
+    (mixed,) = Scratch(device, ((blocks,), wp.int32)).arrays
+    launch_even(kernels.mixed_kernel, blocks, [cells], [mixed], device, least=GRAIN)
+    (place,), (crossed,) = offsets_of(mixed)
+    return mixed, place, crossed
 
 
 def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, layout: GridLayout, device: Any) -> Any:
@@ -136,8 +156,16 @@ def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, la
 
 
 def _tree(
-    cells: Any, topology: Topology, layout: GridLayout, isovalue: float, buffer: NDArray[np.uint8], device: Any
+    cells: Any,
+    topology: Topology,
+    layout: GridLayout,
+    isovalue: float,
+    buffer: NDArray[np.uint8],
+    device: Any,
+    tile_inside: "wp.array",
+    around: "wp.array",
 ) -> Any:
+    """The kernels' struct of nodes, and what it is to hold of the tiles in and beside them."""
     import warp as wp
 
     from geokit.volume import _isosurface_cells_kernels as kernels
@@ -151,8 +179,7 @@ def _tree(
     tree.leaf_size = wp.uint64(0 if layout.leaf_bits < 0 else layout.leaf_size)
     _, _, tree.leaf_lower, tree.leaf_slot, origin = topology.on(device)
     count = len(origin)
-    tree.tile_inside = wp.empty(64 * count, dtype=wp.uint64, device=device)
-    tree.around = wp.empty(27 * count, dtype=wp.int32, device=device)
+    tree.tile_inside, tree.around = tile_inside, around
     inputs = [cells.volume, wp.float64(isovalue), tree]
     launch_even(kernels.tile_sides_kernel, 64 * count, inputs, [tree.tile_inside], device, least=GRAIN)
     launch_even(kernels.lower_neighbors_kernel, 27 * count, [*inputs, origin], [tree.around], device)

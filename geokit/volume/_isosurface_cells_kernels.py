@@ -378,9 +378,15 @@ def lower_neighbors_kernel(
 
 
 @wp.kernel
-def link_kernel(first: int, cells: Cells, tree: Tree, out_rims: wp.array(dtype=wp.uint8)):
+def link_kernel(
+    first: int, cells: Cells, tree: Tree, out_rims: wp.array(dtype=wp.uint8), out_some: wp.array(dtype=int)
+):
+    """Blocks above each leaf, and the tiles below it that may have crossed cells; whether any leaf has some."""
     leaf = first + wp.tid()
-    out_rims[leaf] = wp.uint8(link_leaf(cells, tree, leaf))
+    rims = link_leaf(cells, tree, leaf)
+    out_rims[leaf] = wp.uint8(rims)
+    if rims != 0:
+        out_some[0] = 1
 
 
 @wp.kernel
@@ -403,3 +409,12 @@ def list_kernel(
         out_slot[block] = place[block]
     else:
         out_slot[block] = -1
+
+
+@wp.kernel
+def total_kernel(
+    first: int, place: int, counts: wp.array(dtype=int), starts: wp.array(dtype=int), out_total: wp.array(dtype=int)
+):
+    """Sum of all counts, from where the last one starts."""
+    last = counts.shape[0] - 1
+    out_total[place + first] = starts[last] + counts[last]

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _launch, _memory
+from geokit._pinned import host_arrays
+from geokit._scratch import Scratch, ScratchArray
 from geokit.errors import DeviceMemoryError
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ SAFE_PLANES = LARGEST // 320
 SLICES = 3
 # Fewest blocks worth a slice.
 GRAIN = 32
+# So much there is, or nothing else would run: to ask takes as long as two kernels of a small surface.
+UNASKED_BYTES = 1 << 24
 
 
 def launch_planes(kernel: Any, planes: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
@@ -36,27 +40,35 @@ def launch_planes(kernel: Any, planes: int, inputs: list[Any], outputs: list[Any
 def launch_even(
     kernel: Any, count: int, inputs: list[Any], outputs: list[Any], device: "wp.Device", least: int = 512
 ) -> None:
-    grain = max(least, -(-count // (SLICES * _launch.thread_count())))
+    grain = max(least, -(-count // (SLICES * _launch.thread_count()))) if device.is_cpu else 0
     _launch.launch(kernel, count, inputs, outputs, device, grain=grain)
 
 
-def offsets_of(counts: "wp.array") -> tuple["wp.array", int]:
-    """Where each item's results start, and how many there are.
+def offsets_of(*counts: Any) -> tuple[list[ScratchArray], list[int]]:
+    """Where each item's results start, and how many there are in all, of one kind of results or of several.
 
+    Args:
+        counts: ScratchArrays of int32, of one device.
     Raises:
         DeviceMemoryError: More than int32 can number.
     """
     import warp as wp
 
-    start = wp.empty(len(counts), dtype=wp.int32, device=counts.device)
-    if not len(counts):
-        return start, 0
-    if len(counts) > SAFE_PLANES and int(counts.numpy().sum(dtype=np.int64)) > LARGEST:
-        raise DeviceMemoryError(
-            f"volume: its surface has more than {LARGEST} vertices or faces; resample it to larger voxels"
-        )
-    wp.utils.array_scan(counts, start, inclusive=False)
-    return start, int(start[-1:].numpy()[0]) + int(counts[-1:].numpy()[0])
+    from geokit.volume._isosurface_cells_kernels import total_kernel
+
+    device = counts[0].device
+    starts = Scratch(device, *(((len(some),), wp.int32) for some in counts)).arrays
+    (totals,) = host_arrays(device, ((len(counts),), np.int32))
+    totals.values.fill(0)
+    for number, (some, start) in enumerate(zip(counts, starts, strict=True)):
+        if len(some) > SAFE_PLANES and int(some.numpy().sum(dtype=np.int64)) > LARGEST:
+            raise DeviceMemoryError(
+                f"volume: its surface has more than {LARGEST} vertices or faces; resample it to larger voxels"
+            )
+        if len(some):
+            wp.utils.array_scan(some.warp, start.warp, inclusive=False)
+            _launch.launch(total_kernel, 1, [number, some, start], [totals], device)
+    return starts, totals.numpy().tolist()
 
 
 def used_only(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -70,6 +82,8 @@ def used_only(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[
 
 
 def require_memory(need: int, device: Any) -> None:
+    if need <= UNASKED_BYTES:
+        return
     have = min(_memory.available(device), _memory.available_host())
     if need > have:
         raise DeviceMemoryError(

@@ -46,6 +46,11 @@ class Topology:
     large_borders: NDArray[np.int32]
     arrays: dict[str, tuple["wp.array", ...]] = field(default_factory=dict)
 
+    @property
+    def has_tiles(self) -> bool:
+        """Whether the surface may run through active tiles."""
+        return bool(len(self.active_node) or len(self.large_borders))
+
     def on(self, device: "wp.Device") -> tuple["wp.array", ...]:
         """The arrays on a device."""
         import warp as wp

@@ -67,9 +67,9 @@ def add_rims(cells: Any, tree: Any, origins: NDArray[np.int32], isovalue: float)
 
     device = cells.origin.device
     count, rims = cells.leaf_count, len(origins)
-    cells.rim_active = wp.empty(rims, dtype=wp.uint8, device=device)
     if not rims:
         return
+    cells.rim_active = wp.empty(rims, dtype=wp.uint8, device=device)
     cells.origin = wp.array(np.concatenate([cells.origin.numpy(), origins]), dtype=wp.vec3i, device=device)
     for name in ("sides", "refs"):
         few = getattr(cells, name)

@@ -56,7 +56,8 @@ class LinkedLeaves:
         from geokit.volume import _leaf_links_kernels as kernels
 
         source = voxelized(volume) if volume.info.grid_type in QUANTISED else volume
-        leaves = self._begin(source, isovalue, device)
+        leaves = leaves_of(source)
+        self._begin(source, leaves, isovalue, device)
         count = len(self.tiles)
         values, inside = self._read()
         open_sides = wp.zeros(27 * count, dtype=wp.uint8, device=device)
@@ -75,28 +76,26 @@ class LinkedLeaves:
         self.active = wp.array(masks.reshape(-1).view(np.uint64), dtype=wp.uint64, device=device)
 
     @classmethod
-    def bare(cls, volume: SparseVolume, device: "wp.Device") -> LinkedLeaves:
-        """Rows of a grid of any type, without values; nothing lies inside."""
+    def bare(cls, volume: SparseVolume, leaves: Leaves, device: "wp.Device") -> LinkedLeaves:
+        """Rows of leaves on the lattice of a grid of any type, without values; nothing lies inside."""
         import warp as wp
 
         made = cls.__new__(cls)
-        leaves = made._begin(volume, -np.inf, device)
+        made._begin(volume, leaves, -np.inf, device)
         masks = np.ascontiguousarray(leaves.masks).reshape(-1).view(np.uint64)
         made.active = wp.array(masks, dtype=wp.uint64, device=device)
         made.inside = wp.zeros(8 * len(made.tiles), dtype=wp.uint64, device=device)
         return made
 
-    def _begin(self, volume: SparseVolume, isovalue: float, device: "wp.Device") -> Leaves:
+    def _begin(self, volume: SparseVolume, leaves: Leaves, isovalue: float, device: "wp.Device") -> None:
         import warp as wp
 
-        leaves = leaves_of(volume)
         self.device = device
         self._volume = volume
         self._handle = wp.uint64(volume.id(device))
         self._isovalue = wp.float64(isovalue)
         self.tiles = leaves.origins >> 3
         self._link()
-        return leaves
 
     def add(self, tiles: NDArray[np.int32]) -> None:
         """Rows for more leaves, none of them there yet; they take the side of the tiles in their places."""

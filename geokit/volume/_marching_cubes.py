@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._download import download
 from geokit._flags import Flags
+from geokit._scratch import Scratch
 from geokit.volume._isosurface_cells import crossed_cells
 from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
 from geokit.volume._marching_cubes_cases import triangle_table
 from geokit.volume.model import SparseVolume
+
+if TYPE_CHECKING:
+    import warp as wp
 
 __all__ = ["marching_cubes"]
 
@@ -43,14 +49,13 @@ def marching_cubes(
 
     found = crossed_cells(volume, isovalue, device)
     planes = PLANES * found.count
-    start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
-    records = wp.empty(3 * planes, dtype=wp.uint64, device=device)
-    vertices, triangles = (wp.empty(planes, dtype=wp.int32, device=device) for _ in range(2))
+    start, edges = _tables(device.alias)
+    shapes = [((3 * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
+    records, vertices, triangles = Scratch(device, *shapes).arrays
     flag = Flags(1, device)
     outputs = [records, vertices, triangles, flag]
     launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
-    base, vertex_count = offsets_of(vertices)
-    first_triangle, triangle_count = offsets_of(triangles)
+    (base, first_triangle), (vertex_count, triangle_count) = offsets_of(vertices, triangles)
     require_memory(24 * vertex_count + 12 * triangle_count, device)
     transform = volume.info.transform
     linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
@@ -60,5 +65,14 @@ def marching_cubes(
     faces = wp.empty(3 * triangle_count, dtype=wp.int32, device=device)
     inputs = [found.cells, start, edges, records, base, first_triangle, int(turned)]
     launch_planes(kernels.triangles_kernel, planes, inputs, [faces], device)
-    result = vertex.numpy().reshape(-1, 3), faces.numpy().reshape(-1, 3)
-    return used_only(*result) if flag.numpy()[0] else result
+    points, corners = (array.reshape(-1, 3) for array in download(vertex, faces))
+    return used_only(points, corners) if flag.numpy()[0] else (points, corners)
+
+
+@functools.lru_cache(maxsize=16)
+def _tables(device: str) -> tuple["wp.array", "wp.array"]:
+    """The triangles of all cases on a device: where those of each start, and the edges of their corners."""
+    import warp as wp
+
+    start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
+    return start, edges

@@ -12,7 +12,7 @@ import warp as wp
 from geokit.volume._linear_cell_kernels import MATRIX, ONE_BY_ONE
 from geokit.volume._node_kernels import TREE, tree_text
 from geokit.volume._ray_group_kernels import ARRAYS, BRACKET, GROUP, JUMPS, RAY, READ, ROOTS, WRITE, lines
-from geokit.volume._raycast_kernels import END, ON_CELL, ON_UNSEEN, START, RayField
+from geokit.volume._raycast_kernels import END, ON_CELL, ON_UNSEEN, START, RayField, in_units
 from geokit.volume._traverse_kernels import BLOCK_WALK, CELL, SET_UP, STEPS, with_hooks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -130,7 +130,7 @@ def _group(grid_type):
         "CLEAR": _CLEAR,
         "END": END,
         "ON_UNSEEN": ON_UNSEEN,
-        "ON_CELL": ON_CELL,
+        "ON_CELL": ON_CELL if grid_type == "float" else in_units(ON_CELL),
         "HAND_ON": _HAND_ON,
         "ONE_BY_ONE": ONE_BY_ONE,
     }

@@ -160,8 +160,29 @@ done:
 """
 
 
+# Numbers whose squares double cannot hold would hide where the cubic turns: a cell of such is scaled by a power of two,
+# which rounds nothing. Squares of float32 numbers are far from there.
+_UNIT = """
+                double unit = 1.0;
+                {
+                    double most = wp::abs(isovalue);
+                    for (int m = 0; m < 8; ++m) most = wp::max(most, wp::abs((double)c[m]));
+                    if (most > 1e140) unit = 0x1p-600;
+                    else if (most < 1e-140) unit = 0x1p600;
+                }
+"""
+
+
+def in_units(on_cell: str) -> str:
+    """ON_CELL with the cell's voxels, and so the coefficients and slopes, in units that suit them."""
+    scaled = CUBIC.replace("(double)c[", "unit * (double)c[")
+    return on_cell.replace(CUBIC, _UNIT + scaled).replace("p0 -= isovalue;", "p0 -= unit * isovalue;")
+
+
 def _first_crossing(grid_type: str) -> str:
     on_cell = with_hooks(ON_CELL, {"HAND_ON": ""})
+    if grid_type != "float":
+        on_cell = in_units(on_cell)
     return traversal(
         grid_type, start=START, same=_SAME, on_unseen=ON_UNSEEN, on_region=_ON_REGION, on_cell=on_cell, end=END
     )

@@ -17,6 +17,7 @@ from geokit.volume._nanovdb import (
     tree_header,
 )
 from geokit.volume._nanovdb_layout import LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of, type_name
+from geokit.volume._typed_tree import root_tile_type
 
 __all__ = ["Recoded", "leaf_starts", "recode", "tile_values"]
 
@@ -63,7 +64,7 @@ class Recoded:
             _write_limits(nodes.statistics(), low, high)
         root = TREE_OFFSET + int(tree["node_offset"][3])
         count = int(self.buffer[root + 24 : root + 28].view("<u4")[0])
-        rows = self.buffer[root + layout.root_size :][: count * layout.root_tile_size].view(_root_tile(layout))
+        rows = self.buffer[root + layout.root_size :][: count * layout.root_tile_size].view(root_tile_type(layout))
         tiles = rows["value"][(rows["child"] == 0) & (rows["state"] != 0)]
         least, most = np.append(low, tiles), np.append(high, tiles)
         if len(least) and least.min() <= most.max():
@@ -154,7 +155,7 @@ def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
     size = layout.background.itemsize
     parts = [buffer[root + layout.root_background :][:size].copy().view(layout.background)]
     count = int(buffer[root + 24 : root + 28].view("<u4")[0])
-    rows = buffer[root + layout.root_size :][: count * layout.root_tile_size].view(_root_tile(layout))
+    rows = buffer[root + layout.root_size :][: count * layout.root_tile_size].view(root_tile_type(layout))
     parts.append(rows["value"][rows["child"] == 0])
     for level, slots, table, bytes_each in (
         (1, LOWER_SLOTS, layout.lower_table, layout.lower_size),
@@ -247,17 +248,6 @@ def _copy_root(
         )
 
 
-def _root_tile(layout: GridLayout) -> np.dtype[Any]:
-    return np.dtype(
-        {
-            "names": ["key", "child", "state", "value"],
-            "formats": ["<u8", "<i8", "<u4", layout.background],
-            "offsets": [0, 8, 16, -(-20 // layout.align) * layout.align],
-            "itemsize": layout.root_tile_size,
-        }
-    )
-
-
 def _relink_root(
     out: NDArray[np.uint8],
     buffer: NDArray[np.uint8],
@@ -267,8 +257,8 @@ def _relink_root(
     new: GridLayout,
     upper_begin: int,
 ) -> None:
-    source = buffer[begins[3] + old.root_size :][: tiles * old.root_tile_size].view(_root_tile(old))
-    target = out[HEAD_SIZE + new.root_size :][: tiles * new.root_tile_size].view(_root_tile(new))
+    source = buffer[begins[3] + old.root_size :][: tiles * old.root_tile_size].view(root_tile_type(old))
+    target = out[HEAD_SIZE + new.root_size :][: tiles * new.root_tile_size].view(root_tile_type(new))
     for field in ("key", "state", "value"):
         target[field] = source[field]
     has_child = source["child"] != 0

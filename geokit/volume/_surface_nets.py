@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _launch
+from geokit._download import download
+from geokit._flags import Flags
+from geokit._scratch import Scratch, ScratchArray
 from geokit.volume._isosurface_cells import CrossedCells, crossed_cells
 from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
 from geokit.volume._marching_cubes_cases import loop_table, sum_table
@@ -17,6 +21,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["surface_nets"]
+
+# Flags of the count: some cells may have to be joined, some vertices may be unused.
+HAS_PROBLEM, HAS_DEAD = 0, 1
 
 
 def surface_nets(
@@ -46,11 +53,9 @@ def surface_nets(
 
     found = crossed_cells(volume, isovalue, device)
     planes = PLANES * found.count
-    table = wp.array(loop_table(), dtype=wp.uint32, device=device)
-    sums = wp.array(sum_table(), dtype=wp.uint32, device=device)
-    flips, records, vertices, quads, has_dead = _count(found, table, planes, isovalue)
-    base, vertex_count = offsets_of(vertices)
-    first_quad, quad_count = offsets_of(quads)
+    table, sums = _tables(device.alias)
+    flips, records, vertices, quads, flags = _count(found, table, planes, isovalue)
+    (base, first_quad), (vertex_count, quad_count) = offsets_of(vertices, quads)
     require_memory(24 * (vertex_count + quad_count), device)
     shared = [found.cells, table, flips, records, base]
     transform = volume.info.transform
@@ -67,8 +72,17 @@ def surface_nets(
     faces = wp.empty(6 * quad_count, dtype=wp.int32, device=device)
     inputs = [*shared, first_quad, int(turned), vertex]
     launch_planes(kernels.quads_kernel, planes, inputs, [faces], device)
-    result = vertex.numpy().reshape(-1, 3), faces.numpy().reshape(-1, 3)
-    return used_only(*result) if has_dead else result
+    points, corners = (array.reshape(-1, 3) for array in download(vertex, faces))
+    return used_only(points, corners) if flags.numpy()[HAS_DEAD] else (points, corners)
+
+
+@functools.lru_cache(maxsize=16)
+def _tables(device: str) -> tuple["wp.array", "wp.array"]:
+    """The loops of all cases, and what their edges add up to, on a device."""
+    import warp as wp
+
+    loops, sums = (wp.array(table, dtype=wp.uint32, device=device) for table in (loop_table(), sum_table()))
+    return loops, sums
 
 
 def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
@@ -87,26 +101,28 @@ def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
 
 def _count(
     found: CrossedCells, table: "wp.array", planes: int, isovalue: float
-) -> tuple["wp.array", "wp.array", "wp.array", "wp.array", bool]:
-    """Joined cells, records, and the numbers of vertices and quads of each plane; whether vertices may be unused."""
+) -> tuple[ScratchArray, ScratchArray, ScratchArray, ScratchArray, Flags]:
+    """Joined cells, records, and the numbers of vertices and quads of each plane; flags of what there is."""
     import warp as wp
 
     from geokit.volume import _surface_nets_cases_kernels as kernels
 
     device = found.device
-    flips = wp.zeros(planes, dtype=wp.uint64, device=device)
-    problems = wp.empty(planes, dtype=wp.uint64, device=device)
-    records = wp.empty(kernels.RECORD * planes, dtype=wp.uint64, device=device)
-    vertices = wp.empty(planes, dtype=wp.int32, device=device)
-    quads = wp.empty(planes, dtype=wp.int32, device=device)
-    flags = wp.zeros(2, dtype=wp.int32, device=device)
+    (flips,) = Scratch(device, ((planes,), wp.uint64), zeroed=True).arrays
+    shapes = [((planes,), wp.uint64), ((kernels.RECORD * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
+    problems, records, vertices, quads = Scratch(device, *shapes).arrays
+    flags = Flags(2, device)
     outputs = [records, problems, vertices, quads, flags]
     launch_planes(kernels.count_kernel, planes, [found.cells, table, flips], outputs, device)
-    has_problem, has_dead = (bool(flag) for flag in flags.numpy())
-    if has_problem:
-        none, flips = flips, wp.empty(planes, dtype=wp.uint64, device=device)
+    if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:
+        none, (flips,) = flips, Scratch(device, ((planes,), wp.uint64)).arrays
         inputs = [found.cells, table, none, problems, wp.float64(isovalue)]
         launch_planes(kernels.flips_kernel, planes, inputs, [flips], device)
         inputs = [found.cells, table, flips, problems]
         launch_planes(kernels.count_joined_kernel, planes, inputs, [records, vertices], device)
-    return flips, records, vertices, quads, has_dead
+    return flips, records, vertices, quads, flags
+
+
+def _asks_for_problems(device: "wp.Device") -> bool:
+    """Whether to look for cells to be joined takes less than to wait for the flag that says that there are some."""
+    return bool(device.is_cuda)

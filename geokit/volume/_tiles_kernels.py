@@ -135,3 +135,8 @@ def area_kernel(
     ab = (vertices[faces[3 * i + 1]] - vertices[faces[3 * i]]) / unit
     ac = (vertices[faces[3 * i + 2]] - vertices[faces[3 * i]]) / unit
     out_area[i] = wp.float64(0.5) * wp.length(wp.cross(ab, ac))
+
+
+@wp.kernel
+def last_kernel(first: int, sums: wp.array(dtype=int), out_last: wp.array(dtype=int)):
+    out_last[first] = sums[sums.shape[0] - 1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from geokit._download import download_into
 from geokit._launch import resolve_device
 from geokit.errors import DeviceMemoryError
 from geokit.volume._nanovdb import aligned_buffer
@@ -100,11 +101,7 @@ def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
 
 def download(volume: SparseVolume) -> NDArray[np.uint8]:
     """The host buffer of a volume that :func:`made_on_device` has made."""
-    import warp as wp
-
     source = next(entry[1] for entry in volume._uploads.values() if isinstance(entry, tuple))
     buffer = aligned_buffer(len(source))
-    wp.copy(wp.array(buffer, dtype=wp.uint8, device="cpu", copy=False), source)
-    # On a GPU the copy may still be under way.
-    wp.synchronize_device(source.device)
+    download_into(buffer, source)
     return buffer

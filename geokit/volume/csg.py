@@ -1,4 +1,4 @@
-"""Constructive solid geometry of level sets."""
+"""Constructive solid geometry of level sets, and of masks."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from geokit._arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._level_set import half_width_of, require_level_set, with_band
+from geokit.volume._mask_csg import combined_masks
 from geokit.volume._operate import operate
 from geokit.volume._redistance import redistance
 from geokit.volume.model import SparseVolume
@@ -34,17 +35,21 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     (:func:`geokit.volume.resample`), another band width by dropping voxels or by computing distances beyond the band;
     another value type is converted. Held by tests/unit/test_operations_csg.py.
 
+    Of mask grids, all on one lattice, the voxels that are on in one of them; needs no OpenVDB. Held by
+    tests/unit/test_mask_csg.py.
+
     Args:
-        a: Level set; the result has its grid, band, name and metadata.
-        b: Level set.
-        more: More level sets.
-        smooth: Width of the blend [world]; 0 keeps the sharp seam.
+        a: Level set, or mask; the result has its grid, band, name and metadata.
+        b: Another of the kind.
+        more: More of them.
+        smooth: Width of the blend [world]; 0 keeps the sharp seam. Of masks 0.
     Returns:
-        Level set of ``a``'s type (float where that is quantised).
+        Level set of ``a``'s type (float where that is quantised), or mask.
     Raises:
         InputError: An operand is no level set or its voxels are no cubes; smooth is negative, not finite, or more than
-            256 voxels.
-        UnsupportedGridError: Values that are not real numbers.
+            256 voxels; masks whose voxels are not the same.
+        UnsupportedGridError: Values that are not real numbers, or a mask beside a grid that is none.
+        DeviceMemoryError: The tiles of masks hold more voxels than there is memory for.
         MissingDependencyError: geokit was built without OpenVDB.
     Source:
         Museth et al., "Level set surface editing operators" (2002), as in OpenVDB's csgUnion; smooth minimum: Quilez.
@@ -56,18 +61,20 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     """What is inside all of several level sets.
 
     Per voxel the maximum of the distances: exact inside the result, and outside it the distance to the farthest
-    operand, which is less than the distance to the result near its edges. Everything else as in :func:`union`.
+    operand, which is less than the distance to the result near its edges. Of masks the voxels that are on in all of
+    them. Everything else as in :func:`union`.
 
     Args:
-        a: Level set; the result has its grid, band, name and metadata.
-        b: Level set.
-        more: More level sets.
+        a: Level set, or mask; the result has its grid, band, name and metadata.
+        b: Another of the kind.
+        more: More of them.
         smooth: Width over which edges are rounded [world]; 0 keeps them.
     Returns:
-        Level set of ``a``'s type.
+        Level set of ``a``'s type, or mask.
     Raises:
         InputError: As of :func:`union`.
         UnsupportedGridError: As of :func:`union`.
+        DeviceMemoryError: As of :func:`union`.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     return _combined("intersection", (a, b, *more), smooth)
@@ -76,27 +83,33 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
 def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """What is inside the first level set and outside all others.
 
-    Per voxel the maximum of ``a`` and ``-b``; everything else as in :func:`intersection`.
+    Per voxel the maximum of ``a`` and ``-b``; of masks the voxels that are on in ``a`` alone. Everything else as in
+    :func:`intersection`.
 
     Args:
-        a: Level set from which the others are taken; the result has its grid, band, name and metadata.
-        b: Level set.
-        more: More level sets.
+        a: Level set, or mask, from which the others are taken; the result has its grid, band, name and metadata.
+        b: Another of the kind.
+        more: More of them.
         smooth: Width over which edges are rounded [world]; 0 keeps them.
     Returns:
-        Level set of ``a``'s type.
+        Level set of ``a``'s type, or mask.
     Raises:
         InputError: As of :func:`union`.
         UnsupportedGridError: As of :func:`union`.
+        DeviceMemoryError: As of :func:`union`.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     return _combined("difference", (a, b, *more), smooth)
 
 
 def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> SparseVolume:
+    names = ["a", "b", *(f"more[{i}]" for i in range(len(operands) - 2))]
+    if isinstance(operands[0], SparseVolume) and operands[0].info.grid_type == "mask":
+        if require_finite_scalar(smooth, "smooth") != 0.0:
+            raise InputError(f"smooth: {smooth} is for level sets; voxels of masks are on or off")
+        return combined_masks(kind, operands, names)
     from geokit.native import operations
 
-    names = ["a", "b", *(f"more[{i}]" for i in range(len(operands) - 2))]
     sizes = [require_level_set(volume, name) for volume, name in zip(operands, names, strict=True)]
     first, voxel_size = operands[0], sizes[0]
     blend = _checked_blend(smooth, voxel_size)

@@ -46,7 +46,7 @@ SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
 DEFAULT_HALF_WIDTH = 3.0
 
 # Of meshes, for as long as they live.
-_pieces: WeakKeyDictionary[Any, NDArray[np.int32]] = WeakKeyDictionary()
+_pieces: WeakKeyDictionary[Any, tuple[NDArray[np.int32], int]] = WeakKeyDictionary()
 
 
 class MeshBand(NamedTuple):
@@ -282,7 +282,7 @@ def described(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
     if method != "none":
         from geokit.volume._band_lost import lost_components
 
-        lost = lost_components(band, _pieces_of(surface.mesh))
+        lost = lost_components(band, *_pieces_of(surface.mesh))
         if lost:
             metadata["geokit:lost_components"] = " ".join(map(str, lost))
         if lost and warn:
@@ -296,17 +296,21 @@ def described(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
     return metadata
 
 
-def _pieces_of(mesh: TriangleMesh) -> NDArray[np.int32]:
-    """Connected piece of each face, counted in the order of their first faces; looked up where the mesh is known."""
+def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
+    """Connected piece of each face, counted in the order of their first faces, and how many there are.
+
+    Looked up where the mesh is known.
+    """
     if mesh not in _pieces:
         from geokit.mesh.audit import face_parts
 
         labels = face_parts(mesh)
         if (labels == labels[0]).all():
-            _pieces[mesh] = np.zeros(len(labels), np.int32)
+            _pieces[mesh] = np.zeros(len(labels), np.int32), 1
         else:
             _, first_face, piece = np.unique(labels, return_index=True, return_inverse=True)
-            _pieces[mesh] = np.argsort(np.argsort(first_face))[piece.reshape(-1)].astype(np.int32)
+            numbers = np.argsort(np.argsort(first_face))[piece.reshape(-1)].astype(np.int32)
+            _pieces[mesh] = numbers, len(first_face)
     return _pieces[mesh]
 
 

@@ -90,11 +90,14 @@ def dilate(
     """What a level set holds inside, or what is active in another grid, grown.
 
     A level set grows by a distance, as by :func:`offset` outwards. Of other grids, fog for one, every voxel next to an
-    active one becomes active, ``voxels`` times; it keeps the value that it had, the background where there was none.
-    Held by tests/unit/test_operations_morphology.py and tests/unit/test_active_morphology.py.
+    active one becomes active, ``voxels`` times; it keeps the value that the tree has there, that of an inactive voxel,
+    a tile or the background, also in a bool grid: what is turned on is the state, as with OpenVDB's
+    dilateActiveValues. Of a mask the state is the value. Active tiles become voxels (:func:`prune` makes tiles of
+    them). Held by tests/unit/test_operations_morphology.py, tests/unit/test_active_morphology.py and
+    tests/unit/test_active_morphology_types.py.
 
     Args:
-        volume: Level set with ``distance``; a grid of float, double or vector values that is none with ``voxels``.
+        volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
         distance: Of a level set's surface [world], not negative.
         voxels: Steps, at most 1024; not for level sets.
         neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
@@ -104,9 +107,9 @@ def dilate(
     Raises:
         InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
             otherwise as of :func:`offset`.
-        UnsupportedGridError: Values of another type.
+        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB (not needed for float level sets).
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (1,), device)
 
@@ -122,11 +125,12 @@ def erode(
     """What a level set holds inside, or what is active in another grid, shrunk.
 
     A level set shrinks by a distance, as by :func:`offset` inwards, and has no surface where nothing is left. Of other
-    grids every active voxel next to an inactive one becomes inactive background, ``voxels`` times.
-    Held by tests/unit/test_operations_morphology.py and tests/unit/test_active_morphology.py.
+    grids every active voxel next to an inactive one becomes inactive background, ``voxels`` times; inactive voxels
+    keep their values. Held by tests/unit/test_operations_morphology.py, tests/unit/test_active_morphology.py and
+    tests/unit/test_active_morphology_types.py.
 
     Args:
-        volume: Level set with ``distance``; a grid of float, double or vector values that is none with ``voxels``.
+        volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
         distance: Of a level set's surface [world], not negative.
         voxels: Steps, at most 1024; not for level sets.
         neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
@@ -136,9 +140,9 @@ def erode(
     Raises:
         InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
             otherwise as of :func:`offset`.
-        UnsupportedGridError: Values of another type.
+        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB (not needed for float level sets).
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (-1,), device)
 
@@ -155,10 +159,11 @@ def opening(
 
     Of a level set parts thinner than twice the distance, and outer edges are rounded. Of other grids active parts in
     which the neighbourhood of ``voxels`` steps does not fit; what stays active keeps its values.
-    Held by tests/unit/test_operations_morphology.py and tests/unit/test_active_morphology.py.
+    Held by tests/unit/test_operations_morphology.py, tests/unit/test_active_morphology.py and
+    tests/unit/test_active_morphology_types.py.
 
     Args:
-        volume: Level set with ``distance``; a grid of float, double or vector values that is none with ``voxels``.
+        volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
         distance: Radius of the ball that has to fit inside [world], not negative.
         voxels: Steps, at most 1024; not for level sets.
         neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
@@ -168,9 +173,9 @@ def opening(
     Raises:
         InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
             otherwise as of :func:`offset`.
-        UnsupportedGridError: Values of another type.
+        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB (not needed for float level sets).
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (-1, 1), device)
 
@@ -187,11 +192,11 @@ def closing(
 
     Of a level set gaps and holes narrower than twice the distance, and inner edges are rounded. Of other grids gaps
     between active voxels in which the neighbourhood of ``voxels`` steps does not fit; what becomes active keeps the
-    value that it had.
-    Held by tests/unit/test_operations_morphology.py and tests/unit/test_active_morphology.py.
+    value that it had, and so does what stays as it was. Held by tests/unit/test_operations_morphology.py,
+    tests/unit/test_active_morphology.py and tests/unit/test_active_morphology_types.py.
 
     Args:
-        volume: Level set with ``distance``; a grid of float, double or vector values that is none with ``voxels``.
+        volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
         distance: Radius of the ball that has to fit outside [world], not negative.
         voxels: Steps, at most 1024; not for level sets.
         neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
@@ -201,9 +206,9 @@ def closing(
     Raises:
         InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
             otherwise as of :func:`offset`.
-        UnsupportedGridError: Values of another type.
+        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB (not needed for float level sets).
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (1, -1), device)
 

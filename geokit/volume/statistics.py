@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume._leaves import LEAF_VOXELS, is_cubic, leaves_of, require_volume, voxelized
+from geokit.volume._leaves import QUANTISED, is_cubic, require_volume, voxelized
 from geokit.volume._level_set import require_level_set
-from geokit.volume._nanovdb import TREE_OFFSET, tree_header
-from geokit.volume._nanovdb_layout import LAYOUTS
 from geokit.volume._operate import lift_factor, lifted
+from geokit.volume._typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_of
 from geokit.volume.model import SparseVolume
 
 __all__ = ["Statistics", "statistics"]
 
-SCALARS = ("float", "double", "int32", "int64")
-VECTORS = ("vec3f", "vec3d")
+# Not colours, whose length means nothing.
+TYPES = tuple(name for name in VALUE_TYPES if name != "rgba8")
 # Leaves that are turned into float64 at a time: 8 million values.
 LEAVES_AT_A_TIME = 16384
 
@@ -54,47 +53,44 @@ def statistics(volume: SparseVolume) -> Statistics:
     radius. They take closed surfaces and values that are distances. Held by tests/unit/test_operations_statistics.py.
 
     Args:
-        volume: Float, double, int32, int64, vec3f or vec3d grid; quantised ones as float.
+        volume: A grid of any scalar or vector type; quantised ones as float. True counts as 1, as do all of a mask.
     Returns:
         Statistics.
     Raises:
         InputError: volume is no SparseVolume, or a level set whose background is not positive.
-        UnsupportedGridError: A grid of another type.
-        DeviceMemoryError: The active tiles hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB, for grids with active tiles and for level sets.
+        UnsupportedGridError: A grid of colours, indices or points.
+        DeviceMemoryError: The active tiles of a quantised grid hold more voxels than there is memory for.
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for level sets.
     """
-    require_volume(volume, "volume", (*SCALARS, *VECTORS))
+    require_volume(volume, "volume", TYPES)
     area, inside = _measures(volume)
-    source = voxelized(volume)
+    tree = tree_of(voxelized(volume) if volume.info.grid_type in QUANTISED else volume)
     counts, sums, limits = [0], [0.0], []
-    for values in _active_values(source):
-        counts.append(len(values))
-        sums.append(float(values.sum()))
+    for values, voxels in _active_values(tree):
+        counts.append(len(values) * voxels)
+        sums.append(float(values.sum()) * voxels)
         limits += [float(values.min()), float(values.max())]
     count = sum(counts)
     if not count:
         return Statistics(0, math.nan, math.nan, math.nan, math.nan, area, inside)
     mean = math.fsum(sums) / count
-    squares = math.fsum(float(np.square(values - mean).sum()) for values in _active_values(source))
+    squares = math.fsum(float(np.square(values - mean).sum()) * voxels for values, voxels in _active_values(tree))
     return Statistics(count, min(limits), max(limits), mean, math.sqrt(squares / count), area, inside)
 
 
-def _active_values(volume: SparseVolume) -> Iterator[NDArray[np.float64]]:
-    """Values of the active voxels, or lengths of their vectors, some leaves at a time."""
-    leaves = leaves_of(volume)
-    layout = LAYOUTS[volume.info.grid_type]
-    size = LEAF_VOXELS * layout.background.itemsize
-    begin = TREE_OFFSET + int(tree_header(volume.nanovdb)["node_offset"][0]) + layout.leaf_size - size
-    shape = (LEAF_VOXELS, *layout.background.shape)
-    for first in range(0, len(leaves.origins), LEAVES_AT_A_TIME):
-        masks = leaves.masks[first : first + LEAVES_AT_A_TIME]
-        rows = np.ndarray(
-            (len(masks), size), np.uint8, volume.nanovdb, begin + first * layout.leaf_size, (layout.leaf_size, 1)
-        )
-        table = np.ascontiguousarray(rows).view(layout.background.base).reshape(len(masks), *shape)
-        values = table[np.unpackbits(masks, axis=1, bitorder="little").view(np.bool_)].astype(np.float64)
-        if len(values):
-            yield np.linalg.norm(values, axis=1) if values.ndim == 2 else values
+def _active_values(tree: TypedTree) -> Iterator[tuple[NDArray[np.float64], int]]:
+    """Values of active voxels and tiles, or lengths of their vectors, some leaves at a time, and voxels of each."""
+    for first in range(0, len(tree.origins), LEAVES_AT_A_TIME):
+        part = slice(first, first + LEAVES_AT_A_TIME)
+        yield from _lengths(tree.values[part][bits_of(tree.masks[part])], 1)
+    for nodes, voxels in ((tree.lower, 8**3), (tree.upper, 128**3), (tree.root, 4096**3)):
+        yield from _lengths(nodes.values[nodes.active], voxels)
+
+
+def _lengths(values: NDArray[Any], voxels: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+    if len(values):
+        numbers = values.astype(np.float64)
+        yield np.linalg.norm(numbers, axis=1) if numbers.ndim == 2 else numbers, voxels
 
 
 def _measures(volume: SparseVolume) -> tuple[float | None, float | None]:

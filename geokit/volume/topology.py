@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,35 +13,45 @@ from geokit.errors import InputError
 from geokit.volume._leaves import QUANTISED, require_volume
 from geokit.volume._level_set import require_level_set
 from geokit.volume._operate import lift_factor, operate
+from geokit.volume._typed_tree import VALUE_TYPES
 from geokit.volume.model import SparseVolume
 
 __all__ = ["clip", "prune", "segment"]
+
+# Types for which OpenVDB's library has not these tools, or which it does not know at all.
+OPENVDB_LACKS = tuple(
+    name for name in VALUE_TYPES if name not in ("float", "double", "int32", "int64", "vec3f", "vec3d", "bool")
+)
 
 
 def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
     """The volume with tiles in place of nodes whose voxels are alike.
 
     A node becomes a tile where all its voxels share one state and their values lie within the tolerance; the tile takes
-    one of them. With 0 every voxel keeps its value and state.
+    one of them. With 0 every voxel keeps its value and state. Vectors and colours are alike where each of their
+    components is; of a mask the states alone count.
 
     Args:
-        volume: Float, double, int32, int64, bool, vec3f or vec3d grid; quantised ones become float.
+        volume: A grid of any type that holds values; quantised ones become float.
         tolerance: Largest difference of values in a tile, in the grid's units, not negative.
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
         InputError: volume is no SparseVolume, or tolerance is negative or not finite.
-        UnsupportedGridError: A grid of another type.
+        UnsupportedGridError: A grid of indices or points.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.native import operations
 
-    require_volume(volume, "volume")
+    require_volume(volume, "volume", VALUE_TYPES)
     tolerance = require_finite_scalar(tolerance, "tolerance")
     if tolerance < 0.0:
         raise InputError(f"tolerance: {tolerance} is negative; give the largest difference within a tile")
-    result: SparseVolume = operate(operations.prune, volume, tolerance=tolerance)
-    return result
+    if volume.info.grid_type in OPENVDB_LACKS:
+        from geokit.volume._typed_prune import pruned
+
+        return pruned(volume, tolerance)
+    return _marked(operate(operations.prune, volume, tolerance=tolerance), volume)
 
 
 def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
@@ -50,18 +61,18 @@ def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
     its surface ends at the box. (Its intersection with a level set of the box is closed.)
 
     Args:
-        volume: Float, double, int32, int64, bool, vec3f or vec3d grid; quantised ones become float.
+        volume: A grid of any type that holds values; quantised ones become float.
         bounds: Lower and upper corner [world], shape (2, 3).
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
         InputError: volume is no SparseVolume, or bounds are not (2, 3), finite and in order.
-        UnsupportedGridError: A grid of another type.
+        UnsupportedGridError: A grid of indices or points.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.native import operations
 
-    require_volume(volume, "volume")
+    require_volume(volume, "volume", VALUE_TYPES)
     try:
         box = np.asarray(bounds, np.float64)
     except (TypeError, ValueError) as error:
@@ -70,9 +81,12 @@ def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
         raise InputError(f"bounds: shape {box.shape} is not (2, 3) and finite; give lower and upper corner")
     if (box[0] > box[1]).any():
         raise InputError(f"bounds: lower corner {box[0].tolist()} exceeds the upper {box[1].tolist()}; swap them")
+    if volume.info.grid_type in OPENVDB_LACKS:
+        from geokit.volume._typed_clip import clipped
+
+        return clipped(volume, box)
     factor = lift_factor(volume.info.transform)
-    result: SparseVolume = operate(operations.clip, volume, bounds=box * factor)
-    return result
+    return _marked(operate(operations.clip, volume, bounds=box * factor), volume)
 
 
 def segment(volume: SparseVolume) -> list[SparseVolume]:
@@ -84,24 +98,39 @@ def segment(volume: SparseVolume) -> list[SparseVolume]:
     voxels.
 
     Args:
-        volume: Float, double, int32, int64, bool, mask, vec3f or vec3d grid; quantised ones become float.
+        volume: A grid of any type that holds values; quantised ones become float.
     Returns:
         Volumes with the name, class and metadata of the whole; by number of active voxels, descending. None for a
         volume without active voxels.
     Raises:
         InputError: volume is no SparseVolume, or a level set whose voxels are no cubes.
-        UnsupportedGridError: A grid of another type.
+        UnsupportedGridError: A grid of indices or points.
         DeviceMemoryError: The inside of a level set has more voxels than can be labelled.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.native import operations
 
-    require_volume(volume, "volume")
+    require_volume(volume, "volume", VALUE_TYPES)
     if not volume.info.active_voxel_count:
         return []
     is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTISED)
     voxel_size = require_level_set(volume, "volume") if is_distance else 1.0
-    parts: list[SparseVolume] = operate(
-        operations.segment, volume, voxel_size=voxel_size, memory_limit=_memory.available_host()
-    )
-    return parts
+
+    def parts_of(grid: SparseVolume) -> list[SparseVolume]:
+        parts: list[SparseVolume] = operate(
+            operations.segment, grid, voxel_size=voxel_size, memory_limit=_memory.available_host()
+        )
+        return parts
+
+    if volume.info.grid_type in OPENVDB_LACKS and volume.info.grid_type != "mask":
+        from geokit.volume._typed_segment import segmented
+
+        return segmented(volume, parts_of)
+    return [_marked(part, volume) for part in parts_of(volume)]
+
+
+def _marked(result: SparseVolume, like: SparseVolume) -> SparseVolume:
+    """The result with the mark of integer vectors that the whole has: no value has become another."""
+    if "geokit:value_type" not in like.info.metadata or result.info.grid_type != like.info.grid_type:
+        return result
+    return SparseVolume(result.nanovdb, replace(result.info, metadata=like.info.metadata))

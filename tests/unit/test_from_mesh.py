@@ -275,6 +275,9 @@ def test_pieces_thinner_than_a_voxel_are_named():
     with pytest.warns(UserWarning, match="too thin"):
         alone = volume.from_mesh(wall((0, 0.02, 0), (1, 0.06, 1)), 0.1, device="cpu")
     assert alone.info.metadata["geokit:lost_components"] == "0"
+    with pytest.warns(UserWarning, match="too thin"):
+        uneven = volume.from_mesh(wall((0, 0.02, 0), (1, 0.06, 1)), 0.1, half_width=(3.0, 2.0), device="cpu")
+    assert uneven.info.metadata["geokit:lost_components"] == "0"
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])

@@ -495,6 +495,7 @@ class TestRefusals:
 
     def test_memory(self, monkeypatch):
         monkeypatch.setattr("geokit._memory.available_host", lambda: 1000)
+        monkeypatch.setattr("geokit.volume._isosurface_launch.UNASKED_BYTES", 0)
         with pytest.raises(DeviceMemoryError, match="larger voxels"):
             from_volume(_grid(_ball), device="cpu")
 

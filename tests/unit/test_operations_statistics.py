@@ -69,7 +69,7 @@ def test_refusals():
     from geokit.volume.model import SparseVolume
 
     source = field(ball(3.0))
-    with pytest.raises(UnsupportedGridError, match="type bool"):
-        statistics(SparseVolume(source.nanovdb, dataclasses.replace(source.info, grid_type="bool")))
+    with pytest.raises(UnsupportedGridError, match="type rgba8"):
+        statistics(SparseVolume(source.nanovdb, dataclasses.replace(source.info, grid_type="rgba8")))
     with pytest.raises(InputError, match="background"):
         statistics(field(ball(3.0), grid_class="level set"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geokit import native
-from geokit.errors import InputError, UnsupportedGridError
+from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume.csg import difference, union
 from geokit.volume.model import SparseVolume
 from geokit.volume.morphology import erode
@@ -159,9 +159,15 @@ class TestSegment:
 
 
 @pytest.mark.parametrize("operation", [prune, lambda v: clip(v, [[0] * 3, [1] * 3]), segment])
-def test_types_that_openvdb_lacks(operation, monkeypatch):
+def test_buffers_that_are_not_of_their_type(operation):
     buffer = field(BALL).nanovdb.copy()
-    buffer[636:640] = np.array([25, 0, 0, 0], np.uint8)  # NanoVDB's vec3u16, which the bridge does not know
+    buffer[636:640] = np.array([25, 0, 0, 0], np.uint8)  # NanoVDB's vec3u16, whose leaves are larger
     source = SparseVolume(buffer, other_type("vec3u16").info)
-    with pytest.raises((UnsupportedGridError, InputError)):
+    with pytest.raises(FileFormatError, match="damaged"):
         operation(source)
+
+
+@pytest.mark.parametrize("operation", [prune, lambda v: clip(v, [[0] * 3, [1] * 3]), segment])
+def test_grids_without_values_are_refused_by_name(operation):
+    with pytest.raises(UnsupportedGridError, match="type onindex"):
+        operation(other_type("onindex"))

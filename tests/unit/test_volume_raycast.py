@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit import _launch
+from geokit import _launch, native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import _crossing_blocks
 from geokit.volume._crossing_blocks_kernels import FARTHEST, spread_distance_kernel
@@ -357,3 +357,27 @@ class TestErrors:
         arguments = {"origins": np.zeros((2, 3)), "directions": np.ones((2, 3)), "device": "cpu", **change}
         with pytest.raises(InputError, match=message):
             raycast(sphere(), **arguments)
+
+
+@pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+@pytest.mark.parametrize("exponent", [512, 700, 1020, -400, -530, -900])
+def test_crossings_do_not_depend_on_the_unit_of_the_values(exponent, monkeypatch):
+    """Beyond 1e154, and below 1e-154, the squares of values cannot be held."""
+    from tests.operation_samples import field
+
+    count = 20_000
+    rng = np.random.default_rng(3)
+    values = rng.uniform(-0.2, 1.0, 64 * 512)
+    origins = rng.normal(size=(count, 3))
+    origins *= 20.0 / np.linalg.norm(origins, axis=1)[:, None]
+    directions = rng.normal(size=(count, 3)) * 4.0 - origins
+
+    def cast(power):
+        held = np.ldexp(values, power)
+        grid = field(lambda _: held, dtype=np.float64, background=float(np.ldexp(1.0, power)))
+        return both_ways(monkeypatch, grid, origins, directions, isovalue=float(np.ldexp(0.1, power)))
+
+    expected, found = cast(0), cast(exponent)
+    assert np.isfinite(expected.t).sum() > count // 2
+    np.testing.assert_array_equal(found.t, expected.t)
+    np.testing.assert_allclose(found.normals, expected.normals, rtol=0.0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Rays that run alike are walked together on a CPU: no bit of an answer may tell."""
+"""Rays are set up by eights and are in flight together on a CPU: no bit of an answer may tell."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_rays_at_vertices_and_edges_do_not_leak(name):
     a, b = mesh.vertices[mesh.faces].transpose(1, 0, 2)[:2]
     share = np.random.default_rng(52).random((len(a), 1))
     aims = np.concatenate([a, (a + b) / 2, a + share * (b - a)])
-    # From inside, nearest directions first, so that neighbours run alike; the torus is hollow about its circle.
+    # From inside, nearest directions first, so that neighbours meet the same nodes; the torus is hollow.
     eye = np.array([1.0, 0.0, 0.0]) if name == "torus" else np.array([0.1, 0.2, -0.1])
     way = aims - eye
     way /= np.abs(way).max(axis=1, keepdims=True)
