@@ -8,10 +8,10 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from geokit import _recorded
+from geokit._spread import Pool, wait_for
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -143,11 +143,11 @@ def thread_count() -> int:
 
 
 @functools.lru_cache(maxsize=4)
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="geokit")
+def _pool(threads: int) -> Pool:
+    return Pool(threads, "geokit")
 
 
-def pool() -> ThreadPoolExecutor:
+def pool() -> Pool:
     """The threads that take slices of launches."""
     return _pool(thread_count())
 
@@ -207,12 +207,14 @@ def launch(
     if threads == 1 or count <= size:
         _launch_slice(wp, kernel, 0, count, inputs, outputs, device)
         return
-    jobs = [
-        _pool(threads).submit(_launch_slice, wp, kernel, first, min(size, count - first), inputs, outputs, device)
-        for first in range(0, count, size)
-    ]
-    for job in jobs:
-        job.result()
+    firsts = iter(range(0, count, size))
+
+    def work() -> None:
+        for first in firsts:
+            _launch_slice(wp, kernel, first, min(size, count - first), inputs, outputs, device)
+
+    workers = _pool(threads)
+    wait_for([workers.submit(work) for _ in range(min(threads, -(-count // size)))], workers.ids)
 
 
 def _launch_slice(

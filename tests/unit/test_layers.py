@@ -29,6 +29,7 @@ LAYERS = [
         "_ply_header",
         "_recorded",
         "_scratch",
+        "_spread",
     ),
     ("kernels",),
     ("_launch",),
