@@ -92,6 +92,10 @@ WIDE_NEAREST = f"""
     {{
     // What follows only selects: fused products round less, and are quicker.
     #pragma clang fp contract(fast)
+    // One instruction each, where the built-ins take three to let a number win over NaN; where only one of the two may
+    // be NaN it is the first, and the number wins.
+    auto larger = [](v8 a, v8 b) {{ return a > b ? a : b; }};
+    auto smaller = [](v8 a, v8 b) {{ return a < b ? a : b; }};
     const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
     const v8 zero = 0.f, one = 1.f;
     const float slack = 2.f * {DISTANCE_ERROR}f * ((float)size + 1.f);
@@ -120,18 +124,16 @@ WIDE_NEAREST = f"""
         const v8 z = ax * row[9] + ay * row[10] + az * row[11];
         const v8 length = row[12], cx = row[13], cy = row[14];
         // The three edges, then the inside; the edge from a to b is the x axis from 0 to length.
-        const v8 ex = x - __builtin_elementwise_min(__builtin_elementwise_max(x, zero), length);
+        const v8 ex = x - smaller(larger(x, zero), length);
         const v8 yy = y * y;
         v8 flat = ex * ex + yy;
         const v8 bx = x - length, bcx = cx - length;
-        const v8 s = __builtin_elementwise_min(
-            __builtin_elementwise_max((x * cx + y * cy) * row[15], zero), one);
+        const v8 s = smaller(larger((x * cx + y * cy) * row[15], zero), one);
         const v8 sx = x - s * cx, sy = y - s * cy;
-        flat = __builtin_elementwise_min(flat, sx * sx + sy * sy);
-        const v8 t = __builtin_elementwise_min(
-            __builtin_elementwise_max((bx * bcx + y * cy) * row[16], zero), one);
+        flat = smaller(sx * sx + sy * sy, flat);
+        const v8 t = smaller(larger((bx * bcx + y * cy) * row[16], zero), one);
         const v8 tx = bx - t * bcx, ty = y - t * cy;
-        flat = __builtin_elementwise_min(flat, tx * tx + ty * ty);
+        flat = smaller(tx * tx + ty * ty, flat);
         const i8 inside = (y > zero) & (cy * x > cx * y) & (bcx * y > cy * bx);
         const v8 d2 = (inside ? zero : flat) + z * z;
         const unsigned hits = mask_of(d2 <= reach);
@@ -172,9 +174,9 @@ WIDE_NEAREST = f"""
             continue;
         }}
         const v8* side = (const v8*)(boxes + 48 * node);
-        const v8 dx = __builtin_elementwise_max(__builtin_elementwise_max(side[0] - X, X - side[3]), zero);
-        const v8 dy = __builtin_elementwise_max(__builtin_elementwise_max(side[1] - Y, Y - side[4]), zero);
-        const v8 dz = __builtin_elementwise_max(__builtin_elementwise_max(side[2] - Z, Z - side[5]), zero);
+        const v8 dx = larger(larger(side[0] - X, X - side[3]), zero);
+        const v8 dy = larger(larger(side[1] - Y, Y - side[4]), zero);
+        const v8 dz = larger(larger(side[2] - Z, Z - side[5]), zero);
         const v8 d2 = dx * dx + dy * dy + dz * dz;
         const i8 near = d2 <= reach;
         unsigned mask = mask_of(near);
