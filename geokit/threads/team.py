@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from geokit import _launch
-from geokit._spread import Pool, wait_for
 from geokit.errors import InputError
 
 __all__ = ["Team"]
@@ -57,8 +57,8 @@ class Team:
         self._meeting = wp.zeros(MEETING_SIZE, dtype=wp.int32, device=self.device)
         # The first has one launch after the other. It is not the user's thread: were that interrupted between the
         # starts of two threads, those that had begun would wait at their barrier for ever.
-        self._first = Pool(1, "geokit-team")
-        self._others = Pool(max(1, self.threads - 1), "geokit-team")
+        self._first = ThreadPoolExecutor(1, thread_name_prefix="geokit-team")
+        self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="geokit-team")
 
     def record(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> Callable[[], None]:
         """Prepare a launch that will be made again and again.
@@ -101,7 +101,7 @@ class Team:
             if threads == 1:
                 calls[0]()
             else:
-                wait_for([self._first.submit(self._run_all, calls)], [*self._first.ids, *self._others.ids])
+                self._first.submit(self._run_all, calls).result()
 
         return run
 
