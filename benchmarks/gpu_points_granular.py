@@ -6,33 +6,20 @@ The folder named by $OUT gets the grains' positions of the last frame, as .npz.
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 import geokit as gk
 from benchmarks.gpu_timing import device_median
-
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "examples"))
+from benchmarks.granular import scene_of
 
 COUNTS = (5_000, 100_000, 400_000)
 # Frames that settle the grains and capture the graphs, and frames that are timed.
 WARM, TIMED = 60, 60
-
-
-def scene_of(count: int, device: str) -> tuple[Any, int, float]:
-    import granular
-
-    scene, size = granular.stirred_bowl(count, granular.soft_grains(count), device=device)
-    steps = 2 * int(np.ceil(1.0 / 120.0 / scene.step))
-    scene.step = 1.0 / 60.0 / steps
-    return scene, steps, size
 
 
 def row_of(count: int, out: Path | None) -> str:

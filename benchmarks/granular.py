@@ -10,6 +10,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +24,19 @@ OVERLAPS = (0.01, 0.02, 0.03, 0.05)
 WARM, TIMED = 60, 30
 
 
-def row_of(count: int, overlap: float, threads: int) -> str:
+def scene_of(count: int, device: str, overlap: float = OVERLAPS[-1]) -> tuple[Any, int, float]:
+    """A stirred bowl, its steps in a frame of 1/60 s, and its inner radius [m]."""
     import granular
 
-    os.environ["GEOKIT_THREADS"] = str(threads)
-    scene, _ = granular.stirred_bowl(count, granular.soft_grains(count, overlap), device="cpu")
+    scene, size = granular.stirred_bowl(count, granular.soft_grains(count, overlap), device=device)
     steps = 2 * int(np.ceil(1.0 / 120.0 / scene.step))
     scene.step = 1.0 / 60.0 / steps
+    return scene, steps, size
+
+
+def row_of(count: int, overlap: float, threads: int) -> str:
+    os.environ["GEOKIT_THREADS"] = str(threads)
+    scene, steps, _ = scene_of(count, "cpu", overlap)
     for _ in range(WARM):
         scene.advance(steps)
     times = []

@@ -1,7 +1,6 @@
 """Kernels of granular.py: who is near whom, and a step of all grains.
 
-Only float32, and nothing is added up by atomics, so that a run gives the same
-bits each time, on any number of threads.
+Only float32, and nothing is added up by atomics, so that a run gives the same bits each time, on any number of threads.
 """
 
 import warp as wp

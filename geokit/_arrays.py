@@ -16,7 +16,7 @@ import numpy as np
 
 from geokit import _launch
 from geokit._download import download
-from geokit._host_array import HostArray
+from geokit._host_array import HostArray, row_of
 from geokit._pinned import FEWEST_ROWS, Pinned, PinnedArray, serves
 from geokit.errors import InputError
 
@@ -129,12 +129,9 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
 
     if not isinstance(like, HostArray):
         return wp.empty(count, dtype=dtype, device=like.device)
-    shape: tuple[int, ...] = (count,)
-    if dtype in (wp.vec3d, wp.vec3f):
-        shape, kind = (count, 3), np.float64 if dtype is wp.vec3d else np.float32
-    else:
-        kind = wp.dtype_to_numpy(dtype)
-    return like.room.take(shape, kind) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, kind))
+    row = row_of(dtype)
+    shape = count, *row.shape[1:]
+    return like.room.take(shape, row.dtype) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, row.dtype))
 
 
 def full(count: int, value: float, dtype: Any, like: Any) -> Any:
@@ -326,7 +323,7 @@ def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
     if len(rows) == 0:
         return
     if isinstance(rows, HostArray) or rows.device.is_cpu:
-        _refuse_nonfinite(rows.values if isinstance(rows, HostArray) else rows.numpy(), name, first_row)
+        _refuse_nonfinite(rows.numpy(), name, first_row)
         return
     import warp as wp
 

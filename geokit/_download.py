@@ -7,7 +7,6 @@ H100's host: as warp does it 1.1 to 8, with threads 1.0, into pinned memory 0.22
 
 from __future__ import annotations
 
-import functools
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, wait
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _launch
+from geokit._host_array import row_of
 from geokit._loans import Loans
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _lent(arrays: tuple["wp.array", ...], loans: Loans) -> list[np.ndarray] | No
 
     results = []
     for array in arrays:
-        row = _row_of(array.dtype)
+        row = row_of(array.dtype)
         lent = loans.empty((*array.shape, *row.shape[1:]), row.dtype)
         if lent is None:
             return None
@@ -212,14 +212,5 @@ def _bytes_of(array: "wp.array", start: int, size: int) -> "wp.array":
 
 
 def _empty_like(array: "wp.array") -> np.ndarray:
-    row = _row_of(array.dtype)
+    row = row_of(array.dtype)
     return np.empty((*array.shape, *row.shape[1:]), row.dtype)
-
-
-@functools.lru_cache(maxsize=64)
-def _row_of(dtype: Any) -> np.ndarray:
-    """No rows of a type, as NumPy has them."""
-    import warp as wp
-
-    none: np.ndarray = wp.empty(0, dtype=dtype, device="cpu").numpy()
-    return none

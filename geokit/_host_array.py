@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Described", "HostArray", "array_descriptor", "unwrapped"]
+__all__ = ["Described", "HostArray", "array_descriptor", "row_of", "unwrapped"]
 
 
 class Described:
@@ -18,10 +18,11 @@ class Described:
 
     __slots__ = ()
 
-    @property
-    def descriptor(self) -> Any:
-        """What a kernel's launch passes for an array: where it is and how long."""
-        raise NotImplementedError
+    if TYPE_CHECKING:  # not an ABC: to tell whether an argument is one of these would take four times as long
+
+        @property
+        def descriptor(self) -> Any:
+            """What a kernel's launch passes for an array: where it is and how long."""
 
 
 class HostArray(Described):
@@ -96,6 +97,15 @@ def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
         descriptor.strides[axis] = size
         size *= shape[axis]
     return descriptor
+
+
+@functools.lru_cache(maxsize=64)
+def row_of(dtype: Any) -> np.ndarray:
+    """No rows of a warp type, as NumPy has them: (0,) numbers, or (0, 3) for vectors."""
+    import warp as wp
+
+    none: np.ndarray = wp.empty(0, dtype=dtype, device="cpu").numpy()
+    return none
 
 
 @functools.lru_cache(maxsize=1)

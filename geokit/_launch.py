@@ -196,29 +196,28 @@ def launch(
     """
     if count == 0:
         return
-    wp = _warp()
     load_module(kernel.module, device)
     if device.is_cuda:
-        _launch_slice(wp, kernel, 0, count, inputs, outputs, device)
+        _launch_slice(kernel, 0, count, inputs, outputs, device)
         return
     # Warp runs a CPU launch on one thread and lets go of the GIL meanwhile.
     threads = thread_count()
     size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
     if threads == 1 or count <= size:
-        _launch_slice(wp, kernel, 0, count, inputs, outputs, device)
+        _launch_slice(kernel, 0, count, inputs, outputs, device)
         return
     firsts = iter(range(0, count, size))
 
     def work() -> None:
         for first in firsts:
-            _launch_slice(wp, kernel, first, min(size, count - first), inputs, outputs, device)
+            _launch_slice(kernel, first, min(size, count - first), inputs, outputs, device)
 
     workers = _pool(threads)
     wait_for([workers.submit(work) for _ in range(min(threads, -(-count // size)))], workers.ids)
 
 
 def _launch_slice(
-    wp: Any, kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
+    kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
 ) -> None:
     _recorded.run(kernel, count, [first, *inputs, *outputs], device, 1 if device.is_cpu else BLOCK_DIM)
 

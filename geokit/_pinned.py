@@ -5,6 +5,7 @@ To make an array on the device, or to copy one from there, takes as long as a sm
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from geokit._host_array import HostArray
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "serves"]
+__all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "host_flags", "serves"]
 
 # Rows from which on arrays on the device are quicker, and the order of queries pays.
 FEWEST_ROWS = 2048
@@ -49,7 +50,7 @@ class Pinned:
 
     def take(self, shape: tuple[int, ...], dtype: Any) -> PinnedArray:
         """Rows that hold anything: (N,) numbers, or (N, 3) for what kernels take as vectors."""
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        size = math.prod(shape) * np.dtype(dtype).itemsize
         if not self._buffers or self._used + size > len(self._buffers[-1]):
             self._buffers.append(_buffer() if size <= BUFFER_BYTES else _made(size))
             self._used = 0
@@ -97,13 +98,13 @@ class PinnedArray(HostArray):
     @property
     def descriptor(self) -> Any:
         self.room.given()
-        return HostArray.descriptor.fget(self)  # type: ignore[attr-defined]
+        return super().descriptor
 
     @property
     def warp(self) -> "wp.array":
         """A copy on the device."""
         self.room.wait()
-        return HostArray(self.values).warp.to(self.device)
+        return super().warp.to(self.device)
 
 
 def host_arrays(device: "wp.Device", *shapes: tuple[tuple[int, ...], Any]) -> list[HostArray]:
@@ -112,6 +113,13 @@ def host_arrays(device: "wp.Device", *shapes: tuple[tuple[int, ...], Any]) -> li
         room = Pinned(device)
         return [room.take(*shape) for shape in shapes]
     return [HostArray(np.empty(*shape)) for shape in shapes]
+
+
+def host_flags(count: int, device: "wp.Device") -> HostArray:
+    """A few int32 that kernels raise for the host, zero until then: a row is not finite, a query is left undecided."""
+    (raised,) = host_arrays(device, ((count,), np.int32))
+    raised.values.fill(0)
+    return raised
 
 
 def serves(device: "wp.Device") -> bool:

@@ -5,7 +5,6 @@ To make and drop an array of warp's takes as long as a small launch does, on eit
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +33,7 @@ class Scratch:
     def __init__(self, device: "wp.Device", *shapes: tuple[tuple[int, ...], Any], zeroed: bool = False) -> None:
         import warp as wp
 
-        sizes = [math.prod(shape) * _size_of(dtype) for shape, dtype in shapes]
+        sizes = [math.prod(shape) * wp.types.type_size_in_bytes(dtype) for shape, dtype in shapes]
         starts, total = [], 0
         for size in sizes:
             starts.append(total)
@@ -69,7 +68,9 @@ class ScratchArray(Described):
     @property
     def descriptor(self) -> Any:
         if self._descriptor is None:
-            self._descriptor = array_descriptor(self.ptr, self.shape, _size_of(self.dtype))
+            import warp as wp
+
+            self._descriptor = array_descriptor(self.ptr, self.shape, wp.types.type_size_in_bytes(self.dtype))
         return self._descriptor
 
     @property
@@ -85,12 +86,3 @@ class ScratchArray(Described):
     def numpy(self) -> np.ndarray:
         values: np.ndarray = self.warp.numpy()
         return values
-
-
-@functools.lru_cache(maxsize=64)
-def _size_of(dtype: Any) -> int:
-    """Bytes of an element."""
-    import warp as wp
-
-    none = wp.empty(0, dtype=dtype, device="cpu").numpy()
-    return int(none.dtype.itemsize * math.prod(none.shape[1:]))

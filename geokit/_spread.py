@@ -1,7 +1,7 @@
 """Threads that work side by side, each on a processor of its own.
 
 Linux often wakes two threads on one processor while another is idle, and takes some milliseconds to notice: of calls of
-8 ms on two processors a quarter took 14. Whoever waits for the threads looks where they are, and moves one.
+8 ms on two processors a third took 14. Whoever waits for the threads looks where they are, and moves one.
 """
 
 from __future__ import annotations

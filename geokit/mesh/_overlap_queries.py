@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _arrays, _launch, _memory
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class OverlapQueries:
 
         from geokit.mesh._intersect_kernels import find_pair_kernel
 
-        found = Flags(1, self._device)
+        found = host_flags(1, self._device)
         _launch.launch(
             find_pair_kernel, self._leaf_count, self._pair_inputs(self), [found], self._device, grain=LEAF_GRAIN
         )

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.mesh._measurable import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit._frame import Frame
+    from geokit._host_array import HostArray
     from geokit.mesh.model import TriangleMesh
 
 __all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
@@ -90,7 +91,7 @@ class PointQueries:
 
         def query(batch: _arrays.Batch) -> ClosestPoints:
             # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
-            bad = Flags(1, self._device)
+            bad = host_flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
             refuse_raised(bad, batch)
             return ClosestPoints(*(batch.give(array) for array in found))
@@ -122,7 +123,7 @@ class PointQueries:
         self._query(furthest_point_kernel, batch.rows, [self._tree], list(found))
         return FurthestPoints(*(batch.give(array) for array in found))
 
-    def _closest(self, points: Any, max_distance: float, bad: Flags) -> ClosestPoints:
+    def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:
         """``bad`` is raised where a point is not finite: for such a one nothing is found."""
         import warp as wp
 
@@ -165,7 +166,7 @@ def checked_radius(max_distance: float) -> float:
     return _arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
 
 
-def refuse_raised(bad: Flags, batch: _arrays.Batch) -> None:
+def refuse_raised(bad: HostArray, batch: _arrays.Batch) -> None:
     """Raises InputError, and names the first point that is not finite, where a kernel has found one."""
     if bad.numpy()[0]:
         _arrays.require_finite(batch, "points")

@@ -10,7 +10,8 @@ the others.
 import warp as wp
 
 from geokit.mesh._packed_nodes_kernels import LOAD_NODE
-from geokit.mesh._ray_triangle_kernels import RAY_HIT_AT_ALL, REFINE_SLIVER, SHORTEST_DIRECTION, SLIVER
+from geokit.mesh._ray_leaf_kernels import SLIVER
+from geokit.mesh._ray_triangle_kernels import RAY_HIT_AT_ALL, REFINE_SLIVER, SHORTEST_DIRECTION
 from geokit.mesh._tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh._wide_leaf_kernels import SLOT_WORDS
 from geokit.mesh._wide_raycast_kernels import ENDLESS, LEAST_COMPONENT, NEAR_START, PLANE_MARGIN
@@ -229,7 +230,7 @@ def first_hit_kernel(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """First hits; rays with more candidates than fit, on slivers, or from too far away for float32, are UNDECIDED."""
+    """First hits; rays with more candidates than fit, or from too far away for float32, are UNDECIDED."""
     ray = first + wp.tid()
     start = origins[ray]
     direction = directions[ray]

@@ -1,8 +1,8 @@
 """C++ text of leaves as rays read them, on the CPU: eight triangles in three cache lines, corners in 16 bits an axis.
 
 A ray waits for the lines of a leaf more than for anything else. Corners count quanta, a power of two, from the leaf's
-lower corner: rounding moves them by half a quantum, which is less than float32 rounds coordinates by where a leaf is
-smaller than a hundredth of the mesh, and part of the margin anywhere.
+lower corner: rounding moves them by half a quantum, which is no more than float32 rounds coordinates by where a leaf
+is smaller than 1/512 of the mesh, and part of the margin anywhere.
 
 The test projects corners along the ray (its largest component is z, x and y are sheared) and asks whether the ray's
 place is within the triangle, either way around. A ray that hits the true triangle at weights u, v, w is as far from
@@ -92,7 +92,8 @@ PACK_LEAF = f"""
     for (int i = 7; i < {LEAF_WORDS - HEAD}; ++i) head[i] = 0.f;
 """
 
-# Which triangles of a leaf a ray may hit: lanes. Names that the text expects: r (the ray) and block (of the leaf).
+# Which triangles of a leaf a ray may hit: lanes. Names that the text expects: r (the ray), block (of the leaf), and
+# those of the walk.
 LEAF_TEST = f"""
     const unsigned short* const row = (const unsigned short*)(tree.ray_leaves.data + {LEAF_WORDS} * (wp::int64)block);
     const float* const head = tree.ray_leaves.data + {LEAF_WORDS} * (wp::int64)block + {HEAD};

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
-from geokit._flags import Flags
 from geokit._host_array import HostArray
+from geokit._pinned import host_flags
 from geokit.errors import InputError
 from geokit.mesh._measurable import require_measurable
 
@@ -224,15 +224,17 @@ class RayQueries:
 
     @cached_property
     def _ray_tree(self) -> Any:
-        """The tree with leaves for rays, which a CPU makes when first asked."""
+        """The tree with leaves for rays, which a CPU makes when first asked.
+
+        A tree of its own: two threads may make it at once, and each needs its leaves until its rays are done.
+        """
         if not self._device.is_cpu:
             return self._tree
         from geokit.mesh._tree_kernels import SurfaceTree
         from geokit.mesh._wide_tree import ray_leaves
 
-        tree = SurfaceTree()
-        for name in ("origin", "scale", "corners", "slot_triangle", "boxes", "children", "leaves"):
-            setattr(tree, name, getattr(self._tree, name))
+        tree: Any = SurfaceTree()
+        tree.assign(self._tree)
         tree.ray_leaves = ray_leaves(tree)
         return tree
 
@@ -270,7 +272,7 @@ class RayQueries:
         lowest = -math.ulp(0.0)
         start = wp.float64(_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        bad = Flags(2, self._device)  # there is a bad ray; some are undecided
+        bad = host_flags(2, self._device)  # there is a bad ray; some are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:

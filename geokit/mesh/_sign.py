@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _arrays, _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 
 if TYPE_CHECKING:
     import warp as wp
@@ -24,7 +24,7 @@ def any_missed(triangle_id: "wp.array") -> bool:
 
     from geokit.mesh._sign_kernels import missed_kernel
 
-    found = Flags(1, triangle_id.device)
+    found = host_flags(1, triangle_id.device)
     _launch.launch(missed_kernel, len(triangle_id), [triangle_id], [found], triangle_id.device)
     return bool(found.numpy()[0])
 

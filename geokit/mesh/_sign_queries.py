@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from geokit import _arrays, _launch
 from geokit._blocks import Progress, in_blocks
-from geokit._flags import Flags
 from geokit._host_array import HostArray
+from geokit._pinned import host_flags
 from geokit.errors import InputError
 from geokit.mesh._measurable import require_measurable
 from geokit.mesh._point_queries import ClosestPoints, PointQueries, checked_radius, refuse_raised
@@ -86,7 +86,7 @@ class SignQueries(PointQueries):
         require_measurable(self.mesh, self._frame)
 
         def query(batch: _arrays.Batch) -> SignedDistances:
-            bad = Flags(1, self._device)
+            bad = host_flags(1, self._device)
             closest = self._closest(batch.rows, reach, bad)
             # A pseudonormal is that of what was found; the others would search long for what is not finite.
             if method != "pseudonormal":
@@ -120,7 +120,7 @@ class SignQueries(PointQueries):
 
         def query(batch: _arrays.Batch) -> Any:
             count = len(batch)
-            bad = Flags(1, device)
+            bad = host_flags(1, device)
             if by_closest:
                 found = self._closest(batch.rows, math.inf, bad)
             else:

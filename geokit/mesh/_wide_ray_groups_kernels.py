@@ -13,7 +13,8 @@ from geokit.mesh._wide_raycast_kernels import BOX_MARGIN, ENDLESS, LEAST_COMPONE
 AHEAD = 32
 
 # Names that the text expects: tree, origins, directions, t_min, max_distance, out_bad; the vector types, mask_of,
-# larger, smaller, greatest and least, Found and finish of the walk. Directions shorter than SHORTEST are refused.
+# larger, smaller, greatest and least, Found, the places of a ray's numbers, and finish of the walk.
+# Directions shorter than SHORTEST are refused.
 RAY_GROUPS = f"""
     // No wider: vectors of 512 bits lower the clock of some processors for a while: all walks took 5 to 7 % longer.
     typedef double d4 __attribute__((ext_vector_type(4), aligned(8)));

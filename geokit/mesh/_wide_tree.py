@@ -82,8 +82,9 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     sizes = size.numpy().reshape(-1, 2)
     node_offset, leaf_offset = top_count + _offsets(sizes[:, 0]), _offsets(sizes[:, 1])
     node_count, leaf_count = int(node_offset[-1]), int(leaf_offset[-1])
-    boxes, children = tree_array(48 * node_count, wp.float32), tree_array(8 * node_count, wp.int32)
-    slot_triangle = tree_array(8 * leaf_count, wp.int32)
+    boxes = tree_array(48 * node_count, wp.float32, device)
+    children = tree_array(8 * node_count, wp.int32, device)
+    slot_triangle = tree_array(8 * leaf_count, wp.int32, device)
     offsets = [wp.array(a[:-1], dtype=wp.int32, device=device) for a in (node_offset, leaf_offset)]
     _launch.launch(
         kernels.join_kernel,
@@ -106,8 +107,7 @@ def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *,
 
     device = slot_triangle.device
     lanes, rows = (WIDTH, PLANE_ROWS) if wide else (1, SLOT_WORDS)
-    size = rows * len(slot_triangle)
-    leaves = tree_array(size, wp.float32) if wide else wp.empty(size, dtype=wp.float32, device=device)
+    leaves = tree_array(rows * len(slot_triangle), wp.float32, device)
     placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
     inputs = [slot_triangle, corners, *placed, lanes, rows]
     _launch.launch(leaf_planes_kernel, len(slot_triangle), inputs, [leaves], device)
@@ -122,10 +122,11 @@ def ray_leaves(tree: Any) -> "wp.array":
     from geokit.mesh._tree_memory import tree_array
     from geokit.mesh._wide_leaf_kernels import ray_leaves_kernel
 
+    device = tree.slot_triangle.device
     blocks = len(tree.slot_triangle) // WIDTH
-    leaves = tree_array(LEAF_WORDS * blocks, wp.float32)
+    leaves = tree_array(LEAF_WORDS * blocks, wp.float32, device)
     inputs = [tree.slot_triangle, tree.corners, tree.leaves, tree.origin, tree.scale]
-    _launch.launch(ray_leaves_kernel, blocks, inputs, [leaves], tree.slot_triangle.device)
+    _launch.launch(ray_leaves_kernel, blocks, inputs, [leaves], device)
     return leaves
 
 

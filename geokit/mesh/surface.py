@@ -121,10 +121,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         tree.origin = wp.vec3d(*map(float, self._frame.origin))
         tree.scale = wp.float64(self._frame.scale)
         slots = len(tree.slot_triangle)
-        on_cpu = self._device.is_cpu
-        tree.corners = (
-            tree_array(3 * slots, wp.vec3d) if on_cpu else wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
-        )
+        tree.corners = tree_array(3 * slots, wp.vec3d, self._device)
         inputs = [tree.slot_triangle, self._vertices, self._faces]
         _launch.launch(gather_corners_kernel, slots, inputs, [tree.corners], self._device)
         tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame, wide=not tree.mesh)

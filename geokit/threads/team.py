@@ -127,19 +127,19 @@ class Team:
         """
         import warp as wp
 
-        graph: list[Any] = []
+        has_run, graph = False, None
 
         def run() -> None:
-            if graph and graph[0] is None:
+            nonlocal has_run, graph
+            if self.device.is_cuda and has_run and graph is None:
                 with wp.ScopedCapture(self.device) as capture:
-                    _make(calls)
-                graph[0] = capture.graph
-            if graph:
-                wp.capture_launch(graph[0])
-                return
-            _make(calls)
-            if self.device.is_cuda:
-                graph.append(None)
+                    _call_all(calls)
+                graph = capture.graph
+            if graph is not None:
+                wp.capture_launch(graph)
+            else:
+                _call_all(calls)
+            has_run = True
 
         return run
 
@@ -150,7 +150,7 @@ class Team:
             job.result()
 
 
-def _make(calls: Sequence[Callable[[], Any]]) -> None:
+def _call_all(calls: Sequence[Callable[[], Any]]) -> None:
     for call in calls:
         call()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit import _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.volume._band_sign import inside_bits
 from geokit.volume._device_build import BuiltGrid, Leaves, build_grid
 from geokit.volume._grid_head import GridHead
@@ -16,6 +16,8 @@ from geokit.volume._tiles import Lattice, Tiles, counted, near_tiles
 
 if TYPE_CHECKING:
     import warp as wp
+
+    from geokit._host_array import HostArray
 
 __all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
 
@@ -73,7 +75,7 @@ class Band:
     inside: "wp.array"
     active: "wp.array"
     negative: "wp.array"
-    has_negative: Flags
+    has_negative: HostArray
 
     @property
     def limits(self) -> list[Any]:
@@ -91,14 +93,12 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     """
     import warp as wp
 
-    from geokit._order_kernels import identity_kernel
     from geokit.volume import _band_kernels as kernels
 
     device = lattice.device
     tiles = near_tiles(lattice, SLOT_BYTES if with_slots else 0)
     distance, slots = _distances(lattice, tiles, shape, with_slots)
-    rows = wp.empty(len(tiles.keys), dtype=wp.int32, device=device)
-    _launch.launch(identity_kernel, len(rows), [], [rows], device)
+    rows = _numbered(len(tiles.keys), device)
     leaves = Leaves(tiles.keys, tiles.coordinates, rows, tiles.axes)
     safe = min(shape.exterior, shape.interior) > SAFE_HALF_WIDTH * lattice.voxel_size
     edge = shape.reach - shape.offset
@@ -111,19 +111,20 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     if not uneven:
         leaves.nodes  # noqa: B018 - they are made while the host and the device are at the signs
     inside = wp.empty((0, 0), dtype=wp.uint64, device=device)
-    has_negative = Flags(1, device)
+    has_negative = host_flags(1, device)
     if shape.method != "none":
         # Which of the voxels count is not known before their signs are: those within the wider side may.
         wide = replace(shape, exterior=shape.reach, interior=shape.reach)
         closed = lattice.surface.is_closed
-        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, Flags(1, device))[0]
+        # No value is negative yet: this raises no flag.
+        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, has_negative)[0]
         inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, may_count, shape.method)
     active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
     if uneven:
         some = wp.empty(len(leaves.keys), dtype=wp.int32, device=device)
         _launch.launch(kernels.set_rows_kernel, len(some), [active], [some], device)
         leaves, (inside, active, negative) = _kept(leaves, some, [inside, active, negative])
-        has_negative = Flags(1, device)
+        has_negative = host_flags(1, device)
         _launch.launch(kernels.any_bits_kernel, len(leaves.keys), [negative], [has_negative], device)
     return Band(lattice, shape, leaves, distance, slots, inside, active, negative, has_negative)
 
@@ -157,11 +158,20 @@ def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
         values = wp.empty(512 * count, dtype=wp.int32, device=device)
         inputs = [band.leaves.rows, band.slots, band.active, band.lattice.surface._tree.slot_triangle]
         _launch.launch(triangle_values_kernel, 8 * count, inputs, [values], device)
-        order = wp.array(np.arange(count, dtype=np.int32), dtype=wp.int32, device=device)
-        inputs = [wp.int64(begin), order, values, band.active.flatten()]
+        inputs = [wp.int64(begin), _numbered(count, device), values, band.active.flatten()]
         _launch.launch(copy_leaves_kernel, 8 * count, inputs, [buffer], device)
 
     return build_grid(band.leaves, head, write)
+
+
+def _numbered(count: int, device: "wp.Device") -> "wp.array":
+    import warp as wp
+
+    from geokit._order_kernels import identity_kernel
+
+    rows = wp.empty(count, dtype=wp.int32, device=device)
+    _launch.launch(identity_kernel, count, [], [rows], device)
+    return rows
 
 
 def _distances(lattice: Lattice, tiles: Tiles, shape: BandShape, with_slots: bool) -> tuple["wp.array", "wp.array"]:
@@ -189,7 +199,12 @@ def _distances(lattice: Lattice, tiles: Tiles, shape: BandShape, with_slots: boo
 
 
 def _bits(
-    lattice: Lattice, shape: BandShape, leaves: Leaves, distance: "wp.array", inside: "wp.array", has_negative: Flags
+    lattice: Lattice,
+    shape: BandShape,
+    leaves: Leaves,
+    distance: "wp.array",
+    inside: "wp.array",
+    has_negative: HostArray,
 ) -> list["wp.array"]:
     """Bits of the active voxels and of those with negative values, and whether there are any of these."""
     import warp as wp

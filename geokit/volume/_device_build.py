@@ -261,7 +261,7 @@ def _statistics(
     """
     import warp as wp
 
-    from geokit.volume import _device_build_kernels as kernels
+    from geokit.volume import _node_statistics_kernels as kernels
 
     device, layout = buffer.device, head.layout
     is_float = layout.name == "float"
@@ -271,9 +271,9 @@ def _statistics(
 
     count = len(leaves.keys)
     # Lower nodes are few, with hundreds of children each.
-    parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
+    lower_parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
     # Boxes and extrema of leaves, parts and lower nodes.
-    items = (count, parts * lower.count, lower.count)
+    items = (count, lower_parts * lower.count, lower.count)
     shapes = [((n * k,), wp.int32) for k in items for n in (6, 2)]
     active, *arrays = Scratch(device, ((count,), wp.int32), *shapes).arrays
     of_leaves, of_parts, of_lowers = arrays[:2], arrays[2:4], arrays[4:]
@@ -282,20 +282,17 @@ def _statistics(
     found: list[Any] = of_leaves
     begin = wp.int64(places.leaf_begin)
     _launch.launch(of_leaf, count, [begin, *where], [buffer, *found, active], device, grain=64)
-    for level, span, begin_at, size, bits, of_nodes in (
-        (lower, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS, of_lowers),
-        (upper, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS, of_uppers),
+    for level, parts, span, begin_at, size, bits, of_nodes in (
+        (lower, lower_parts, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS, of_lowers),
+        (upper, 0, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS, of_uppers),
     ):
-        nodes = level.count
-        if level is upper:
-            parts = 0
-        elif parts:
+        if parts:
             inputs, found = [parts, level.first_child, *found], of_parts
-            _launch.launch(of_part, parts * nodes, inputs, found, device)
+            _launch.launch(of_part, parts * level.count, inputs, found, device)
         statistics = 32 + 2 * (1 << (3 * bits)) // 8
         numbers = [parts, span, wp.int64(begin_at), wp.int64(size), wp.int64(statistics)]
         inputs = [*numbers, level.first_child, level.first_leaf, *found, *where]
         found = of_nodes
-        _launch.launch(of_node, nodes, inputs, [buffer, *found], device, grain=1)
+        _launch.launch(of_node, level.count, inputs, [buffer, *found], device, grain=1)
     boxes, extrema = of_uppers
     return boxes, extrema, summed(active.warp)[1]

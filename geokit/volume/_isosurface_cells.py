@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit._scratch import Scratch, ScratchArray
 from geokit.volume._isosurface_launch import GRAIN, launch_even, offsets_of, require_memory
 from geokit.volume._isosurface_nodes import Topology, topology_of
@@ -96,13 +96,14 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     cells.sides, cells.refs = sides.warp, refs.warp
     keep = _find_sides(cells, isovalue, is_float, int(topology.leaves.offset[0]) if count else 0, layout, device)
     tree = _tree(cells, topology, layout, isovalue, volume.nanovdb, device, tile_inside.warp, around.warp)
-    some = Flags(1, device)
+    some = host_flags(1, device)
     launch_even(kernels.link_kernel, count, [cells, tree], [rims, some], device, least=GRAIN)
     # Few level sets have rims: without them nothing is waited for until the crossed blocks are counted.
-    mixed, place, crossed = _count_mixed(cells)
-    if some.numpy()[0] or topology.has_tiles:
+    found = None if topology.has_tiles else _count_mixed(cells)
+    if found is None or some.numpy()[0]:
         add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
-        mixed, place, crossed = _count_mixed(cells)
+        found = _count_mixed(cells)
+    mixed, place, crossed = found
     cells.crossed, cells.slot = (
         array.warp for array in Scratch(device, ((crossed,), wp.int32), ((len(mixed),), wp.int32)).arrays
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geokit import _arrays, _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.volume._leaf_table import leaf_table
 from geokit.volume._space import way_to_index
 
@@ -55,7 +55,7 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
     else:
         choices = kernels.SAMPLE_GROUPS if device.is_cpu else kernels.SAMPLE_SINGLES
         out = _arrays.empty(count, wp.float32 if batch.single else wp.float64, batch.rows)
-    bad = Flags(1, device)
+    bad = host_flags(1, device)
     inputs = [
         wp.uint64(volume.id(device)),
         table,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._download import download
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit._scratch import Scratch
 from geokit.volume._isosurface_cells import crossed_cells
 from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
@@ -52,7 +52,7 @@ def marching_cubes(
     start, edges = _tables(device.alias)
     shapes = [((3 * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
     records, vertices, triangles = Scratch(device, *shapes).arrays
-    flag = Flags(1, device)
+    flag = host_flags(1, device)
     outputs = [records, vertices, triangles, flag]
     launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
     (base, first_triangle), (vertex_count, triangle_count) = offsets_of(vertices, triangles)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit import _launch
 from geokit._download import download
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit._scratch import Scratch, ScratchArray
 from geokit.volume._isosurface_cells import CrossedCells, crossed_cells
 from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
@@ -19,6 +19,8 @@ from geokit.volume.model import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp
+
+    from geokit._host_array import HostArray
 
 __all__ = ["surface_nets"]
 
@@ -101,7 +103,7 @@ def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
 
 def _count(
     found: CrossedCells, table: "wp.array", planes: int, isovalue: float
-) -> tuple[ScratchArray, ScratchArray, ScratchArray, ScratchArray, Flags]:
+) -> tuple[ScratchArray, ScratchArray, ScratchArray, ScratchArray, HostArray]:
     """Joined cells, records, and the numbers of vertices and quads of each plane; flags of what there is."""
     import warp as wp
 
@@ -111,7 +113,7 @@ def _count(
     (flips,) = Scratch(device, ((planes,), wp.uint64), zeroed=True).arrays
     shapes = [((planes,), wp.uint64), ((kernels.RECORD * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
     problems, records, vertices, quads = Scratch(device, *shapes).arrays
-    flags = Flags(2, device)
+    flags = host_flags(2, device)
     outputs = [records, problems, vertices, quads, flags]
     launch_planes(kernels.count_kernel, planes, [found.cells, table, flips], outputs, device)
     if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:

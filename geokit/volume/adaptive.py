@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit import _arrays, _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.errors import FileFormatError, InputError
 from geokit.volume._adaptive_build import build_band_level, build_finer_level
 from geokit.volume._adaptive_check import DRAWN_POINTS, check_points
@@ -168,7 +168,7 @@ class AdaptiveSDF:
             choices = kernels.SAMPLE_GROUPS if grouped else kernels.SAMPLE_SINGLES
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
         out = _arrays.empty(count, kinds[0] if batch.single else kinds[1], batch.rows)
-        bad = Flags(1, target)
+        bad = host_flags(1, target)
         inputs = [*table.arguments, batch.rows, *way_to_index(self.levels[0], "world"), outside]
         items = -(-count // kernels.GROUP) if grouped else count
         _launch.launch(choices[batch.single], items, inputs, [out, bad], target, grain=GRAIN if grouped else 0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit import _arrays, _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.errors import InputError
 from geokit.volume._ray_field import ray_field, read_rays, refuse_bad_rays
 from geokit.volume.model import SparseVolume
@@ -85,7 +85,7 @@ def integrate(
         transmittance=_arrays.empty(len(rays), wp.float64, rays.rows),
         emission=_arrays.empty(len(rays), wp.float64, rays.rows),
     )
-    bad = Flags(1, target)
+    bad = host_flags(1, target)
     kernel, light = _kernel(volume, emission, target)
     inputs = [rays.rows, heading.rows, field, *light, start, reach, factor]
     _launch.launch(kernel, len(rays), inputs, [*found, bad], target)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from geokit import _arrays, _launch
-from geokit._flags import Flags
+from geokit._pinned import host_flags
 from geokit.volume._crossing_blocks import crossing_blocks
 from geokit.volume._ray_field import ray_field, read_rays, refuse_bad_rays
 from geokit.volume.model import SparseVolume
@@ -101,7 +101,7 @@ def raycast(
         points=_arrays.empty(len(rays), wp.vec3d, rays.rows),
         normals=_arrays.empty(len(rays), wp.vec3d, rays.rows),
     )
-    bad = Flags(1, target)
+    bad = host_flags(1, target)
     single = volume.info.grid_type == "float"
     levels = [wp.float64(number) for number in (level, *(_neighbours(level) if single else (level, level)))]
     blocks = crossing_blocks(volume, levels[1:], len(rays), target)

@@ -128,7 +128,7 @@ def test_few_rays_are_the_first_of_many():
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(SURFACES)), st.floats(-6, 0.5), st.floats(-6, 0.5))
 def test_bundles(seed, name, width, angle):
-    # Bundles of any width and angle: from rays that never part to such that share nothing but their octant.
+    # Bundles of any width and angle: from rays that never part to such that share nothing.
     rng = np.random.default_rng(seed)
     surface = SURFACES[name]
     lower, upper = surface.mesh.bounds

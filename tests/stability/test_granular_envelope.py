@@ -77,6 +77,18 @@ def test_default_step_has_a_margin(modules, settled):
     assert granular.STEP_SHARE * critical(settled[0].w) < 0.8 * settled[1]
 
 
+@pytest.mark.parametrize("overlap", [0.03, 0.06])
+def test_default_step_has_a_margin_where_soft_grains_are_stirred(modules, overlap):
+    granular, charts = modules
+    w = granular.soft_grains(1000, overlap)
+    scene, _ = granular.stirred_bowl(1000, w, device="cpu")
+    least = np.inf
+    for _ in range(6):
+        scene.advance(400)
+        least = min(least, charts.stable_step(scene) / critical(w))
+    assert 0.9 * least > granular.STEP_SHARE
+
+
 def test_packing_stands_less_than_a_pair(modules, settled):
     w = settled[0].w
     ratio = w.damping / np.sqrt(2.0 * w.stiffness * w.mass)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit import _flags, _launch
-from geokit._flags import Flags
+from geokit import _launch, _pinned
+from geokit._pinned import Pinned, host_flags
 from geokit.mesh._sign_kernels import missed_kernel
 
 DEVICES = ["cpu", *_launch.cuda_devices()]
@@ -15,7 +15,7 @@ DEVICES = ["cpu", *_launch.cuda_devices()]
 
 def raised(device: str, triangle_id: list[int]) -> np.ndarray:
     target = wp.get_device(device)
-    flags = Flags(2, target)
+    flags = host_flags(2, target)
     ids = wp.array(triangle_id, dtype=wp.int32, device=target)
     _launch.launch(missed_kernel, len(ids), [ids], [flags], target)
     return flags.numpy().copy()
@@ -30,34 +30,31 @@ def test_a_kernel_raises_what_the_host_reads(device):
 @pytest.mark.parametrize("device", DEVICES)
 def test_each_begins_at_zero_and_is_its_own(device):
     target = wp.get_device(device)
-    first = Flags(4, target)
+    first = host_flags(4, target)
     first.values[:] = 7
-    second = Flags(4, target)
+    second = host_flags(4, target)
     np.testing.assert_array_equal(second.numpy(), 0)
     np.testing.assert_array_equal(first.numpy(), 7)
 
 
 def test_a_pinned_buffer_is_used_again(monkeypatch):
     """On any machine: the pool itself knows nothing of GPUs."""
+    made, make = [], _pinned._made
 
-    class Device:
-        is_cuda = True
-        stream = None
-
-    made = []
-
-    def buffer():
-        made.append(wp.zeros(_flags.MOST_FLAGS, dtype=wp.int32, device="cpu"))
+    def buffer(size):
+        made.append(make(size))
         return made[-1]
 
-    monkeypatch.setattr(_flags, "_pinned_buffer", buffer)
-    monkeypatch.setattr(_flags, "_idle", idle := [])
-    monkeypatch.setattr(Flags.__del__, "__defaults__", (idle,))
-    one, other = Flags(1, Device()), Flags(1, Device())
+    cpu = wp.get_device("cpu")
+    monkeypatch.setattr(_pinned, "serves", lambda device: True)
+    monkeypatch.setattr(_pinned, "_made", buffer)
+    monkeypatch.setattr(_pinned, "_idle", idle := [])
+    monkeypatch.setattr(Pinned.__del__, "__defaults__", (idle,))
+    one, other = host_flags(1, cpu), host_flags(1, cpu)
     one.values[0] = 1
     assert len(made) == 2
     assert other.values[0] == 0
     del one
-    again = Flags(1, Device())
+    again = host_flags(1, cpu)
     assert len(made) == 2
     assert again.values[0] == 0

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit import _launch
+from geokit import _launch, _pinned
 from geokit.volume import _band_sign, _device_build, _surface_nets, _tiles
 from geokit.volume._tiles_kernels import last_kernel
 from tests import catalogue
@@ -18,6 +18,7 @@ def gpu_ways(monkeypatch):
     """Has the CPU do as a GPU does."""
 
     def change():
+        monkeypatch.setattr(_pinned, "serves", lambda device: True)
         monkeypatch.setattr(_device_build, "PARTS_CPU", _device_build.PARTS_CUDA)
         monkeypatch.setattr(_band_sign, "ROUNDS_CPU", _band_sign.ROUNDS_CUDA)
         monkeypatch.setattr(_band_sign, "ROWS_CPU", _band_sign.ROWS_CUDA)

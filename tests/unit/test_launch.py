@@ -126,9 +126,9 @@ def slices(monkeypatch):
     seen = []
     launch_slice = _launch._launch_slice
 
-    def spy(wp, kernel, first, count, *rest):
+    def spy(kernel, first, count, *rest):
         seen.append((first, count, threading.current_thread().name))
-        launch_slice(wp, kernel, first, count, *rest)
+        launch_slice(kernel, first, count, *rest)
 
     monkeypatch.setattr(_launch, "_launch_slice", spy)
     return seen

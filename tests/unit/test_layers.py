@@ -18,7 +18,6 @@ LAYERS = [
     ("errors",),
     (
         "_files",
-        "_flags",
         "_frame",
         "_host_array",
         "_kept_memory",
