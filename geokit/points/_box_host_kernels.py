@@ -2,6 +2,8 @@
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
+from typing import Any
+
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
@@ -13,8 +15,9 @@ SHARE = wp.constant(1 << 10)
 # is not finite survives in a sum of differences; comparisons may pass over it.
 BOX = """
 #if !defined(__CUDA_ARCH__)
-    typedef double numbers __attribute__((ext_vector_type(8), aligned(8)));
-    const double* const given = (const double*)(points.data) + 3 * (int64_t)(begin);
+    typedef decltype(points.data[0][0] + points.data[0][0]) real;
+    typedef real numbers __attribute__((ext_vector_type(8), aligned(4)));
+    const real* const given = (const real*)(points.data) + 3 * (int64_t)(begin);
     const int count = 3 * (end - begin);
     numbers low[3], high[3], rest[3];
     for (int v = 0; v < 3; ++v) {
@@ -33,7 +36,7 @@ BOX = """
         }
     for (; at < count; ++at) {
         const int v = at % 24 / 8, e = at % 8;
-        const double p = given[at];
+        const real p = given[at];
         low[v][e] = p < low[v][e] ? p : low[v][e];
         high[v][e] = p > high[v][e] ? p : high[v][e];
         rest[v][e] += p - p;
@@ -63,10 +66,21 @@ def box_of(
 ): ...
 
 
+@wp.func_native(BOX)
+def box_of(  # noqa: F811 - for float32 points
+    points: wp.array(dtype=wp.vec3f),
+    begin: wp.int32,
+    end: wp.int32,
+    share: wp.int32,
+    out_lower: wp.array(dtype=wp.vec3d),
+    out_upper: wp.array(dtype=wp.vec3d),
+): ...
+
+
 @wp.kernel
 def survey_host_kernel(
     first: int,
-    points: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=Any),
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
@@ -74,3 +88,6 @@ def survey_host_kernel(
     i = first + wp.tid()
     begin = i * SHARE
     box_of(points, begin, wp.min(begin + SHARE, points.shape[0]), i, out_lower, out_upper)
+
+
+SURVEY_HOST = {r: wp.overload(survey_host_kernel, {"points": wp.array(dtype=r)}) for r in (wp.vec3d, wp.vec3f)}

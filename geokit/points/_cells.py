@@ -39,8 +39,9 @@ TABLE_ENTRIES_MORE = 1 << 16
 TABLE_RUN_HOST = 64
 TABLE_RUN_GPU = 8
 TABLE_GRAIN = 16
-# The points are surveyed in shares: so many at least a slice on a CPU, so many threads with one each on a GPU.
-SURVEY_GRAIN = 16
+# The points are surveyed in shares: so many at least a slice on a CPU, which one thread reads in the time that it takes
+# to wake another; so many threads with one each on a GPU.
+SURVEY_GRAIN = 512
 SURVEY_THREADS = 1 << 16
 # Their boxes are condensed to so many before they travel to the host.
 CONDENSED = 1024
@@ -49,8 +50,9 @@ FEW_CELLS = 2.0
 MOST_STRETCH = 1.5
 # Counting by cell takes a row of counts for each thread: so many numbers a point at most, and TABLE_ENTRIES_MORE.
 TALLY_PER_POINT = 8
-# Fewer points than this are one thread's.
-TALLY_SHARE = 1 << 14
+# Points that are worth another thread: fewer are sorted by one in the time that threads take to wake and to pass each
+# other the lines that both write to.
+TALLY_SHARE = 1 << 18
 # Powers of two that a float64 holds: the scale of the float32 frame stays within them.
 LARGEST_EXPONENT = 1000
 
@@ -110,7 +112,7 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     import warp as wp
 
     from geokit.points import _cells_kernels as kernels
-    from geokit.points._box_host_kernels import SHARE, survey_host_kernel
+    from geokit.points._box_host_kernels import SHARE, SURVEY_HOST
 
     device: Any = points.device
     count = len(points)
@@ -119,13 +121,14 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     runs = -(-count // int(SHARE)) if device.is_cpu else min(count, SURVEY_THREADS)
     boxes = [wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2)]
     if device.is_cpu:
-        _launch.launch(survey_host_kernel, runs, [points], boxes, device, grain=SURVEY_GRAIN)
+        _launch.launch(SURVEY_HOST[points.dtype], runs, [points], boxes, device, grain=SURVEY_GRAIN)
     else:
         _launch.launch(kernels.SURVEY[points.dtype], runs, [points, runs], boxes, device)
     few, taken = min(runs, CONDENSED), min(count, SAMPLE_SIZE)
     out = wp.empty((3, 2 * few + taken), dtype=wp.float64, device=device)
     given = [points, *boxes, few, taken]
-    _launch.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device)
+    # Less than a thread's waking is worth.
+    _launch.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device, grain=SAMPLE_SIZE)
     found = out.numpy()
     if not np.isfinite(found).all():
         refuse()
@@ -153,7 +156,7 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
     """Points sorted by cells of about the radius.
 
     Args:
-        points: vec3d positions (N,) [world] (vec3f too on a GPU); copied.
+        points: vec3d or vec3f positions (N,) [world]; copied.
         survey: What is known of them.
         radius: Edge length of a cell [world] where the extent allows it; above 0.
     Returns:
@@ -230,19 +233,31 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
     import warp as wp
 
-    from geokit.points import _cells_kernels as kernels
+    from geokit.points import _cells_host_kernels as kernels
 
     device: Any = points.device
     count = len(points)
     share = -(-count // rows)
     keys = _kept_memory.room(count, wp.int32, device)
     tally = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
-    _launch.launch(kernels.tally_kernel, rows, [points, grid, share, cell_count], [keys, tally], device, grain=1)
+    given = [points, grid, share, cell_count]
+    _launch.launch(kernels.TALLY_OF[points.dtype], rows, given, [keys, tally], device, grain=1)
     grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
-    _launch.launch(kernels.place_kernel, 1, [rows, cell_count], [tally, grid.start], device)
+    _launch.launch(kernels.sum_kernel, 1, [rows, cell_count], [tally, grid.start], device)
     grid.key = wp.empty(0, dtype=wp.int64, device=device)
     grid.index = _kept_memory.room(count, wp.int32, device)
-    _launch.launch(kernels.scatter_kernel, rows, [points, keys, share, cell_count, tally], [grid], device, grain=1)
+    _launch.launch(kernels.place_kernel, rows, [keys, share, cell_count, tally], [grid], device, grain=1)
+    _gather(grid, points, grid.index)
+
+
+def _gather(grid: Any, points: "wp.array", order: "wp.array") -> None:
+    """Coordinates in sorted order, on a CPU."""
+    from geokit.points._cells_host_kernels import GATHER_OF, GATHERED
+
+    items = -(-len(points) // int(GATHERED))
+    # All items take as long as each other.
+    grain = max(TALLY_SHARE // int(GATHERED), -(-items // (2 * _launch.thread_count())))
+    _launch.launch(GATHER_OF[points.dtype], items, [points, order], [grid], points.device, grain=grain)
 
 
 def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
@@ -254,8 +269,11 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
     count = len(points)
     keys, order = sorted_keys(grid, points, cell_count)
     grid.index = _kept_memory.room(count, wp.int32, device)
-    gather = kernels.gather_kernel if device.is_cpu else kernels.GATHER_PACKED[points.dtype]
-    _launch.launch(gather, count, [points, order], [grid], device)
+    if device.is_cpu:
+        wp.copy(grid.index, order, count=count)
+        _gather(grid, points, order)
+    else:
+        _launch.launch(kernels.GATHER_PACKED[points.dtype], count, [points, order], [grid], device)
     grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)
     run = TABLE_RUN_HOST if device.is_cpu else TABLE_RUN_GPU
     given = [keys, count, grid.shift, run]

@@ -146,83 +146,6 @@ def condense_kernel(
 
 
 @wp.kernel
-def tally_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    grid: CellGrid,
-    share: wp.int32,
-    cell_count: wp.int32,
-    out_key: wp.array(dtype=wp.int32),
-    out_tally: wp.array(dtype=wp.int32),
-):
-    """Cell of each point of a share of them, and how many of the share each cell has.
-
-    Counting needs no comparison and no second copy of the keys: where there are not many more cells than points, and
-    few threads, it is several times as quick as a sort.
-    """
-    i = first + wp.tid()
-    row = i * cell_count
-    for j in range(i * share, wp.min((i + 1) * share, points.shape[0])):
-        key = wp.int32(key_of(grid, points[j]))
-        out_key[j] = key
-        out_tally[row + key] = out_tally[row + key] + 1
-
-
-@wp.kernel
-def place_kernel(
-    first: int,
-    share_count: wp.int32,
-    cell_count: wp.int32,
-    tally: wp.array(dtype=wp.int32),
-    out_start: wp.array(dtype=wp.int32),
-):
-    """The table, and in the tally's place where the points of each share and cell go.
-
-    The shares of a cell have their turns, so that its points stay in the order in which they came. One item does it
-    all: it is a sum along the cells.
-    """
-    total = wp.int32(0)
-    for cell in range(cell_count):
-        out_start[cell] = total
-        at = cell
-        for _share in range(share_count):
-            points = tally[at]
-            tally[at] = total
-            total += points
-            at += cell_count
-    out_start[cell_count] = total
-    out_start[cell_count + 1] = total
-
-
-@wp.func
-def put(grid: CellGrid, at: wp.int32, i: wp.int32, p: wp.vec3d):
-    """Point i as the sorted point ``at``, on a CPU."""
-    grid.index[at] = i
-    grid.x[at] = p[0]
-    grid.y[at] = p[1]
-    grid.z[at] = p[2]
-
-
-@wp.kernel
-def scatter_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    key: wp.array(dtype=wp.int32),
-    share: wp.int32,
-    cell_count: wp.int32,
-    next_place: wp.array(dtype=wp.int32),
-    out_grid: CellGrid,
-):
-    """A share's points to their places; ``next_place`` is where its next point of each cell goes."""
-    i = first + wp.tid()
-    row = i * cell_count
-    for j in range(i * share, wp.min((i + 1) * share, points.shape[0])):
-        at = next_place[row + key[j]]
-        next_place[row + key[j]] = at + 1
-        put(out_grid, at, j, points[j])
-
-
-@wp.kernel
 def key_kernel(
     first: int,
     points: wp.array(dtype=Any),
@@ -236,13 +159,6 @@ def key_kernel(
     key = key_of(grid, wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2])))
     out_key[i] = out_key.dtype(key)
     out_index[i] = i
-
-
-@wp.kernel
-def gather_kernel(first: int, points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
-    """Coordinates in sorted order, one array for each axis, on a CPU."""
-    i = first + wp.tid()
-    put(out_grid, i, order[i], points[order[i]])
 
 
 @wp.kernel

@@ -34,9 +34,68 @@ COUNT = (
 """
 )
 
+# Sixteen entries of the buffer of which some are kept: `inside` has a bit for each.
+KEEP = """
+#if !defined(__CUDA_ARCH__)
+    typedef int stored __attribute__((__vector_size__(64)));
+    auto keep = [&](int* to, int at, unsigned inside) -> int {
+#if defined(__AVX512F__)
+        __builtin_ia32_compressstoresi512_mask((stored*)to, *(const stored*)(place + at), inside);
+        return __builtin_popcount(inside);
+#else
+        int kept = 0;
+        for (; inside; inside &= inside - 1)
+            to[kept++] = place[at + __builtin_ctz(inside)];
+        return kept;
+#endif
+    };
+#endif
+"""
+
+# As COUNT, and what is found is noted for the fill: for each query how many there are and where they stand among the
+# sorted points. Before them stands 1 if there was room for those of all queries of the share.
+COUNT_AND_NOTE = (
+    "int run = first_query;"
+    + RUNS
+    + KEEP
+    + """
+#if !defined(__CUDA_ARCH__)
+    int* const share = out_note.data + (int64_t)(item) * note_size;
+    int *to = share + 1, next = first_query;
+    const int* const end = share + note_size;
+    bool whole = true;
+    for (int k = first_query; k < last_query; ++k)
+        out_count.data[queries.index.data[k]] = -self_count;
+    // Queries come in turn. Those that nothing is near to are left out; of a crowd all come again, which is not noted.
+    each_run([&](int k, int length) {
+        whole = whole && k >= next && to + (k - next) + 1 + length <= end;
+        int inside = 0;
+        if (whole) {
+            for (; next < k; ++next)
+                *to++ = 0;
+            int* const found = to + 1;
+            for (int at = 0; at < length; at += 16)
+                inside += keep(found + inside, at, within(k, at));
+            *to = inside;
+            to = found + inside;
+            ++next;
+        } else
+            for (int at = 0; at < length; at += 16)
+                inside += __builtin_popcount(within(k, at));
+        out_count.data[queries.index.data[k]] += inside;
+    });
+    whole = whole && to + (last_query - next) <= end;
+    for (; whole && next < last_query; ++next)
+        *to++ = 0;
+    *share = whole;
+#endif
+"""
+)
+
 FILL = (
     "int run = first_query;"
     + RUNS
+    + KEEP
     + """
 #if !defined(__CUDA_ARCH__)
     typedef double doubles __attribute__((ext_vector_type(8), aligned(8)));
@@ -49,28 +108,22 @@ FILL = (
         written[k - first_query] = 0;
         __builtin_prefetch(offset.data + queries.index.data[k]);
     }
-    each_run([&](int k, int length) {
+    auto put = [&](int k, const int* found, int count) {
         const int row = queries.index.data[k], without = row + own;
         if (k + AHEAD < last_query) {
-            const int64_t next = offset.data[queries.index.data[k + AHEAD]];
-            for (int line = 0; line < 2; ++line)
-                __builtin_prefetch(out_index.data + next + 16 * line, 1);
-            for (int line = 0; line < 4; ++line)
-                __builtin_prefetch(out_distance.data + next + 8 * line, 1);
+            // All lines of a row: it seldom begins with one.
+            const int next = queries.index.data[k + AHEAD];
+            const int64_t begin = offset.data[next], length = offset.data[next + 1] - begin;
+            const int64_t most = length < PREFETCHED ? length : PREFETCHED;
+            auto ask = [&](const auto* first) {
+                const char* const end = (const char*)(first + most) + 63;
+                for (const char* line = (const char*)(first); line < end; line += 64)
+                    __builtin_prefetch(line, 1);
+            };
+            ask(out_index.data + begin);
+            ask(out_distance.data + begin);
         }
         const double x = queries.x.data[k], y = queries.y.data[k], z = queries.z.data[k];
-        int count = 0;
-        for (int at = 0; at < length; at += 16) {
-            unsigned inside = within(k, at);
-#if defined(__AVX512F__)
-            typedef int stored __attribute__((__vector_size__(64)));
-            __builtin_ia32_compressstoresi512_mask((stored*)(found + count), *(const stored*)(place + at), inside);
-            count += __builtin_popcount(inside);
-#else
-            for (; inside; inside &= inside - 1)
-                found[count++] = place[at + __builtin_ctz(inside)];
-#endif
-        }
         // The compiler's own vectors would gather here and scatter below. Processors with a mended gather take ten
         // times as long for the one, and none is quicker with the other.
         #pragma clang loop vectorize(disable)
@@ -95,7 +148,22 @@ FILL = (
         int* const keys = out_index.data + offset.data[row];
         auto* const values = out_distance.data + offset.data[row];
 {PUT}        so_far += kept;
-    });
+    };
+    const int* at = note.data + (int64_t)(item) * note_size;
+    if (item < noted && *at++)
+        for (int k = first_query; k < last_query; ++k) {
+            const int count = *at++;
+            if (count)
+                put(k, at, count);
+            at += count;
+        }
+    else
+        each_run([&](int k, int length) {
+            int count = 0;
+            for (int at = 0; at < length; at += 16)
+                count += keep(found + count, at, within(k, at));
+            put(k, found, count);
+        });
 #endif
 """
 )
@@ -142,6 +210,7 @@ FILL_BY_INDEX = FILL.replace("{PUT}", BY_INDEX.replace("{SORT}", "{" + SORT_BY_I
 FILL_AS_FOUND = FILL.replace("{PUT}", AS_FOUND)
 for _name, _number in NUMBERS.items():
     COUNT = COUNT.replace(_name, repr(_number))
+    COUNT_AND_NOTE = COUNT_AND_NOTE.replace(_name, repr(_number))
     FILL_BY_INDEX = FILL_BY_INDEX.replace(_name, repr(_number))
     FILL_AS_FOUND = FILL_AS_FOUND.replace(_name, repr(_number))
 
@@ -165,6 +234,10 @@ def fill_by_index(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
+    item: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
@@ -179,6 +252,10 @@ def fill_by_index_single(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
+    item: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
@@ -193,6 +270,10 @@ def fill_as_found(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
+    item: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
@@ -207,11 +288,52 @@ def fill_as_found_single(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
+    item: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float32),
 ): ...
+
+
+@wp.func_native(COUNT_AND_NOTE)
+def count_and_note(
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    self_count: wp.int32,
+    note_size: wp.int32,
+    item: wp.int32,
+    first_query: wp.int32,
+    last_query: wp.int32,
+    out_count: wp.array(dtype=wp.int32),
+    out_note: wp.array(dtype=wp.int32),
+): ...
+
+
+@wp.kernel
+def count_and_note_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    self_count: wp.int32,
+    note_size: wp.int32,
+    noted: wp.int32,
+    out_count: wp.array(dtype=wp.int32),
+    out_note: wp.array(dtype=wp.int32),
+):
+    """As count_runs_kernel; the first ``noted`` shares note what they find."""
+    item = first + wp.tid()
+    begin = item * SHARE
+    end = wp.min(begin + SHARE, queries.index.shape[0])
+    if item < noted:
+        count_and_note(queries, grid, radius, self_count, note_size, item, begin, end, out_count, out_note)
+    else:
+        count_runs(queries, grid, radius, self_count, begin, end, out_count)
 
 
 @wp.kernel
@@ -237,13 +359,17 @@ def fill_by_index_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
     """Neighbours of SHARE queries, each from its offset on, by ascending index."""
-    begin = (first + wp.tid()) * SHARE
+    item = first + wp.tid()
+    begin = item * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_by_index(queries, grid, radius, own, offset, begin, end, out_index, out_distance)
+    fill_by_index(queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance)
 
 
 @wp.kernel
@@ -254,13 +380,19 @@ def fill_by_index_single_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float32),
 ):
     """As fill_by_index_kernel, for float32 distances: a third less to write."""
-    begin = (first + wp.tid()) * SHARE
+    item = first + wp.tid()
+    begin = item * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_by_index_single(queries, grid, radius, own, offset, begin, end, out_index, out_distance)
+    fill_by_index_single(
+        queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance
+    )
 
 
 @wp.kernel
@@ -271,13 +403,17 @@ def fill_as_found_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
     """Neighbours of SHARE queries, each from its offset on, in the order of the cells."""
-    begin = (first + wp.tid()) * SHARE
+    item = first + wp.tid()
+    begin = item * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_as_found(queries, grid, radius, own, offset, begin, end, out_index, out_distance)
+    fill_as_found(queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance)
 
 
 @wp.kernel
@@ -288,13 +424,19 @@ def fill_as_found_single_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    noted: wp.int32,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float32),
 ):
     """As fill_as_found_kernel, for float32 distances: a third less to write."""
-    begin = (first + wp.tid()) * SHARE
+    item = first + wp.tid()
+    begin = item * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_as_found_single(queries, grid, radius, own, offset, begin, end, out_index, out_distance)
+    fill_as_found_single(
+        queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance
+    )
 
 
 # By order of the rows, and whether distances are float32.

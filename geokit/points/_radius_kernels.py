@@ -229,6 +229,27 @@ def arrange_kernel(first: int, rows: wp.array(dtype=Any), order: wp.array(dtype=
 
 
 @wp.kernel
+def uncount_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    rows: wp.array(dtype=Any),
+    first_point: wp.int32,
+    radius: wp.array(dtype=wp.float64),
+    out_count: wp.array(dtype=wp.int32),
+):
+    """One neighbour less for each query that has its own point among them."""
+    i = first + wp.tid()
+    p = points[first_point + i]
+    q = rows[i]
+    r = radius[wp.min(i, radius.shape[0] - 1)]
+    dx = p[0] - wp.float64(q[0])
+    dy = p[1] - wp.float64(q[1])
+    dz = p[2] - wp.float64(q[2])
+    if (dx * dx + dy * dy) + dz * dz <= r * r:
+        out_count[i] = out_count[i] - 1
+
+
+@wp.kernel
 def rename_kernel(first: int, place: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
     """Rows among some as rows among all."""
     i = first + wp.tid()
@@ -298,3 +319,4 @@ def pair_fill_kernel(
 ROWS = (wp.vec3d, wp.vec3f)
 PICK = {r: wp.overload(pick_kernel, {"rows": wp.array(dtype=r), "out_rows": wp.array(dtype=r)}) for r in ROWS}
 ARRANGE = {r: wp.overload(arrange_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}
+UNCOUNT = {r: wp.overload(uncount_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}

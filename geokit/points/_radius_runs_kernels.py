@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.points._cells_host_kernels import CELL_ALONG
 from geokit.points._neighbors_kernels import (
     LARGEST_LOCAL,
     OUTWARDS,
@@ -30,8 +31,9 @@ NUMBERS = {
     "LARGEST_UNIT": 1e140,
     # Longer rows are sorted step by step: counting takes the square of their length.
     "RANKED": 128,
-    # Queries between a prefetch and the writing of the row.
+    # Queries between a prefetch and the writing of the row, of which so many entries at most are asked for.
     "AHEAD": 4,
+    "PREFETCHED": 64,
 }
 
 # What both searches do. `use(k, count)` is called with the buffer's length for each query k of a run, once or, where
@@ -65,21 +67,7 @@ RUNS = """
     double limit[most_queries];
     const places steps = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
-    // As cell_along in _cells_kernels: a cell that this finds must be the one that the points were given.
-    auto cell_along = [&](int axis, double at) -> int {
-        int i = grid.first_cut[axis];
-        for (int last = grid.last_cut[axis]; i < last;) {
-            const int middle = (i + last + 1) / 2;
-            if (grid.cut.data[middle][0] <= at)
-                i = middle;
-            else
-                last = middle - 1;
-        }
-        const auto& cut = grid.cut.data[i];
-        const double top = cut[3] - 1.0, cell = (at - cut[0]) * cut[1];
-        return (int)(cut[2]) + (int)(cell > 0.0 ? (cell < top ? cell : top) : 0.0);
-    };
-    auto first_at_or_above = [&](int64_t key) -> int {
+{CELL_ALONG}    auto first_at_or_above = [&](int64_t key) -> int {
         const int64_t bucket = key >> grid.shift;
         int first = grid.start.data[bucket];
         if (key & ((int64_t(1) << grid.shift) - 1))
@@ -212,4 +200,4 @@ RUNS = """
         }
     };
 #endif
-"""
+""".replace("{CELL_ALONG}", CELL_ALONG)

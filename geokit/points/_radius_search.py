@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -34,9 +34,30 @@ MAX_NEIGHBORS = 2**31 - 1
 NOTHING_LEFT_OUT = -(2**30) * 2
 # Items of a launch are counted in int32, and there are 32 for each row.
 ROWS_AT_ONCE = 1 << 25
+# Numbers that notes of a count may take, 48 MiB; those of a share are at least and at most so many a query. Queries
+# beyond them are searched twice, as are those with more neighbours.
+NOTED = 48 << 18
+LEAST_NOTED, MOST_NOTED = 64, 1024
+# Fewer queries are searched twice before there is room for notes.
+FEWEST_NOTED = 1 << 11
 # Radii within this factor of each other are searched in the same cells: more classes sort the points more often, fewer
 # read more of them.
 CLASS_RATIO = 4.0
+
+
+class Notes(NamedTuple):
+    """What a count found, so that the fill need not search again.
+
+    Attributes:
+        places: For each share of queries, ``size`` numbers: whether all is there, and for each query how many
+            neighbours it has and where they stand among the sorted points.
+        size: Numbers of a share.
+        shares: Shares, from the first on, that have some.
+    """
+
+    places: Any
+    size: int
+    shares: int
 
 
 class Asked:
@@ -65,6 +86,7 @@ class Asked:
         import warp as wp
 
         self.count, self.device, self.own, self.first_point = count, device, own, first_point
+        self.rows = rows
         values = np.atleast_1d(np.asarray(radius, dtype=np.float64))
         self.radius = wp.array(values, dtype=wp.float64, device=device)
         # Each part: cells, and the queries that are answered in them, in an order in which they share what they read.
@@ -76,6 +98,8 @@ class Asked:
             if queries is None:
                 queries = _arranged(grid, points_of(grid) if rows is None else rows, chosen, device)
             self.parts.append((grid, queries, number))
+        # What a count found, for each part.
+        self.notes: list[Notes | None] = [None] * len(self.parts)
 
 
 def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | None]]:
@@ -140,18 +164,43 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
     return queries
 
 
-def count(asked: Asked) -> "wp.array":
-    """Number of neighbours of each query, int32 (Q,)."""
+def count(asked: Asked, *, note: bool = False) -> "wp.array":
+    """Number of neighbours of each query, int32 (Q,).
+
+    With ``note`` a CPU notes what it finds in ``asked``, for :func:`fill`.
+    """
     import warp as wp
 
-    from geokit.points._radius_host_kernels import count_runs_kernel
-    from geokit.points._radius_kernels import count_kernel
+    from geokit.points._radius_host_kernels import count_and_note_kernel, count_runs_kernel
+    from geokit.points._radius_kernels import UNCOUNT, count_kernel
 
-    counts = wp.empty(asked.count, dtype=wp.int32, device=asked.device)
-    for grid, queries, number in asked.parts:
-        given = [queries, grid, asked.radius, int(asked.own)]
-        _launch_search(count_runs_kernel, count_kernel, number, given, [counts], asked.device)
+    device = asked.device
+    counts = wp.empty(asked.count, dtype=wp.int32, device=device)
+    # A point is its own neighbour; a query that takes its place may be none of it.
+    own = int(asked.own and asked.rows is None)
+    for part, (grid, queries, number) in enumerate(asked.parts):
+        given = [queries, grid, asked.radius, own]
+        if note and device.is_cpu and number >= FEWEST_NOTED:
+            asked.notes[part] = notes = _room_for_notes(number, device)
+            _launch_search(count_and_note_kernel, None, number, [*given, *notes[1:]], [counts, notes.places], device)
+        else:
+            _launch_search(count_runs_kernel, count_kernel, number, given, [counts], device)
+    if asked.own and asked.rows is not None and asked.count:
+        points = points_of(asked.parts[0][0])
+        given = [points, asked.rows, asked.first_point, asked.radius]
+        _launch.launch(UNCOUNT[asked.rows.dtype], asked.count, given, [counts], device)
     return counts
+
+
+def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
+    import warp as wp
+
+    from geokit.points._radius_host_kernels import SHARE
+
+    shares = -(-queries // int(SHARE))
+    size = min(max(NOTED // shares, LEAST_NOTED * int(SHARE)), MOST_NOTED * int(SHARE))
+    shares = min(shares, NOTED // size)
+    return Notes(_kept_memory.room(size * shares, wp.int32, device), size, shares)
 
 
 def _launch_search(
@@ -207,8 +256,9 @@ def fill(
     indices = _kept_memory.room(total, wp.int32, device)
     distance = _kept_memory.room(total, wp.float32 if single else wp.float64, device)
     own = asked.first_point if asked.own else NOTHING_LEFT_OUT
-    for grid, queries, number in asked.parts:
-        given = [queries, grid, asked.radius, own, offsets]
+    nothing = Notes(wp.empty(0, dtype=wp.int32, device=device), 0, 0)
+    for (grid, queries, number), notes in zip(asked.parts, asked.notes, strict=True):
+        given = [queries, grid, asked.radius, own, offsets, *((notes or nothing) if device.is_cpu else ())]
         _launch_search(FILL_KERNELS[order, single], fill_kernel, number, given, [indices, distance], device)
     if device.is_cuda and order == "index":
         sort_by_index(offsets, indices, distance)

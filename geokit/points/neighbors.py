@@ -106,8 +106,7 @@ class NeighborGrid:
 
         wanted = None if radius is None else require_radius(radius)
         self._device = _launch.resolve_device(device)
-        keep_single = self._device.is_cuda and wanted is not None
-        batch = read_vectors(points, "points", self._device, defer=True, keep_single=keep_single)
+        batch = read_vectors(points, "points", self._device, defer=True, keep_single=wanted is not None)
         rows = batch.array
         # How answers about the points themselves go back; the rows are not kept.
         self._home, self._count = Batch(None, batch.single, batch.give), len(rows)
@@ -165,8 +164,8 @@ class NeighborGrid:
             radius: Search radius [world], or one for each query, shape (Q,); None for the grid's own. One more than
                 twice as long or less than half as long sorts the points again for it; the last such radius is
                 remembered.
-            exclude_self: Query i is point i and does not count itself; only that index is left out, not other points
-                in the same place.
+            exclude_self: Query i stands for point i, wherever it is, and does not count it; only that index is left
+                out, not other points in the same place.
         Returns:
             Counts (Q,) int32, in the container of the queries.
         Raises:
@@ -186,7 +185,7 @@ class NeighborGrid:
         Args:
             queries: As for :meth:`count`.
             radius: As for :meth:`count`.
-            exclude_self: Query i is point i and is not among its own neighbours.
+            exclude_self: As for :meth:`count`.
             order: "index" lists each row by ascending index, "distance" by ascending float64 distance, then index;
                 "any" leaves it in the order of the cells, which is the quickest, and the same on every device, but
                 another for another radius or set of points.
@@ -200,7 +199,7 @@ class NeighborGrid:
         """
         require_order(order)
         asked, home = self._ask(queries, radius, exclude_self)
-        return Neighbors(*map(home.give, self._filled(asked, search.count(asked), order, home.single)))
+        return Neighbors(*map(home.give, self._filled(asked, search.count(asked, note=True), order, home.single)))
 
     def radius_search_blocks(
         self,
@@ -260,7 +259,7 @@ class NeighborGrid:
         from geokit.points import _radius_kernels as kernels
 
         asked, home = self._ask(None, None if radius is None else require_radius(radius), False)
-        offsets, indices, distance = self._filled(asked, search.count(asked), "index", single=False)
+        offsets, indices, distance = self._filled(asked, search.count(asked, note=True), "index", single=False)
         counts = wp.empty(self._count, dtype=wp.int32, device=self._device)
         _launch.launch(kernels.pair_count_kernel, self._count, [offsets, indices], [counts], self._device)
         starts = search.offsets_of(counts)

@@ -8,7 +8,7 @@ import warp as wp
 
 from geokit import _launch
 from geokit.points import _cells_kernels as kernels
-from geokit.points._box_host_kernels import SHARE, survey_host_kernel
+from geokit.points._box_host_kernels import SHARE, SURVEY_HOST
 
 CPU = wp.get_device("cpu")
 
@@ -19,16 +19,17 @@ def boxes(rows, dtype=wp.vec3d, runs=None):
     count = runs or -(-len(rows) // int(SHARE))
     out = [wp.empty(count, dtype=wp.vec3d, device=CPU) for _ in range(2)]
     if runs is None:
-        _launch.launch(survey_host_kernel, count, [points], out, CPU)
+        _launch.launch(SURVEY_HOST[dtype], count, [points], out, CPU)
     else:
         _launch.launch(kernels.SURVEY[dtype], count, [points, count], out, CPU)
     return [array.numpy() for array in out]
 
 
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
 @pytest.mark.parametrize("count", [*range(1, 27), 1000, 1023, 1024, 1025, 3000])
-def test_boxes_of_shares_in_a_row(count):
-    rows = np.random.default_rng(count).normal(0.0, 1e3, (count, 3))
-    lower, upper = boxes(rows)
+def test_boxes_of_shares_in_a_row(count, dtype):
+    rows = np.random.default_rng(count).normal(0.0, 1e3, (count, 3)).astype(wp.dtype_to_numpy(dtype._wp_scalar_type_))
+    lower, upper = boxes(rows, dtype)
     for share in range(len(lower)):
         part = rows[share * int(SHARE) : (share + 1) * int(SHARE)]
         np.testing.assert_array_equal(lower[share], part.min(axis=0))
@@ -50,12 +51,13 @@ def test_boxes_of_shares_side_by_side(dtype, count, runs):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
 @pytest.mark.parametrize("runs", [None, 1])
-def test_a_box_around_what_is_not_finite_is_not_finite(bad, runs):
+def test_a_box_around_what_is_not_finite_is_not_finite(bad, runs, dtype):
     for row in (0, 1, 7, 8, 15, 16, 41):
         for axis in range(3):
             rows = np.random.default_rng(row).uniform(-1.0, 1.0, (42, 3))
             rows[row, axis] = bad
-            lower, upper = boxes(rows, runs=runs)
+            lower, upper = boxes(rows, dtype, runs)
             assert not np.isfinite(lower[0, axis])
             assert not np.isfinite(upper[0, axis])

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 import geokit as gk
 from geokit import _launch
-from geokit.points import NeighborGrid, _radius_search
+from geokit.points import NeighborGrid, _cells, _radius_search
 from geokit.points._cells_kernels import GATHER_PACKED
 from geokit.points._radius_kernels import count_kernel, fill_kernel
 
@@ -49,6 +49,28 @@ def test_self_is_left_out_by_index(grid, queries):
     as_found = grid.radius_search(queries, exclude_self=True, order="any")
     assert [sorted(row) for row in rows(as_found)] == rows(found)
     np.testing.assert_array_equal(grid.count(queries, exclude_self=True), [len(row) for row in wanted])
+
+
+@pytest.mark.parametrize("spread", [1.0, 3.0])
+@pytest.mark.parametrize("moved", [0.8, 2.0, 30.0])
+def test_self_is_left_out_only_where_it_is_found(grid, moved, spread):
+    """Queries that stand for the points, but elsewhere: such a point may not be within the radius of its query."""
+    random = np.random.default_rng(2)
+    queries = POINTS + random.normal(size=POINTS.shape) * moved * RADIUS
+    radius = random.uniform(RADIUS, spread * RADIUS, len(POINTS)) if spread > 1.0 else RADIUS
+    near = TREE.query_ball_point(queries, radius, return_sorted=True)
+    wanted = [[j for j in row if j != i] for i, row in enumerate(near)]
+    assert any(i not in row for i, row in enumerate(near))
+    found = grid.radius_search(queries, radius=radius, exclude_self=True)
+    assert rows(found) == wanted
+    counts = grid.count(queries, radius=radius, exclude_self=True)
+    np.testing.assert_array_equal(counts, [len(row) for row in wanted])
+    blocks = grid.radius_search_blocks(queries, radius=radius, exclude_self=True, memory=20_000)
+    assert [row for _, block in blocks for row in rows(block)] == wanted
+    single = queries.astype(np.float32)
+    np.testing.assert_array_equal(
+        grid.count(single, exclude_self=True), grid.count(single.astype(np.float64), exclude_self=True)
+    )
 
 
 def test_duplicates_of_a_point_are_not_left_out_with_it():
@@ -241,8 +263,45 @@ def test_more_candidates_than_the_buffer_holds(count):
     np.testing.assert_array_equal(grid.count(points[::7]), [len(row) for row in assert_rows])
 
 
+@pytest.mark.parametrize("order", ["index", "any", "distance"])
+@pytest.mark.parametrize(("noted", "least"), [(0, 64), (4096, 8), (40_000, 64), (200_000, 64), (10**7, 64)])
+def test_notes_of_the_count_change_nothing(monkeypatch, order, noted, least):
+    """No share has notes, some have, some do not suffice, all do: what is filled in is the same."""
+    # Among all others a crowd, whose candidates fill the buffer twice, and queries that nothing is near to.
+    random = np.random.default_rng(4)
+    points = np.concatenate([POINTS, 0.3 + random.random((1500, 3)) * 0.02])
+    queries = np.concatenate([QUERIES, points, [[9.0, 9.0, 9.0]] * 300, [[-9.0, 0.0, 0.0]] * 300])
+    grid = NeighborGrid(points, RADIUS, device="cpu")
+    monkeypatch.setattr(_radius_search, "FEWEST_NOTED", 10**9)
+    plain = [grid.radius_search(order=order, exclude_self=True), grid.radius_search(queries, order=order)]
+    monkeypatch.setattr(_radius_search, "FEWEST_NOTED", 1)
+    monkeypatch.setattr(_radius_search, "NOTED", noted)
+    monkeypatch.setattr(_radius_search, "LEAST_NOTED", least)
+    noted = [grid.radius_search(order=order, exclude_self=True), grid.radius_search(queries, order=order)]
+    for before, after in zip(plain, noted, strict=True):
+        for a, b in zip(before, after, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_the_count_notes_what_the_fill_reads(grid, monkeypatch):
+    """What would be searched again is not: with notes the fill finds what they say, whatever is there."""
+    asked, _ = grid._ask(None, None, False)
+    counts = _radius_search.count(asked, note=True)
+    (notes,) = asked.notes
+    values = notes.places.numpy()
+    # Share after share: 1, and for each query how many it has and where they are.
+    np.testing.assert_array_equal(values[:: notes.size], 1)
+    assert values[1] == counts.numpy()[asked.parts[0][1].index.numpy()[0]]
+    values[2 : 2 + values[1]] = 7
+    offsets, indices, _ = _radius_search.fill(asked, counts, lambda total: None, order="any")
+    first = asked.parts[0][1].index.numpy()[0]
+    begin, end = offsets.numpy()[first : first + 2]
+    assert set(indices.numpy()[begin:end].tolist()) == {int(asked.parts[0][0].index.numpy()[7])}
+
+
 def test_threads_do_not_matter(grid, monkeypatch):
     whole = grid.radius_search()
+    monkeypatch.setattr(_cells, "TALLY_SHARE", 100)
     for threads in ("1", "3", "24"):
         monkeypatch.setenv("GEOKIT_THREADS", threads)
         other = NeighborGrid(POINTS, RADIUS, device="cpu").radius_search()
