@@ -24,8 +24,8 @@ MOST_KEYS = 2**62
 TALLIES_PER_POINT = 8
 TALLIES_MORE = 1 << 16
 MOST_TALLIES = 2**31 - 1
-# Fewer points than this are one thread's.
-TALLY_SHARE = 1 << 14
+# Fewer points than this are one thread's: to wake another takes longer.
+TALLY_SHARE = 1 << 18
 
 
 class VoxelOrder(NamedTuple):

@@ -34,6 +34,8 @@ MAX_NEIGHBORS = 2**31 - 1
 NOTHING_LEFT_OUT = -(2**30) * 2
 # Items of a launch are counted in int32, and there are 32 for each row.
 ROWS_AT_ONCE = 1 << 25
+# Shares worth a slice of their own: a tenth of a millisecond, which it takes to wake a thread.
+SEARCH_GRAIN = 8
 # Numbers that notes of a count may take, 48 MiB; those of a share are at least and at most so many a query. Queries
 # beyond them are searched twice, as are those with more neighbours.
 NOTED = 48 << 18
@@ -210,7 +212,7 @@ def _launch_search(
     from geokit.points._radius_host_kernels import SHARE
 
     if device.is_cpu:
-        _launch.launch(on_host, -(-number // int(SHARE)), inputs, outputs, device, grain=1)
+        _launch.launch(on_host, -(-number // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
     else:
         _launch.launch(on_gpu, number, inputs, outputs, device)
 
