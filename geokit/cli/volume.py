@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from geokit.cli._console import announce_compiling, print_facts, print_json, step
-from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_write
-from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    from geokit.volume.model import SparseVolume
+from geokit.cli._console import print_facts, print_json
+from geokit.cli._kinds import load_grid
+from geokit.cli._operate import DEFAULTS, Common, Flag, apply, combine, operation, require_volume_file
 
 __all__ = ["app"]
 
@@ -23,25 +18,6 @@ app = App(name="volume", help="Combine, move, smooth, resample, differentiate, t
 Source = Annotated[Path, Parameter(name="IN")]
 Target = Annotated[Path, Parameter(name="OUT")]
 Files = Annotated[Path, Parameter(name="FILES")]
-Flag = Annotated[bool, Parameter(negative="")]
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Common:
-    """Options of every operation that writes a volume."""
-
-    grid: str | None = None
-    """Name of the grid where a file holds several."""
-    codec: str | None = None
-    """Compression: none, zip or blosc; blosc for .vdb and none for .nvdb where not given."""
-    force: Flag = False
-    """Replace the output where it exists."""
-    json: Flag = False
-    """Print a summary as JSON."""
-
-
-DEFAULTS = Common()
 
 
 @app.command
@@ -52,7 +28,7 @@ def union(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
         smooth: Width over which seams are blended, in world units; 0 keeps them sharp.
     """
-    _combine("union", files, smooth, common)
+    combine("union", files, smooth, common)
 
 
 @app.command
@@ -63,7 +39,7 @@ def intersection(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) 
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
         smooth: Width over which edges are rounded, in world units; 0 keeps them sharp.
     """
-    _combine("intersection", files, smooth, common)
+    combine("intersection", files, smooth, common)
 
 
 @app.command
@@ -74,7 +50,7 @@ def difference(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) ->
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
         smooth: Width over which edges are rounded, in world units; 0 keeps them sharp.
     """
-    _combine("difference", files, smooth, common)
+    combine("difference", files, smooth, common)
 
 
 @app.command
@@ -86,7 +62,7 @@ def offset(source: Source, target: Target, /, *, distance: float, common: Common
         target: A .vdb or .nvdb file.
         distance: In world units.
     """
-    _apply("offset", source, target, common, distance)
+    apply("offset", source, target, common, distance)
 
 
 @app.command
@@ -109,7 +85,7 @@ def dilate(
         voxels: For other grids.
         neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("dilate", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+    apply("dilate", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
@@ -132,7 +108,7 @@ def erode(
         voxels: For other grids.
         neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("erode", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+    apply("erode", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
@@ -155,7 +131,7 @@ def opening(
         voxels: For other grids.
         neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("opening", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+    apply("opening", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
@@ -178,7 +154,7 @@ def closing(
         voxels: For other grids.
         neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
     """
-    _apply("closing", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+    apply("closing", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
 
 @app.command
@@ -192,7 +168,7 @@ def renormalize(
         target: A .vdb or .nvdb file.
         half_width: Width of the band on each side in voxels; as it is where not given.
     """
-    _apply("renormalize", source, target, common, half_width=half_width)
+    apply("renormalize", source, target, common, half_width=half_width)
 
 
 @app.command
@@ -215,7 +191,7 @@ def smooth(
         width: Half the filter's side in voxels.
         iterations: How often.
     """
-    _apply("smooth", source, target, common, method, width=width, iterations=iterations)
+    apply("smooth", source, target, common, method, width=width, iterations=iterations)
 
 
 @app.command
@@ -237,16 +213,16 @@ def resample(
         target: A .vdb or .nvdb file.
         voxel_size: New edge length in world units.
         like: A .vdb or .nvdb file with one grid whose transform is taken instead.
-        order: Interpolation: 0 nearest voxel, 1 trilinear.
+        order: Interpolation: 0 nearest voxel, which labels and masks need, 1 trilinear.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
     """
     transform = None
     if like is not None:
         from geokit.volume import inspect
 
-        _require_volume_file(like)
+        require_volume_file(like)
         transform = inspect(like)[0].transform
-    _apply("resample", source, target, common, voxel_size=voxel_size, transform=transform, order=order, device=device)
+    apply("resample", source, target, common, voxel_size=voxel_size, transform=transform, order=order, device=device)
 
 
 @app.command
@@ -258,7 +234,7 @@ def prune(source: Source, target: Target, /, *, tolerance: float = 0.0, common: 
         target: A .vdb or .nvdb file.
         tolerance: Largest difference of values in a tile.
     """
-    _apply("prune", source, target, common, tolerance)
+    apply("prune", source, target, common, tolerance)
 
 
 @app.command
@@ -279,7 +255,7 @@ def clip(
         lower: Lower corner in world units: x y z.
         upper: Upper corner in world units: x y z.
     """
-    _apply("clip", source, target, common, [lower, upper])
+    apply("clip", source, target, common, [lower, upper])
 
 
 @app.command
@@ -291,7 +267,7 @@ def gradient(source: Source, target: Target, /, *, device: str | None = None, co
         target: A .vdb or .nvdb file.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
     """
-    _apply("gradient_field", source, target, common, device=device)
+    apply("gradient_field", source, target, common, device=device)
 
 
 @app.command
@@ -303,7 +279,7 @@ def divergence(source: Source, target: Target, /, *, device: str | None = None, 
         target: A .vdb or .nvdb file.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
     """
-    _apply("divergence", source, target, common, device=device)
+    apply("divergence", source, target, common, device=device)
 
 
 @app.command
@@ -315,7 +291,7 @@ def curl(source: Source, target: Target, /, *, device: str | None = None, common
         target: A .vdb or .nvdb file.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
     """
-    _apply("curl", source, target, common, device=device)
+    apply("curl", source, target, common, device=device)
 
 
 @app.command
@@ -327,7 +303,7 @@ def laplacian(source: Source, target: Target, /, *, device: str | None = None, c
         target: A .vdb or .nvdb file.
         device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
     """
-    _apply("laplacian", source, target, common, device=device)
+    apply("laplacian", source, target, common, device=device)
 
 
 @app.command
@@ -338,7 +314,7 @@ def segment(source: Source, target: Target, /, *, common: Common = DEFAULTS) -> 
         source: A .vdb or .nvdb file.
         target: A .vdb or .nvdb file.
     """
-    _apply("segment", source, target, common)
+    apply("segment", source, target, common)
 
 
 @app.command
@@ -350,86 +326,11 @@ def statistics(source: Source, /, *, grid: str | None = None, json: Flag = False
         grid: Name of the grid where the file holds several.
         json: Print JSON.
     """
-    _require_volume_file(source)
+    require_volume_file(source)
     volume = load_grid(source, grid)
-    found = _operation("statistics")(volume)
+    found = operation("statistics")(volume)
     report = {"file": str(source), "grid": volume.info.name, **found._asdict()}
     if json:
         print_json(report)
     else:
         print_facts({name: value for name, value in report.items() if value is not None})
-
-
-# Where the functions are; `geokit.volume` gives them these names too.
-_MODULES = {
-    "csg": ("union", "intersection", "difference"),
-    "morphology": ("offset", "dilate", "erode", "opening", "closing", "renormalize"),
-    "filters": ("smooth",),
-    "resample": ("resample",),
-    "topology": ("prune", "clip", "segment"),
-    "differential": ("gradient_field", "divergence", "curl", "laplacian"),
-    "statistics": ("statistics",),
-}
-
-
-def _operation(name: str) -> Callable[..., Any]:
-    import importlib
-
-    module = next(module for module, names in _MODULES.items() if name in names)
-    return getattr(importlib.import_module(f"geokit.volume.{module}"), name)
-
-
-def _combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -> None:
-    if len(files) < 3:
-        raise InputError(f"{name}: {len(files)} files given; name at least two to read and then one to write")
-    _run(name, files[:-1], files[-1], common, smooth=smooth)
-
-
-def _apply(name: str, source: Path, target: Path, common: Common, *arguments: Any, **options: Any) -> None:
-    _run(name, (source,), target, common, *arguments, **options)
-
-
-def _run(name: str, sources: tuple[Path, ...], target: Path, common: Common, *arguments: Any, **options: Any) -> None:
-    from geokit.volume import save
-
-    for source in sources:
-        _require_volume_file(source)
-    if kind_of_output(target) != "volume":
-        raise InputError(f"{target}: operations give volumes; use .vdb or .nvdb, and geokit convert for other formats")
-    may_write(target, force=common.force)
-    announce_compiling()
-    with step(f"reading {', '.join(map(str, sources))}", quiet=common.json):
-        volumes = [load_grid(source, common.grid) for source in sources]
-    with step(name, quiet=common.json):
-        result = _operation(name)(*volumes, *arguments, **options)
-    parts = result if isinstance(result, list) else [result]
-    if not parts:
-        raise InputError(
-            f"{sources[0]}: grid {volumes[0].info.name!r} has no active voxels, so there is nothing to write"
-        )
-    with step(f"writing {target}", quiet=common.json):
-        save(target, *parts, codec=common.codec)
-    _report(name, sources, target, parts, common)
-
-
-def _report(name: str, sources: tuple[Path, ...], target: Path, parts: list[SparseVolume], common: Common) -> None:
-    summary = {
-        "grids": len(parts),
-        "grid_type": parts[0].info.grid_type,
-        "voxel_size": parts[0].info.voxel_size.tolist(),
-        "active_voxels": [part.info.active_voxel_count for part in parts],
-        "byte_count": target.stat().st_size,
-    }
-    if common.json:
-        print_json(
-            {"operation": name, "sources": [str(source) for source in sources], "target": str(target), **summary}
-        )
-        return
-    size = " x ".join(f"{edge:.6g}" for edge in summary["voxel_size"])
-    counts = " + ".join(str(count) for count in summary["active_voxels"])
-    print(f"{target}: {summary['grid_type']}, {counts} active voxels of {size}, {summary['byte_count']} bytes")
-
-
-def _require_volume_file(path: Path) -> None:
-    if kind_of_input(path) != "volume":
-        raise InputError(f"{path}: not a volume; give a .vdb or .nvdb file, or make one with geokit convert")

@@ -14,29 +14,14 @@ from geokit._launch import thread_count
 from geokit.errors import InputError
 from geokit.volume._build_tree import LOWER, UPPER, Topology, link_nodes, root_span, topology_of
 from geokit.volume._flood import face_signs, flood
-from geokit.volume._nanovdb import (
-    FLAG_BREADTH_FIRST,
-    FLAG_HAS_BBOX,
-    FLAG_HAS_MIN_MAX,
-    HEAD_SIZE,
-    MAGIC_OLD,
-    TREE_OFFSET,
-    aligned_buffer,
-    encoded_name,
-    grid_class_code,
-    grid_header,
-    tree_header,
-    voxel_size_of,
-)
+from geokit.volume._grid_header import checked_options, write_header
+from geokit.volume._nanovdb import FLAG_HAS_BBOX, HEAD_SIZE, aligned_buffer, grid_header, tree_header
 from geokit.volume._nanovdb_checksum import full_checksum, partial_checksum
 from geokit.volume._nanovdb_layout import LEAF_VOXELS, GridLayout, layout_of
 
 __all__ = ["NO_BOX", "FloatGridLayout", "allocate_float_grid", "build_float_grid", "finish", "local_boxes"]
 
 FLOAT_TYPE = 1
-# 32.4.2 is what OpenVDB 10 writes; later readers take it too.
-VERSION = 32 << 21 | 4 << 10 | 2
-LONGEST_NAME = 255
 # Leaves that a thread works on at a time: 256 of them are half a megabyte of values, which stays in the cache.
 LEAVES_AT_A_TIME = 256
 # A box that adds nothing to the union with another.
@@ -133,19 +118,16 @@ def allocate_float_grid(
 
     Arguments and errors are those of :func:`build_float_grid`.
     """
-    encoded = encoded_name(name)
-    if len(encoded) > LONGEST_NAME or b"\0" in encoded:
-        raise InputError(f"name: {len(encoded)} bytes; use at most {LONGEST_NAME} without a zero byte")
-    matrix = _checked_transform(transform)
+    options = checked_options(transform, name, grid_class)
     if not np.isfinite(background):
         raise InputError(f"background: {background} is not finite; give a number")
-    if grid_class_code(grid_class) == 0 and grid_class != "unknown":
-        raise InputError(f"grid_class: NanoVDB has no class {grid_class!r}; use 'level set', 'fog volume' or 'unknown'")
     layout = layout_of(FLOAT_TYPE, "float grid")
     topology = topology_of(leaf_origins, layout, fill_gaps=signed_fill)
     # calloc's pages are zero until they are written: padding costs nothing and the leaves are touched once.
     buffer = aligned_buffer(topology.size, zeroed=True)
-    _write_headers(buffer, topology, matrix, encoded, grid_class_code(grid_class))
+    begins = (topology.leaf_begin, topology.lower_begin, topology.upper_begin, topology.root_begin)
+    counts = (topology.leaf_count, topology.lower_count, topology.upper_count)
+    write_header(buffer, layout, options, topology.size, begins, counts)
     link_nodes(buffer, topology, layout, background)
     count = topology.leaf_count
     begin = topology.leaf_begin
@@ -191,49 +173,6 @@ def finish(layout: FloatGridLayout, *, checksum: Literal["partial", "full"] = "p
     head = buffer[:HEAD_SIZE]
     grid_header(buffer)["checksum"] = (full_checksum if checksum == "full" else partial_checksum)(head, buffer)
     return buffer
-
-
-def _checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix = np.array(transform, np.float64)
-    if matrix.shape != (4, 4):
-        raise InputError(f"transform: shape {matrix.shape} is not (4, 4); give index to world")
-    linear = matrix[:3, :3]
-    scale = np.abs(linear).max(axis=1, keepdims=True)
-    if (
-        not np.isfinite(matrix).all()
-        or not (scale > 0.0).all()
-        or np.linalg.matrix_rank(linear / scale) < 3
-        or (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any()
-    ):
-        raise InputError(
-            "transform: not a finite, invertible affine map with the last row 0 0 0 1; give index to world"
-        )
-    return matrix
-
-
-def _write_headers(
-    buffer: NDArray[np.uint8], topology: Topology, matrix: NDArray[np.float64], name: bytes, grid_class: int
-) -> None:
-    linear = matrix[:3, :3]
-    inverse = np.linalg.inv(linear)
-    grid = grid_header(buffer)
-    grid["magic"] = MAGIC_OLD
-    grid["version"] = VERSION
-    grid["flags"] = FLAG_BREADTH_FIRST | FLAG_HAS_MIN_MAX
-    grid["grid_count"] = 1
-    grid["grid_size"] = grid["blind_offset"] = topology.size
-    grid["name"] = name
-    grid["matrix"], grid["inverse"], grid["vector"], grid["taper"] = linear.ravel(), inverse.ravel(), matrix[:3, 3], 1.0
-    # Beyond float32's range the single-precision map overflows to inf; geokit's kernels use the double one.
-    with np.errstate(over="ignore", under="ignore"):
-        grid["matrix_f"], grid["inverse_f"] = linear.ravel(), inverse.ravel()
-        grid["vector_f"], grid["taper_f"] = matrix[:3, 3], 1.0
-    grid["voxel_size"] = voxel_size_of(matrix)
-    grid["grid_class"], grid["grid_type"] = grid_class, FLOAT_TYPE
-    tree = tree_header(buffer)
-    begins = (topology.leaf_begin, topology.lower_begin, topology.upper_begin, topology.root_begin)
-    tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
-    tree["node_count"] = [topology.leaf_count, topology.lower_count, topology.upper_count]
 
 
 def _fill_signs(layout: FloatGridLayout, float_layout: GridLayout) -> None:

@@ -12,10 +12,12 @@ from geokit.errors import InputError
 from geokit.volume._nanovdb import FLAG_HAS_BBOX, HEAD_SIZE, grid_header
 from geokit.volume._nanovdb_layout import GridLayout
 
-__all__ = ["LOWER", "UPPER", "Level", "Topology", "link_nodes", "root_span", "topology_of"]
+__all__ = ["LOWER", "UPPER", "Level", "Topology", "link_nodes", "root_keys_of", "root_span", "topology_of", "with_gaps"]
 
 # Tiles between upper nodes are written one by one: this many are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
+# Of a coordinate in the key of an entry of the root.
+ROOT_BITS = 20
 ROOT_TILE = np.dtype(
     {
         "names": ["key", "child", "state", "value"],
@@ -157,10 +159,9 @@ def topology_of(leaf_origins: NDArray[np.int32], layout: GridLayout, *, fill_gap
     """
     origins = _checked_origins(leaf_origins)
     x, y, z = (origins[:, axis].astype(np.int64) for axis in range(3))
-    root_key = _root_key(x >> 12, y >> 12, z >> 12)
     lower_slot = ((x >> 7) & 31) << 10 | ((y >> 7) & 31) << 5 | ((z >> 7) & 31)
     leaf_slot = ((x >> 3) & 15) << 8 | ((y >> 3) & 15) << 4 | ((z >> 3) & 15)
-    uppers, upper_of_leaf = np.unique(root_key, return_inverse=True)
+    uppers, upper_of_leaf = np.unique(root_keys_of(origins), return_inverse=True)
     place = upper_of_leaf.reshape(-1).astype(np.int64) << 27 | lower_slot << 12 | leaf_slot
     order = np.argsort(place, kind="stable")
     place = place[order]
@@ -168,7 +169,7 @@ def topology_of(leaf_origins: NDArray[np.int32], layout: GridLayout, *, fill_gap
     if len(twice):
         raise InputError(f"leaf_origins: row {order[twice[0] + 1]} repeats row {order[twice[0]]}; give each leaf once")
     lower_place, leaf_lower = np.unique(place >> 12, return_inverse=True)
-    keys, child, gaps = _with_gaps(uppers, fill_gaps)
+    keys, child, gaps = with_gaps(uppers, fill_gaps)
     root_begin = HEAD_SIZE
     upper_begin = root_begin + layout.root_size + len(keys) * layout.root_tile_size
     lower_begin = upper_begin + len(uppers) * layout.upper_size
@@ -206,13 +207,14 @@ def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.ascontiguousarray(origins, np.int32)
 
 
-def _root_key(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64]) -> NDArray[np.uint64]:
+def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
+    """Keys of the root's entries for voxels (N, 3)."""
     # 20 bits of each coordinate, negative ones wrapped as NanoVDB does by shifting unsigned.
-    bits = (1 << 20) - 1
-    return ((x & bits) << 42 | (y & bits) << 21 | (z & bits)).astype(np.uint64)
+    x, y, z = voxels.T.astype(np.int64) >> 12 & ((1 << ROOT_BITS) - 1)
+    return np.asarray((x << 42 | y << 21 | z).astype(np.uint64))
 
 
-def _with_gaps(
+def with_gaps(
     uppers: NDArray[np.uint64], fill_gaps: bool
 ) -> tuple[NDArray[np.uint64], NDArray[np.int64], list[tuple[int, int, int]]]:
     """The root's table, with a tile for every place between two upper nodes on one line along z."""

@@ -9,42 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError
-from geokit.volume._nanovdb import (
-    FLAG_BREADTH_FIRST,
-    FLAG_HAS_BBOX,
-    FLAG_HAS_MIN_MAX,
-    HEAD_SIZE,
-    MAGIC_OLD,
-    TREE_OFFSET,
-    aligned_buffer,
-    encoded_name,
-    grid_class_code,
-    grid_header,
-    tree_header,
-    voxel_size_of,
-)
+from geokit.volume._build_tree import root_keys_of, root_span, with_gaps
+from geokit.volume._grid_header import GridOptions, checked_options, write_header
+from geokit.volume._nanovdb import HEAD_SIZE, aligned_buffer, tree_header
 from geokit.volume._nanovdb_layout import GRID_TYPES, GridLayout, layout_of
 
 __all__ = ["GridHead", "Places", "checked_head", "places_of", "write_head", "write_root"]
 
-# 32.4.2 is what OpenVDB 10 writes; later readers take it too.
-VERSION = 32 << 21 | 4 << 10 | 2
-LONGEST_NAME = 255
-# Tiles between upper nodes are written one by one: this many are 2 MiB and cover 2.7e8 voxels of solid along an axis.
-LARGEST_GAP_TILES = 1 << 16
 _WORDS = {"float": "<f4", "int32": "<i4"}
 
 
 @dataclass(frozen=True)
 class GridHead:
-    """What a grid is to be, apart from its voxels: type, background, inside value, transform, name and class."""
+    """What a grid is to be, apart from its voxels: type, background, inside value, and what its header says."""
 
     layout: GridLayout
     background: float
     inside: float
-    transform: NDArray[np.float64]
-    name: bytes
-    grid_class: int
+    options: GridOptions
 
     @property
     def word(self) -> np.dtype[Any]:
@@ -82,35 +64,10 @@ def checked_head(
     Raises:
         InputError: A name, class, background or transform that no grid can have.
     """
-    encoded = encoded_name(name)
-    if len(encoded) > LONGEST_NAME or b"\0" in encoded:
-        raise InputError(f"name: {len(encoded)} bytes; use at most {LONGEST_NAME} without a zero byte")
-    matrix = _checked_transform(transform)
+    options = checked_options(transform, name, grid_class)
     if not (np.isfinite(background) and np.isfinite(inside)):
         raise InputError(f"background: {background} is not finite; give a number")
-    code = grid_class_code(grid_class)
-    if code == 0 and grid_class != "unknown":
-        raise InputError(f"grid_class: NanoVDB has no class {grid_class!r}; use 'level set', 'fog volume' or 'unknown'")
-    layout = layout_of(GRID_TYPES.index(grid_type), "grid")
-    return GridHead(layout, background, inside, matrix, encoded, code)
-
-
-def _checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix = np.array(transform, np.float64)
-    if matrix.shape != (4, 4):
-        raise InputError(f"transform: shape {matrix.shape} is not (4, 4); give index to world")
-    linear = matrix[:3, :3]
-    scale = np.abs(linear).max(axis=1, keepdims=True)
-    if (
-        not np.isfinite(matrix).all()
-        or not (scale > 0.0).all()
-        or np.linalg.matrix_rank(linear / scale) < 3
-        or (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any()
-    ):
-        raise InputError(
-            "transform: not a finite, invertible affine map with the last row 0 0 0 1; give index to world"
-        )
-    return matrix
+    return GridHead(layout_of(GRID_TYPES.index(grid_type), "grid"), background, inside, options)
 
 
 def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.int64], *, fill_gaps: bool) -> Places:
@@ -125,51 +82,12 @@ def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.i
     Raises:
         InputError: The upper nodes are too far apart to be filled in between.
     """
-    keys, child, gaps = _with_gaps(_root_key(uppers), fill_gaps)
+    keys, child, gaps = with_gaps(root_keys_of(uppers << 12), fill_gaps)
     upper_begin = HEAD_SIZE + layout.root_size + len(keys) * layout.root_tile_size
     lower_begin = upper_begin + len(uppers) * layout.upper_size
     leaf_begin = lower_begin + lowers * layout.lower_size
     size = leaf_begin + leaves * layout.leaf_size
     return Places((leaves, lowers, len(uppers)), keys, child, gaps, upper_begin, lower_begin, leaf_begin, size)
-
-
-def _root_key(uppers: NDArray[np.int64]) -> NDArray[np.uint64]:
-    # 20 bits of each coordinate, negative ones wrapped as NanoVDB does by shifting unsigned.
-    x, y, z = uppers.T & ((1 << 20) - 1)
-    return np.asarray((x << 42 | y << 21 | z).astype(np.uint64))
-
-
-def _with_gaps(
-    uppers: NDArray[np.uint64], fill_gaps: bool
-) -> tuple[NDArray[np.uint64], NDArray[np.int64], list[tuple[int, int, int]]]:
-    """The root's table, with a tile for every place between two upper nodes on one line along z."""
-    numbers = np.arange(len(uppers))
-    if not fill_gaps or len(uppers) < 2:
-        return uppers, numbers, []
-    line = uppers >> np.uint64(21)
-    # Signed z decides what lies between: the keys' own order puts negative ones last.
-    z = (uppers & np.uint64((1 << 21) - 1)).astype(np.int64)
-    z = np.where(z >= 1 << 19, z - (1 << 20), z)
-    order = np.lexsort((z, line))
-    below, above = order[:-1], order[1:]
-    missing = np.where(line[below] == line[above], z[above] - z[below] - 1, 0)
-    if missing.sum() > LARGEST_GAP_TILES:
-        raise InputError(
-            f"leaf_origins: {int(missing.sum())} empty nodes of 4096^3 voxels lie between the leaves, more than "
-            f"{LARGEST_GAP_TILES}; use larger voxels or a volume per object"
-        )
-    pair = np.repeat(np.arange(len(below)), missing)
-    step = np.arange(len(pair)) - np.repeat(np.cumsum(missing) - missing, missing)
-    tile_z = (z[below][pair] + 1 + step) & ((1 << 20) - 1)
-    tiles = line[below][pair] << np.uint64(21) | tile_z.astype(np.uint64)
-    keys = np.concatenate([uppers, tiles])
-    rank = np.argsort(keys, kind="stable")
-    child = np.concatenate([numbers, np.full(len(tiles), -1)])[rank]
-    row_of = np.empty(len(keys), np.int64)
-    row_of[rank] = np.arange(len(keys))
-    rows = row_of[len(uppers) :]
-    gaps = list(zip(rows.tolist(), below[pair].tolist(), above[pair].tolist(), strict=True))
-    return keys[rank], child, gaps
 
 
 def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -181,26 +99,8 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
         upper_faces: For each upper node a bit for each face, -x +x -y +y -z +z: whether it lies inside, shape (U,).
     """
     buffer = aligned_buffer(places.upper_begin, zeroed=True)
-    linear = head.transform[:3, :3]
-    inverse = np.linalg.inv(linear)
-    grid = grid_header(buffer)
-    grid["magic"], grid["version"] = MAGIC_OLD, VERSION
-    grid["flags"] = FLAG_BREADTH_FIRST | FLAG_HAS_MIN_MAX
-    grid["grid_count"] = 1
-    grid["grid_size"] = grid["blind_offset"] = places.size
-    grid["name"] = head.name
-    translation = head.transform[:3, 3]
-    grid["matrix"], grid["inverse"], grid["vector"], grid["taper"] = linear.ravel(), inverse.ravel(), translation, 1.0
-    # Beyond float32's range the single-precision map overflows to inf; geokit's kernels use the double one.
-    with np.errstate(over="ignore", under="ignore"):
-        grid["matrix_f"], grid["inverse_f"] = linear.ravel(), inverse.ravel()
-        grid["vector_f"], grid["taper_f"] = translation, 1.0
-    grid["voxel_size"] = voxel_size_of(head.transform)
-    grid["grid_class"], grid["grid_type"] = head.grid_class, GRID_TYPES.index(head.layout.name)
-    tree = tree_header(buffer)
     begins = (places.leaf_begin, places.lower_begin, places.upper_begin, HEAD_SIZE)
-    tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
-    tree["node_count"] = places.counts
+    write_header(buffer, head.layout, head.options, places.size, begins, places.counts)
     buffer[HEAD_SIZE + 24 : HEAD_SIZE + 28].view("<u4")[0] = len(places.root_keys)
     table = _root_table(buffer, head, len(places.root_keys))
     table["key"] = places.root_keys
@@ -241,18 +141,4 @@ def write_root(
         limits[:] = extrema[some, 0].min(), extrema[some, 1].max()
     root[head.layout.root_background : head.layout.root_background + 12].view(head.word)[:] = (head.background, *limits)
     tree_header(buffer)["voxel_count"] = active
-    _write_world_box(buffer, box if some.any() else None)
-
-
-def _write_world_box(buffer: NDArray[np.uint8], box: NDArray[np.int32] | None) -> None:
-    # The upper corner is the far side of the last voxel, as NanoVDB has it.
-    grid = grid_header(buffer)
-    if box is None:
-        limits = np.finfo(np.float64)
-        grid["world_bbox"] = [limits.max] * 3 + [limits.min] * 3
-        return
-    ends = np.stack([box[0].astype(np.float64), box[1].astype(np.float64) + 1.0])
-    corners = np.array(np.meshgrid(*ends.T, indexing="ij")).reshape(3, -1)
-    world = grid["matrix"].reshape(3, 3) @ corners + grid["vector"][:, None]
-    grid["world_bbox"] = np.concatenate([world.min(axis=1), world.max(axis=1)])
-    grid["flags"] |= FLAG_HAS_BBOX
+    root_span(buffer, box if some.any() else None)

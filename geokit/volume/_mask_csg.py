@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 from geokit.errors import InputError
 from geokit.volume._leaves import require_volume
 from geokit.volume._typed_build import built
-from geokit.volume._typed_segment import without_tiles
-from geokit.volume._typed_tree import bits_of, rows_in, tree_of, voxelized_tree
+from geokit.volume._typed_tree import bits_of, rows_in, tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.model import SparseVolume
 
 __all__ = ["combined_masks"]
@@ -33,8 +31,8 @@ def combined_masks(kind: str, operands: Sequence[SparseVolume], names: Sequence[
         require_volume(volume, name, ("mask",))
         if not np.allclose(volume.info.transform, wanted, rtol=0.0, atol=tolerance):
             raise InputError(
-                f"{name}: the voxels of mask {volume.info.name!r} are not those of {operands[0].info.name!r}, and no "
-                "mask can be resampled; give masks of one transform"
+                f"{name}: the voxels of mask {volume.info.name!r} are not those of {operands[0].info.name!r}; resample "
+                "it with order=0 and the transform of the first"
             )
     trees = [voxelized_tree(tree_of(volume), volume.info.name) for volume in operands]
     origins = np.unique(np.concatenate([tree.origins for tree in trees]), axis=0)
@@ -50,5 +48,5 @@ def combined_masks(kind: str, operands: Sequence[SparseVolume], names: Sequence[
             masks &= ~own
     some = masks.any(axis=1)
     masks = masks[some]
-    alone = replace(without_tiles(trees[0]), origins=origins[some], masks=masks, values=bits_of(masks))
+    alone = tree_of_leaves(trees[0].layout, trees[0].background, origins[some], masks, bits_of(masks))
     return built(alone, operands[0])

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._launch import thread_count
-from geokit.volume._build_tree import root_span
+from geokit.volume._build_tree import root_keys_of, root_span
+from geokit.volume._grid_header import write_transform
 from geokit.volume._nanovdb import (
     BLIND_CLASS_NAME,
     BLIND_DATA,
@@ -35,7 +36,6 @@ from geokit.volume._typed_tree import (
     TypedTree,
     differs,
     leaf_values_begin,
-    root_keys_of,
     root_tile_type,
     slot_of,
 )
@@ -73,8 +73,8 @@ class _Places(NamedTuple):
     upper_row: NDArray[np.int64]
 
 
-def built(tree: TypedTree, like: SparseVolume) -> SparseVolume:
-    """A volume with the given leaves and tiles, and name, class, transform and metadata of another.
+def built(tree: TypedTree, like: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
+    """A volume with given leaves and tiles, and name, class, metadata and (unless one is given) transform of another.
 
     Nodes that the leaves need and the tree does not have are filled with the tile in whose place they come, that of the
     root included. Every node gets its box and its extrema (of vectors by length), no averages.
@@ -96,11 +96,13 @@ def built(tree: TypedTree, like: SparseVolume) -> SparseVolume:
     begins = (leaf_begin, lower_begin, upper_begin, root_begin)
     counts = (len(tree.origins), len(places.lower_upper), len(keys))
     _write_heads(buffer, like, layout, begins, counts, tree_end, bool(len(name)))
+    if transform is not None:
+        write_transform(grid_header(buffer), transform)
 
     upper = _level_of(buffer, layout, upper_begin, len(keys), True)
     lower = _level_of(buffer, layout, lower_begin, len(places.lower_upper), False)
-    active_upper = _fill_upper(upper, tree, places)
-    active_lower = _fill_lower(lower, tree, places)
+    active_upper = _fill(upper, tree, tree.upper, places.upper_row, places.upper_origins)
+    active_lower = _fill(lower, tree, tree.lower, places.lower_row, places.lower_origins)
     upper.link(places.lower_upper, places.lower_slot, lower_begin + np.arange(lower.count) * lower.size)
     lower.link(places.leaf_lower, places.leaf_slot, leaf_begin + np.arange(len(tree.origins)) * layout.leaf_size)
 
@@ -228,22 +230,16 @@ def _level_of(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: 
     return _Level(buffer, layout, begin, count, layout.lower_size, layout.lower_table, 16, 8)
 
 
-def _fill_upper(level: _Level, tree: TypedTree, places: _Places) -> NDArray[np.int64]:
+def _fill(
+    level: _Level, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """Write the tiles of a level, those of the tree's own ``nodes`` and around them; returns nodes with active ones."""
     tiles = level.tiles()
     if tree.background.tobytes().strip(b"\0"):
         tiles[:] = tree.background
-    active = _own(level, tiles, tree.upper, places.upper_row)
-    fresh = np.flatnonzero(places.upper_row < 0)
-    return _filled(level, tiles, tree, fresh, places.upper_origins[fresh], active)
-
-
-def _fill_lower(level: _Level, tree: TypedTree, places: _Places) -> NDArray[np.int64]:
-    tiles = level.tiles()
-    if tree.background.tobytes().strip(b"\0"):
-        tiles[:] = tree.background
-    active = _own(level, tiles, tree.lower, places.lower_row)
-    fresh = np.flatnonzero(places.lower_row < 0)
-    return _filled(level, tiles, tree, fresh, places.lower_origins[fresh], active)
+    active = _own(level, tiles, nodes, row)
+    fresh = np.flatnonzero(row < 0)
+    return _filled(level, tiles, tree, fresh, origins[fresh], active)
 
 
 def _filled(

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from geokit.volume._nanovdb_layout import LAYOUTS, LEAF_VOXELS
+from geokit.volume._nanovdb_layout import LAYOUTS
 from geokit.volume._typed_build import built
-from geokit.volume._typed_tree import Nodes, RootTiles, TypedTree, bits_of, rows_in, tree_of, voxelized_tree
+from geokit.volume._typed_tree import (
+    Nodes,
+    RootTiles,
+    TypedTree,
+    bits_of,
+    rows_in,
+    tree_of,
+    tree_of_leaves,
+    voxelized_tree,
+)
 from geokit.volume.model import SparseVolume
 
 __all__ = ["mask_of", "segmented"]
@@ -23,7 +31,7 @@ def segmented(volume: SparseVolume, parts_of: Callable[[SparseVolume], list[Spar
         own = voxelized_tree(tree_of(part), volume.info.name)
         values = np.array(tree.values[rows_in(tree.origins, own.origins)])
         values[~bits_of(own.masks)] = tree.background
-        alone = replace(without_tiles(tree), origins=own.origins, masks=own.masks, values=values)
+        alone = tree_of_leaves(tree.layout, tree.background, own.origins, own.masks, values)
         found.append(built(alone, volume))
     return found
 
@@ -50,15 +58,3 @@ def mask_of(volume: SparseVolume) -> SparseVolume:
         RootTiles(root.origins, root.active, root.active),
     )
     return built(mask, volume)
-
-
-def without_tiles(tree: TypedTree) -> TypedTree:
-    """The tree with its leaves alone."""
-    kind = tree.layout.background
-
-    def none(slots: int) -> Nodes:
-        shape = (0, slots, *kind.shape)
-        return Nodes(np.empty((0, 3), np.int32), np.empty(shape, kind.base), np.empty((0, slots), np.bool_))
-
-    root = RootTiles(np.empty((0, 3), np.int32), np.empty((0, *kind.shape), kind.base), np.empty(0, np.bool_))
-    return replace(tree, lower=none(LEAF_VOXELS * 8), upper=none(LEAF_VOXELS * 64), root=root)

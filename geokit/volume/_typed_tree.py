@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geokit import _memory
 from geokit.errors import DeviceMemoryError
+from geokit.volume._build_tree import ROOT_BITS
 from geokit.volume._nanovdb import TREE_OFFSET, grid_header, tree_header
 from geokit.volume._nanovdb_checks import check_grid
 from geokit.volume._nanovdb_layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
@@ -27,11 +28,11 @@ __all__ = [
     "bits_of",
     "differs",
     "leaf_values_begin",
-    "root_keys_of",
     "root_tile_type",
     "rows_in",
     "slot_of",
     "tree_of",
+    "tree_of_leaves",
     "voxelized_tree",
 ]
 
@@ -39,7 +40,6 @@ __all__ = [
 VALUE_TYPES = tuple(name for name, layout in LAYOUTS.items() if not layout.leaf_header)
 # Nodes whose slots are looked at together: 64 upper nodes are 16 MiB.
 NODES_AT_A_TIME = 64
-ROOT_BITS = 20
 
 
 class Nodes(NamedTuple):
@@ -123,13 +123,6 @@ def slot_of(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int
     return (at[:, 0] * width + at[:, 1]) * width + at[:, 2]
 
 
-def root_keys_of(origins: NDArray[np.int32]) -> NDArray[np.uint64]:
-    """Keys of the root's entries for voxels (N, 3)."""
-    # Negative ones wrap as NanoVDB has it, by shifting unsigned.
-    at = (origins.astype(np.int64) >> 12) & ((1 << ROOT_BITS) - 1)
-    return (at[:, 0] << 42 | at[:, 1] << 21 | at[:, 2]).astype(np.uint64)
-
-
 def differs(values: NDArray[Any], background: NDArray[Any]) -> NDArray[np.bool_]:
     """Which values (..., C) are other than the background, bit by bit."""
     base = values.dtype
@@ -194,6 +187,24 @@ def tree_of(volume: SparseVolume) -> TypedTree:
     lower, first = level.read(first, background, begins[0], layout.leaf_size, counts[0])
     masks, values = _leaf_contents(buffer, layout, begins[0], counts[0])
     return TypedTree(layout, background, first, masks, values, lower, upper, root)
+
+
+def tree_of_leaves(
+    layout: GridLayout,
+    background: NDArray[Any],
+    origins: NDArray[np.int32],
+    masks: NDArray[np.uint8],
+    values: NDArray[Any],
+) -> TypedTree:
+    """A tree of leaves alone."""
+    kind = layout.background
+
+    def none(slots: int) -> Nodes:
+        shape = (0, slots, *kind.shape)
+        return Nodes(np.empty((0, 3), np.int32), np.empty(shape, kind.base), np.empty((0, slots), np.bool_))
+
+    root = RootTiles(np.empty((0, 3), np.int32), np.empty((0, *kind.shape), kind.base), np.empty(0, np.bool_))
+    return TypedTree(layout, background, origins, masks, values, none(LOWER_SLOTS), none(UPPER_SLOTS), root)
 
 
 def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:

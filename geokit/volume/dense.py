@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +12,12 @@ from geokit import _arrays, _launch, _memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._build import build_float_grid
 from geokit.volume._dense_tiles import VOXELS_AT_A_TIME, DenseTiles, block_keys
+from geokit.volume._dense_types import background_of, layout_for
 from geokit.volume._index_checks import INDEX_LAYOUTS
 from geokit.volume._nanovdb import TREE_OFFSET, info_of, tree_header
-from geokit.volume._nanovdb_layout import LOWER_SLOTS, layout_of
+from geokit.volume._nanovdb_layout import LAYOUTS, LOWER_SLOTS, layout_of
+from geokit.volume._typed_build import built
+from geokit.volume._typed_dense import DenseRule, tree_of_dense
 from geokit.volume.model import SparseVolume
 
 __all__ = ["DenseGrid", "from_dense", "to_dense"]
@@ -24,22 +28,6 @@ BYTES_PER_LEAF = 2144 + 2112 + 96
 # Rows of voxels worth a slice of a launch.
 ROW_GRAIN = 16
 INT32 = np.iinfo(np.int32)
-
-# How the values of each grid type are stored, and how many a voxel has.
-_NATIVE: dict[str, tuple[str, int]] = {
-    **dict.fromkeys(("float", "fp4", "fp8", "fp16", "fpn"), ("f4", 1)),
-    "double": ("f8", 1),
-    "half": ("f2", 1),
-    **{name: (name, 1) for name in ("int16", "int32", "int64", "uint8", "uint32")},
-    **dict.fromkeys(("bool", "mask"), ("?", 1)),
-    "vec3f": ("f4", 3),
-    "vec3d": ("f8", 3),
-    "vec3u8": ("u1", 3),
-    "vec3u16": ("u2", 3),
-    "vec4f": ("f4", 4),
-    "vec4d": ("f8", 4),
-    "rgba8": ("u1", 4),
-}
 
 
 class DenseGrid(NamedTuple):
@@ -63,33 +51,44 @@ def from_dense(
     transform: Any = None,
     voxel_size: Any = None,
     origin: Any = (0, 0, 0),
-    background: float = 0.0,
+    background: Any = 0,
     tolerance: float = 0.0,
     name: str = "",
     grid_class: str = "unknown",
+    grid_type: str | None = None,
 ) -> SparseVolume:
-    """A float grid from a dense array; what equals the background takes no memory.
+    """A grid from a dense array; what equals the background takes no memory.
 
     Voxels within ``tolerance`` of the background are inactive and take its value; leaves of 8^3 voxels without an
     active one are not stored. In a level set the same holds for minus the background, which the inside keeps. Every
-    other value is kept as its nearest float32, and outside the array the grid has the background. So ``to_dense`` of
-    the result differs from ``values`` by at most the tolerance and half a float32 step. Held by
-    tests/unit/test_dense.py and tests/property/test_dense.py.
+    other value is kept, in grids of floats as the nearest that the type has, and outside the array the grid has the
+    background. So ``to_dense`` of the result differs from ``values`` by at most the tolerance and the rounding to that
+    type (none, of an array that ``to_dense`` gave, in a grid of its type). Held by tests/unit/test_dense.py,
+    tests/unit/test_dense_types.py and tests/property/test_dense.py.
+
+    Without ``grid_type`` floats of any size become "float" or "vec3f" and "vec4f", bools "bool", and whole numbers
+    their own type: "int16", "int32", "int64", "uint8", "uint32", "vec3u8", "vec3u16" or "rgba8" (int8 "int16", uint16
+    "int32"); as a level set or fog volume they become "float". What is asked for by name: "double", "vec3d", "vec4d",
+    "half" and "mask". OpenVDB's files have no int16, uint8, half, vec3u8, vec3u16 and rgba8.
 
     Args:
-        values: Values of the voxels, shape (X, Y, Z): NumPy or what NumPy can read, a warp array, or a DLPack exporter.
+        values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) of C = 3 or 4 components: NumPy or what NumPy can
+            read, a warp array, or a DLPack exporter.
         transform: Index to world, shape (4, 4); give this or ``voxel_size``.
         voxel_size: Edge length of a voxel [world], or three of them; index (0, 0, 0) is then the world's origin.
         origin: Index of the voxel ``values[0, 0, 0]``, three whole numbers.
-        background: Value of all voxels that are not stored; of a level set, positive.
-        tolerance: Largest difference from the background that counts as none [value units].
+        background: Value of all voxels that are not stored, a number or one for each component; of a level set,
+            positive, and of a mask False.
+        tolerance: Largest difference from the background, in each component, that counts as none [value units].
         name: Name of the grid.
         grid_class: "level set", "fog volume", "unknown" or another class that NanoVDB has.
+        grid_type: Type of the grid, as ``GridInfo.grid_type`` names it; None for that of the array.
     Returns:
-        SparseVolume of type "float".
+        SparseVolume of that type.
     Raises:
-        InputError: values is not (X, Y, Z) or holds a number that float32 does not; the transform, origin, background,
-            tolerance, name or class cannot be used.
+        InputError: values is not (X, Y, Z) or (X, Y, Z, C), is of a dtype that no grid has, or holds a number that the
+            type does not: none that is not finite, of types of whole numbers no other; the transform, origin,
+            background, tolerance, name, class or type cannot be used.
         DeviceMemoryError: The grid needs more memory than there is.
     Source:
         OpenVDB's copyFromDense. Differs: both signs of a level set's background, tiles inside.
@@ -99,21 +98,35 @@ def from_dense(
         >>> cube[10:12, 10:12, 10:12] = 1.0
         >>> from_dense(cube, voxel_size=0.1).info.active_voxel_count
         8
+        >>> from_dense(cube.astype(np.int32), voxel_size=0.1).info.grid_type
+        'int32'
     """
     dense = _read_dense(values)
+    layout = layout_for(dense, grid_type, grid_class)
     matrix = _transform_of(transform, voxel_size)
     start = _whole_numbers(origin, "origin", (3,))
-    last = start + np.array(dense.shape)
+    last = start + np.array(dense.shape[:3])
     if (start < INT32.min).any() or (last - 1 > INT32.max).any():
         raise InputError(f"origin: {start.tolist()} puts voxels beyond int32; use a smaller one")
-    background = float(np.float32(_arrays.require_finite_scalar(background, "background")))
     tolerance = _arrays.require_finite_scalar(tolerance, "tolerance")
     if tolerance < 0.0:
         raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+    if layout.name == "float":
+        background = float(np.float32(_arrays.require_finite_scalar(background, "background")))
+    else:
+        background = background_of(background, layout)
     level_set = grid_class == "level set"
     if level_set and background <= 0.0:
         raise InputError(f"background: {background} of a level set is not positive; give its largest distance")
-    tiles = DenseTiles(dense, start, background, tolerance, level_set)
+    head = {"transform": matrix, "name": name, "grid_class": grid_class}
+    if layout.name != "float":
+        # Built first: it refuses what no grid can have.
+        empty = _float_grid(DenseTiles(np.empty((0, 0, 0)), start, 0.0, 0.0, False), 0.0, head)
+        return built(tree_of_dense(dense, start, DenseRule(layout, background, tolerance, level_set)), empty)
+    return _float_grid(DenseTiles(dense, start, background, tolerance, level_set), background, head)
+
+
+def _float_grid(tiles: DenseTiles, background: float, head: dict[str, Any]) -> SparseVolume:
     leaves, inside = tiles.sort_out()
     need, have = len(leaves) * BYTES_PER_LEAF, _memory.available_host()
     if need > have:
@@ -121,15 +134,8 @@ def from_dense(
             f"values: {len(leaves)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger tolerance, "
             "or parts of the array"
         )
-    buffer = build_float_grid(
-        leaves.astype(np.int32),
-        *tiles.contents(leaves),
-        background=background,
-        transform=matrix,
-        name=name,
-        grid_class=grid_class,
-        signed_fill=False,
-    )
+    contents = tiles.contents(leaves)
+    buffer = build_float_grid(leaves.astype(np.int32), *contents, background=background, signed_fill=False, **head)
     _mark_inside(buffer, inside, background)
     return SparseVolume(buffer, info_of(buffer))
 
@@ -265,10 +271,10 @@ def _read_dense(values: Any) -> NDArray[Any]:
             array = np.asarray(values)
     except (TypeError, ValueError, RuntimeError, AttributeError, BufferError) as error:
         raise InputError(f"values: cannot be read as an array of numbers ({error}); pass a NumPy array") from error
-    if array.ndim != 3 or array.dtype.kind not in "fiub":
+    if array.ndim not in (3, 4) or array.dtype.kind not in "fiub":
         raise InputError(
-            f"values: {array.dtype} with shape {array.shape} is not an (X, Y, Z) array of real numbers; give one "
-            "scalar for each voxel"
+            f"values: {array.dtype} with shape {array.shape} is not an (X, Y, Z) or (X, Y, Z, C) array of real "
+            "numbers; give one scalar or vector for each voxel"
         )
     return array
 
@@ -300,13 +306,14 @@ def _whole_numbers(value: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.
 
 
 def _native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
-    found = _NATIVE.get(volume.info.grid_type)
-    if found is None:
+    """How the values of a grid are stored, and how many a voxel has."""
+    layout = LAYOUTS.get(volume.info.grid_type)
+    if layout is None:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} of type {volume.info.grid_type} stores no values of its own; convert "
-            f"it to one of {', '.join(_NATIVE)}"
+            f"it to one of {', '.join(LAYOUTS)}"
         )
-    return np.dtype(found[0]), found[1]
+    return layout.background.base, math.prod(layout.background.shape)
 
 
 def _dtype(dtype: Any, native: np.dtype[Any]) -> np.dtype[Any]:

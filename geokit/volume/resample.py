@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit import _memory
 from geokit._arrays import require_finite_scalar
-from geokit.errors import DeviceMemoryError, InputError
-from geokit.volume._build import _checked_transform
+from geokit.errors import InputError, UnsupportedGridError
+from geokit.volume._grid_header import checked_transform
 from geokit.volume._leaves import (
     CUBE_TOLERANCE,
-    LEAF_VOXELS,
+    QUANTISED,
     Leaves,
     assemble,
     is_cubic,
@@ -24,17 +23,16 @@ from geokit.volume._leaves import (
 )
 from geokit.volume._level_set import half_width_of, require_level_set, with_band
 from geokit.volume._nanovdb import voxel_size_of
+from geokit.volume._resample_leaves import filled_leaves, target_leaves
+from geokit.volume._typed_tree import VALUE_TYPES
 from geokit.volume.model import SparseVolume
+from geokit.volume.sample import require_order
 
 __all__ = ["resample"]
 
 TYPES = ("float", "double", "vec3f", "vec3d")
-# Leaves whose points are made, sampled and stored at a time: a quarter of a million points, 13 MB with their values.
-LEAVES_AT_A_TIME = 512
 # A target leaf while it is made: values and masks, their copy in OpenVDB's tree and that in the buffer.
 BYTES_PER_LEAF = 3 * 2144
-# Voxel indices are int32; this much is left free for stencils at both ends.
-LARGEST_INDEX = 2**31 - 64
 # Source voxels that a level set's band is known beyond the band of the target: the trilinear stencil's reach.
 STENCIL = 2.0
 # Widest band [source voxels] that is computed to fill a coarser target's.
@@ -58,9 +56,12 @@ def resample(
     distances are first computed beyond the old one (:func:`geokit.volume.renormalize`), which needs cubic source
     voxels. Held by tests/unit/test_operations_resample.py.
 
+    Labels, masks, integers and all other types that are not interpolated take order 0: the value of the nearest voxel
+    as it is stored, halves up in index space. Held by tests/unit/test_resample_nearest.py.
+
     Args:
-        volume: Float, double, vec3f or vec3d grid; quantised ones become float. The components of vectors are not
-            turned with the voxels.
+        volume: Float, double, vec3f or vec3d grid; quantised ones become float. With order 0 any that holds values.
+            The components of vectors are not turned with the voxels.
         voxel_size: New edge length [world]; voxels become cubes, along the same axes where these are orthogonal, else
             along the world's. The centre of voxel (0, 0, 0) stays.
         transform: Instead: index to world, shape (4, 4).
@@ -71,18 +72,30 @@ def resample(
     Raises:
         InputError: Not exactly one of voxel_size and transform, one that no grid can have, an unknown order, or voxels
             too many to be counted.
-        UnsupportedGridError: A grid of another type.
+        UnsupportedGridError: A grid of another type; of one that is not interpolated, and the order is not 0.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB.
+        MissingDependencyError: geokit was built without OpenVDB, which order 0 needs for the interpolated types alone.
     """
-    require_volume(volume, "volume", TYPES)
+    require_volume(volume, "volume")
+    order, grid_type = require_order(order), volume.info.grid_type
+    interpolated = grid_type in (*TYPES, *QUANTISED)
+    if order > 0 and not interpolated and grid_type in VALUE_TYPES:
+        raise UnsupportedGridError(
+            f"volume: grid {volume.info.name!r} is of type {grid_type}, and only {', '.join(TYPES)} grids are "
+            "interpolated; use order=0, which takes the nearest voxel"
+        )
+    require_volume(volume, "volume", VALUE_TYPES)
     if (voxel_size is None) == (transform is None):
         raise InputError("voxel_size, transform: give one of the two")
     if voxel_size is not None:
         target = _scaled(volume.info.transform, require_finite_scalar(voxel_size, "voxel_size", low=0.0))
     else:
-        target = _checked_transform(transform)
-    dtype = np.float64 if volume.info.grid_type in ("double", "vec3d") else np.float32
+        target = checked_transform(transform)
+    if not interpolated:
+        from geokit.volume._resample_nearest import resampled_nearest
+
+        return resampled_nearest(volume, target, device)
+    dtype = np.float64 if grid_type in ("double", "vec3d") else np.float32
     return resampled(volume, target, order=order, dtype=dtype, device=device)
 
 
@@ -153,71 +166,26 @@ def _sampled(
     from geokit.volume.active import active_at
     from geokit.volume.sample import sample
 
-    origins = _target_leaves(source, transform)
-    leaf_shape = (LEAF_VOXELS,) if isinstance(background, (int, float)) else (LEAF_VOXELS, len(background))
-    values = np.empty((len(origins), *leaf_shape), dtype)
-    masks = np.empty((len(origins), 64), np.uint8)
     outside = np.asarray(background, dtype)
-    offsets = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
-    # Leaves without an active voxel are written over by the next: room that is never touched is no memory.
-    filled = 0
-    for first in range(0, len(origins), LEAVES_AT_A_TIME):
-        rows = slice(first, first + LEAVES_AT_A_TIME)
-        voxels = (origins[rows, None, :].astype(np.int64) + offsets).reshape(-1, 3)
+
+    def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         points = voxels @ transform[:3, :3].T + transform[:3, 3]
-        sampled = np.asarray(sample(source, points, order=order, device=device)).reshape(-1, *leaf_shape).astype(dtype)
-        active = np.asarray(active_at(source, points, device=device)).reshape(-1, LEAF_VOXELS)
+        sampled = np.asarray(sample(source, points, order=order, device=device)).astype(dtype)
+        active = np.asarray(active_at(source, points, device=device))
         if band is not None:
             active &= np.abs(sampled) < outside
-            sampled = np.where(active, sampled, np.copysign(outside, sampled))
-        else:
-            sampled = np.where(active.reshape(*active.shape, *[1] * (sampled.ndim - 2)), sampled, outside)
-        used = active.any(axis=1)
-        place = slice(filled, filled := filled + int(used.sum()))
-        origins[place] = origins[rows][used]
-        values[place] = sampled[used]
-        masks[place] = np.packbits(active[used], axis=1, bitorder="little")
+            return np.where(active, sampled, np.copysign(outside, sampled)), active
+        return np.where(active.reshape(-1, *[1] * (sampled.ndim - 1)), sampled, outside), active
+
+    leaves = leaves_of(source)
+    used = leaves.origins[leaves.masks.any(axis=1)]
+    origins = target_leaves(used, source.info.transform, transform, BYTES_PER_LEAF)
+    origins, masks, values = filled_leaves(origins, np.dtype((dtype, outside.shape)), read)
     return assemble(
-        Leaves(origins[:filled], masks[:filled]),
-        values[:filled],
+        Leaves(origins, masks),
+        values,
         source,
         background=background,
         grid_class=source.info.grid_class,
         transform=transform,
     )
-
-
-def _target_leaves(source: SparseVolume, transform: NDArray[np.float64]) -> NDArray[np.int32]:
-    """First voxels of the leaves that may hold a voxel whose nearest voxel of the source is active."""
-    leaves = leaves_of(source)
-    used = leaves.origins[leaves.masks.any(axis=1)].astype(np.float64)
-    if not len(used):
-        return np.empty((0, 3), np.int32)
-    back = np.linalg.inv(transform[:3, :3])
-    linear = back @ source.info.transform[:3, :3]
-    shift = back @ (source.info.transform[:3, 3] - transform[:3, 3])
-    centre = (used + 3.5) @ linear.T + shift
-    # Half the extent of a leaf with half a voxel around its centres, and a little for rounding.
-    reach = 4.0 * np.abs(linear).sum(axis=1) * (1.0 + 1e-9) + 1e-6
-    lowest, highest = np.floor((centre - reach) / 8.0), np.floor((centre + reach) / 8.0)
-    if max(-lowest.min(), highest.max()) * 8.0 > LARGEST_INDEX:
-        raise InputError("transform: voxel indices of the result exceed int32; use larger voxels or a nearer origin")
-    size = highest - lowest + 1.0
-    # In floats: voxels that are far too small make more leaves than integers can count.
-    _require_memory(float(size.prod(axis=1).sum()))
-    size = size.astype(np.int64)
-    count = size.prod(axis=1)
-    row = np.repeat(np.arange(len(count)), count)
-    step = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    _, high, deep = size[row].T
-    tile = lowest[row].astype(np.int64) + np.stack([step // (high * deep), step // deep % high, step % deep], axis=1)
-    return (np.unique(tile, axis=0) * 8).astype(np.int32)
-
-
-def _require_memory(leaves: float) -> None:
-    need, have = leaves * BYTES_PER_LEAF, _memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"voxel_size: the result may need {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use voxels about "
-            f"{(need / have) ** (1.0 / 3.0):.2g} times as large"
-        )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geokit import native
-from geokit.volume import load, load_all, save
+from geokit.volume import from_dense, load, load_all, save
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -93,6 +93,18 @@ def test_resample_like_another(geokit, bodies, tmp_path: Path) -> None:
     done = geokit("volume", "resample", bodies[0], tmp_path / "out.nvdb", "--like", coarse, "--device", "cpu")
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(load(tmp_path / "out.nvdb").info.transform, load(coarse).info.transform)
+
+
+def test_labels_are_resampled_with_order_0(geokit, tmp_path: Path) -> None:
+    labels = np.arange(1, 9, dtype=np.int32).reshape(2, 2, 2)
+    save(tmp_path / "labels.vdb", from_dense(labels, voxel_size=1.0, name="labels"))
+    arguments = ["volume", "resample", tmp_path / "labels.vdb", tmp_path / "fine.vdb", "--voxel-size", "0.5"]
+    refused = geokit(*arguments, "--device", "cpu")
+    assert (refused.returncode, "use order=0" in refused.stderr) == (1, True)
+    done = geokit(*arguments, "--device", "cpu", "--order", "0")
+    assert done.returncode == 0, done.stderr
+    fine = load(tmp_path / "fine.vdb")
+    assert (fine.info.grid_type, fine.info.name, fine.info.active_voxel_count) == ("int32", "labels", 64)
 
 
 def test_parts_are_grids_of_one_file(geokit, bodies, tmp_path: Path) -> None:

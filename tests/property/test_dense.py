@@ -7,6 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geokit.volume._nanovdb_checks import check_grid
+from geokit.volume._nanovdb_layout import LAYOUTS
+from geokit.volume._typed_tree import VALUE_TYPES
 from geokit.volume.dense import from_dense, to_dense
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -44,3 +46,29 @@ def test_round_trip(array, grid_class, tolerance):
     assert np.array_equal(wide[inside], dense.values)
     wide[inside] = 2.0
     assert (wide == 2.0).all()
+
+
+@SETTINGS
+@given(st.sampled_from(VALUE_TYPES), arrays(), st.sampled_from([0.0, 0.4, 1.0]))
+def test_round_trip_of_every_type(grid_type, array, tolerance):
+    kind = LAYOUTS[grid_type].background
+    numbers, origin = array
+    scale = 1 if kind.base.kind == "f" else 4
+    values = np.abs(numbers * scale) if kind.base.kind in "ub" else numbers * scale
+    values = values > 2 if kind.base.kind == "b" else values
+    if kind.shape:
+        values = np.stack([values, *(kind.shape[0] - 1) * [np.roll(values, 1, axis=2)]], axis=-1)
+    values = values.astype(kind.base)
+    background = np.asarray(False if kind.base.kind == "b" else 2 * scale, kind.base)
+    volume = from_dense(
+        values, voxel_size=0.5, origin=origin, background=background, tolerance=tolerance, grid_type=grid_type
+    )
+    check_grid(volume.nanovdb, "dense")
+    dense = to_dense(volume, bounds=[origin, np.array(origin) + values.shape[:3] - 1], device="cpu")
+    active = np.abs(values.astype(float) - float(background)) > tolerance
+    active = active.any(axis=-1) if kind.shape else active
+    expected = values.copy()
+    expected[~active] = background
+    assert np.array_equal(dense.values, expected)
+    assert dense.values.dtype == values.dtype
+    assert volume.info.active_voxel_count == active.sum()

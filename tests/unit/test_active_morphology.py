@@ -11,21 +11,14 @@ from scipy import ndimage
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model import SparseVolume
-from geokit.volume.morphology import closing, dilate, erode, opening
+from geokit.volume.morphology import dilate, erode
 from geokit.volume.topology import clip
+from tests.morphology import CONNECTIVITY, GEOKIT, SCIPY
 from tests.operation_samples import ball, dense, field, level_set
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
 LOW, HIGH = -40, 40
-CONNECTIVITY = {"faces": 1, "edges": 2, "vertices": 3}
-SCIPY = {
-    "dilate": ndimage.binary_dilation,
-    "erode": ndimage.binary_erosion,
-    "opening": ndimage.binary_opening,
-    "closing": ndimage.binary_closing,
-}
-GEOKIT = {"dilate": dilate, "erode": erode, "opening": opening, "closing": closing}
 
 
 def speckled(dtype=np.float32, components=0):

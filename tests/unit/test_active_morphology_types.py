@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -22,20 +21,10 @@ from geokit.volume.io import load, save
 from geokit.volume.model import SparseVolume
 from geokit.volume.morphology import closing, dilate, erode, opening
 from geokit.volume.quantize import quantize
+from tests.morphology import CONNECTIVITY, GEOKIT, SCIPY
 from tests.random_grids import HIGH, LOW, RandomGrid, dense_of, random_grid
 from tests.typed_grids import TypedGrid
-
-# Types that .vdb files hold; of the others NanoVDB's own tools know some.
-OPENVDB = ("float", "double", "int32", "int64", "uint32", "vec3f", "vec3d", "vec4f", "vec4d", "bool", "mask")
-VALIDATED = ("float", "double", "int16", "int32", "int64", "uint32", "vec3f", "vec3d", "bool", "mask", "rgba8")
-CONNECTIVITY = {"faces": 1, "edges": 2, "vertices": 3}
-SCIPY = {
-    "dilate": ndimage.binary_dilation,
-    "erode": ndimage.binary_erosion,
-    "opening": ndimage.binary_opening,
-    "closing": ndimage.binary_closing,
-}
-GEOKIT = {"dilate": dilate, "erode": erode, "opening": opening, "closing": closing}
+from tests.validated import OPENVDB, VALIDATED, assert_validated, needs_validate
 
 
 def expected_of(grid, name, voxels, neighbors="faces"):
@@ -256,15 +245,13 @@ def test_quantised_grids_become_float(codec):
     )
 
 
-@pytest.mark.skipif(shutil.which("nanovdb_validate") is None, reason="nanovdb_validate is not installed")
+@needs_validate
 @pytest.mark.parametrize("name", ["dilate", "erode"])
 @pytest.mark.parametrize("grid_type", VALIDATED)
 def test_nanovdb_validate_accepts_results(tmp_path, grid_type, name):
     result = GEOKIT[name](random_grid(grid_type, 9).volume, voxels=1, device="cpu")
     save(tmp_path / "x.nvdb", result)
-    done = subprocess.run(["nanovdb_validate", "-v", tmp_path / "x.nvdb"], capture_output=True, text=True)
-    assert "passed" in done.stdout, done.stdout + done.stderr
-    assert "failed" not in done.stdout
+    assert_validated(tmp_path / "x.nvdb")
 
 
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")

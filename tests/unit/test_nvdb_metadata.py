@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
 import warp as wp
@@ -21,6 +18,7 @@ from geokit.volume._nvdb_write import write
 from geokit.volume.from_channel import from_channel
 from geokit.volume.model import SparseVolume
 from tests.index_grids import IndexGrid
+from tests.validated import assert_validated, needs_validate
 from tests.volume_samples import sphere
 
 CODECS = ("none", "zip", "blosc")
@@ -97,13 +95,11 @@ def test_inspect_reads_it_where_it_can(tmp_path):
     assert inspect(tmp_path / "x.nvdb")[0].metadata == {}
 
 
-@pytest.mark.skipif(shutil.which("nanovdb_validate") is None, reason="nanovdb_validate is not installed")
+@needs_validate
 @pytest.mark.parametrize("codec", CODECS)
 def test_nanovdb_validate_accepts_it(tmp_path, codec):
     write(tmp_path / "x.nvdb", [with_metadata(RICH), with_metadata({"a": 1}, name="b")], codec=codec)
-    done = subprocess.run(["nanovdb_validate", "-v", tmp_path / "x.nvdb"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("passed") == 2
+    assert_validated(tmp_path / "x.nvdb", 2)
 
 
 @pytest.mark.parametrize("codec", CODECS)

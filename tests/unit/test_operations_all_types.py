@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +24,7 @@ from geokit.volume.statistics import statistics
 from geokit.volume.topology import OPENVDB_LACKS, clip, prune, segment
 from tests.random_grids import HIGH, LOW, TRANSFORM, dense_of, random_grid
 from tests.typed_grids import TypedGrid
+from tests.validated import assert_validated, needs_validate
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 # In the world of a sheared transform: its faces run through leaves, and through tiles of 8^3 voxels.
@@ -63,6 +62,7 @@ TAKEN = {
     "raycast": (lambda v: v.raycast(POINTS, POINTS, device="cpu"), [name for name in EVERY if name not in SEVERAL]),
     "union": (lambda v: union(v, v), ("mask",)),
     "resample": (lambda v: resample(v, voxel_size=0.5, device="cpu"), (*REAL, *VECTORS)),
+    "resample, nearest": (lambda v: resample(v, voxel_size=0.5, order=0, device="cpu"), EVERY),
     "smooth": (smooth, REAL),
     "renormalize": (renormalize, ()),
     "laplacian": (lambda v: laplacian(v, device="cpu"), REAL),
@@ -252,14 +252,13 @@ def test_integer_vectors_stay_integers(operation):
     assert dict(result.info.metadata) == {"geokit:value_type": "vec3i", "kept": 1}
 
 
-@pytest.mark.skipif(shutil.which("nanovdb_validate") is None, reason="nanovdb_validate is not installed")
+@needs_validate
 @pytest.mark.parametrize("grid_type", ["mask", "uint32", "int16", "rgba8"])
 def test_nanovdb_validate_accepts_results(tmp_path, grid_type):
     grid = random_grid(grid_type, 8)
     for number, result in enumerate((prune(grid.volume), clip(grid.volume, BOX))):
         save(tmp_path / f"{number}.nvdb", result)
-        done = subprocess.run(["nanovdb_validate", "-v", tmp_path / f"{number}.nvdb"], capture_output=True, text=True)
-        assert "passed" in done.stdout, done.stdout + done.stderr
+        assert_validated(tmp_path / f"{number}.nvdb")
 
 
 def test_clipping_beyond_memory(monkeypatch):

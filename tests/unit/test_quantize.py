@@ -21,6 +21,7 @@ from geokit.volume.dense import to_dense
 from geokit.volume.model import SparseVolume
 from geokit.volume.quantize import quantize
 from tests.typed_grids import QUANTISED, TypedGrid
+from tests.validated import assert_validated, needs_validate
 from tests.volume_samples import ROTATED, sphere
 
 FIXED = {"fp4": 4, "fp8": 8, "fp16": 16}
@@ -277,15 +278,13 @@ def test_codes_are_those_of_nanovdb_convert(tmp_path, name, flags, codec):
     assert np.array_equal(ours, theirs)
 
 
-@pytest.mark.skipif(shutil.which("nanovdb_validate") is None, reason="nanovdb_validate is not installed")
+@needs_validate
 @pytest.mark.parametrize("file_codec", ["none", "zip", "blosc"])
 @pytest.mark.parametrize("codec", ["float", *FIXED, "fpn"])
 def test_nanovdb_validate_accepts_every_codec(tmp_path, file_codec, codec):
     volumes = [quantize(v, codec, tolerance=0.5) for v in (sphere(12.0), sphere(40.0, name="large"))]
     save(tmp_path / "x.nvdb", *volumes, codec=file_codec)
-    done = subprocess.run(["nanovdb_validate", "-v", tmp_path / "x.nvdb"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("passed") == 2
+    assert_validated(tmp_path / "x.nvdb", 2)
     for volume, again in zip(volumes, load_all(tmp_path / "x.nvdb").values(), strict=True):
         assert np.array_equal(again.nanovdb[672:], volume.nanovdb[672:])
 
@@ -347,5 +346,4 @@ def test_grids_without_leaves_and_read_only_grids(tmp_path, codec):
         assert small.info.active_voxel_count == volume.info.active_voxel_count
         save(tmp_path / "y.nvdb", small)
         if shutil.which("nanovdb_validate"):
-            done = subprocess.run(["nanovdb_validate", "-v", tmp_path / "y.nvdb"], capture_output=True, text=True)
-            assert done.returncode == 0, done.stdout + done.stderr
+            assert_validated(tmp_path / "y.nvdb")

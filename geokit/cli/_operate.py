@@ -1,0 +1,125 @@
+"""How the operations of ``geokit volume`` run: from files to a file, with a summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from geokit.cli._console import announce_compiling, print_json, step
+from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_write
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.volume.model import SparseVolume
+
+__all__ = ["DEFAULTS", "Common", "Flag", "apply", "combine", "operation", "require_volume_file"]
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Common:
+    """Options of every operation that writes a volume."""
+
+    grid: str | None = None
+    """Name of the grid where a file holds several."""
+    codec: str | None = None
+    """Compression: none, zip or blosc; blosc for .vdb and none for .nvdb where not given."""
+    force: Flag = False
+    """Replace the output where it exists."""
+    json: Flag = False
+    """Print a summary as JSON."""
+
+
+DEFAULTS = Common()
+
+# Where the functions are; `geokit.volume` gives them these names too.
+_MODULES = {
+    "csg": ("union", "intersection", "difference"),
+    "morphology": ("offset", "dilate", "erode", "opening", "closing", "renormalize"),
+    "filters": ("smooth",),
+    "resample": ("resample",),
+    "topology": ("prune", "clip", "segment"),
+    "differential": ("gradient_field", "divergence", "curl", "laplacian"),
+    "statistics": ("statistics",),
+}
+
+
+def operation(name: str) -> Callable[..., Any]:
+    """A function of ``geokit.volume``, of which nothing else is imported."""
+    import importlib
+
+    module = next(module for module, names in _MODULES.items() if name in names)
+    return getattr(importlib.import_module(f"geokit.volume.{module}"), name)
+
+
+def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -> None:
+    """Run an operation on all files but the last, and write that.
+
+    Raises:
+        InputError: There are fewer than three.
+    """
+    if len(files) < 3:
+        raise InputError(f"{name}: {len(files)} files given; name at least two to read and then one to write")
+    _run(name, files[:-1], files[-1], common, smooth=smooth)
+
+
+def apply(name: str, source: Path, target: Path, common: Common, *arguments: Any, **options: Any) -> None:
+    """Run an operation from file to file, with its arguments."""
+    _run(name, (source,), target, common, *arguments, **options)
+
+
+def _run(name: str, sources: tuple[Path, ...], target: Path, common: Common, *arguments: Any, **options: Any) -> None:
+    from geokit.volume import save
+
+    for source in sources:
+        require_volume_file(source)
+    if kind_of_output(target) != "volume":
+        raise InputError(f"{target}: operations give volumes; use .vdb or .nvdb, and geokit convert for other formats")
+    may_write(target, force=common.force)
+    announce_compiling()
+    with step(f"reading {', '.join(map(str, sources))}", quiet=common.json):
+        volumes = [load_grid(source, common.grid) for source in sources]
+    with step(name, quiet=common.json):
+        result = operation(name)(*volumes, *arguments, **options)
+    parts = result if isinstance(result, list) else [result]
+    if not parts:
+        raise InputError(
+            f"{sources[0]}: grid {volumes[0].info.name!r} has no active voxels, so there is nothing to write"
+        )
+    with step(f"writing {target}", quiet=common.json):
+        save(target, *parts, codec=common.codec)
+    _report(name, sources, target, parts, common)
+
+
+def _report(name: str, sources: tuple[Path, ...], target: Path, parts: list[SparseVolume], common: Common) -> None:
+    summary = {
+        "grids": len(parts),
+        "grid_type": parts[0].info.grid_type,
+        "voxel_size": parts[0].info.voxel_size.tolist(),
+        "active_voxels": [part.info.active_voxel_count for part in parts],
+        "byte_count": target.stat().st_size,
+    }
+    if common.json:
+        print_json(
+            {"operation": name, "sources": [str(source) for source in sources], "target": str(target), **summary}
+        )
+        return
+    size = " x ".join(f"{edge:.6g}" for edge in summary["voxel_size"])
+    counts = " + ".join(str(count) for count in summary["active_voxels"])
+    print(f"{target}: {summary['grid_type']}, {counts} active voxels of {size}, {summary['byte_count']} bytes")
+
+
+def require_volume_file(path: Path) -> None:
+    """Refuse what no volume can be read from.
+
+    Raises:
+        InputError: The file's ending is none of a volume's.
+    """
+    if kind_of_input(path) != "volume":
+        raise InputError(f"{path}: not a volume; give a .vdb or .nvdb file, or make one with geokit convert")
