@@ -24,6 +24,13 @@ def wall_median(run: Callable[[], Any], runs: int, *, warm: int = 1) -> float:
     return statistics.median(seconds)
 
 
+def mesh_medians(make: Callable[[Any], Any], device: Any, runs: int) -> tuple[float, float, float]:
+    """Seconds until ``make(device)``'s mesh is complete on the GPU, until it is in NumPy, and of that on the CPU."""
+    there = wall_median(lambda: make(device), runs, warm=2)
+    in_numpy = wall_median(lambda: make(device).vertices, runs, warm=2)
+    return there, in_numpy, wall_median(lambda: make("cpu").vertices, runs, warm=2)
+
+
 def device_median(run: Callable[[], Any], runs: int) -> float:
     """Seconds on the device, by its own clock, after two runs that do not count."""
     run()

@@ -19,7 +19,7 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
-from benchmarks.gpu_timing import wall_median
+from benchmarks.gpu_timing import mesh_medians, wall_median
 from geokit import _launch
 
 TRIANGLES = 190_000
@@ -54,10 +54,10 @@ class OpenVdb:
         arrays = (vertices.ctypes.data, len(vertices), faces.ctypes.data, len(faces))
         return float(self._band(*arrays, voxel, 3.0, _launch.thread_count(), active.ctypes.data))
 
-    def surface(self) -> tuple[float, int]:
+    def surface(self, threads: int) -> tuple[float, int]:
         """Seconds of the surface of the band made last, and its quads."""
         quads = np.zeros(1, np.int64)
-        return float(self._surface(_launch.thread_count(), quads.ctypes.data)), int(quads[0])
+        return float(self._surface(threads, quads.ctypes.data)), int(quads[0])
 
 
 def openvdb() -> OpenVdb | None:
@@ -81,26 +81,43 @@ def main(out: Callable[[str], None] = print, device: str = "cuda:0") -> None:
         surface.sign_method  # noqa: B018 - prepared, as for any other query
     out(f"{wp.get_device(device).name}, {_launch.thread_count()} CPU threads; {len(mesh.faces):,} triangles\n")
     heads = "GPU ms | CPU ms | CPU / GPU | OpenVDB ms | OpenVDB / GPU | OpenVDB / CPU"
-    out(f"| what | active voxels or triangles | {heads} |")
+    out(f"| what | active voxels | {heads} |")
     out("|---|---:|---:|---:|---:|---:|---:|---:|")
+    meshed = []
     for resolution in RESOLUTIONS:
         voxel = size / resolution
         volumes = {where: gk.volume.from_mesh(surfaces[where], voxel) for where in surfaces}
         bands = {where: median(lambda w=where, v=voxel: gk.volume.from_mesh(surfaces[w], v)) for where in surfaces}
         theirs = statistics.median(peer.band(mesh, voxel) for _ in range(4)) if peer else math.nan
         out(row(f"band {resolution}^3", volumes[device].info.active_voxel_count, bands, device, theirs))
-        if resolution > LARGEST_MESHED:
-            continue
-        meshed = {
-            where: median(lambda w=where: gk.mesh.from_volume(volumes[w], device=w))  # noqa: B023
-            for where in surfaces
-        }
-        theirs = statistics.median(peer.surface()[0] for _ in range(RUNS)) if peer else math.nan
-        count = len(gk.mesh.from_volume(volumes[device], device=device).faces)
-        if peer:
-            quads = peer.surface()[1]
-            out(f"{resolution}^3: {count} triangles; OpenVDB, of its own band, {2 * quads}")
-        out(row(f"surface {resolution}^3", count, meshed, device, theirs))
+        if resolution <= LARGEST_MESHED:
+            meshed.append(surface_row(f"{resolution}^3", volumes, device, peer))
+    threads = ", ".join(f"{count} threads" for count in peer_threads())
+    out(f"\nSurface nets beside OpenVDB's volumeToMesh with {threads}; its times over ours on the GPU, and in NumPy.\n")
+    heads = "GPU, there ms | in NumPy ms | CPU ms | OpenVDB ms | OpenVDB / there | OpenVDB / in NumPy"
+    out(f"| surface | triangles | OpenVDB's | {heads} |")
+    out("|---|---:|---:|---:|---:|---:|---:|---|---|")
+    for line in meshed:
+        out(line)
+
+
+def peer_threads() -> list[int]:
+    return sorted({min(2, _launch.thread_count()), _launch.thread_count()})
+
+
+def surface_row(what: str, volumes: dict[str, Any], device: str, peer: OpenVdb | None) -> str:
+    """A mesh of OpenVDB's last band beside ours: waited for on the GPU, in NumPy arrays, and on the CPU."""
+    there, in_numpy, on_cpu = mesh_medians(lambda d: gk.mesh.from_volume(volumes[d], device=d), device, RUNS)
+    faces = gk.mesh.from_volume(volumes[device], device=device).face_count
+    theirs, quads = [], 0
+    for threads in peer_threads() if peer else []:
+        runs = [peer.surface(threads) for _ in range(RUNS)]
+        theirs.append(statistics.median(seconds for seconds, _ in runs))
+        quads = runs[0][1]
+    cells = [what, f"{faces:,}", f"{2 * quads:,}", f"{1e3 * there:.2f}", f"{1e3 * in_numpy:.2f}", f"{1e3 * on_cpu:.1f}"]
+    cells.append(", ".join(f"{1e3 * seconds:.1f}" for seconds in theirs))
+    cells += [", ".join(f"{seconds / ours:.1f}" for seconds in theirs) for ours in (there, in_numpy)]
+    return f"| {' | '.join(cells)} |"
 
 
 def row(what: str, count: int | None, seconds: dict[str, float], device: str, theirs: float) -> str:

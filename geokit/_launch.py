@@ -39,10 +39,14 @@ SLICES_PER_THREAD = 8
 GROUP_GRAIN = 16
 # Sorting fewer queries than this costs more than their order gives back.
 MINIMUM_ORDERED = 2048
+# Points that one thread orders as soon as two: to wake them takes as long as they save.
+ORDER_SHARE = 1 << 18
+# Buckets of points worth a slice.
+BUCKET_GRAIN = 64
 # Threads of a block on a GPU. A block keeps its place until its slowest thread is done: queries are 5% quicker than in
 # blocks of 256, and no quicker in smaller ones (measured on an H100).
 BLOCK_DIM = 128
-# Queries per launch: bounds the memory of keys and order (16 bytes each, twice) to 128 MiB.
+# Queries per launch: bounds the memory of keys and order (16 bytes each, twice, or 24 on a CPU) to 128 MiB.
 BLOCK = 1 << 22
 # A load from the kernel cache takes well under this; a build takes seconds.
 COMPILE_NOTICE_SECONDS = 0.7
@@ -290,12 +294,39 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
     count = len(points)
     if count < MINIMUM_ORDERED:
         return identity(device)
+    inverse = 1.0 / extent if extent > 0.0 else 0.0
+    frame = [wp.vec3d(*map(float, lower)), wp.float64(inverse)]
+    if device.is_cpu:
+        return _host_order(points, frame, device)
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
-    inverse = 1.0 / extent if extent > 0.0 else 0.0
-    launch(morton_kernel, count, [points, wp.vec3d(*map(float, lower)), wp.float64(inverse)], [keys, order], device)
+    launch(morton_kernel, count, [points, *frame], [keys, order], device)
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=30)
+    return order
+
+
+def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "wp.array":
+    """In half the time of one sort of all keys; of a million points, by two threads, in a third."""
+    import numpy as np
+
+    from geokit import _kept_memory
+    from geokit import _order_host_kernels as kernels
+    from geokit._host_array import HostArray
+
+    count = len(points)
+    rows = min(thread_count(), -(-count // ORDER_SHARE))
+    share = -(-count // rows)
+    tally = HostArray(np.zeros(rows * kernels.BUCKETS, np.int32))
+    start = HostArray(np.empty(kernels.BUCKETS + 1, np.int32))
+    keys = HostArray(_kept_memory.empty((count,), np.uint32))
+    pairs, spare = (HostArray(_kept_memory.empty((count,), np.uint64)) for _ in range(2))
+    order = _kept_memory.room(count, _warp().int32, device)
+    launch(kernels.tally_kernel, rows, [share, points, *frame], [keys, tally], device, grain=1)
+    launch(kernels.sum_kernel, 1, [rows, tally], [start], device)
+    launch(kernels.place_kernel, rows, [share, keys, tally], [pairs], device, grain=1)
+    grain = BUCKET_GRAIN if rows > 1 else kernels.BUCKETS
+    launch(kernels.sort_kernel, kernels.BUCKETS, [start, pairs, spare], [order], device, grain=grain)
     return order
 
 

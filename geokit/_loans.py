@@ -36,13 +36,24 @@ class Loans:
         most_bytes: Of all arrays together, those that are in use and those whose memory waits for another.
         largest_bytes: Of one array.
         smallest_bytes: Of one array.
+        ready_bytes: Memory for an array of no more than this is made when it is first asked for, as for all by default.
+        patience: Memory for a larger one is made once so many times its size was asked for in vain.
     """
 
     def __init__(
-        self, make: Callable[[int], tuple[Any, int]], *, most_bytes: int, largest_bytes: int, smallest_bytes: int = 1
+        self,
+        make: Callable[[int], tuple[Any, int]],
+        *,
+        most_bytes: int,
+        largest_bytes: int,
+        smallest_bytes: int = 1,
+        ready_bytes: int | None = None,
+        patience: int = 0,
     ) -> None:
         self._make, self._most = make, most_bytes
         self._smallest, self._largest = smallest_bytes, largest_bytes
+        self._ready = largest_bytes if ready_bytes is None else ready_bytes
+        self._patience, self._missed = patience, 0
         # An array may be dropped at any time, by any thread, and only adds to what is idle: that needs no lock.
         self._lock = threading.Lock()
         self._idle: list[Memory] = []
@@ -65,12 +76,21 @@ class Loans:
         return self._idle.pop(min(fitting, key=sizes.__getitem__)) if fitting else None
 
     def _made(self, size: int) -> Memory | None:
+        if size > self._ready:
+            if self._missed < self._patience * size:
+                self._missed += size
+                return None
+            self._missed -= self._patience * size
         while self._idle and self._bytes + size > self._most:
             self._bytes -= self._idle.pop(0).size
         if self._bytes + size > self._most:
             return None
+        try:
+            memory = Memory(*self._make(size), size)
+        except (MemoryError, RuntimeError):  # warp's, where there is none to pin: others do without
+            return None
         self._bytes += size
-        return Memory(*self._make(size), size)
+        return memory
 
 
 class _Loan:

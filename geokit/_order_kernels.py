@@ -6,6 +6,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# Queries between one that is answered and one that is asked for; 2 to 16 are alike.
+AHEAD = 4
+
 
 @wp.func
 def spread_bits(x: wp.uint32) -> wp.uint32:
@@ -47,3 +50,21 @@ def morton_kernel(
 def identity_kernel(first: int, out_index: wp.array(dtype=int)):
     i = first + wp.tid()
     out_index[i] = i
+
+
+@wp.func_native(f"""
+#if !defined(__CUDA_ARCH__)
+    if (at + {AHEAD} < points.shape[0]) {{
+        const char* row = (const char*)(points.data + order.data[at + {AHEAD}]);
+        __builtin_prefetch(row);
+        __builtin_prefetch(row + sizeof(wp::vec3d) - 1);
+    }}
+#endif
+""")
+def ask_ahead(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
+    """On a CPU has a query brought to the cache whose turn comes soon after the one at this place of the order.
+
+    Queries that are answered one after the other lie anywhere: to wait for each took a fifth of the time of a closest
+    point near the surface.
+    """
+    ...

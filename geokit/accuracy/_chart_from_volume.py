@@ -102,7 +102,9 @@ def _trial(volume: SparseVolume, isovalue: float, parameters: dict[str, Any], ju
     def make() -> TriangleMesh:
         from geokit.mesh.from_volume import from_volume
 
-        return from_volume(volume, isovalue=isovalue, adaptivity=adaptivity, method=method, device=device)
+        mesh = from_volume(volume, isovalue=isovalue, adaptivity=adaptivity, method=method, device=device)
+        mesh.faces  # noqa: B018 - in NumPy, as OpenVDB's are
+        return mesh
 
     try:
         # Once before it is timed, to know how many triangles there are.

@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._order_kernels import ask_ahead
 from geokit.mesh._nearest_kernels import nearest_slot
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._triangle_kernels import closest_on_triangle, offset_from_triangle
@@ -36,6 +37,7 @@ def closest_point_kernel(
     begin = (first + wp.tid()) * group
     slot = int(-1)
     for k in range(begin, wp.min(begin + group, points.shape[0])):
+        ask_ahead(points, order, k)
         i = order[k]
         p = points[i]
         if wp.isfinite(p):

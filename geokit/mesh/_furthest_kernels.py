@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._order_kernels import ask_ahead
 from geokit.mesh._tree_kernels import BOX_PADDING, SurfaceTree
 from geokit.mesh._wide_build_kernels import STACK
 
@@ -102,6 +103,7 @@ def furthest_point_kernel(
     out_distance: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
 ):
+    ask_ahead(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     corner = furthest_corner(tree, points[i])
     found = tree.corners[corner]

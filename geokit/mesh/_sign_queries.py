@@ -154,9 +154,12 @@ class SignQueries(PointQueries):
         """
 
         def query(batch: _arrays.Batch) -> Any:
-            return batch.give(self._winding(batch.rows))
+            bad = host_flags(1, self._device)
+            winding = self._winding(batch.rows, bad)
+            refuse_raised(bad, batch)
+            return batch.give(winding)
 
-        return in_blocks(query, [points], ["points"], self._device, progress)
+        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
 
     def sign_confidence(self, points: Any) -> Any:
         """How firmly the winding number tells inside from outside: its distance from 1/2.
@@ -174,10 +177,12 @@ class SignQueries(PointQueries):
 
         from geokit.mesh._sign_kernels import confidence_kernel
 
-        batch = _arrays.read_vectors(points, "points", self._device, pin=True)
+        batch = _arrays.read_vectors(points, "points", self._device, defer=True, pin=True)
         confidence = _arrays.empty(len(batch), wp.float64, batch.rows)
-        winding = self._winding(batch.rows)
+        bad = host_flags(1, self._device)
+        winding = self._winding(batch.rows, bad)
         _launch.launch(confidence_kernel, len(batch), [winding], [confidence], self._device)
+        refuse_raised(bad, batch)
         return batch.give(confidence)
 
     @property
@@ -255,7 +260,9 @@ class SignQueries(PointQueries):
             by_pseudonormal(found, tables, closest.distance, device)
             # Without a limit only what is 1e150 away can be missed, and that is outside.
             if reach < math.inf and _sign.any_missed(closest.triangle_id):
-                _sign.missed_by_winding(self._winding(points), closest, device)
+                # Points that are not finite were seen by the search for the closest.
+                winding = self._winding(points, host_flags(1, device))
+                _sign.missed_by_winding(winding, closest, device)
         elif method == "winding":
             from geokit.mesh._wide_winding_kernels import sign_kernel
 
@@ -263,17 +270,20 @@ class SignQueries(PointQueries):
         else:
             _sign.by_parity(self, points, closest.distance)
 
-    def _winding(self, points: "wp.array") -> "wp.array":
+    def _winding(self, points: "wp.array", bad: HostArray) -> "wp.array":
+        """``bad`` is raised where a point is not finite: such a one has no number."""
         import warp as wp
 
         from geokit.mesh._wide_winding_kernels import winding_number_kernel
 
         winding = _arrays.empty(len(points), wp.float64, points)
-        self._query(winding_number_kernel, points, self._winding_arguments(), [winding])
+        self._query(winding_number_kernel, points, self._winding_arguments(), [winding], flag=bad)
         return winding
 
     @cached_property
     def _winding_tree(self) -> Any:
+        import warp as wp
+
         from geokit.mesh._wide_winding import build_winding_tree, winding_tree_of_mesh
 
         flipped: NDArray[np.bool_] = self._orientation.flipped
@@ -282,8 +292,9 @@ class SignQueries(PointQueries):
         # The handle keeps no mesh alive: the surface must.
         self._turned_mesh = self._warp_mesh  # type: ignore[attr-defined]
         if flipped.any():
-            faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces)
-            self._turned_mesh = self._make_warp_mesh(faces)  # type: ignore[attr-defined]
+            faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces).reshape(-1)
+            turned: Any = wp.array(faces, dtype=wp.int32, device=self._device)
+            self._turned_mesh = self._make_warp_mesh(turned)  # type: ignore[attr-defined]
         return winding_tree_of_mesh(self._turned_mesh)
 
     def _winding_arguments(self) -> list[Any]:

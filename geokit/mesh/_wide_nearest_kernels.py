@@ -24,6 +24,7 @@ WIDE_NEAREST = f"""
     typedef float v8 __attribute__((ext_vector_type(8), aligned(4)));
     typedef double d8 __attribute__((ext_vector_type(8), aligned(4)));
     typedef int i8 __attribute__((ext_vector_type(8), aligned(4)));
+    typedef int i4 __attribute__((ext_vector_type(4)));
     typedef long long l8 __attribute__((ext_vector_type(8), aligned(8)));
     typedef bool b8 __attribute__((ext_vector_type(8)));
     auto mask_of = [](i8 lanes) {{
@@ -31,6 +32,7 @@ WIDE_NEAREST = f"""
     }};
     const float* boxes = tree.boxes.data;
     const int* children = tree.children.data;
+    const float* leaves = tree.leaves.data;
     double exact = max_squared;  // world units squared
     int winner = -1;
     auto evaluate = [&](int slot) {{
@@ -98,6 +100,18 @@ WIDE_NEAREST = f"""
     auto smaller = [](v8 a, v8 b) {{ return a < b ? a : b; }};
     const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
     const v8 zero = 0.f, one = 1.f;
+    const i8 number = {{0, 1, 2, 3, 4, 5, 6, 7}};
+    // Squares are not negative and never NaN: their bits are in their own order, and whole numbers compare quicker.
+    auto bits_of = [](v8 squares) {{ return __builtin_bit_cast(i8, squares); }};
+    auto least_of = [](i8 a) {{
+        i4 low = __builtin_shufflevector(a, a, 0, 1, 2, 3), other = __builtin_shufflevector(a, a, 4, 5, 6, 7);
+        low = low < other ? low : other;
+        other = __builtin_shufflevector(low, low, 2, 3, 2, 3);
+        low = low < other ? low : other;
+        other = __builtin_shufflevector(low, low, 1, 1, 1, 1);
+        low = low < other ? low : other;
+        return (int)low[0];
+    }};
     const float slack = 2.f * {DISTANCE_ERROR}f * ((float)size + 1.f);
     // Anything nearer than this, in float32, can be the nearest.
     auto widened = [&](float squared) {{
@@ -117,7 +131,7 @@ WIDE_NEAREST = f"""
         candidates = 0;
     }};
     auto leaf = [&](int block) {{
-        const v8* row = (const v8*)(tree.leaves.data + {PLANE_ROWS} * 8 * block);
+        const v8* row = (const v8*)(leaves + {PLANE_ROWS} * 8 * block);
         const v8 ax = X - row[0], ay = Y - row[1], az = Z - row[2];
         const v8 x = ax * row[3] + ay * row[4] + az * row[5];
         const v8 y = ax * row[6] + ay * row[7] + az * row[8];
@@ -138,7 +152,7 @@ WIDE_NEAREST = f"""
         const v8 d2 = (inside ? zero : flat) + z * z;
         const unsigned hits = mask_of(d2 <= reach);
         if (!hits) return;
-        const float nearest = __builtin_reduce_min(d2);
+        const float nearest = __builtin_bit_cast(float, least_of(bits_of(d2)));
         if (nearest < least) {{
             least = nearest;
             const float narrower = widened(nearest);
@@ -160,42 +174,47 @@ WIDE_NEAREST = f"""
             const int j = __builtin_ctz(mask);
             candidate[candidates] = 8 * block + j;
             candidate_squared[candidates++] = squared[j];
+            // Float64 reads these at the end.
+            const char* corners = (const char*)(tree.corners.data + 3 * (8 * block + j));
+            __builtin_prefetch(corners);
+            __builtin_prefetch(corners + 64);
+            __builtin_prefetch(tree.slot_triangle.data + 8 * block);
         }}
     }};
     const int seed_block = seed >= 0 ? seed >> 3 : -1;
     if (seed >= 0) leaf(seed_block);
-    stack[0] = 0; entry[0] = 0.f;
-    while (height > 0) {{
-        --height;
-        if (entry[height] > reach) continue;
-        const int node = stack[height];
-        if (node < 0) {{
-            if (-1 - node != seed_block) leaf(-1 - node);
-            continue;
-        }}
-        const v8* side = (const v8*)(boxes + 48 * node);
-        const v8 dx = larger(larger(side[0] - X, X - side[3]), zero);
-        const v8 dy = larger(larger(side[1] - Y, Y - side[4]), zero);
-        const v8 dz = larger(larger(side[2] - Z, Z - side[5]), zero);
-        const v8 d2 = dx * dx + dy * dy + dz * dz;
-        const i8 near = d2 <= reach;
-        unsigned mask = mask_of(near);
-        float distance[8];
-        *(v8*)distance = d2;
-        const int* child = children + 8 * node;
-        const int base = height;
-        // Only the nearest child need be first: sorting the others costs more than their order saves.
-        for (; mask; mask &= mask - 1) {{
-            const int j = __builtin_ctz(mask);
-            entry[height] = distance[j]; stack[height++] = child[j];
-        }}
-        if (height > base + 1) {{
-            int nearest = base;
-            for (int at = base + 1; at < height; ++at) nearest = entry[at] < entry[nearest] ? at : nearest;
-            const float d = entry[nearest]; const int n = stack[nearest];
-            entry[nearest] = entry[height - 1]; stack[nearest] = stack[height - 1];
-            entry[height - 1] = d; stack[height - 1] = n;
-        }}
+    int node = 0;
+    height = 0;
+    for (;;) {{
+        if (node >= 0) {{
+            const v8* side = (const v8*)(boxes + 48 * node);
+            const v8 dx = larger(larger(side[0] - X, X - side[3]), zero);
+            const v8 dy = larger(larger(side[1] - Y, Y - side[4]), zero);
+            const v8 dz = larger(larger(side[2] - Z, Z - side[5]), zero);
+            const v8 d2 = dx * dx + dy * dy + dz * dz;
+            unsigned mask = mask_of(d2 <= reach);
+            if (mask) {{
+                // The nearest child is next, its number in place of the last bits of its distance. The others wait:
+                // sorting them costs more than their order saves.
+                const int first = least_of((bits_of(d2) & -8) | number) & 7;
+                const int* child = children + 8 * node;
+                float distance[8];
+                *(v8*)distance = d2;
+                for (mask &= ~(1u << first); mask; mask &= mask - 1) {{
+                    const int j = __builtin_ctz(mask), next = child[j];
+                    entry[height] = distance[j]; stack[height++] = next;
+                    // A node, or as much of a leaf: of that the processor guesses the rest.
+                    const float* place = next < 0 ? leaves + {PLANE_ROWS} * 8 * (-1 - next) : boxes + 48 * next;
+                    for (int line = 0; line < 3; ++line) __builtin_prefetch(place + 16 * line);
+                    __builtin_prefetch(next < 0 ? (const void*)(place + 48) : children + 8 * next);
+                }}
+                node = child[first];
+                continue;
+            }}
+        }} else if (-1 - node != seed_block) leaf(-1 - node);
+        while (height > 0 && entry[height - 1] > reach) --height;
+        if (height == 0) break;
+        node = stack[--height];
     }}
     if (winner < 0 && max_squared == (double)INFINITY) {{
         // One that is left alone needs no comparison: who asks works its distance out in any case.

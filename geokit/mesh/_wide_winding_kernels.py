@@ -8,6 +8,7 @@ multipole moments, triangles nearby by their solid angles. On CUDA warp's tree o
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit._order_kernels import ask_ahead
 from geokit.mesh._tree_kernels import SurfaceTree
 from geokit.mesh._wide_build_kernels import STACK
 from geokit.mesh._wide_leaf_kernels import PLANE_ROWS
@@ -241,9 +242,17 @@ def winding_number_kernel(
     winding: WindingTree,
     empty: wp.float64,
     out_winding: wp.array(dtype=wp.float64),
+    out_bad: wp.array(dtype=int),
 ):
+    """A query that is not finite has no number, and raises ``out_bad`` for the host to see which row it is."""
+    ask_ahead(points, order, first + wp.tid())
     i = order[first + wp.tid()]
-    out_winding[i] = winding_number_at(tree, winding, empty, points[i])
+    p = points[i]
+    if wp.isfinite(p):
+        out_winding[i] = winding_number_at(tree, winding, empty, p)
+    else:
+        out_winding[i] = wp.float64(wp.nan)
+        out_bad[0] = 1
 
 
 @wp.kernel
@@ -257,6 +266,7 @@ def sign_kernel(
     out_distance: wp.array(dtype=wp.float64),
 ):
     """Turns the distance of inside points negative, in place."""
+    ask_ahead(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     if is_inside(tree, winding, empty, points[i]):
         out_distance[i] = -out_distance[i]

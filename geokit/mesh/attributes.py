@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._download import download
 from geokit.errors import InputError
+from geokit.mesh._device_mesh import vertices_near
 from geokit.mesh.model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -52,6 +54,6 @@ def sample_attributes(
             raise InputError(f"volumes: {name!r} is not a name; use text that is not empty")
         if not callable(getattr(volume, "sample", None)):
             raise InputError(f"volumes: {name!r} is of type {type(volume).__name__}; give a SparseVolume")
-    return {
-        name: np.asarray(volume.sample(mesh.vertices, order=order, device=device)) for name, volume in volumes.items()
-    }
+    points = vertices_near(mesh, device) if volumes else None
+    sampled = {name: volume.sample(points, order=order, device=device) for name, volume in volumes.items()}
+    return {name: values if isinstance(values, np.ndarray) else download(values)[0] for name, values in sampled.items()}

@@ -74,7 +74,8 @@ def from_volume(
         device: Where to compute; None for the first GPU, else the CPU. "openvdb" runs on the CPU in any case.
 
     Returns:
-        TriangleMesh with the grid's name.
+        TriangleMesh with the grid's name. What a GPU makes stays there until it is read, and need not be complete when
+        the call returns: reading and queries wait for it.
 
     Raises:
         InputError: The grid is not scalar, isovalue is not finite, adaptivity is outside [0, 1] or the method does not
@@ -113,6 +114,7 @@ def from_volume(
     if method == "openvdb" or adaptivity > 0.0:
         return _by_openvdb(volume, isovalue, adaptivity)
     from geokit import _launch
+    from geokit.mesh._device_mesh import mesh_on_device
 
     target = _launch.resolve_device(device)
     transform = volume.info.transform
@@ -121,15 +123,14 @@ def from_volume(
     if method == "marching_cubes":
         from geokit.volume._marching_cubes import marching_cubes
 
-        points, faces = marching_cubes(volume, isovalue, target, turned=turned)
+        arrays = marching_cubes(volume, isovalue, target, turned=turned)
     else:
         from geokit.volume._surface_nets import surface_nets
 
-        points, faces = surface_nets(volume, isovalue, target, turned=turned, sharp=method == "dual_contouring")
+        arrays = surface_nets(volume, isovalue, target, turned=turned, sharp=method == "dual_contouring")
+    mesh = mesh_on_device(*arrays, volume.info.name)
     reach = np.abs(transform[:3, :3]).sum(axis=1) * LARGEST_INDEX + np.abs(transform[:3, 3])
-    if not np.isfinite(reach).all():
-        return TriangleMesh(points, faces, name=volume.info.name)
-    return _unchecked(points, faces, volume.info.name)
+    return mesh if np.isfinite(reach).all() else TriangleMesh(mesh.vertices, mesh.faces, name=mesh.name)
 
 
 def from_volume_with_deviation(
@@ -170,7 +171,7 @@ def from_volume_with_deviation(
     if not 0.0 < tolerance < np.inf:
         raise InputError(f"tolerance: {tolerance} is not usable; give a finite distance greater than 0")
     mesh = from_volume(volume, isovalue=isovalue, method=method, device=device)
-    if len(mesh.faces) == 0:
+    if mesh.face_count == 0:
         return Simplified(mesh, 0.0, 0.0)
     return within_tolerance(mesh, tolerance, _launch.resolve_device(device))
 
@@ -187,18 +188,6 @@ def _require_real(volume: SparseVolume) -> None:
             f"volume: grid {volume.info.name!r} of type {grid_type} has no isosurface; "
             f"convert it to one of {', '.join(REAL_TYPES)}"
         )
-
-
-def _unchecked(points: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> TriangleMesh:
-    """A mesh of arrays that were just made: looking at each row again takes longer than making them."""
-    mesh = object.__new__(TriangleMesh)
-    for field, array in (("vertices", points), ("faces", faces)):
-        view: Any = array.view()
-        view.flags.writeable = False
-        object.__setattr__(mesh, field, view)
-    object.__setattr__(mesh, "name", name)
-    object.__setattr__(mesh, "parts", ())
-    return mesh
 
 
 def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> TriangleMesh:

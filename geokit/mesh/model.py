@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.mesh._device_mesh import DeviceArrays
 
 __all__ = ["MeshPart", "TriangleMesh"]
 
@@ -25,6 +28,12 @@ class MeshPart(NamedTuple):
 class TriangleMesh:
     """Triangles over shared vertices, checked when made.
 
+    A mesh that was made on a GPU stays there: ``vertices`` and ``faces`` come to the host, both at once, when one of
+    them is first read (also by a copy, a pickle, or a function that works on the host); then its memory on the GPU is
+    free again. Until then a :class:`geokit.mesh.Surface` on that GPU uses the arrays where they are, and keeps them.
+    ``vertex_count``, ``face_count``, ``bounds``, ``diagonal`` and the text of a mesh leave it there. Held by
+    tests/unit/test_device_mesh.py.
+
     Args:
         vertices: Vertex positions [world], shape (V, 3); kept as read-only float64.
         faces: Vertex indices of each triangle, shape (F, 3); kept as read-only int32.
@@ -38,6 +47,8 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     name: str = ""
     parts: tuple[MeshPart, ...] = ()
+    # In place of vertices and faces until these are read.
+    _on_device: ClassVar[DeviceArrays | None] = None
 
     def __init__(
         self, vertices: ArrayLike, faces: ArrayLike, *, name: str = "", parts: tuple[MeshPart, ...] = ()
@@ -50,14 +61,44 @@ class TriangleMesh:
             raise InputError(
                 f"vertices: row {row} is not finite ({vertices[row].tolist()}); remove it and the faces that use it"
             )
-        object.__setattr__(self, "vertices", _read_only(vertices))
-        object.__setattr__(self, "faces", _read_only(faces))
+        object.__setattr__(self, "vertices", read_only(vertices))
+        object.__setattr__(self, "faces", read_only(faces))
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "parts", tuple(parts))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            # Only asked for what is not there: the arrays of a mesh that was made on a device.
+            if name in ("vertices", "faces"):
+                from geokit.mesh._device_mesh import fetch
+
+                fetch(self)
+                if name in self.__dict__:
+                    return self.__dict__[name]
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def __reduce__(self) -> Any:
+        return _known, (self.vertices, self.faces, self.name, self.parts)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices V."""
+        held = self._on_device
+        return len(self.vertices) if held is None else len(held.vertices)
+
+    @property
+    def face_count(self) -> int:
+        """Number of faces F."""
+        held = self._on_device
+        return len(self.faces) if held is None else len(held.faces) // 3
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the vertices that faces use [world], shape (2, 3); NaN where there are no faces."""
+        held = self._on_device
+        if held is not None:
+            return held.bounds()
         if len(self.faces) == 0:
             return np.full((2, 3), np.nan)
         used = np.zeros(len(self.vertices), bool)
@@ -74,7 +115,7 @@ class TriangleMesh:
 
     def __repr__(self) -> str:
         label = f"{self.name!r}, " if self.name else ""
-        return f"TriangleMesh({label}{len(self.vertices)} vertices, {len(self.faces)} faces)"
+        return f"TriangleMesh({label}{self.vertex_count} vertices, {self.face_count} faces)"
 
 
 def _table(values: ArrayLike, name: str, dtype: Any) -> NDArray[Any]:
@@ -104,8 +145,17 @@ def _indices(values: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
     return np.ascontiguousarray(faces, dtype=np.int32)
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
     # A view, so that an array which belongs to the caller stays writable for the caller.
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _known(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str, parts: tuple[MeshPart, ...]
+) -> TriangleMesh:
+    """A mesh of arrays that were those of a mesh: looking at each row again takes longer than to copy them."""
+    mesh = TriangleMesh.__new__(TriangleMesh)
+    mesh.__dict__.update(vertices=read_only(vertices), faces=read_only(faces), name=name, parts=parts)
+    return mesh

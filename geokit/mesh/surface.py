@@ -10,6 +10,7 @@ import numpy as np
 from geokit import _launch
 from geokit._frame import Frame
 from geokit.errors import DeviceMemoryError, InputError
+from geokit.mesh._device_mesh import arrays_on
 from geokit.mesh._overlap_queries import OverlapQueries
 from geokit.mesh._ray_queries import RayQueries
 from geokit.mesh._sign_queries import SignQueries
@@ -39,6 +40,8 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
     On a CPU queries walk a tree of eight children a node; on a GPU they walk the tree of a warp ``Mesh``. Answers are
     those of float64 triangles on either.
 
+    Arrays of a mesh that was made on the same GPU are used where they are.
+
     Args:
         mesh: The triangles; at least one.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
@@ -53,7 +56,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
     def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
         if not isinstance(mesh, TriangleMesh):
             raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
-        if len(mesh.faces) == 0:
+        if mesh.face_count == 0:
             raise InputError(f"mesh: {mesh.name or 'it'} has no faces; queries need at least one triangle")
         self._device = _launch.resolve_device(device)
         self._set_mesh(mesh)
@@ -66,9 +69,9 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         except (RuntimeError, MemoryError) as error:
             if "allocat" not in str(error).lower():
                 raise
-            size = 350 * len(mesh.faces) + 36 * len(mesh.vertices)
+            size = 350 * mesh.face_count + 36 * mesh.vertex_count
             raise DeviceMemoryError(
-                f"mesh: {len(mesh.faces)} faces need about {size >> 20} MiB on {self.device}; "
+                f"mesh: {mesh.face_count} faces need about {size >> 20} MiB on {self.device}; "
                 "free some there or use another device"
             ) from error
 
@@ -78,10 +81,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         self._frame = Frame.around(*self.bounds)
 
     def _upload(self) -> None:
-        import warp as wp
-
-        self._vertices = wp.array(self.mesh.vertices, dtype=wp.vec3d, device=self._device)
-        self._faces = wp.array(self.mesh.faces.reshape(-1), dtype=wp.int32, device=self._device)
+        self._vertices, self._faces = arrays_on(self.mesh, self._device)
 
     def _build_wide_tree(self) -> None:
         from geokit.mesh._tree_kernels import SurfaceTree
@@ -101,9 +101,9 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
 
         self._tree = SurfaceTree()
         self._tree.mesh = wp.uint64(self._warp_mesh.id)
-        self._tree.slot_triangle = wp.empty(len(self.mesh.faces), dtype=wp.int32, device=self._device)
+        self._tree.slot_triangle = wp.empty(self.mesh.face_count, dtype=wp.int32, device=self._device)
         inputs, outputs = [self._tree.mesh], [self._tree.slot_triangle]
-        _launch.launch(leaf_order_kernel, len(self.mesh.faces), inputs, outputs, self._device)
+        _launch.launch(leaf_order_kernel, self.mesh.face_count, inputs, outputs, self._device)
         self._place_triangles()
         tree = self._tree
         tree.boxes, tree.children = pack_nodes(self._warp_mesh, POINT_LEAF, 0.0, tree.leaves)
@@ -129,16 +129,21 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":
         """The mesh in local coordinates for warp's own queries; CPU queries do without, and make it when asked for."""
-        return self._make_warp_mesh(self.mesh.faces)
+        return self._make_warp_mesh(self._faces)
 
-    def _make_warp_mesh(self, faces: np.ndarray) -> "wp.Mesh":
+    def _make_warp_mesh(self, faces: "wp.array") -> "wp.Mesh":
         import warp as wp
 
+        from geokit.mesh._frame_kernels import local_kernel
+
         # Vertices that no face uses may lie anywhere; in the frame of the faces they could overflow float32.
-        local = self._frame.to_local(np.clip(self.mesh.vertices, *self.bounds))
+        local = wp.empty(len(self._vertices), dtype=wp.vec3, device=self._device)
+        corners = [wp.vec3d(*corner.tolist()) for corner in (*self.bounds, self._frame.origin)]
+        inputs = [self._vertices, *corners, wp.float64(self._frame.scale)]
+        _launch.launch(local_kernel, len(local), inputs, [local], self._device)
         return wp.Mesh(
-            points=wp.array(local, dtype=wp.vec3, device=self._device),
-            indices=wp.array(faces.reshape(-1), dtype=wp.int32, device=self._device),
+            points=local,
+            indices=faces,
             support_winding_number=True,
             bvh_leaf_size=LEAF_SIZE_CPU if self._device.is_cpu else LEAF_SIZE_CUDA,
         )
@@ -155,10 +160,10 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         Raises:
             InputError: Another number of vertices, or a row that is not finite; the surface is then as it was.
         """
-        given, expected = np.shape(vertices), self.mesh.vertices.shape
-        if len(given) == 2 and given[0] != expected[0]:
+        given, expected = np.shape(vertices), self.mesh.vertex_count
+        if len(given) == 2 and given[0] != expected:
             raise InputError(
-                f"vertices: {given[0]} rows for a mesh of {expected[0]} vertices; make a new Surface for another mesh"
+                f"vertices: {given[0]} rows for a mesh of {expected} vertices; make a new Surface for another mesh"
             )
         mesh = TriangleMesh(vertices, self.mesh.faces, name=self.mesh.name, parts=self.mesh.parts)
         for name in self._cached_names():

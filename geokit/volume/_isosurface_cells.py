@@ -10,15 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit._pinned import host_flags
-from geokit._scratch import Scratch, ScratchArray
-from geokit.volume._isosurface_launch import GRAIN, launch_even, offsets_of, require_memory
+from geokit._scratch import Scratch
+from geokit.volume._isosurface_launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume._isosurface_nodes import Topology, topology_of
 from geokit.volume._isosurface_rims import add_rims, rim_origins
-from geokit.volume._nanovdb import TREE_OFFSET, grid_header, tree_header
-from geokit.volume._nanovdb_layout import GridLayout, layout_of
 from geokit.volume.model import SparseVolume
 
 if TYPE_CHECKING:
@@ -26,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CrossedCells", "crossed_cells"]
 
-FLOAT_TYPE = 1
 # Offset of the voxels in a leaf of floats.
 FLOAT_TABLE = 96
 # Memory of a block while its cells are found: planes, neighbours, places.
@@ -41,7 +37,7 @@ class CrossedCells:
 
     Attributes:
         cells: The kernels' :class:`Cells`; it keeps its arrays alive.
-        count: Blocks that have crossed cells, ``len(cells.crossed)``.
+        count: Blocks that have crossed cells: the first of ``cells.crossed``.
         device: Where the arrays are.
         tree: The kernels' :class:`Tree`.
         keep: What else must outlive the kernels.
@@ -73,58 +69,51 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     from geokit.volume import _isosurface_cells_kernels as kernels
 
     grid = volume.on(device)
-    grid_type = int(grid_header(volume.nanovdb)["grid_type"])
-    layout = layout_of(grid_type, "volume")
-    topology = topology_of(volume, layout)
-    count = len(topology.leaves.offset)
-    is_float = grid_type == FLOAT_TYPE
-    require_memory(count * (BLOCK_BYTES + (0 if is_float else DECODED_BYTES)), device)
+    topology = topology_of(volume)
+    leaves = len(topology.leaves.offset)
+    require_memory(leaves * (BLOCK_BYTES + (0 if topology.is_float else DECODED_BYTES)), device)
 
     cells: Any = kernels.Cells()
     cells.volume = wp.uint64(grid.id)
-    cells.leaf_count = count
+    cells.leaf_count = leaves
     cells.leaf_offset, cells.origin = topology.on(device)[:2]
     lowers = len(topology.lower.offset)
-    sides, refs, rims, tile_inside, around = Scratch(
+    # In one allocation: to make an array takes a GPU's host as long as a launch.
+    sides, refs, rims, tile_inside, around, *lists = Scratch(
         device,
-        ((8 * count,), wp.uint64),
-        ((8 * count,), wp.int32),
-        ((count,), wp.uint8),
+        ((8 * leaves,), wp.uint64),
+        ((8 * leaves,), wp.int32),
+        ((leaves,), wp.uint8),
         ((64 * lowers,), wp.uint64),
         ((27 * lowers,), wp.int32),
+        *_lists(leaves),
     ).arrays
     cells.sides, cells.refs = sides.warp, refs.warp
-    keep = _find_sides(cells, isovalue, is_float, int(topology.leaves.offset[0]) if count else 0, layout, device)
-    tree = _tree(cells, topology, layout, isovalue, volume.nanovdb, device, tile_inside.warp, around.warp)
+    keep = _find_sides(cells, topology, isovalue, device)
+    tree = _tree(cells, topology, isovalue, device, tile_inside.warp, around.warp)
     some = host_flags(1, device)
-    launch_even(kernels.link_kernel, count, [cells, tree], [rims, some], device, least=GRAIN)
+    mixed, place, crossed, slot = lists
+    launch_even(kernels.link_kernel, leaves, [cells, tree], [rims, some, mixed], device, least=GRAIN)
     # Few level sets have rims: without them nothing is waited for until the crossed blocks are counted.
-    found = None if topology.has_tiles else _count_mixed(cells)
-    if found is None or some.numpy()[0]:
+    found = [] if topology.has_tiles else fill_offsets([mixed], [place])
+    if not found or some.numpy()[0]:
         add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
-        found = _count_mixed(cells)
-    mixed, place, crossed = found
-    cells.crossed, cells.slot = (
-        array.warp for array in Scratch(device, ((crossed,), wp.int32), ((len(mixed),), wp.int32)).arrays
-    )
-    launch_even(kernels.list_kernel, len(mixed), [mixed, place], [cells.crossed, cells.slot], device)
-    return CrossedCells(cells, tree, crossed, device, (volume, grid, keep))
+        mixed, place, crossed, slot = Scratch(device, *_lists(len(cells.origin))).arrays
+        launch_even(kernels.mixed_kernel, len(mixed), [cells], [mixed], device, least=GRAIN)
+        found = fill_offsets([mixed], [place])
+    cells.crossed, cells.slot = crossed.warp, slot.warp
+    launch_even(kernels.list_kernel, len(mixed), [mixed, place], [crossed, slot], device)
+    return CrossedCells(cells, tree, found[0], device, (volume, grid, keep))
 
 
-def _count_mixed(cells: Any) -> tuple[ScratchArray, ScratchArray, int]:
-    """Which blocks have crossed cells, where each of these goes in a list of them, and how many there are."""
+def _lists(blocks: int) -> list[tuple[tuple[int, ...], Any]]:
+    """Of arrays about blocks: whether each has crossed cells, how many such are before, their list, places in it."""
     import warp as wp
 
-    from geokit.volume import _isosurface_cells_kernels as kernels
-
-    device, blocks = cells.origin.device, len(cells.origin)
-    (mixed,) = Scratch(device, ((blocks,), wp.int32)).arrays
-    launch_even(kernels.mixed_kernel, blocks, [cells], [mixed], device, least=GRAIN)
-    (place,), (crossed,) = offsets_of(mixed)
-    return mixed, place, crossed
+    return [((blocks,), wp.int32)] * 4
 
 
-def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, layout: GridLayout, device: Any) -> Any:
+def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) -> Any:
     """Fills in ``cells.sides``, and where float32 values are found; returns what must be kept."""
     import warp as wp
 
@@ -132,9 +121,10 @@ def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, la
 
     count = cells.leaf_count
     keep = None
-    if is_float:
+    if topology.is_float:
+        first_leaf = int(topology.leaves.offset[0]) if count else 0
         cells.values = wp.uint64(int(cells.volume) + first_leaf + FLOAT_TABLE)
-        cells.stride = wp.uint64(layout.leaf_size)
+        cells.stride = wp.uint64(topology.layout.leaf_size)
         cells.isovalue = wp.float64(isovalue)
         # Below the isovalue are the floats below the first one that is not.
         with np.errstate(over="ignore"):
@@ -157,14 +147,7 @@ def _find_sides(cells: Any, isovalue: float, is_float: bool, first_leaf: int, la
 
 
 def _tree(
-    cells: Any,
-    topology: Topology,
-    layout: GridLayout,
-    isovalue: float,
-    buffer: NDArray[np.uint8],
-    device: Any,
-    tile_inside: "wp.array",
-    around: "wp.array",
+    cells: Any, topology: Topology, isovalue: float, device: Any, tile_inside: "wp.array", around: "wp.array"
 ) -> Any:
     """The kernels' struct of nodes, and what it is to hold of the tiles in and beside them."""
     import warp as wp
@@ -172,11 +155,10 @@ def _tree(
     from geokit.volume import _isosurface_cells_kernels as kernels
 
     tree: Any = kernels.Tree()
-    header = tree_header(buffer)
-    tree.begin = wp.uint64(TREE_OFFSET + int(header["node_offset"][1]))
+    layout = topology.layout
+    tree.leaf_begin, tree.begin = (wp.uint64(begin) for begin in topology.begins[:2])
     tree.size = wp.uint64(layout.lower_size)
     tree.table = wp.uint64(layout.lower_table)
-    tree.leaf_begin = wp.uint64(TREE_OFFSET + int(header["node_offset"][0]))
     tree.leaf_size = wp.uint64(0 if layout.leaf_bits < 0 else layout.leaf_size)
     _, _, tree.leaf_lower, tree.leaf_slot, origin = topology.on(device)
     count = len(origin)

@@ -379,14 +379,23 @@ def lower_neighbors_kernel(
 
 @wp.kernel
 def link_kernel(
-    first: int, cells: Cells, tree: Tree, out_rims: wp.array(dtype=wp.uint8), out_some: wp.array(dtype=int)
+    first: int,
+    cells: Cells,
+    tree: Tree,
+    out_rims: wp.array(dtype=wp.uint8),
+    out_some: wp.array(dtype=int),
+    out_mixed: wp.array(dtype=int),
 ):
-    """Blocks above each leaf, and the tiles below it that may have crossed cells; whether any leaf has some."""
+    """Blocks above each leaf, and the tiles below it that may have crossed cells; whether any leaf has some.
+
+    Without these, out_mixed is what mixed_kernel says.
+    """
     leaf = first + wp.tid()
     rims = link_leaf(cells, tree, leaf)
     out_rims[leaf] = wp.uint8(rims)
     if rims != 0:
         out_some[0] = 1
+    out_mixed[leaf] = int(is_mixed(cells, leaf))
 
 
 @wp.kernel
@@ -412,9 +421,18 @@ def list_kernel(
 
 
 @wp.kernel
-def total_kernel(
-    first: int, place: int, counts: wp.array(dtype=int), starts: wp.array(dtype=int), out_total: wp.array(dtype=int)
+def totals_kernel(
+    first: int,
+    counts: wp.array(dtype=int),
+    starts: wp.array(dtype=int),
+    more_counts: wp.array(dtype=int),
+    more_starts: wp.array(dtype=int),
+    out_totals: wp.array(dtype=int),
 ):
-    """Sum of all counts, from where the last one starts."""
+    """Sums of all counts, from where the last one starts; of one kind or of two."""
+    kind = first + wp.tid()
     last = counts.shape[0] - 1
-    out_total[place + first] = starts[last] + counts[last]
+    if kind == 0:
+        out_totals[kind] = starts[last] + counts[last]
+    else:
+        out_totals[kind] = more_starts[last] + more_counts[last]

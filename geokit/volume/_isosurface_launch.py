@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit import _launch, _memory
 from geokit._pinned import host_arrays
@@ -15,7 +15,7 @@ from geokit.errors import DeviceMemoryError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["GRAIN", "PLANES", "launch_even", "launch_planes", "offsets_of", "require_memory", "used_only"]
+__all__ = ["GRAIN", "PLANES", "fill_offsets", "launch_even", "launch_planes", "require_memory", "used_only"]
 
 # Planes of 64 cells in a block.
 PLANES = 8
@@ -44,41 +44,61 @@ def launch_even(
     _launch.launch(kernel, count, inputs, outputs, device, grain=grain)
 
 
-def offsets_of(*counts: Any) -> tuple[list[ScratchArray], list[int]]:
-    """Where each item's results start, and how many there are in all, of one kind of results or of several.
+def fill_offsets(counts: Sequence[ScratchArray], starts: Sequence[ScratchArray]) -> list[int]:
+    """Where each item's results start, and how many there are in all, of one kind of results or of two.
 
     Args:
-        counts: ScratchArrays of int32, of one device.
+        counts: For each kind the results of each item, int32; as many items of either, of one device.
+        starts: For each kind what is filled in, int32, as long.
+    Returns:
+        Number of results of each kind.
     Raises:
         DeviceMemoryError: More than int32 can number.
     """
     import warp as wp
 
-    from geokit.volume._isosurface_cells_kernels import total_kernel
+    from geokit.volume._isosurface_cells_kernels import totals_kernel
 
-    device = counts[0].device
-    starts = Scratch(device, *(((len(some),), wp.int32) for some in counts)).arrays
+    device, items = counts[0].device, len(counts[0])
     (totals,) = host_arrays(device, ((len(counts),), np.int32))
     totals.values.fill(0)
-    for number, (some, start) in enumerate(zip(counts, starts, strict=True)):
-        if len(some) > SAFE_PLANES and int(some.numpy().sum(dtype=np.int64)) > LARGEST:
+    for some, start in zip(counts, starts, strict=True):
+        if items > SAFE_PLANES and int(some.numpy().sum(dtype=np.int64)) > LARGEST:
             raise DeviceMemoryError(
                 f"volume: its surface has more than {LARGEST} vertices or faces; resample it to larger voxels"
             )
-        if len(some):
-            wp.utils.array_scan(some.warp, start.warp, inclusive=False)
-            _launch.launch(total_kernel, 1, [number, some, start], [totals], device)
-    return starts, totals.numpy().tolist()
+        wp.utils.array_scan(some.warp, start.warp, inclusive=False)
+    inputs = [counts[0], starts[0], counts[-1], starts[-1]]
+    _launch.launch(totals_kernel, len(counts) if items else 0, inputs, [totals], device)
+    found: list[int] = totals.numpy().tolist()
+    return found
 
 
-def used_only(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Without the vertices that no face uses: those of edges between voxels that are not active."""
-    used = np.zeros(len(vertices), bool)
-    used[faces.ravel()] = True
-    if used.all():
+def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.array"]:
+    """Without the vertices that no face uses: those of edges between voxels that are not active.
+
+    Args:
+        vertices: (V,) of vec3d.
+        faces: Their numbers, (3 F,) of int32.
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+    """
+    import warp as wp
+
+    from geokit.volume import _isosurface_unused_kernels as kernels
+
+    device = vertices.device
+    require_memory(32 * len(vertices) + 4 * len(faces), device)
+    used, place = Scratch(device, *[((len(vertices),), wp.int32)] * 2, zeroed=True).arrays
+    launch_even(kernels.mark_used_kernel, len(faces), [faces], [used], device)
+    (count,) = fill_offsets([used], [place])
+    if count == len(vertices):
         return vertices, faces
-    number = np.cumsum(used, dtype=np.int32) - 1
-    return vertices[used], number[faces]
+    kept = wp.empty(count, dtype=wp.vec3d, device=device)
+    launch_even(kernels.keep_used_kernel, len(vertices), [vertices, used, place], [kept], device)
+    renumbered = wp.empty(len(faces), dtype=wp.int32, device=device)
+    launch_even(kernels.renumber_kernel, len(faces), [faces, place], [renumbered], device)
+    return kept, renumbered
 
 
 def require_memory(need: int, device: Any) -> None:

@@ -9,14 +9,17 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume._nanovdb import TREE_OFFSET, tree_header
-from geokit.volume._nanovdb_layout import LOWER_SLOTS, UPPER_SLOTS, GridLayout
+from geokit.volume._nanovdb import TREE_OFFSET, grid_header, tree_header
+from geokit.volume._nanovdb_layout import LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
+from geokit.volume._upload import above_leaves
 from geokit.volume.model import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["Nodes", "Topology", "place_of", "topology_of"]
+
+FLOAT_TYPE = 1
 
 
 class Nodes(NamedTuple):
@@ -31,6 +34,9 @@ class Topology:
     """What does not depend on the isovalue; kept as long as its volume, since it takes as long as finding the cells.
 
     Attributes:
+        is_float: Whether the grid's values are float32.
+        layout: Where things are in nodes of the grid's type.
+        begins: Where leaves, lower nodes, upper nodes and root begin, from the grid's start.
         lower: Lower nodes in the order of their addresses.
         leaves: Leaves in the order of their addresses.
         active_node: Lower nodes that the active tiles of 8^3 voxels are in, shape (A,) int32.
@@ -39,6 +45,9 @@ class Topology:
         arrays: By device: offsets and origins of the leaves, their lower nodes and slots, origins of the lower nodes.
     """
 
+    is_float: bool
+    layout: GridLayout
+    begins: tuple[int, ...]
     lower: Nodes
     leaves: Nodes
     active_node: NDArray[np.int32]
@@ -70,17 +79,21 @@ class Topology:
 _known: WeakKeyDictionary[SparseVolume, Topology] = WeakKeyDictionary()
 
 
-def topology_of(volume: SparseVolume, layout: GridLayout) -> Topology:
+def topology_of(volume: SparseVolume) -> Topology:
     """The nodes of a volume's tree, found once."""
     found = _known.get(volume)
     if found is None:
-        buffer = volume.nanovdb
-        upper, table = _upper_nodes(buffer, layout)
+        buffer = above_leaves(volume)
+        grid_type = int(grid_header(buffer)["grid_type"])
+        layout = layout_of(grid_type, "volume")
+        begins = tuple(TREE_OFFSET + int(offset) for offset in tree_header(buffer)["node_offset"])
+        upper, table = _upper_nodes(buffer, begins[3], layout)
         lower = _children(buffer, upper, UPPER_SLOTS, layout.upper_table, layout.upper_size, 5, 128)
         leaves = _children(buffer, lower, LOWER_SLOTS, layout.lower_table, layout.lower_size, 4, 8)
         active, children = _masks(buffer, lower, LOWER_SLOTS, layout.lower_size)
         node, slot = (part.astype(np.int32) for part in _bits(active & ~children))
-        found = Topology(lower, leaves, node, slot, _large_borders(buffer, upper, table, layout))
+        borders = _large_borders(buffer, upper, table, layout)
+        found = Topology(grid_type == FLOAT_TYPE, layout, begins, lower, leaves, node, slot, borders)
         _known[volume] = found
     return found
 
@@ -107,9 +120,8 @@ def _border(size: int) -> NDArray[np.int32]:
     return np.unique(np.concatenate(faces), axis=0)
 
 
-def _upper_nodes(buffer: NDArray[np.uint8], layout: GridLayout) -> tuple[Nodes, NDArray[np.uint8]]:
+def _upper_nodes(buffer: NDArray[np.uint8], root: int, layout: GridLayout) -> tuple[Nodes, NDArray[np.uint8]]:
     """Upper nodes in the order of their addresses, and the root's table, a row for each entry."""
-    root = TREE_OFFSET + int(tree_header(buffer)["node_offset"][3])
     count = int(buffer[root + 24 : root + 28].view("<u4")[0])
     begin = root + layout.root_size
     table = buffer[begin : begin + count * layout.root_tile_size].reshape(count, layout.root_tile_size)

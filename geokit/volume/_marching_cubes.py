@@ -5,14 +5,10 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from geokit._download import download
 from geokit._pinned import host_flags
 from geokit._scratch import Scratch
 from geokit.volume._isosurface_cells import crossed_cells
-from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
+from geokit.volume._isosurface_launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
 from geokit.volume._marching_cubes_cases import triangle_table
 from geokit.volume.model import SparseVolume
 
@@ -24,8 +20,8 @@ __all__ = ["marching_cubes"]
 
 def marching_cubes(
     volume: SparseVolume, isovalue: float, device: Any, *, turned: bool
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices (V, 3) [world] and triangles (F, 3) of an isosurface.
+) -> tuple["wp.array", "wp.array"]:
+    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
 
     Args:
         volume: A scalar grid.
@@ -34,7 +30,7 @@ def marching_cubes(
         turned: Faces that turn to decreasing values instead of increasing ones, in index space.
 
     Returns:
-        Vertices and triangles in the order of leaves and voxels.
+        Vertices and triangles in the order of leaves and voxels; on the device.
 
     Raises:
         DeviceMemoryError: There is not enough memory.
@@ -50,12 +46,13 @@ def marching_cubes(
     found = crossed_cells(volume, isovalue, device)
     planes = PLANES * found.count
     start, edges = _tables(device.alias)
-    shapes = [((3 * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
-    records, vertices, triangles = Scratch(device, *shapes).arrays
+    shapes = [((3 * planes,), wp.uint64), *[((planes,), wp.int32)] * 4]
+    records, vertices, triangles, base, first_triangle = Scratch(device, *shapes).arrays
     flag = host_flags(1, device)
     outputs = [records, vertices, triangles, flag]
     launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
-    (base, first_triangle), (vertex_count, triangle_count) = offsets_of(vertices, triangles)
+    vertex_count, triangle_count = fill_offsets([vertices, triangles], [base, first_triangle])
+    has_dead = flag.numpy()[0]  # before there is more to wait for
     require_memory(24 * vertex_count + 12 * triangle_count, device)
     transform = volume.info.transform
     linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
@@ -65,8 +62,7 @@ def marching_cubes(
     faces = wp.empty(3 * triangle_count, dtype=wp.int32, device=device)
     inputs = [found.cells, start, edges, records, base, first_triangle, int(turned)]
     launch_planes(kernels.triangles_kernel, planes, inputs, [faces], device)
-    points, corners = (array.reshape(-1, 3) for array in download(vertex, faces))
-    return used_only(points, corners) if flag.numpy()[0] else (points, corners)
+    return used_only(vertex, faces) if has_dead else (vertex, faces)
 
 
 @functools.lru_cache(maxsize=16)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geokit import _launch
-from geokit._download import download
 from geokit._pinned import host_flags
 from geokit._scratch import Scratch, ScratchArray
 from geokit.volume._isosurface_cells import CrossedCells, crossed_cells
-from geokit.volume._isosurface_launch import PLANES, launch_planes, offsets_of, require_memory, used_only
+from geokit.volume._isosurface_launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
 from geokit.volume._marching_cubes_cases import loop_table, sum_table
 from geokit.volume.model import SparseVolume
 
@@ -30,8 +26,8 @@ HAS_PROBLEM, HAS_DEAD = 0, 1
 
 def surface_nets(
     volume: SparseVolume, isovalue: float, device: Any, *, turned: bool, sharp: bool = False
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices (V, 3) [world] and triangles (F, 3) of an isosurface.
+) -> tuple["wp.array", "wp.array"]:
+    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
 
     Args:
         volume: A scalar grid.
@@ -40,7 +36,7 @@ def surface_nets(
         turned: Faces that turn to decreasing values instead of increasing ones, in index space.
 
     Returns:
-        Vertices in the order of leaves and voxels, a pair of triangles for each crossed edge.
+        Vertices in the order of leaves and voxels, a pair of triangles for each crossed edge; on the device.
 
     Raises:
         DeviceMemoryError: There is not enough memory.
@@ -56,8 +52,10 @@ def surface_nets(
     found = crossed_cells(volume, isovalue, device)
     planes = PLANES * found.count
     table, sums = _tables(device.alias)
-    flips, records, vertices, quads, flags = _count(found, table, planes, isovalue)
-    (base, first_quad), (vertex_count, quad_count) = offsets_of(vertices, quads)
+    flips, records, counts, starts, flags = _count(found, table, planes, isovalue)
+    base, first_quad = starts
+    vertex_count, quad_count = fill_offsets(counts, starts)
+    has_dead = flags.numpy()[HAS_DEAD]  # before there is more to wait for
     require_memory(24 * (vertex_count + quad_count), device)
     shared = [found.cells, table, flips, records, base]
     transform = volume.info.transform
@@ -74,8 +72,7 @@ def surface_nets(
     faces = wp.empty(6 * quad_count, dtype=wp.int32, device=device)
     inputs = [*shared, first_quad, int(turned), vertex]
     launch_planes(kernels.quads_kernel, planes, inputs, [faces], device)
-    points, corners = (array.reshape(-1, 3) for array in download(vertex, faces))
-    return used_only(points, corners) if flags.numpy()[HAS_DEAD] else (points, corners)
+    return used_only(vertex, faces) if has_dead else (vertex, faces)
 
 
 @functools.lru_cache(maxsize=16)
@@ -103,26 +100,24 @@ def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
 
 def _count(
     found: CrossedCells, table: "wp.array", planes: int, isovalue: float
-) -> tuple[ScratchArray, ScratchArray, ScratchArray, ScratchArray, HostArray]:
-    """Joined cells, records, and the numbers of vertices and quads of each plane; flags of what there is."""
+) -> tuple[ScratchArray, ScratchArray, list[ScratchArray], list[ScratchArray], HostArray]:
+    """Joined cells, records, the numbers of vertices and quads of each plane, room for their sums; flags of what is."""
     import warp as wp
 
     from geokit.volume import _surface_nets_cases_kernels as kernels
 
     device = found.device
-    (flips,) = Scratch(device, ((planes,), wp.uint64), zeroed=True).arrays
-    shapes = [((planes,), wp.uint64), ((kernels.RECORD * planes,), wp.uint64), *[((planes,), wp.int32)] * 2]
-    problems, records, vertices, quads = Scratch(device, *shapes).arrays
+    words = [((size * planes,), wp.uint64) for size in (1, 1, kernels.RECORD)]
+    problems, flips, records, *sums = Scratch(device, *words, *[((planes,), wp.int32)] * 4).arrays
     flags = host_flags(2, device)
-    outputs = [records, problems, vertices, quads, flags]
-    launch_planes(kernels.count_kernel, planes, [found.cells, table, flips], outputs, device)
+    outputs = [flips, records, problems, *sums[:2], flags]
+    launch_planes(kernels.count_kernel, planes, [found.cells, table], outputs, device)
     if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:
-        none, (flips,) = flips, Scratch(device, ((planes,), wp.uint64)).arrays
-        inputs = [found.cells, table, none, problems, wp.float64(isovalue)]
+        inputs = [found.cells, table, problems, wp.float64(isovalue)]
         launch_planes(kernels.flips_kernel, planes, inputs, [flips], device)
         inputs = [found.cells, table, flips, problems]
-        launch_planes(kernels.count_joined_kernel, planes, inputs, [records, vertices], device)
-    return flips, records, vertices, quads, flags
+        launch_planes(kernels.count_joined_kernel, planes, inputs, [records, sums[0]], device)
+    return flips, records, sums[:2], sums[2:], flags
 
 
 def _asks_for_problems(device: "wp.Device") -> bool:

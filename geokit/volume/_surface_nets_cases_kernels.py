@@ -91,7 +91,9 @@ def count_plane(
 @wp.func_native(_CASES_SNIPPET)
 def case_at(
     cells: Cells, table: wp.array(dtype=wp.uint32), flips: wp.array(dtype=wp.uint64), plane: int, bit: int
-) -> int: ...
+) -> int:
+    """The case of a cell; ``flips`` is not read."""
+    ...
 
 
 @wp.kernel
@@ -100,15 +102,17 @@ def count_kernel(
     span: int,
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
+    out_flips: wp.array(dtype=wp.uint64),
     out_records: wp.array(dtype=wp.uint64),
     out_problems: wp.array(dtype=wp.uint64),
     out_vertices: wp.array(dtype=int),
     out_quads: wp.array(dtype=int),
     out_flags: wp.array(dtype=int),
 ):
+    """Sheets and quads of planes of which no cell has a joined face."""
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        found = count_plane(cells, table, flips, plane, out_records, out_problems)
+        out_flips[plane] = wp.uint64(0)
+        found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
         out_vertices[plane] = found & COUNT_MASK
         out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
         # Whoever writes here writes the same.
@@ -151,7 +155,6 @@ def flips_kernel(
     span: int,
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
-    no_flips: wp.array(dtype=wp.uint64),
     problems: wp.array(dtype=wp.uint64),
     isovalue: wp.float64,
     out_flips: wp.array(dtype=wp.uint64),
@@ -164,7 +167,7 @@ def flips_kernel(
             corner = cells.origin[cells.crossed[plane / 8]]
             for bit in range(64):
                 if (problem >> wp.uint64(bit)) & wp.uint64(1) != wp.uint64(0):
-                    face = int(table[case_at(cells, table, no_flips, plane, bit)] >> wp.uint32(27)) - 1
+                    face = int(table[case_at(cells, table, out_flips, plane, bit)] >> wp.uint32(27)) - 1
                     step = 2 * (face % 2) - 1
                     at = corner + wp.vec3i(plane % 8, bit / 8, bit % 8)
                     at[face / 2] = at[face / 2] + step

@@ -109,7 +109,7 @@ class Lattice:
 
         from geokit.volume._tiles_kernels import area_kernel
 
-        count = len(self.surface.mesh.faces)
+        count = self.surface.mesh.face_count
         area = wp.empty(count, dtype=wp.float64, device=self.device)
         inputs = [self.surface._vertices, self.surface._faces, wp.float64(self.surface._frame.scale)]
         _launch.launch(area_kernel, count, inputs, [area], self.device)

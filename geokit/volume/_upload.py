@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from geokit._download import download_into
 from geokit._launch import resolve_device
 from geokit.errors import DeviceMemoryError
-from geokit.volume._nanovdb import aligned_buffer
+from geokit.volume._nanovdb import HEAD_SIZE, TREE_OFFSET, aligned_buffer, tree_header
 from geokit.volume._nanovdb_checks import check_grid
 from geokit.volume._nanovdb_layout import ALIGNMENT
 from geokit.volume.model import GridInfo, SparseVolume
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-__all__ = ["download", "made_on_device", "upload"]
+__all__ = ["above_leaves", "download", "made_on_device", "upload"]
 
 
 def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
@@ -101,7 +101,28 @@ def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
 
 def download(volume: SparseVolume) -> NDArray[np.uint8]:
     """The host buffer of a volume that :func:`made_on_device` has made."""
-    source = next(entry[1] for entry in volume._uploads.values() if isinstance(entry, tuple))
-    buffer = aligned_buffer(len(source))
+    source = _source(volume)
+    return _front(source, len(source))
+
+
+def above_leaves(volume: SparseVolume) -> NDArray[np.uint8]:
+    """The buffer up to its leaves, or all of it: headers, root and inner nodes.
+
+    Of a grid that is on a device alone no more is brought to the host.
+    """
+    if "nanovdb" in volume.__dict__:
+        return volume.nanovdb
+    source = _source(volume)
+    leaves, *others = (int(offset) for offset in tree_header(_front(source, HEAD_SIZE))["node_offset"])
+    return _front(source, TREE_OFFSET + leaves) if leaves > max(others) else volume.nanovdb
+
+
+def _source(volume: SparseVolume) -> Any:
+    return next(entry[1] for entry in volume._uploads.values() if isinstance(entry, tuple))
+
+
+def _front(source: "wp.array", size: int) -> NDArray[np.uint8]:
+    """The first bytes of a grid on a device."""
+    buffer = aligned_buffer(size)
     download_into(buffer, source)
     return buffer

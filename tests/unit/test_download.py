@@ -123,6 +123,16 @@ def test_without_memory_to_lend_nothing_is_lent():
     assert _download._lent((wp.zeros(0, dtype=wp.vec3d, device="cpu"),), lender("cpu", 1 << 17)) is None
 
 
+def test_memory_for_one_of_two_goes_back_untouched():
+    loans = lender("cpu", 1 << 17)
+    tables, arrays = some("cpu", 2000)
+    first, second = arrays[0], arrays[1]
+    for _ in range(3):
+        assert _download._lent((first, second, first), loans) is None
+        (found,) = _download._lent((first,), loans)
+        np.testing.assert_array_equal(found, tables[0])
+
+
 @pytest.mark.skipif(len(DEVICES) == 1, reason="needs a GPU")
 def test_threads_may_download_at_once():
     wrong = []

@@ -89,6 +89,31 @@ def test_there_is_a_bound():
     assert loans._bytes == 1 << 20
 
 
+def test_large_memory_is_made_for_who_keeps_asking():
+    loans = Loans(heap, most_bytes=1 << 26, largest_bytes=1 << 24, ready_bytes=1 << 20, patience=3)
+    assert empty(loans, 1 << 20) is not None
+    large = 1 << 22
+    assert [empty(loans, large) is None for _ in range(5)] == [True, True, True, False, False]
+    # That of another size has to be paid for too, by what is asked for of any.
+    larger = 1 << 23
+    assert [empty(loans, larger) is None for _ in range(5)] == [True, True, True, False, False]
+    kept = [empty(loans, large) for _ in range(3)]  # both go on to arrays of half the size too
+    assert [array is None for array in kept] == [False, False, True]
+
+
+def test_where_no_memory_can_be_had_none_is_lent():
+    asked = []
+
+    def refuse(size):
+        asked.append(size)
+        raise RuntimeError("Failed to allocate")
+
+    loans = Loans(refuse, most_bytes=1 << 20, largest_bytes=1 << 20)
+    for _ in range(3):  # and it does not count as lent
+        assert empty(loans, 1 << 20) is None
+    assert asked == 3 * [1 << 20]
+
+
 def test_threads_never_get_the_same_memory(loans):
     wrong = []
 

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from geokit import _launch
+from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh._wide_winding import build_winding_tree
 from geokit.mesh._wide_winding_kernels import QUEUE, sign_kernel, winding_number_kernel
@@ -20,18 +21,22 @@ class Winding:
         self.surface = Surface(mesh, device="cpu")
         self.winding = build_winding_tree(self.surface._tree, flipped)
 
-    def run(self, kernel, points: np.ndarray, out: np.ndarray, empty: float) -> np.ndarray:
+    def run(self, kernel, points: np.ndarray, out: np.ndarray, empty: float, flags: list | None = None) -> np.ndarray:
         device = wp.get_device("cpu")
         result = wp.array(out, dtype=wp.float64, device=device)
         inputs = [self.surface._tree, self.winding, wp.float64(empty)]
         points = wp.array(np.asarray(points, np.float64), dtype=wp.vec3d, device=device)
         half = 2.0 * self.surface.scale
         lower = self.surface.origin - half
-        _launch.launch_queries(kernel, points, inputs, [result], device, lower=lower, extent=2.0 * half)
+        box = {"lower": lower, "extent": 2.0 * half}
+        _launch.launch_queries(kernel, points, inputs, [result], device, **box, flags=flags or [])
         return result.numpy()
 
     def numbers(self, points, empty: float = np.inf) -> np.ndarray:
-        return self.run(winding_number_kernel, points, np.full(len(points), np.nan), empty)
+        bad = wp.zeros(1, dtype=wp.int32, device="cpu")
+        found = self.run(winding_number_kernel, points, np.full(len(points), np.nan), empty, [bad])
+        assert bool(bad.numpy()[0]) == (not np.isfinite(points).all())
+        return found
 
     def inside(self, points, empty: float = np.inf) -> np.ndarray:
         return self.run(sign_kernel, points, np.ones(len(points)), empty) < 0.0
@@ -163,3 +168,22 @@ def test_after_an_update_it_is_built_anew():
     surface.update(moved)
     expected = reference.winding_number(moved, mesh.faces, points)
     np.testing.assert_allclose(surface.winding_number(points), expected, atol=5e-3)
+
+
+@pytest.mark.parametrize("count", [3, 300_000])
+@pytest.mark.parametrize("query", ["winding_number", "sign_confidence"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_points_that_are_not_finite_are_named(query, value, count, monkeypatch):
+    monkeypatch.setattr("geokit._blocks.MOST_ROWS", 100_000)
+    surface = Surface(catalogue.box(), device="cpu")
+    points = np.full((count, 3), 0.5)
+    points[0] = 1e308  # finite, with a sum that is not
+    points[1] = -1e308
+    progress = {"progress": lambda done, total: None} if query == "winding_number" else {}
+    assert np.isfinite(getattr(surface, query)(points, **progress)).all()
+    points[count - 1, 1] = value
+    with pytest.raises(InputError, match=f"points: row {count - 1} "):
+        getattr(surface, query)(points, **progress)
+    with pytest.raises(InputError, match=f"points: row {count - 1} "):
+        getattr(surface, query)(wp.array(points, dtype=wp.vec3d, device="cpu"))
+    np.testing.assert_array_equal(Winding(catalogue.box()).numbers(points)[[0, -1]], [0.0, np.nan])

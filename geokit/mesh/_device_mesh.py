@@ -1,0 +1,105 @@
+"""Meshes whose arrays lie where kernels have made them, until somebody reads them."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit import _launch
+from geokit._download import download
+from geokit._pinned import host_arrays
+from geokit.mesh.model import TriangleMesh, read_only
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["DeviceArrays", "arrays_on", "box_of", "fetch", "mesh_on_device", "vertices_near"]
+
+# Boxes that points are first put into, and those into which these are: what fills a GPU, and what the host looks at.
+ROUNDS = 1 << 16, 1 << 8
+
+
+class DeviceArrays:
+    """What a mesh holds instead of NumPy arrays.
+
+    Args:
+        vertices: Positions [world], (V,) of vec3d, finite, each used by a face.
+        faces: Their numbers, (3 F,) of int32.
+    """
+
+    __slots__ = ("faces", "lock", "vertices")
+
+    def __init__(self, vertices: "wp.array", faces: "wp.array") -> None:
+        self.vertices, self.faces = vertices, faces
+        self.lock = threading.Lock()
+
+    def bounds(self) -> NDArray[np.float64]:
+        """Box around the vertices, shape (2, 3); NaN where there are no faces."""
+        if len(self.faces) == 0:
+            return np.full((2, 3), np.nan)
+        if self.vertices.device.is_cuda:
+            return box_of(self.vertices)
+        axes = self.vertices.numpy().T
+        return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]])
+
+
+def box_of(points: "wp.array") -> NDArray[np.float64]:
+    """Box around points, (N,) of vec3d with N at least 1, as shape (2, 3): least and largest need no order."""
+    import warp as wp
+
+    from geokit.mesh._frame_kernels import boxes_kernel
+
+    device = points.device
+    many, few = (min(most, len(points)) for most in ROUNDS)
+    boxes = [wp.empty(many, dtype=wp.vec3d, device=device) for _ in range(2)]
+    _launch.launch(boxes_kernel, many, [many, points, points], boxes, device)
+    found = host_arrays(device, *[((few, 3), np.float64)] * 2)
+    _launch.launch(boxes_kernel, few, [few, *boxes], found, device)
+    lower, upper = (box.numpy() for box in found)
+    return np.stack([lower.min(axis=0), upper.max(axis=0)])
+
+
+def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str) -> TriangleMesh:
+    """A mesh of arrays that kernels have made: nobody writes to them any more.
+
+    Args:
+        vertices: As :class:`DeviceArrays`.
+        faces: As :class:`DeviceArrays`.
+        name: The mesh's name.
+    """
+    mesh = TriangleMesh.__new__(TriangleMesh)
+    mesh.__dict__.update(name=name, parts=(), _on_device=DeviceArrays(vertices, faces))
+    return mesh
+
+
+def fetch(mesh: TriangleMesh) -> None:
+    """Bring the arrays to the host, both at once, unless they are there; the mesh then lets go of the device's."""
+    held = mesh._on_device
+    if held is None:
+        return
+    with held.lock:
+        if mesh._on_device is None:  # another thread has brought them
+            return
+        vertices, faces = (read_only(array.reshape(-1, 3)) for array in download(held.vertices, held.faces))
+        mesh.__dict__.update(vertices=vertices, faces=faces)
+        del mesh.__dict__["_on_device"]
+
+
+def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.array"]:
+    """Vertices, (V,) of vec3d, and faces, (3 F,) of int32, on a device: the mesh's own if they are there."""
+    import warp as wp
+
+    held = mesh._on_device
+    if held is not None and held.vertices.device == device:
+        return held.vertices, held.faces
+    vertices = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
+    return vertices, wp.array(mesh.faces.reshape(-1), dtype=wp.int32, device=device)
+
+
+def vertices_near(mesh: TriangleMesh, device: Any) -> Any:
+    """The vertices for a query on a device: as a warp array if they are still there, else NumPy's."""
+    held = mesh._on_device
+    return mesh.vertices if held is None or held.vertices.device != _launch.resolve_device(device) else held.vertices

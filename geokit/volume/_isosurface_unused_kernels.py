@@ -1,0 +1,33 @@
+"""Vertices of an isosurface that no face uses, taken out."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def mark_used_kernel(first: int, faces: wp.array(dtype=int), out_used: wp.array(dtype=int)):
+    """1 at each vertex that a corner of a face is at; zero before."""
+    out_used[faces[first + wp.tid()]] = 1
+
+
+@wp.kernel
+def keep_used_kernel(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    used: wp.array(dtype=int),
+    place: wp.array(dtype=int),
+    out_vertices: wp.array(dtype=wp.vec3d),
+):
+    """The used vertices, each at its place: how many used ones are before it."""
+    vertex = first + wp.tid()
+    if used[vertex] != 0:
+        out_vertices[place[vertex]] = vertices[vertex]
+
+
+@wp.kernel
+def renumber_kernel(first: int, faces: wp.array(dtype=int), place: wp.array(dtype=int), out_faces: wp.array(dtype=int)):
+    corner = first + wp.tid()
+    out_faces[corner] = place[faces[corner]]
