@@ -8,7 +8,7 @@ the host. Kernels see float64 rows of three; float32 in gives float32 out, every
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from geokit import _launch
 from geokit._download import download
 from geokit._host_array import HostArray, row_of
 from geokit._pinned import FEWEST_ROWS, Pinned, PinnedArray, serves
+from geokit._scratch import Scratch, ScratchArray
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ __all__ = [
     "require_finite",
     "require_finite_scalar",
     "require_length",
+    "several",
 ]
 
 # Numbers that are looked at one by one as quickly as warnings are held back around their sum.
@@ -47,7 +49,7 @@ class Batch:
             query device; a HostArray where they are NumPy's and stay on the host, a PinnedArray where a GPU reads them
             there.
         single: True where the caller's rows were float32 (results are then float32 too).
-        give: Turns a warp result array on the query device into the caller's kind of array.
+        give: Turns a result of :func:`empty` or :func:`several` into the caller's kind of array.
         first_row: Where the rows stand among the caller's, for messages.
     """
 
@@ -112,7 +114,7 @@ def read_vectors(
         rows = rows.contiguous()
     if not defer:
         _require_finite(rows, name, first_row)
-    return Batch(rows, single, lambda out: give(_narrowed(out, single)), first_row)
+    return Batch(rows, single, lambda out: give(_narrowed(_whole(out), single)), first_row)
 
 
 def empty(count: int, dtype: Any, like: Any) -> Any:
@@ -132,6 +134,17 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
     row = row_of(dtype)
     shape = count, *row.shape[1:]
     return like.room.take(shape, row.dtype) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, row.dtype))
+
+
+def several(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
+    """As :func:`empty`, room for results of several types.
+
+    Few results on a device are ScratchArrays of one allocation: to make one takes a GPU's host as long as to launch a
+    kernel. ``Batch.give`` takes them as well; many are arrays of their own, of which the caller may drop some.
+    """
+    if isinstance(like, HostArray) or not 0 < count < FEWEST_ROWS:
+        return [empty(count, dtype, like) for dtype in dtypes]
+    return Scratch(like.device, *(((count,), dtype) for dtype in dtypes)).arrays
 
 
 def full(count: int, value: float, dtype: Any, like: Any) -> Any:
@@ -333,6 +346,10 @@ def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
     if row >= 0:
         bad = rows[row : row + 1].numpy()[0].tolist()
         raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")
+
+
+def _whole(out: Any) -> "wp.array":
+    return out.warp if isinstance(out, ScratchArray) else out
 
 
 def _narrowed(out: "wp.array", single: bool) -> "wp.array":

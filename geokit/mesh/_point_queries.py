@@ -93,8 +93,10 @@ class PointQueries:
             # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
             bad = host_flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
+            # A GPU is at work meanwhile: the flag waits for it.
+            answer = ClosestPoints(*(batch.give(array) for array in found))
             refuse_raised(bad, batch)
-            return ClosestPoints(*(batch.give(array) for array in found))
+            return answer
 
         return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
 
@@ -130,12 +132,7 @@ class PointQueries:
         from geokit.mesh._closest_point_kernels import closest_point_kernel
 
         count, device = len(points), self._device
-        found = ClosestPoints(
-            points=_arrays.empty(count, wp.vec3d, points),
-            distance=_arrays.empty(count, wp.float64, points),
-            triangle_id=_arrays.empty(count, wp.int32, points),
-            barycentric=_arrays.empty(count, wp.vec3d, points),
-        )
+        found = ClosestPoints(*_arrays.several(count, [wp.vec3d, wp.float64, wp.int32, wp.vec3d], points))
         group = QUERY_GROUP if device.is_cpu else 1
         self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group, bad)
         return found

@@ -105,11 +105,7 @@ class RayQueries:
         require_measurable(self.mesh, self._frame)
 
         def query(rays: _arrays.Batch, heading: _arrays.Batch) -> RayHits:
-            found = RayHits(
-                t=_arrays.empty(len(rays), wp.float64, rays.rows),
-                triangle_id=_arrays.empty(len(rays), wp.int32, rays.rows),
-                barycentric=_arrays.empty(len(rays), wp.vec3d, rays.rows),
-            )
+            found = RayHits(*_arrays.several(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
             self._cast(raycast_kernel, rays, heading, t_min, max_distance, list(found))
             return RayHits(*(rays.give(array) for array in found))
 

@@ -92,9 +92,10 @@ class SignQueries(PointQueries):
             if method != "pseudonormal":
                 refuse_raised(bad, batch)
             self._sign(method, batch.rows, closest, reach)
-            refuse_raised(bad, batch)
             found = closest.distance, closest.points, closest.triangle_id, closest.barycentric
-            return SignedDistances(*(batch.give(array) for array in found))
+            answer = SignedDistances(*(batch.give(array) for array in found))
+            refuse_raised(bad, batch)
+            return answer
 
         return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import types
 
@@ -10,9 +11,12 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit import _launch
+from geokit import _arrays, _launch
 from geokit._arrays import read_vectors, require_finite_scalar
+from geokit._host_array import HostArray
+from geokit._scratch import ScratchArray
 
+DEVICES = ["cpu", *_launch.cuda_devices()]
 ROWS = np.array([[0.0, 1, 2], [3, 4, 5], [6, 7, 8], [0.1, 0.2, 0.3]])
 
 
@@ -352,3 +356,50 @@ def test_require_finite_scalar():
     ]:
         with pytest.raises(gk.InputError, match=message):
             require_finite_scalar(value, "radius", **options)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("kind", [wp.vec3d, wp.vec3f])
+def test_few_results_of_several_types_share_an_allocation(device, kind):
+    """They are whole arrays for the caller: each keeps the memory that it is in."""
+    rows = wp.array(np.arange(9.0).reshape(3, 3), dtype=kind, device=device)
+    batch = _arrays.read_vectors(rows, "rows", wp.get_device(device))
+    points, numbers = _arrays.several(3, [wp.vec3d, wp.int32], batch.rows)
+    assert isinstance(points, ScratchArray)
+    wp.copy(points.warp, wp.array(np.arange(9.0).reshape(3, 3), dtype=wp.vec3d, device=device))
+    numbers.warp.fill_(7)
+    answers = batch.give(points), batch.give(numbers)
+    del points, numbers
+    gc.collect()
+    taken = [wp.full(64, 5, dtype=wp.uint8, device=device) for _ in range(50)]
+    assert [type(answer) for answer in answers] == [wp.array, wp.array]
+    assert answers[0].dtype is kind
+    np.testing.assert_array_equal(answers[0].numpy(), rows.numpy())
+    np.testing.assert_array_equal(answers[1].numpy(), 7)
+    assert len(taken) == 50
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("count", [0, _arrays.FEWEST_ROWS])
+def test_no_results_and_many_are_arrays_of_their_own(device, count):
+    rows = wp.zeros(count, dtype=wp.vec3d, device=device)
+    for array, kind in zip(_arrays.several(count, [wp.vec3d, wp.int32], rows), (wp.vec3d, wp.int32), strict=True):
+        assert (type(array), len(array), array.dtype) == (wp.array, count, kind)
+        assert array.device == rows.device
+
+
+def test_results_for_rows_on_the_host_stay_there():
+    batch = _arrays.read_vectors(np.zeros((5, 3)), "rows", wp.get_device("cpu"))
+    assert all(isinstance(array, HostArray) for array in _arrays.several(5, [wp.vec3d, wp.int32], batch.rows))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_row_that_is_not_finite_is_named_though_answers_are_made_first(device):
+    triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    surface = gk.mesh.Surface(triangle, device=device)
+    points = np.zeros((5, 3))
+    points[3, 1] = np.nan
+    for ask in (surface.closest_point, surface.signed_distance):
+        for rows in (points, wp.array(points, dtype=wp.vec3d, device=device)):
+            with pytest.raises(gk.InputError, match="points: row 3 is not finite"):
+                ask(rows)
