@@ -124,7 +124,7 @@ def throw_radius(
     # For radii whose square is below all float64, a number that is beyond any memory.
     expected = SATURATED_SHARE * area / scaled / scaled if scaled * scaled > 0.0 else 1e300
     if expected > room:
-        _refuse_radius(label, radius, expected, room, math.sqrt(SATURATED_SHARE * area / room) / scale)
+        _refuse_radius(label, radius, expected, room, math.sqrt(SATURATED_SHARE * area / max(room, 1)) / scale)
     darts = _Darts(lower, extent)
     kept: list[tuple[NDArray[Any], ...]] = []
     while True:

@@ -268,6 +268,12 @@ def test_a_radius_that_no_memory_holds():
         sample_surface(catalogue.box(), radius=1e-300, method="poisson_disk")
 
 
+def test_a_radius_where_no_memory_is_left(monkeypatch):
+    monkeypatch.setattr(_memory, "available_host", lambda: 0)
+    with pytest.raises(DeviceMemoryError, match="use a radius of"):
+        sample_surface(catalogue.box(), radius=0.5, method="poisson_disk")
+
+
 def test_points_that_outgrow_memory_on_the_way(monkeypatch):
     monkeypatch.setattr(_memory, "available_host", lambda: 400 * 500)
     # By its area there is room for one.
