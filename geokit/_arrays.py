@@ -139,8 +139,9 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
 def several(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
     """As :func:`empty`, room for results of several types.
 
-    Few results on a device are ScratchArrays of one allocation: to make one takes a GPU's host as long as to launch a
-    kernel. ``Batch.give`` takes them as well; many are arrays of their own, of which the caller may drop some.
+    Few results on a device are ScratchArrays of one allocation: to make an array takes a GPU's host as long as to
+    launch a kernel. ``Batch.give`` makes arrays of them, while the kernel runs. Many are arrays of their own, of which
+    the caller may drop some.
     """
     if isinstance(like, HostArray) or not 0 < count < FEWEST_ROWS:
         return [empty(count, dtype, like) for dtype in dtypes]
@@ -261,7 +262,7 @@ def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:
 
 
 def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
-    result = out.numpy() if isinstance(out, HostArray) else download(out)[0]
+    result = out.numpy() if isinstance(out, HostArray) else download(_whole(out))[0]
     return result.astype(np.float32) if single and result.dtype == np.float64 else result
 
 

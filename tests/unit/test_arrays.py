@@ -388,6 +388,20 @@ def test_no_results_and_many_are_arrays_of_their_own(device, count):
         assert array.device == rows.device
 
 
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_results_of_several_types_become_numpy_s(device, dtype):
+    """Rows of NumPy's that were sent to a device, as those of a last block are."""
+    batch = _arrays.read_vectors(np.arange(6.0).reshape(2, 3).astype(dtype), "rows", wp.get_device(device))
+    points, numbers = _arrays.several(2, [wp.vec3d, wp.int32], batch.array)
+    wp.copy(points.warp, wp.array(np.arange(6.0).reshape(2, 3), dtype=wp.vec3d, device=device))
+    numbers.warp.fill_(7)
+    answers = batch.give(points), batch.give(numbers)
+    assert [(type(answer), answer.dtype) for answer in answers] == [(np.ndarray, dtype), (np.ndarray, np.int32)]
+    np.testing.assert_array_equal(answers[0], [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(answers[1], [7, 7])
+
+
 def test_results_for_rows_on_the_host_stay_there():
     batch = _arrays.read_vectors(np.zeros((5, 3)), "rows", wp.get_device("cpu"))
     assert all(isinstance(array, HostArray) for array in _arrays.several(5, [wp.vec3d, wp.int32], batch.rows))
