@@ -7,7 +7,6 @@ the host. Kernels see float64 rows of three; float32 in gives float32 out, every
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from geokit import _launch
 from geokit._download import download
+from geokit._exporters import as_table, imported, is_exporter, reexporter, reinterpreted
 from geokit._host_array import HostArray, row_of
 from geokit._pinned import FEWEST_ROWS, Pinned, PinnedArray, serves
 from geokit._scratch import Scratch, ScratchArray
@@ -99,12 +99,12 @@ def read_vectors(
     if isinstance(values, wp.array):
         source = values
         vectors = values.ndim == 1
-        give = _giver(source, lambda out: out if vectors else _as_table(out))
-    elif isinstance(values, np.ndarray) or not _exports(values):
+        give = _giver(source, lambda out: out if vectors else as_table(out))
+    elif isinstance(values, np.ndarray) or not is_exporter(values):
         return _read_numpy(values, name, device, first_row, defer, keep_single, pin)
     else:
-        source = _import_exporter(values, name)
-        give = _giver(source, _reexporter(values))
+        source = imported(values, name)
+        give = _giver(source, reexporter(values))
     rows, single = _as_rows(source, name)
     if rows.device != device:
         rows = rows.to(device)
@@ -211,11 +211,6 @@ def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
     return -1 if row == none else row
 
 
-def _exports(values: Any) -> bool:
-    # NumPy-like things (pandas columns, memory views) are read through NumPy; these two protocols are for the others.
-    return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
-
-
 def _read_numpy(
     values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_single: bool, pin: bool
 ) -> Batch:
@@ -266,40 +261,6 @@ def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
     return result.astype(np.float32) if single and result.dtype == np.float64 else result
 
 
-def _import_exporter(values: Any, name: str) -> "wp.array":
-    import warp as wp
-
-    try:
-        if hasattr(values, "__dlpack__"):
-            return wp.from_dlpack(values)
-        interface = values.__cuda_array_interface__
-        dtype = wp.dtype_from_numpy(np.dtype(interface["typestr"]))
-        array = wp.array(
-            ptr=interface["data"][0],
-            dtype=dtype,
-            shape=interface["shape"],
-            strides=interface.get("strides"),
-            device=_device_of_pointer(interface["data"][0]),
-            copy=False,
-        )
-        array._geokit_source = values
-        return array
-    except (RuntimeError, TypeError, ValueError, AttributeError, BufferError, KeyError) as error:
-        kind = type(values).__name__
-        raise InputError(f"{name}: the {kind} cannot be shared ({error}); pass a contiguous float array") from error
-
-
-def _device_of_pointer(pointer: int) -> str:
-    # The protocol does not say which GPU: the driver does.
-    import ctypes
-
-    driver = ctypes.CDLL("libcuda.so.1")
-    ordinal = ctypes.c_int(-1)
-    attribute_device_ordinal = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
-    status = driver.cuPointerGetAttribute(ctypes.byref(ordinal), attribute_device_ordinal, ctypes.c_uint64(pointer))
-    return f"cuda:{ordinal.value}" if status == 0 else "cuda:0"
-
-
 def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
     """The array as (N,) of vec3f or vec3d, and whether it is the former."""
     import warp as wp
@@ -309,7 +270,7 @@ def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
     if source.dtype in (wp.float32, wp.float64) and source.ndim == 2 and source.shape[1] == 3:
         single = source.dtype == wp.float32
         table = source if source.is_contiguous else source.contiguous()
-        return _reinterpret(table, wp.vec3f if single else wp.vec3d, (source.shape[0],)), single
+        return reinterpreted(table, wp.vec3f if single else wp.vec3d, (source.shape[0],)), single
     if source.size == 0:
         return wp.empty(0, dtype=wp.vec3d, device=source.device), source.dtype in (wp.vec3f, wp.float32)
     kind = getattr(source.dtype, "__name__", str(source.dtype))
@@ -365,45 +326,12 @@ def _narrowed(out: "wp.array", single: bool) -> "wp.array":
     from geokit._arrays_kernels import narrow_kernel
 
     size = out.size * (3 if narrow == wp.vec3f else 1)
-    flat = _reinterpret(out, wp.float64, (size,))
+    flat = reinterpreted(out, wp.float64, (size,))
     result = wp.empty(size, dtype=wp.float32, device=out.device)
     _launch.launch(narrow_kernel, size, [flat], [result], out.device)
-    return _reinterpret(result, narrow, out.shape)
-
-
-def _as_table(out: "wp.array") -> "wp.array":
-    """(N,) of vec3 as (N, 3) of scalars over the same memory; scalars as they are."""
-    import warp as wp
-
-    scalar = {wp.vec3f: wp.float32, wp.vec3d: wp.float64}.get(out.dtype)
-    return out if scalar is None else _reinterpret(out, scalar, (*out.shape, 3))
-
-
-def _reinterpret(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
-    """The same contiguous memory under another type and shape; keeps its owner alive."""
-    import warp as wp
-
-    view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
-    view._geokit_source = array
-    return view
+    return reinterpreted(result, narrow, out.shape)
 
 
 def _giver(source: "wp.array", finish: Callable[["wp.array"], Any]) -> Callable[["wp.array"], Any]:
     home = source.device
     return lambda out: finish(out if out.device == home else out.to(home))
-
-
-def _reexporter(values: Any) -> Callable[["wp.array"], Any]:
-    """How a result becomes the caller's kind: the type's own ``from_dlpack``, else its library's, else a warp array."""
-    kind = type(values)
-    importer = getattr(kind, "from_dlpack", None)
-    if importer is None and hasattr(values, "__array_namespace__"):
-        importer = getattr(values.__array_namespace__(), "from_dlpack", None)
-    if importer is None:
-        library = sys.modules.get(kind.__module__.partition(".")[0])
-        importer = getattr(library, "from_dlpack", None) or getattr(
-            getattr(library, "dlpack", None), "from_dlpack", None
-        )
-    if importer is None:
-        return _as_table
-    return lambda out: importer(_as_table(out))

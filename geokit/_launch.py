@@ -313,6 +313,7 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
     from geokit import _kept_memory
     from geokit import _order_host_kernels as kernels
     from geokit._host_array import HostArray
+    from geokit._tally_kernels import sum_kernel
 
     count = len(points)
     rows = min(thread_count(), -(-count // ORDER_SHARE))
@@ -323,7 +324,7 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
     pairs, spare = (HostArray(_kept_memory.empty((count,), np.uint64)) for _ in range(2))
     order = _kept_memory.room(count, _warp().int32, device)
     launch(kernels.tally_kernel, rows, [share, points, *frame], [keys, tally], device, grain=1)
-    launch(kernels.sum_kernel, 1, [rows, tally], [start], device)
+    launch(sum_kernel, 1, [rows, kernels.BUCKETS], [tally, start], device)
     launch(kernels.place_kernel, rows, [share, keys, tally], [pairs], device, grain=1)
     grain = BUCKET_GRAIN if rows > 1 else kernels.BUCKETS
     launch(kernels.sort_kernel, kernels.BUCKETS, [start, pairs, spare], [order], device, grain=grain)

@@ -73,20 +73,6 @@ TALLY = f"""
 #endif
 """
 
-SUM = f"""
-    int at = 0;
-    for (int bucket = 0; bucket < {BUCKETS}; ++bucket) {{
-        out_start.data[bucket] = at;
-        for (int row = 0; row < rows; ++row) {{
-            int& place = tally.data[row * {BUCKETS} + bucket];
-            const int more = place;
-            place = at;
-            at += more;
-        }}
-    }}
-    out_start.data[{BUCKETS}] = at;
-"""
-
 PLACE = f"""
     const int count = keys.shape[0], end = begin + share < count ? begin + share : count;
     int* const place = tally.data + begin / share * {BUCKETS};
@@ -150,10 +136,6 @@ def tally_share(
 ): ...
 
 
-@wp.func_native(SUM)
-def sum_tallies(rows: int, tally: wp.array(dtype=int), out_start: wp.array(dtype=int)): ...
-
-
 @wp.func_native(PLACE)
 def place_share(
     begin: int,
@@ -186,12 +168,6 @@ def tally_kernel(
 ):
     """Keys of a share of the points, and how many are in each bucket; ``out_tally`` has a row for each share."""
     tally_share((first + wp.tid()) * share, share, points, lower, inverse_extent, out_key, out_tally)
-
-
-@wp.kernel
-def sum_kernel(first: int, rows: int, tally: wp.array(dtype=int), out_start: wp.array(dtype=int)):
-    """Where each bucket starts, and in ``tally``, in place, where each share's part of it does."""
-    sum_tallies(rows, tally, out_start)
 
 
 @wp.kernel

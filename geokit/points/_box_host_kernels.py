@@ -57,18 +57,7 @@ BOX = """
 
 @wp.func_native(BOX)
 def box_of(
-    points: wp.array(dtype=wp.vec3d),
-    begin: wp.int32,
-    end: wp.int32,
-    share: wp.int32,
-    out_lower: wp.array(dtype=wp.vec3d),
-    out_upper: wp.array(dtype=wp.vec3d),
-): ...
-
-
-@wp.func_native(BOX)
-def box_of(  # noqa: F811 - for float32 points
-    points: wp.array(dtype=wp.vec3f),
+    points: wp.array(dtype=Any),
     begin: wp.int32,
     end: wp.int32,
     share: wp.int32,

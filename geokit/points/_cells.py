@@ -233,6 +233,7 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
     import warp as wp
 
+    from geokit._tally_kernels import sum_kernel
     from geokit.points import _cells_host_kernels as kernels
 
     device: Any = points.device
@@ -243,7 +244,7 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     given = [points, grid, share, cell_count]
     _launch.launch(kernels.TALLY_OF[points.dtype], rows, given, [keys, tally], device, grain=1)
     grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
-    _launch.launch(kernels.sum_kernel, 1, [rows, cell_count], [tally, grid.start], device)
+    _launch.launch(sum_kernel, 1, [rows, cell_count], [tally, grid.start], device)
     grid.key = wp.empty(0, dtype=wp.int64, device=device)
     grid.index = _kept_memory.room(count, wp.int32, device)
     _launch.launch(kernels.place_kernel, rows, [keys, share, cell_count, tally], [grid], device, grain=1)

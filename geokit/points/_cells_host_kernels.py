@@ -111,20 +111,7 @@ GATHER = """
 
 @wp.func_native(TALLY)
 def tally(
-    points: wp.array(dtype=wp.vec3d),
-    grid: CellGrid,
-    share: wp.int32,
-    begin: wp.int32,
-    end: wp.int32,
-    cell_count: wp.int32,
-    out_key: wp.array(dtype=wp.int32),
-    out_tally: wp.array(dtype=wp.int32),
-): ...
-
-
-@wp.func_native(TALLY)
-def tally(  # noqa: F811 - for float32 points
-    points: wp.array(dtype=wp.vec3f),
+    points: wp.array(dtype=Any),
     grid: CellGrid,
     share: wp.int32,
     begin: wp.int32,
@@ -149,17 +136,7 @@ def place(
 
 @wp.func_native(GATHER)
 def gather(
-    points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    begin: wp.int32,
-    end: wp.int32,
-    grid: CellGrid,
-): ...
-
-
-@wp.func_native(GATHER)
-def gather(  # noqa: F811 - for float32 points
-    points: wp.array(dtype=wp.vec3f),
+    points: wp.array(dtype=Any),
     order: wp.array(dtype=wp.int32),
     begin: wp.int32,
     end: wp.int32,
@@ -180,32 +157,6 @@ def tally_kernel(
     """Cell of each point of a share of them, and how many of the share each cell has."""
     i = first + wp.tid()
     tally(points, grid, i, i * share, wp.min((i + 1) * share, points.shape[0]), cell_count, out_key, out_tally)
-
-
-@wp.kernel
-def sum_kernel(
-    first: int,
-    share_count: wp.int32,
-    cell_count: wp.int32,
-    tally: wp.array(dtype=wp.int32),
-    out_start: wp.array(dtype=wp.int32),
-):
-    """The table, and in the tally's place where the points of each share and cell go.
-
-    The shares of a cell have their turns, so that its points stay in the order in which they came. One item does it
-    all: it is a sum along the cells.
-    """
-    total = wp.int32(0)
-    for cell in range(cell_count):
-        out_start[cell] = total
-        at = cell
-        for _share in range(share_count):
-            points = tally[at]
-            tally[at] = total
-            total += points
-            at += cell_count
-    out_start[cell_count] = total
-    out_start[cell_count + 1] = total
 
 
 @wp.kernel

@@ -7,6 +7,8 @@ depends on the data. Float32, seen from the cell, decides wherever its error can
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
+from typing import Any
+
 import warp as wp
 
 from geokit.points._cells_kernels import CellGrid
@@ -16,23 +18,6 @@ from geokit.points._radius_runs_kernels import NUMBERS, RUNS, SHARE
 
 # Contracted multiply-adds would round the squared distance once instead of five times.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-COUNT = (
-    "int run = first_query;"
-    + RUNS
-    + """
-#if !defined(__CUDA_ARCH__)
-    for (int k = first_query; k < last_query; ++k)
-        out_count.data[queries.index.data[k]] = -self_count;
-    each_run([&](int k, int length) {
-        int inside = 0;
-        for (int at = 0; at < length; at += 16)
-            inside += __builtin_popcount(within(k, at));
-        out_count.data[queries.index.data[k]] += inside;
-    });
-#endif
-"""
-)
 
 # Sixteen entries of the buffer of which some are kept: `inside` has a bit for each.
 KEEP = """
@@ -52,18 +37,18 @@ KEEP = """
 #endif
 """
 
-# As COUNT, and what is found is noted for the fill: for each query how many there are and where they stand among the
-# sorted points. Before them stands 1 if there was room for those of all queries of the share.
-COUNT_AND_NOTE = (
+# What is found is noted for the fill, where there is room for notes: for each query how many there are and where they
+# stand among the sorted points. Before them stands 1 if those of all queries of the share are there.
+COUNT = (
     "int run = first_query;"
     + RUNS
     + KEEP
     + """
 #if !defined(__CUDA_ARCH__)
-    int* const share = out_note.data + (int64_t)(item) * note_size;
-    int *to = share + 1, next = first_query;
-    const int* const end = share + note_size;
-    bool whole = true;
+    const int64_t begin = (int64_t)(share) * note_size;
+    bool whole = begin < out_note.shape[0];
+    int *to = out_note.data + begin + 1, next = first_query;
+    const int* const end = to - 1 + note_size;
     for (int k = first_query; k < last_query; ++k)
         out_count.data[queries.index.data[k]] = -self_count;
     // Queries come in turn. Those that nothing is near to are left out; of a crowd all come again, which is not noted.
@@ -84,10 +69,12 @@ COUNT_AND_NOTE = (
                 inside += __builtin_popcount(within(k, at));
         out_count.data[queries.index.data[k]] += inside;
     });
-    whole = whole && to + (last_query - next) <= end;
-    for (; whole && next < last_query; ++next)
-        *to++ = 0;
-    *share = whole;
+    if (begin < out_note.shape[0]) {
+        whole = whole && to + (last_query - next) <= end;
+        for (; whole && next < last_query; ++next)
+            *to++ = 0;
+        out_note.data[begin] = whole;
+    }
 #endif
 """
 )
@@ -113,15 +100,15 @@ FILL = (
         if (k + AHEAD < last_query) {
             // All lines of a row: it seldom begins with one.
             const int next = queries.index.data[k + AHEAD];
-            const int64_t begin = offset.data[next], length = offset.data[next + 1] - begin;
+            const int64_t row_begin = offset.data[next], length = offset.data[next + 1] - row_begin;
             const int64_t most = length < PREFETCHED ? length : PREFETCHED;
             auto ask = [&](const auto* first) {
                 const char* const end = (const char*)(first + most) + 63;
                 for (const char* line = (const char*)(first); line < end; line += 64)
                     __builtin_prefetch(line, 1);
             };
-            ask(out_index.data + begin);
-            ask(out_distance.data + begin);
+            ask(out_index.data + row_begin);
+            ask(out_distance.data + row_begin);
         }
         const double x = queries.x.data[k], y = queries.y.data[k], z = queries.z.data[k];
         // The compiler's own vectors would gather here and scatter below. Processors with a mended gather take ten
@@ -149,8 +136,9 @@ FILL = (
         auto* const values = out_distance.data + offset.data[row];
 {PUT}        so_far += kept;
     };
-    const int* at = note.data + (int64_t)(item) * note_size;
-    if (item < noted && *at++)
+    const int64_t begin = (int64_t)(share) * note_size;
+    const int* at = note.data + begin;
+    if (begin < note.shape[0] && *at++)
         for (int k = first_query; k < last_query; ++k) {
             const int count = *at++;
             if (count)
@@ -206,28 +194,29 @@ AS_FOUND = """
         }
 """
 
-FILL_BY_INDEX = FILL.replace("{PUT}", BY_INDEX.replace("{SORT}", "{" + SORT_BY_INDEX + "}"))
-FILL_AS_FOUND = FILL.replace("{PUT}", AS_FOUND)
-for _name, _number in NUMBERS.items():
-    COUNT = COUNT.replace(_name, repr(_number))
-    COUNT_AND_NOTE = COUNT_AND_NOTE.replace(_name, repr(_number))
-    FILL_BY_INDEX = FILL_BY_INDEX.replace(_name, repr(_number))
-    FILL_AS_FOUND = FILL_AS_FOUND.replace(_name, repr(_number))
+
+def _numbered(text: str) -> str:
+    for name, number in NUMBERS.items():
+        text = text.replace(name, repr(number))
+    return text
 
 
-@wp.func_native(COUNT)
-def count_runs(
+@wp.func_native(_numbered(COUNT))
+def count_share(
     queries: Queries,
     grid: CellGrid,
     radius: wp.array(dtype=wp.float64),
     self_count: wp.int32,
+    note_size: wp.int32,
+    share: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_count: wp.array(dtype=wp.int32),
+    out_note: wp.array(dtype=wp.int32),
 ): ...
 
 
-@wp.func_native(FILL_BY_INDEX)
+@wp.func_native(_numbered(FILL.replace("{PUT}", BY_INDEX.replace("{SORT}", "{" + SORT_BY_INDEX + "}"))))
 def fill_by_index(
     queries: Queries,
     grid: CellGrid,
@@ -236,34 +225,15 @@ def fill_by_index(
     offset: wp.array(dtype=wp.int64),
     note: wp.array(dtype=wp.int32),
     note_size: wp.int32,
-    noted: wp.int32,
-    item: wp.int32,
+    share: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
+    out_distance: wp.array(dtype=Any),
 ): ...
 
 
-@wp.func_native(FILL_BY_INDEX)
-def fill_by_index_single(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    noted: wp.int32,
-    item: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float32),
-): ...
-
-
-@wp.func_native(FILL_AS_FOUND)
+@wp.func_native(_numbered(FILL.replace("{PUT}", AS_FOUND)))
 def fill_as_found(
     queries: Queries,
     grid: CellGrid,
@@ -272,83 +242,33 @@ def fill_as_found(
     offset: wp.array(dtype=wp.int64),
     note: wp.array(dtype=wp.int32),
     note_size: wp.int32,
-    noted: wp.int32,
-    item: wp.int32,
+    share: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
     out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
-): ...
-
-
-@wp.func_native(FILL_AS_FOUND)
-def fill_as_found_single(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    noted: wp.int32,
-    item: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float32),
-): ...
-
-
-@wp.func_native(COUNT_AND_NOTE)
-def count_and_note(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    note_size: wp.int32,
-    item: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-    out_note: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=Any),
 ): ...
 
 
 @wp.kernel
-def count_and_note_kernel(
+def count_share_kernel(
     first: int,
     queries: Queries,
     grid: CellGrid,
     radius: wp.array(dtype=wp.float64),
     self_count: wp.int32,
     note_size: wp.int32,
-    noted: wp.int32,
     out_count: wp.array(dtype=wp.int32),
     out_note: wp.array(dtype=wp.int32),
 ):
-    """As count_runs_kernel; the first ``noted`` shares note what they find."""
-    item = first + wp.tid()
-    begin = item * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    if item < noted:
-        count_and_note(queries, grid, radius, self_count, note_size, item, begin, end, out_count, out_note)
-    else:
-        count_runs(queries, grid, radius, self_count, begin, end, out_count)
+    """Number of neighbours of SHARE queries each, less ``self_count``.
 
-
-@wp.kernel
-def count_runs_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-):
-    """Number of neighbours of SHARE queries each, less ``self_count``."""
-    begin = (first + wp.tid()) * SHARE
+    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as long as there are some.
+    """
+    share = first + wp.tid()
+    begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    count_runs(queries, grid, radius, self_count, begin, end, out_count)
+    count_share(queries, grid, radius, self_count, note_size, share, begin, end, out_count, out_note)
 
 
 @wp.kernel
@@ -359,40 +279,16 @@ def fill_by_index_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
     note_size: wp.int32,
-    noted: wp.int32,
+    note: wp.array(dtype=wp.int32),
     out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
+    out_distance: wp.array(dtype=Any),
 ):
     """Neighbours of SHARE queries, each from its offset on, by ascending index."""
-    item = first + wp.tid()
-    begin = item * SHARE
+    share = first + wp.tid()
+    begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_by_index(queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance)
-
-
-@wp.kernel
-def fill_by_index_single_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    noted: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float32),
-):
-    """As fill_by_index_kernel, for float32 distances: a third less to write."""
-    item = first + wp.tid()
-    begin = item * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_by_index_single(
-        queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance
-    )
+    fill_by_index(queries, grid, radius, own, offset, note, note_size, share, begin, end, out_index, out_distance)
 
 
 @wp.kernel
@@ -403,46 +299,21 @@ def fill_as_found_kernel(
     radius: wp.array(dtype=wp.float64),
     own: wp.int32,
     offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
     note_size: wp.int32,
-    noted: wp.int32,
+    note: wp.array(dtype=wp.int32),
     out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
+    out_distance: wp.array(dtype=Any),
 ):
     """Neighbours of SHARE queries, each from its offset on, in the order of the cells."""
-    item = first + wp.tid()
-    begin = item * SHARE
+    share = first + wp.tid()
+    begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_as_found(queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance)
+    fill_as_found(queries, grid, radius, own, offset, note, note_size, share, begin, end, out_index, out_distance)
 
 
-@wp.kernel
-def fill_as_found_single_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    noted: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float32),
-):
-    """As fill_as_found_kernel, for float32 distances: a third less to write."""
-    item = first + wp.tid()
-    begin = item * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_as_found_single(
-        queries, grid, radius, own, offset, note, note_size, noted, item, begin, end, out_index, out_distance
-    )
-
-
-# By order of the rows, and whether distances are float32.
+# By order of the rows, and the type of distances: in float32 there is a third less to write.
 FILL_KERNELS = {
-    ("index", False): fill_by_index_kernel,
-    ("index", True): fill_by_index_single_kernel,
-    ("any", False): fill_as_found_kernel,
-    ("any", True): fill_as_found_single_kernel,
+    (order, real): wp.overload(kernel, {"out_distance": wp.array(dtype=real)})
+    for order, kernel in (("index", fill_by_index_kernel), ("any", fill_as_found_kernel))
+    for real in (wp.float64, wp.float32)
 }

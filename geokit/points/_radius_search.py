@@ -51,15 +51,13 @@ class Notes(NamedTuple):
     """What a count found, so that the fill need not search again.
 
     Attributes:
-        places: For each share of queries, ``size`` numbers: whether all is there, and for each query how many
-            neighbours it has and where they stand among the sorted points.
-        size: Numbers of a share.
-        shares: Shares, from the first on, that have some.
+        size: Numbers of a share of the queries.
+        places: For each share, as long as there is room: whether all is there, and for each query how many neighbours
+            it has and where they stand among the sorted points.
     """
 
-    places: Any
     size: int
-    shares: int
+    places: Any
 
 
 class Asked:
@@ -173,7 +171,7 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
     """
     import warp as wp
 
-    from geokit.points._radius_host_kernels import count_and_note_kernel, count_runs_kernel
+    from geokit.points._radius_host_kernels import count_share_kernel
     from geokit.points._radius_kernels import UNCOUNT, count_kernel
 
     device = asked.device
@@ -182,11 +180,11 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
     own = int(asked.own and asked.rows is None)
     for part, (grid, queries, number) in enumerate(asked.parts):
         given = [queries, grid, asked.radius, own]
-        if note and device.is_cpu and number >= FEWEST_NOTED:
-            asked.notes[part] = notes = _room_for_notes(number, device)
-            _launch_search(count_and_note_kernel, None, number, [*given, *notes[1:]], [counts, notes.places], device)
+        if device.is_cpu:
+            size, places = asked.notes[part] = _room_for_notes(number if note else 0, device)
+            _launch_shares(count_share_kernel, number, [*given, size], [counts, places], device)
         else:
-            _launch_search(count_runs_kernel, count_kernel, number, given, [counts], device)
+            _launch.launch(count_kernel, number, given, [counts], device)
     if asked.own and asked.rows is not None and asked.count:
         points = points_of(asked.parts[0][0])
         given = [points, asked.rows, asked.first_point, asked.radius]
@@ -199,22 +197,18 @@ def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
 
     from geokit.points._radius_host_kernels import SHARE
 
+    if queries < FEWEST_NOTED:
+        return Notes(0, wp.empty(0, dtype=wp.int32, device=device))
     shares = -(-queries // int(SHARE))
     size = min(max(NOTED // shares, LEAST_NOTED * int(SHARE)), MOST_NOTED * int(SHARE))
-    shares = min(shares, NOTED // size)
-    return Notes(_kept_memory.room(size * shares, wp.int32, device), size, shares)
+    return Notes(size, _kept_memory.room(size * min(shares, NOTED // size), wp.int32, device))
 
 
-def _launch_search(
-    on_host: Any, on_gpu: Any, number: int, inputs: list[Any], outputs: list[Any], device: "wp.Device"
-) -> None:
-    """A CPU's items are shares of the queries, whose cells they have in common; a GPU's are queries."""
+def _launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
+    """On a CPU an item is a share of the queries, which have cells in common; on a GPU it is a query."""
     from geokit.points._radius_host_kernels import SHARE
 
-    if device.is_cpu:
-        _launch.launch(on_host, -(-number // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
-    else:
-        _launch.launch(on_gpu, number, inputs, outputs, device)
+    _launch.launch(kernel, -(-queries // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
 
 
 def offsets_of(counts: "wp.array") -> "wp.array":
@@ -258,10 +252,13 @@ def fill(
     indices = _kept_memory.room(total, wp.int32, device)
     distance = _kept_memory.room(total, wp.float32 if single else wp.float64, device)
     own = asked.first_point if asked.own else NOTHING_LEFT_OUT
-    nothing = Notes(wp.empty(0, dtype=wp.int32, device=device), 0, 0)
-    for (grid, queries, number), notes in zip(asked.parts, asked.notes, strict=True):
-        given = [queries, grid, asked.radius, own, offsets, *((notes or nothing) if device.is_cpu else ())]
-        _launch_search(FILL_KERNELS[order, single], fill_kernel, number, given, [indices, distance], device)
+    for part, (grid, queries, number) in enumerate(asked.parts):
+        given = [queries, grid, asked.radius, own, offsets]
+        if device.is_cpu:
+            given += asked.notes[part] or _room_for_notes(0, device)
+            _launch_shares(FILL_KERNELS[order, distance.dtype], number, given, [indices, distance], device)
+        else:
+            _launch.launch(fill_kernel, number, given, [indices, distance], device)
     if device.is_cuda and order == "index":
         sort_by_index(offsets, indices, distance)
     return offsets, indices, distance

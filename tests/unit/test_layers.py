@@ -17,6 +17,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LAYERS = [
     ("errors",),
     (
+        "_exporters",
         "_files",
         "_frame",
         "_host_array",
