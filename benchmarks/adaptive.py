@@ -21,15 +21,15 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
-from geokit.volume._adaptive_build import build_band_level
-from geokit.volume._adaptive_cells import CORNERS, CellLattice, cells_of, keys_of
-from geokit.volume._adaptive_check import check_points
-from geokit.volume._adaptive_ladder import band_lattice
-from geokit.volume._adaptive_place import float_grid_bytes
-from geokit.volume._tiles import near_tiles
-from geokit.volume.adaptive import AdaptiveSDF, adaptive_from_mesh
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
+from geokit.volume._adaptive import AdaptiveSDF, adaptive_from_mesh
+from geokit.volume.adaptive.build import build_band_level
+from geokit.volume.adaptive.cells import CORNERS, CellLattice, cells_of, keys_of
+from geokit.volume.adaptive.check import check_points
+from geokit.volume.adaptive.level_placement import float_grid_bytes
+from geokit.volume.adaptive.level_sizes import band_lattice
+from geokit.volume.band.tiles import near_tiles
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 MESHES = {
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     lines = [
-        f"{processor_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; sizes and errors "
+        f"{processor_name()}, {launcher.thread_count()} threads; {arguments.points:,} points a call; sizes and errors "
         "in tolerances, MB of float grids, M samples a second, medians of pairs.\n",
         "| mesh | tolerance | levels | largest voxel | error | MB | uniform voxel | its error | its MB | memory ratio "
         "| M/s | its M/s | time ratio | made in [s] |",

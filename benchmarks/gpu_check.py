@@ -16,7 +16,7 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.raw_kernels import raw_closest_kernel, raw_count_in_order_kernel, raw_ray_kernel, raw_sample_kernel
-from geokit.mesh._sign_choice import choose_sign
+from geokit.mesh.sign.choice import choose_sign
 
 
 class CudaExporter:

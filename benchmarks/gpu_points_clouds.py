@@ -12,10 +12,10 @@ import numpy as np
 import warp as wp
 
 from benchmarks.gpu_timing import wall_median
-from geokit.points.cluster import cluster
-from geokit.points.density import density
-from geokit.points.normals import normals
-from geokit.points.outliers import outliers
+from geokit.points._cluster import cluster
+from geokit.points._density import density
+from geokit.points._normals import normals
+from geokit.points._outliers import outliers
 
 COMPARED, BRUTE, MANY = 200_000, 50_000, 4_000_000
 RUNS = 5

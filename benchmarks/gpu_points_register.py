@@ -14,9 +14,9 @@ import warp as wp
 
 import geokit as gk
 from benchmarks.gpu_timing import wall_median
-from geokit.points.compare import chamfer, hausdorff
-from geokit.points.downsample import downsample
-from geokit.points.register import register
+from geokit.points._compare import chamfer, hausdorff
+from geokit.points._downsample import downsample
+from geokit.points._register import register
 
 # Squares are rounded one by one, as in geokit: equally far points are equally far here too.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

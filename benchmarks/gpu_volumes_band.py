@@ -14,9 +14,9 @@ import warp as wp
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.gpu_timing import wall_median
-from geokit import _launch
-from geokit.volume._tiles import Lattice, near_tiles
-from geokit.volume.from_mesh import from_mesh_with_triangles
+from geokit.core import launcher
+from geokit.volume._from_mesh import from_mesh_with_triangles
+from geokit.volume.band.tiles import Lattice, near_tiles
 
 TRIANGLES = 195_200
 RESOLUTIONS = (256, 512, 1024, 2048)
@@ -65,7 +65,7 @@ def median(run: Callable[[], Any]) -> float:
 def kernel_times(device: wp.Device) -> Iterator[dict[str, float]]:
     """Seconds of each kernel while the context lasts, the device waited for after each."""
     spent: dict[str, float] = {}
-    plain = _launch.launch
+    plain = launcher.launch
 
     def timed(kernel: Any, *arguments: Any, **options: Any) -> None:
         wp.synchronize_device(device)
@@ -74,11 +74,11 @@ def kernel_times(device: wp.Device) -> Iterator[dict[str, float]]:
         wp.synchronize_device(device)
         spent[kernel.key] = spent.get(kernel.key, 0.0) + time.perf_counter() - start
 
-    _launch.launch = timed
+    launcher.launch = timed
     try:
         yield spent
     finally:
-        _launch.launch = plain
+        launcher.launch = plain
 
 
 def check_band(out: Callable[[str], None], device: str = "cuda:0") -> None:
@@ -167,7 +167,7 @@ def raw_queries(surface: Any, voxel: float) -> Callable[[], None]:
     def run() -> None:
         for start in range(0, len(tiles), step):
             part = tiles[start : min(start + step, len(tiles))]
-            _launch.launch(raw_band_kernel, 512 * len(part), [wp.uint64(surface.id), part, *where], [room], target)
+            launcher.launch(raw_band_kernel, 512 * len(part), [wp.uint64(surface.id), part, *where], [room], target)
 
     return run
 

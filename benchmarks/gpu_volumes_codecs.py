@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 
 from benchmarks.gpu_timing import wall_median
-from geokit import _launch
-from geokit.volume.dense import to_dense
-from geokit.volume.from_points import from_points
-from geokit.volume.quantize import quantize
+from geokit.core import launcher
+from geokit.volume._dense import to_dense
+from geokit.volume._from_points import from_points
+from geokit.volume._quantize import quantize
 
 RUNS = 5
 POINTS = 200_000
@@ -63,7 +63,7 @@ def check_dense(out: Callable[[str], None], volume: Any, device: str) -> None:
     inputs = [wp.uint64(volume.id(device)), wp.vec3i(*(int(n) for n in box[0])), size[1], size[2]]
 
     def theirs() -> np.ndarray:
-        _launch.launch(lookup_kernel, len(raw), inputs, [raw], target)
+        launcher.launch(lookup_kernel, len(raw), inputs, [raw], target)
         return raw.numpy()
 
     same = np.array_equal(arrays[0], arrays[1]) and np.array_equal(theirs().reshape(size), arrays[1])

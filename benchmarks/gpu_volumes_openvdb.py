@@ -20,7 +20,7 @@ import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
 from benchmarks.gpu_timing import mesh_medians, wall_median
-from geokit import _launch
+from geokit.core import launcher
 
 TRIANGLES = 190_000
 RESOLUTIONS = (256, 512, 1024, 2048)
@@ -52,7 +52,7 @@ class OpenVdb:
         faces = np.ascontiguousarray(mesh.faces, np.int32)
         active = np.zeros(1, np.int64)
         arrays = (vertices.ctypes.data, len(vertices), faces.ctypes.data, len(faces))
-        return float(self._band(*arrays, voxel, 3.0, _launch.thread_count(), active.ctypes.data))
+        return float(self._band(*arrays, voxel, 3.0, launcher.thread_count(), active.ctypes.data))
 
     def surface(self, threads: int) -> tuple[float, int]:
         """Seconds of the surface of the band made last, and its quads."""
@@ -79,7 +79,7 @@ def main(out: Callable[[str], None] = print, device: str = "cuda:0") -> None:
     surfaces = {where: gk.mesh.Surface(mesh, device=where) for where in (device, "cpu")}
     for surface in surfaces.values():
         surface.sign_method  # noqa: B018 - prepared, as for any other query
-    out(f"{wp.get_device(device).name}, {_launch.thread_count()} CPU threads; {len(mesh.faces):,} triangles\n")
+    out(f"{wp.get_device(device).name}, {launcher.thread_count()} CPU threads; {len(mesh.faces):,} triangles\n")
     heads = "GPU ms | CPU ms | CPU / GPU | OpenVDB ms | OpenVDB / GPU | OpenVDB / CPU"
     out(f"| what | active voxels | {heads} |")
     out("|---|---:|---:|---:|---:|---:|---:|---:|")
@@ -102,7 +102,7 @@ def main(out: Callable[[str], None] = print, device: str = "cuda:0") -> None:
 
 
 def peer_threads() -> list[int]:
-    return sorted({min(2, _launch.thread_count()), _launch.thread_count()})
+    return sorted({min(2, launcher.thread_count()), launcher.thread_count()})
 
 
 def surface_row(what: str, volumes: dict[str, Any], device: str, peer: OpenVdb | None) -> str:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from geokit import _launch
-from geokit.volume import _differential_kernels as kernels
-from geokit.volume._build import build_float_grid
-from geokit.volume._leaves import LEAF_VOXELS, leaves_of
-from geokit.volume._nanovdb import info_of
-from geokit.volume.model import SparseVolume
+from geokit.core import launcher
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.sampling import differential_kernels as kernels
+from geokit.volume.tree.build_float import build_float_grid
+from geokit.volume.tree.leaves import LEAF_VOXELS, leaves_of
 
 REPEATS = 5
 
@@ -82,7 +82,7 @@ def timed(run: Callable[[], Any], device: Any) -> float:
 
 def launch_operator(volume: SparseVolume, kernel: Any, dtype: Any, alias: str) -> tuple[np.ndarray, float]:
     """Result and time of a differential kernel on all leaves."""
-    device = _launch.resolve_device(alias)
+    device = launcher.resolve_device(alias)
     leaves = leaves_of(volume)
     count = len(leaves.origins) * LEAF_VOXELS
     out = wp.zeros(count, dtype=dtype, device=device)
@@ -92,7 +92,7 @@ def launch_operator(volume: SparseVolume, kernel: Any, dtype: Any, alias: str) -
         wp.array(leaves.masks, dtype=wp.uint8, device=device),
         wp.mat33d(*np.eye(3).ravel().tolist()),
     ]
-    milliseconds = timed(lambda: _launch.launch(kernel, count, inputs, [out], device), device)
+    milliseconds = timed(lambda: launcher.launch(kernel, count, inputs, [out], device), device)
     return out.numpy(), milliseconds
 
 
@@ -111,7 +111,7 @@ def check_differential(volume: SparseVolume, alias: str) -> list[tuple[str, str,
 
 def check_raw_gradient(volume: SparseVolume, alias: str) -> float:
     """Time of the gradient with warp's own look-ups in float32 [ms]."""
-    device = _launch.resolve_device(alias)
+    device = launcher.resolve_device(alias)
     leaves = leaves_of(volume)
     count = len(leaves.origins) * LEAF_VOXELS
     out = wp.zeros(count, dtype=wp.vec3f, device=device)
@@ -122,13 +122,13 @@ def check_raw_gradient(volume: SparseVolume, alias: str) -> float:
 def check_resample(volume: SparseVolume, alias: str) -> tuple[str, str, float, float] | None:
     """The whole of resample() on both devices; None without the OpenVDB extension."""
     from geokit import native
-    from geokit.volume.resample import resample
+    from geokit.volume._resample import resample
 
     if not native.available():
         return None
     buffers, times = [], []
     for name in ("cpu", alias):
-        device = _launch.resolve_device(name)
+        device = launcher.resolve_device(name)
         result: list[SparseVolume] = []
 
         def run(result=result, name=name) -> None:
@@ -146,7 +146,7 @@ def check_resample(volume: SparseVolume, alias: str) -> tuple[str, str, float, f
 
 def main(out: Callable[[str], Any] = print) -> None:
     """Print a table; a line instead where there is no GPU."""
-    gpus = _launch.cuda_devices()
+    gpus = launcher.cuda_devices()
     if not gpus:
         out("no CUDA device")
         return

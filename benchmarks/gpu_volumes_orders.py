@@ -10,17 +10,17 @@ import numpy as np
 import warp as wp
 
 from benchmarks.gpu_timing import device_median
-from geokit import _launch
-from geokit.volume._build import build_float_grid
-from geokit.volume._nanovdb import aligned_buffer, info_of
-from geokit.volume.active import active_at
-from geokit.volume.curvature import curvature, hessian
-from geokit.volume.from_channel import from_channel
-from geokit.volume.model import SparseVolume
-from geokit.volume.sample import gradient, sample
-from tests.index_grids import IndexGrid
-from tests.typed_grids import VALUED, TypedGrid
-from tests.volume_samples import sphere_leaves
+from geokit.core import launcher
+from geokit.volume._active import active_at
+from geokit.volume._curvature import curvature, hessian
+from geokit.volume._from_channel import from_channel
+from geokit.volume._model import SparseVolume
+from geokit.volume._sample import gradient, sample
+from geokit.volume.nanovdb.header import aligned_buffer, info_of
+from geokit.volume.tree.build_float import build_float_grid
+from tests.support.index_grids import IndexGrid
+from tests.support.sphere_volumes import sphere_leaves
+from tests.support.typed_grids import VALUED, TypedGrid
 
 POINTS = 10_000_000
 CHECKED = 200_000
@@ -106,7 +106,7 @@ def check_times(out: Callable[[str], None], device: str) -> None:
     raw_out = wp.empty(POINTS, dtype=wp.float32, device=device)
     raw_inputs = [wp.uint64(volume.id(device)), single]
     target = wp.get_device(device)
-    raw = median(lambda: _launch.launch(raw_linear_kernel, POINTS, raw_inputs, [raw_out], target))
+    raw = median(lambda: launcher.launch(raw_linear_kernel, POINTS, raw_inputs, [raw_out], target))
     few = points.numpy()[:CHECKED]
     out("| what | order | G points / s | time / that of warp's volume_sample_f | CPU and GPU differ |")
     out("|---|---:|---:|---:|---:|")

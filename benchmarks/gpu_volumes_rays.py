@@ -10,10 +10,10 @@ import warp as wp
 
 from benchmarks.gpu_timing import wall_median
 from benchmarks.volume_rays import camera_rays, level_set, random_rays, volume_of_fog
-from geokit import _launch
-from geokit.volume import _crossing_blocks
-from geokit.volume.integrate import integrate
-from geokit.volume.raycast import raycast
+from geokit.core import launcher
+from geokit.volume._integrate import integrate
+from geokit.volume._raycast import raycast
+from geokit.volume.rays import crossing_blocks
 
 RESOLUTIONS = (256, 512)
 COMPARED, RAYS = 200_000, 4_000_000
@@ -63,7 +63,7 @@ def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
     """CPU and GPU: hits, by the blocks of the isovalue and without them, and light through fog."""
     out("| check | other hits | largest difference of t [voxels] | of normals |")
     out("|---|---:|---:|---:|")
-    blocks_per_ray = _crossing_blocks.BLOCKS_PER_RAY
+    blocks_per_ray = crossing_blocks.BLOCKS_PER_RAY
     for resolution in RESOLUTIONS:
         volume = level_set(resolution)
         voxel = float(volume.info.voxel_size[0])
@@ -71,16 +71,16 @@ def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
             origins, directions = made(volume, COMPARED)
             wanted = raycast(volume, origins, directions, device="cpu")
             for name, share in (("blocks", blocks_per_ray), ("tree", 0)):
-                _crossing_blocks.BLOCKS_PER_RAY = share
-                _crossing_blocks._found.clear()
+                crossing_blocks.BLOCKS_PER_RAY = share
+                crossing_blocks._found.clear()
                 found = raycast(volume, origins, directions, device=device)
                 other = np.isfinite(found.t) != np.isfinite(wanted.t)
                 both = np.isfinite(found.t) & np.isfinite(wanted.t)
                 apart = np.abs(found.t[both] - wanted.t[both]).max() / voxel
                 turned = np.abs(found.normals[both] - wanted.normals[both]).max()
                 out(f"| {resolution}^3, {kind}, {name} | {int(other.sum())} | {apart:.1e} | {turned:.1e} |")
-            _crossing_blocks.BLOCKS_PER_RAY = blocks_per_ray
-            _crossing_blocks._found.clear()
+            crossing_blocks.BLOCKS_PER_RAY = blocks_per_ray
+            crossing_blocks._found.clear()
         fog = volume_of_fog(resolution)
         origins, directions = random_rays(volume, COMPARED // 10)
         lights = [
@@ -95,7 +95,7 @@ def check_times(out: Callable[[str], None], device: str = "cuda:0") -> None:
     """Times on arrays that are on the device, beside raw marching; what the blocks of an isovalue take."""
     out("\n| rays | geokit M/s | raw marching M/s | ratio | blocks of an isovalue [ms] | fog M/s |")
     out("|---|---:|---:|---:|---:|---:|")
-    target = _launch.resolve_device(device)
+    target = launcher.resolve_device(device)
     for resolution in RESOLUTIONS:
         volume = level_set(resolution)
         fog = volume_of_fog(resolution)
@@ -111,10 +111,10 @@ def check_times(out: Callable[[str], None], device: str = "cuda:0") -> None:
             t = wp.empty(count, dtype=float, device=target)
             handle = wp.uint64(volume.id(target))
             inputs = [handle, *narrow, 0.25 * size, 2.0 * size, 0.5 * voxel]
-            raw = median(lambda n=count, i=inputs, t=t: _launch.launch(march_kernel, n, i, [t], target))
+            raw = median(lambda n=count, i=inputs, t=t: launcher.launch(march_kernel, n, i, [t], target))
 
             def from_nothing(o: Any = origins, d: Any = directions, v: Any = volume) -> Any:
-                _crossing_blocks._found.clear()
+                crossing_blocks._found.clear()
                 return raycast(v, o, d, device=device)
 
             blocks = median(from_nothing) - ours

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geokit.volume import from_function, renormalize
-from geokit.volume._level_set import with_band
+from geokit.volume.level_set.operands import with_band
 
 REPEATS = 3
 

@@ -11,7 +11,7 @@ import warp as wp
 import geokit as gk
 from benchmarks.gpu_timing import device_median
 from benchmarks.volume_sampling import level_set, raw_sample_kernel
-from geokit import _launch
+from geokit.core import launcher
 
 POINTS = 50_000_000
 CHECKED = 1_000_000
@@ -62,16 +62,16 @@ def main(out: Callable[[str], None]) -> None:
         corners = wp.array(mesh.vertices[mesh.faces.ravel()], dtype=wp.vec3, device=device)
         sigma = float(volume.info.voxel_size[0])
         points = wp.empty(POINTS, dtype=wp.vec3, device=device)
-        _launch.launch(near_kernel, POINTS, [7, corners, sigma], [points], device)
+        launcher.launch(near_kernel, POINTS, [7, corners, sigma], [points], device)
         raw_out = wp.empty(POINTS, dtype=wp.float32, device=device)
         handle = wp.uint64(volume.id(device))
 
         def raw(points=points, raw_out=raw_out, handle=handle):
-            _launch.launch(raw_sample_kernel, POINTS, [handle, points], [raw_out], device)
+            launcher.launch(raw_sample_kernel, POINTS, [handle, points], [raw_out], device)
 
         raw_time = median(raw)
         wide = wp.empty(POINTS, dtype=wp.vec3d, device=device)
-        _launch.launch(widened_kernel, POINTS, [points], [wide], device)
+        launcher.launch(widened_kernel, POINTS, [points], [wide], device)
         few = points.numpy()[:CHECKED].astype(np.float64)
         for kind, rows, bytes_each in (("float32", points, 16), ("float64", wide, 32)):
             for what, function in (("value", gk.volume.sample), ("gradient", gk.volume.gradient)):

@@ -15,10 +15,10 @@ import warp as wp
 
 import geokit as gk
 from benchmarks.gpu_timing import mesh_medians, wall_median
-from geokit import _launch
-from geokit.volume._build import build_float_grid
-from geokit.volume._nanovdb import info_of
-from geokit.volume.model import SparseVolume
+from geokit.core import launcher
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.tree.build_float import build_float_grid
 
 METHODS = ("surface_nets", "marching_cubes", "dual_contouring")
 HALF_WIDTH = 3.0
@@ -100,7 +100,7 @@ def check_noise(device: Any) -> list[str]:
 def gpu_stages(volume: SparseVolume, method: str, device: Any) -> str:
     """Share of the time by kernel, each waited for; what is left is Python, scans, memory and the way to the host."""
     spent: dict[str, float] = {}
-    plain = _launch.launch
+    plain = launcher.launch
 
     def timed(kernel: Any, *arguments: Any, **options: Any) -> None:
         wp.synchronize_device(device)
@@ -109,13 +109,13 @@ def gpu_stages(volume: SparseVolume, method: str, device: Any) -> str:
         wp.synchronize_device(device)
         spent[kernel.key] = spent.get(kernel.key, 0.0) + time.perf_counter() - start
 
-    _launch.launch = timed
+    launcher.launch = timed
     try:
         start = time.perf_counter()
         gk.mesh.from_volume(volume, method=method, device=device)
         whole = time.perf_counter() - start
     finally:
-        _launch.launch = plain
+        launcher.launch = plain
     spent["elsewhere"] = whole - sum(spent.values())
     largest = sorted(spent.items(), key=lambda item: -item[1])[:8]
     return f"{whole * 1e3:.1f} ms: " + ", ".join(f"{name} {part / whole:.0%}" for name, part in largest)
@@ -137,7 +137,7 @@ def dense_cubes(volume: SparseVolume, resolution: int, device: Any) -> float:
 
 def main(out: Callable[[str], None]) -> None:
     device = wp.get_device("cuda:0")
-    out(f"{device.name}; {_launch.thread_count()} CPU threads\n")
+    out(f"{device.name}; {launcher.thread_count()} CPU threads\n")
     for row in check_noise(device):
         out(f"noise, {row}")
     out("\n| field | method | triangles | GPU, there ms | in NumPy ms | CPU ms | CPU / in NumPy | warp's dense ms |")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
-from geokit import _launch
+from geokit.core import launcher
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
@@ -53,7 +53,7 @@ def row_of(count: int, overlap: float, threads: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--grains", type=int, default=5000)
-    parser.add_argument("--threads", type=int, nargs="+", default=[_launch.thread_count()])
+    parser.add_argument("--threads", type=int, nargs="+", default=[launcher.thread_count()])
     given = parser.parse_args()
     print("| --overlap | threads | k [N/m] | steps a frame | frames/s | overlap [% of r]: median | 99% | most |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")

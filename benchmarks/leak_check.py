@@ -14,7 +14,7 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
-from tests import catalogue, reference
+from tests.support import mesh_catalog, reference
 
 BATCH = 1_000_000
 COMPARED = 200
@@ -22,10 +22,10 @@ COMPARED = 200
 
 def meshes() -> dict[str, gk.mesh.TriangleMesh]:
     return {
-        "box": catalogue.box(),
-        "icosphere": catalogue.icosphere(4),
+        "box": mesh_catalog.box(),
+        "icosphere": mesh_catalog.icosphere(4),
         "bumpy torus": inputs.bumpy_torus(96, 48),
-        "L profile": catalogue.l_profile(),
+        "L profile": mesh_catalog.l_profile(),
     }
 
 

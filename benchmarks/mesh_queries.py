@@ -22,8 +22,8 @@ from benchmarks import inputs, peers
 from benchmarks.growth import grow_queries, grow_triangles, powers
 from benchmarks.measure import SAME, Bar, Case, Peer, Report, Row, Table, in_process, median_seconds, paired
 from benchmarks.sign_check import UNDECIDED, as_wound
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
 
 # libigl's signed_distance multiplies with 1 - 2w, and its fast w is off by hundredths; point-cloud-utils calls it too.
@@ -371,10 +371,11 @@ QUICK = Setting(triangles=48_800, queries=20_000, growth=100_000)
 def begin(setting: Setting, out: Path | None) -> Table:
     """A table that says what it was measured on."""
     # As many threads for peers as for geokit.
-    os.environ.setdefault("OMP_NUM_THREADS", str(_launch.thread_count()))
+    os.environ.setdefault("OMP_NUM_THREADS", str(launcher.thread_count()))
     table = Table(path=out)
     table.add(
-        f"{processor_name()}, {_launch.thread_count()} threads; {setting.queries:,} queries a call; medians of pairs.\n"
+        f"{processor_name()}, {launcher.thread_count()} threads; "
+        f"{setting.queries:,} queries a call; medians of pairs.\n"
     )
     table.begin()
     return table

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import Asked
-from geokit import _launch
+from geokit.core import launcher
 from geokit.mesh import TriangleMesh
 
 # Leaves of a warp Mesh: the best on CPUs so far; which one depends on the mesh and the queries.
@@ -109,7 +109,7 @@ def _embreex_rays(
     scene = _embreex_scene(mesh, robust)()
     origins, directions = _single(origins), _single(directions)
     scene.run(origins[:1], directions[:1], query=query)  # commits the scene: threads must not each try to
-    threads = _launch.thread_count()
+    threads = launcher.thread_count()
     size = -(-len(origins) // (threads * SLICES_PER_THREAD))
     pool = ThreadPoolExecutor(threads)
     slices = [slice(first, first + size) for first in range(0, len(origins), size)]
@@ -318,7 +318,7 @@ def _warp_queries(
 
     def ask(tree: Any, number: int) -> None:
         # In slices over all threads, as geokit launches its own.
-        _launch.launch(chosen, number, [tree.id, *given], [out], on)
+        launcher.launch(chosen, number, [tree.id, *given], [out], on)
         wp.synchronize_device(on)
 
     def seconds(tree: Any) -> float:
@@ -378,7 +378,7 @@ def warp_build(mesh: TriangleMesh, point: np.ndarray, signs: bool = False) -> As
 
     def run() -> Any:
         tree = build(LEAF_SIZES[0])  # by name: a mesh that nobody holds is freed before the launch
-        _launch.launch(kernel, len(point), [tree.id, query], [out], device)
+        launcher.launch(kernel, len(point), [tree.id, query], [out], device)
         return out
 
     return Asked(run, lambda found: found.numpy().copy())

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import clouds, mesh_queries
 from benchmarks.measure import Asked, Bar, Case, Peer, Report, Row, in_process, median_seconds
-from geokit import _launch
+from geokit.core import launcher
 from geokit.points import NeighborGrid
 
 COUNTS = (200_000, 2_000_000)
@@ -93,7 +93,7 @@ def scipy_nearest(points: np.ndarray, k: int) -> Asked:
 def nanoflann_nearest(points: np.ndarray, k: int) -> Asked:
     import pynanoflann
 
-    threads = _launch.thread_count()
+    threads = launcher.thread_count()
 
     def run() -> Any:
         tree = pynanoflann.KDTree(n_neighbors=k, metric="L2", leaf_size=16)

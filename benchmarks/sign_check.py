@@ -1,9 +1,9 @@
 """Signs on broken meshes against libigl's exact winding number: ``python -m benchmarks.sign_check [--points N]``.
 
-The bunny is broken in each way of tests/catalogue.py. libigl's exact sum judges both, geokit and libigl's fast winding
-number; it counts points whose exact winding number is farther than 0.01 from 1/2. geokit turns faces that are wound
-against their neighbours first, so the exact sum is taken over the mesh as it turned it. Speed is that of signed
-distances, libigl's trees built before the clock starts, and of winding numbers alone; medians of paired runs.
+The bunny is broken in each way of tests/support/mesh_catalog.py. libigl's exact sum judges both, geokit and libigl's
+fast winding number; it counts points whose exact winding number is farther than 0.01 from 1/2. geokit turns faces that
+are wound against their neighbours first, so the exact sum is taken over the mesh as it turned it. Speed is that of
+signed distances, libigl's trees built before the clock starts, and of winding numbers alone; medians of paired runs.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import inputs
-from geokit import _launch
+from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
-from tests import catalogue
+from tests.support import mesh_catalog
 
 # Nearer to 1/2 than this, an exact winding number decides nothing.
 UNDECIDED = 0.01
@@ -130,8 +130,8 @@ def run(mesh: TriangleMesh, count: int, names: list[str] | None = None) -> list[
     """All broken meshes, each with uniform points and with points about the surface; prints rows as they come."""
     print(HEADER, flush=True)
     rows = []
-    for name in names or catalogue.BROKEN:
-        broken = catalogue.BROKEN[name](mesh)
+    for name in names or mesh_catalog.BROKEN:
+        broken = mesh_catalog.BROKEN[name](mesh)
         for kind, points in (
             ("uniform", inputs.uniform(broken, count, seed=31)),
             ("near", inputs.near(broken, count, seed=32)),
@@ -143,15 +143,15 @@ def run(mesh: TriangleMesh, count: int, names: list[str] | None = None) -> list[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which to run: {', '.join(catalogue.BROKEN)}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which to run: {', '.join(mesh_catalog.BROKEN)}")
     parser.add_argument("--points", type=int, default=100_000, help="for each mesh and each kind of points")
     parser.add_argument("--subdivide", type=int, default=0, help="the bunny's 12,200 triangles, times 4 each")
     parser.add_argument("--out", type=Path, default=None, help="also write the table there")
     options = parser.parse_args()
-    unknown = set(options.names) - set(catalogue.BROKEN)
+    unknown = set(options.names) - set(mesh_catalog.BROKEN)
     if unknown:
-        parser.error(f"no mesh {sorted(unknown)}; there are {', '.join(catalogue.BROKEN)}")
-    os.environ.setdefault("OMP_NUM_THREADS", str(_launch.thread_count()))
+        parser.error(f"no mesh {sorted(unknown)}; there are {', '.join(mesh_catalog.BROKEN)}")
+    os.environ.setdefault("OMP_NUM_THREADS", str(launcher.thread_count()))
     rows = run(inputs.subdivided(inputs.bunny(), options.subdivide), options.points, options.names)
     if options.out:
         options.out.write_text("\n".join([HEADER, *map(str, rows)]) + "\n", encoding="utf-8")

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
-from geokit.volume._from_mesh_tolerance import make_setting, tolerance_search
-from geokit.volume._tolerance_search import CODECS, ORDERS, Setting, options_of
+from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
+from geokit.volume.tolerance.search import CODECS, ORDERS, Setting, options_of
 
 # Points anywhere in the zone; then so many of the worst, each moved so often by up to a share of a voxel.
 JUDGED, WORST, MOVES, SHARES = 50_000, 500, 20, (0.4, 0.1)
@@ -36,10 +36,10 @@ ASKED: dict[str, Any] = {
 
 
 def meshes() -> dict[str, gk.mesh.TriangleMesh]:
-    """Those of tests/property/test_from_mesh_tolerance.py, the samples, and the bunny that warp brings."""
+    """Those of tests/volume/tolerance/test_from_mesh_property.py, the samples, and the bunny that warp brings."""
     import warp as wp
 
-    from tests.property.test_from_mesh_tolerance import MESHES
+    from tests.volume.tolerance.test_from_mesh_property import MESHES
 
     samples = Path(__file__).parents[1] / "data" / "samples"
     files = {name: samples / name for name in ("bracket.obj", "torus.ply", "shell.stl")}
@@ -57,7 +57,7 @@ class Judge:
     """
 
     def __init__(self, mesh: gk.mesh.TriangleMesh, surface: gk.mesh.Surface, within: float) -> None:
-        from tests.property.test_from_mesh_tolerance import points_near
+        from tests.volume.tolerance.test_from_mesh_property import points_near
 
         self.surface, self.within = surface, within
         self.points = points_near(mesh, within, JUDGED, seed=77)

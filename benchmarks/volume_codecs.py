@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import inputs
-from geokit.accuracy._machine import processor_name
+from geokit.accuracy.trials.machine import processor_name
 from geokit.volume import from_mesh, load, save
-from geokit.volume._nvdb_file import read
-from geokit.volume.dense import from_dense, to_dense
-from geokit.volume.from_function import from_function
-from geokit.volume.from_points import from_points
-from geokit.volume.quantize import quantize
+from geokit.volume._dense import from_dense, to_dense
+from geokit.volume._from_function import from_function
+from geokit.volume._from_points import from_points
+from geokit.volume._quantize import quantize
+from geokit.volume.nanovdb.file import read
 
 RUNS = 3
 SYSTEM_PYTHON = "/usr/bin/python3"

@@ -22,8 +22,9 @@ import numpy as np
 import geokit as gk
 from benchmarks import inputs
 from benchmarks.measure import Report, Row, Table, in_process, paired
-from geokit import _launch, native
-from geokit.accuracy._machine import processor_name
+from geokit import native
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
 
 TRIANGLES = 195_200
 RESOLUTIONS = (128, 256, 512)
@@ -87,18 +88,18 @@ def band(report: Report, resolution: int) -> None:
 def stages() -> Iterator[dict[str, float]]:
     """Seconds of each kernel, by name, while the context lasts."""
     spent: dict[str, float] = {}
-    plain = _launch.launch
+    plain = launcher.launch
 
     def timed(kernel: Any, *arguments: Any, **options: Any) -> None:
         start = time.perf_counter()
         plain(kernel, *arguments, **options)
         spent[kernel.key] = spent.get(kernel.key, 0.0) + time.perf_counter() - start
 
-    _launch.launch = timed
+    launcher.launch = timed
     try:
         yield spent
     finally:
-        _launch.launch = plain
+        launcher.launch = plain
 
 
 def shares(report: Report, resolution: int) -> None:
@@ -149,7 +150,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{processor_name()}, {_launch.thread_count()} threads; {TRIANGLES:,} triangles; medians of pairs.\n")
+    table.add(f"{processor_name()}, {launcher.thread_count()} threads; {TRIANGLES:,} triangles; medians of pairs.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for task in (band, shares, memory):

@@ -19,8 +19,8 @@ import warp as wp
 import geokit as gk
 from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, in_process
 from benchmarks.volume_sampling import level_set, points_of
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
 
 RESOLUTIONS = (128, 256, 512)
 CHECKED = 10_000
@@ -39,7 +39,7 @@ def values_at(volume: Any, points: np.ndarray, device: Any) -> np.ndarray:
 
     rows = wp.array(points, dtype=wp.vec3, device=device)
     out = wp.empty(len(points), dtype=wp.float32, device=device)
-    _launch.launch(raw_sample_kernel, len(points), [wp.uint64(volume.id), rows], [out], device)
+    launcher.launch(raw_sample_kernel, len(points), [wp.uint64(volume.id), rows], [out], device)
     return out.numpy()
 
 
@@ -49,7 +49,7 @@ def loading(report: Report, resolution: int, codec: str, folder: str) -> None:
     volume, mesh = level_set(resolution)
     source = Path(folder) / f"{resolution}-{codec}.vdb"
     gk.volume.save(source, volume, codec=codec)
-    device = _launch.resolve_device(None)
+    device = launcher.resolve_device(None)
     points = points_of(volume, mesh, "near the surface", CHECKED)
 
     def loaded(**options: Any) -> Any:
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{processor_name()}, {_launch.thread_count()} threads; rates in active voxels; medians of pairs.\n")
+    table.add(f"{processor_name()}, {launcher.thread_count()} threads; rates in active voxels; medians of pairs.\n")
     table.begin()
     with tempfile.TemporaryDirectory() as folder:
         for resolution in arguments.resolutions:

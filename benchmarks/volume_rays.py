@@ -22,11 +22,11 @@ import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
 from benchmarks.measure import Report, Row, Table, in_process, paired
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
-from geokit.volume import _crossing_blocks
-from geokit.volume.integrate import integrate
-from geokit.volume.raycast import raycast
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
+from geokit.volume._integrate import integrate
+from geokit.volume._raycast import raycast
+from geokit.volume.rays import crossing_blocks
 
 TRIANGLES = 195_200
 RESOLUTIONS = (128, 256, 512)
@@ -78,7 +78,7 @@ def zero_crossing(volume: Any, origins: np.ndarray, directions: np.ndarray) -> C
     starts, towards = (np.ascontiguousarray(rows, np.float32) for rows in (origins, directions))
     out = np.empty(len(starts), np.float32)
     arrays = (volume.nanovdb, starts, towards, out)
-    count, threads = ctypes.c_long(len(starts)), ctypes.c_int(_launch.thread_count())
+    count, threads = ctypes.c_long(len(starts)), ctypes.c_int(launcher.thread_count())
 
     def run() -> np.ndarray:
         buffer, start, toward, result = (ctypes.c_void_p(array.ctypes.data) for array in arrays)
@@ -140,7 +140,7 @@ def preparation(report: Report, resolution: int) -> None:
     raycast(volume, origins, directions, device="cpu")
     seconds = []
     for _ in range(3):
-        _crossing_blocks._found.clear()
+        crossing_blocks._found.clear()
         start = time.perf_counter()
         raycast(volume, origins[:1], directions[:1], device="cpu")
         few = time.perf_counter() - start
@@ -161,9 +161,9 @@ def preparation(report: Report, resolution: int) -> None:
 
 def volume_of_fog(resolution: int) -> Any:
     """The bunny's band as fog: densest at the surface."""
-    from geokit.volume._build import build_float_grid
-    from geokit.volume._nanovdb import TREE_OFFSET, info_of, tree_header
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
+    from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
+    from geokit.volume.tree.build_float import build_float_grid
 
     volume = level_set(resolution)
     begin = TREE_OFFSET + int(tree_header(volume.nanovdb)["node_offset"][0])
@@ -190,7 +190,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{processor_name()}, {_launch.thread_count()} threads; {RAYS:,} rays, {TRIANGLES:,} triangles.\n")
+    table.add(f"{processor_name()}, {launcher.thread_count()} threads; {RAYS:,} rays, {TRIANGLES:,} triangles.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for kind in KINDS:

@@ -19,8 +19,8 @@ import geokit as gk
 from benchmarks import inputs
 from benchmarks.compiled import compiled
 from benchmarks.measure import Asked, Bar, Case, Peer, Report, Table, in_process
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
 
 # As a share of the largest value, three voxels: peers compute index coordinates in float32, which rounds 500 by 3e-5.
 SAME = 3e-5
@@ -54,7 +54,7 @@ def raw_warp(volume: Any, points: np.ndarray) -> Asked:
     out = wp.empty(len(points), dtype=wp.float32, device=device)
     handle = wp.uint64(volume.id("cpu"))
     return Asked(
-        lambda: _launch.launch(raw_sample_kernel, len(points), [handle, rows], [out], device), lambda _: out.numpy()
+        lambda: launcher.launch(raw_sample_kernel, len(points), [handle, rows], [out], device), lambda _: out.numpy()
     )
 
 
@@ -63,7 +63,7 @@ def nanovdb(volume: Any, points: np.ndarray) -> Asked:
     function.argtypes = [ctypes.c_void_p] * 3 + [ctypes.c_int64, ctypes.c_int]
     out = np.empty(len(points), np.float32)
     addresses = [array.ctypes.data for array in (volume.nanovdb, points, out)]
-    return Asked(lambda: function(*addresses, len(points), _launch.thread_count()), lambda _: out)
+    return Asked(lambda: function(*addresses, len(points), launcher.thread_count()), lambda _: out)
 
 
 def sampling(report: Report, resolution: int, count: int) -> None:
@@ -96,7 +96,8 @@ def main() -> None:
     arguments = parser.parse_args()
     table = Table(arguments.out)
     table.add(
-        f"{processor_name()}, {_launch.thread_count()} threads; {arguments.points:,} points a call; medians of pairs.\n"
+        f"{processor_name()}, {launcher.thread_count()} threads; "
+        f"{arguments.points:,} points a call; medians of pairs.\n"
     )
     table.begin()
     for resolution in arguments.resolutions:

@@ -23,8 +23,8 @@ from benchmarks import inputs
 from benchmarks.compiled import program
 from benchmarks.measure import Report, Row, Table, in_process
 from benchmarks.volume_from_mesh import stages
-from geokit import _launch
-from geokit.accuracy._machine import processor_name
+from geokit.accuracy.trials.machine import processor_name
+from geokit.core import launcher
 
 TRIANGLES = 195_200
 RESOLUTIONS = (256, 512)
@@ -47,7 +47,7 @@ class OpenVdb:
             str(path),
             "0",
             "0",
-            str(_launch.thread_count()),
+            str(launcher.thread_count()),
             str(runs),
         ]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -150,7 +150,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     table = Table(arguments.out)
-    table.add(f"{processor_name()}, {_launch.thread_count()} threads; rates are millions of triangles per second.\n")
+    table.add(f"{processor_name()}, {launcher.thread_count()} threads; rates are millions of triangles per second.\n")
     table.begin()
     for resolution in arguments.resolutions:
         for task in (surfaces, shares):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.model import Subject
+from geokit.accuracy.trials.model import Subject
 from geokit.errors import GeokitError
 
 __all__ = ["default_subjects", "unique_names"]

@@ -20,14 +20,14 @@ _BUILDER = """
 import importlib, sys
 answers = sys.stdout
 sys.stdout = sys.stderr
-from geokit import _launch
+from geokit.core import launcher
 import warp as wp
-devices = [_launch.resolve_device(alias) for alias in sys.argv[1:]]
+devices = [launcher.resolve_device(alias) for alias in sys.argv[1:]]
 for line in sys.stdin:
     try:
         name = importlib.import_module(line.strip()).__name__
         for device in devices:
-            _launch.load_module(wp.get_module(name), device)
+            launcher.load_module(wp.get_module(name), device)
         answer = "ok"
     except Exception as error:
         answer = " ".join(f"{type(error).__name__}: {error}".split())
@@ -51,10 +51,10 @@ def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
     Returns:
         Counts, seconds, devices and the modules that failed.
     """
-    from geokit import _launch
+    from geokit.core import launcher
 
     started = time.perf_counter()
-    devices = ["cpu", *_launch.cuda_devices()]
+    devices = ["cpu", *launcher.cuda_devices()]
     modules = kernel_modules()
     waiting: queue.SimpleQueue[str] = queue.SimpleQueue()
     for name in modules:
@@ -71,7 +71,7 @@ def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
                 failed.append(name)
             report(f"{done}/{len(modules)} {name}: {answer} [{seconds:.1f} s]")
 
-    count = min(_launch.thread_count(), len(modules))
+    count = min(launcher.thread_count(), len(modules))
     builders = [threading.Thread(target=_build_all, args=(waiting, devices, finished)) for _ in range(count)]
     for builder in builders:
         builder.start()

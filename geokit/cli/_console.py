@@ -21,7 +21,7 @@ def note(message: str) -> None:
 
 def announce_compiling() -> None:
     """Have the first launch of a kernel that is not in the cache say why it takes so long."""
-    from geokit import _launch
+    from geokit.core import launcher
 
     said: set[str] = set()
 
@@ -32,7 +32,7 @@ def announce_compiling() -> None:
             said.add(module)
             note(f"compiling {module}")
 
-    _launch.on_compile(listener)
+    launcher.on_compile(listener)
 
 
 def print_json(value: Any) -> None:

@@ -14,11 +14,11 @@ from geokit import render
 from geokit.cli._demo_input import Camera
 from geokit.cli._demo_log import DemoLog, write_text
 from geokit.cli._demo_steps import AccuracyPoint, Neighborhood, Projection
-from geokit.mesh.model import TriangleMesh
+from geokit.mesh._model import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["FIGURES", "accuracy_chart", "draw_figures"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import MissingDependencyError
-from geokit.mesh.model import TriangleMesh
+from geokit.mesh._model import TriangleMesh
 
 __all__ = ["Camera", "camera_rays", "find_mesh", "load_mesh", "points_on"]
 

@@ -10,8 +10,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit._files import atomic_path
 from geokit.cli._console import note, step
+from geokit.core.files import atomic_path
 
 __all__ = ["COLUMNS", "DemoLog", "Entry"]
 

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy import reference
-from geokit.accuracy._reference_points import neighbors_within
-from geokit.accuracy.reference_volume import Voxels
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.reference.points import neighbors_within
+from geokit.accuracy.reference.volume import Voxels
 from geokit.cli._demo_input import Camera, camera_rays, points_on
 from geokit.cli._demo_log import DemoLog
 from geokit.errors import MissingDependencyError
-from geokit.mesh.model import TriangleMesh
+from geokit.mesh._model import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits, Surface
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = [
     "AccuracyPoint",

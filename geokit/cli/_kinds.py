@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from geokit._files import extension, require_file
+from geokit.core.files import extension, require_file
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = [
     "CLOUD_EXTENSIONS",

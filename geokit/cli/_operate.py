@@ -14,7 +14,7 @@ from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_writ
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["DEFAULTS", "Common", "Flag", "apply", "combine", "operation", "require_volume_file"]
 
@@ -38,24 +38,12 @@ class Common:
 
 DEFAULTS = Common()
 
-# Where the functions are; `geokit.volume` gives them these names too.
-_MODULES = {
-    "csg": ("union", "intersection", "difference"),
-    "morphology": ("offset", "dilate", "erode", "opening", "closing", "renormalize"),
-    "filters": ("smooth",),
-    "resample": ("resample",),
-    "topology": ("prune", "clip", "segment"),
-    "differential": ("gradient_field", "divergence", "curl", "laplacian"),
-    "statistics": ("statistics",),
-}
-
 
 def operation(name: str) -> Callable[..., Any]:
     """A function of ``geokit.volume``, of which nothing else is imported."""
-    import importlib
+    import geokit.volume
 
-    module = next(module for module, names in _MODULES.items() if name in names)
-    return getattr(importlib.import_module(f"geokit.volume.{module}"), name)
+    return getattr(geokit.volume, name)
 
 
 def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._files import atomic_path, require_extension
 from geokit.cli._console import print_facts, print_json
 from geokit.cli._kinds import may_write
+from geokit.core.files import atomic_path, require_extension
 
 __all__ = ["OUTPUT_EXTENSIONS", "check_output", "deliver"]
 

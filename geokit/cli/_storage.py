@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["Storage"]
 
@@ -55,7 +55,7 @@ class Storage:
         """The volume as it is saved."""
         if self.quantisation is None and self.tolerance is None:
             return volume
-        from geokit.volume.quantize import quantize
+        from geokit.volume._quantize import quantize
 
         return quantize(volume, self.quantisation, tolerance=self.tolerance)
 
@@ -63,7 +63,7 @@ class Storage:
         """What a summary says of it."""
         if self.quantisation is None and self.tolerance is None:
             return {}
-        from geokit.volume._provenance import ACHIEVED_ERROR
+        from geokit.volume.nanovdb.provenance import ACHIEVED_ERROR
 
         return {
             "types": ", ".join(volume.info.grid_type for volume in volumes),

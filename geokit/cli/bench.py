@@ -53,7 +53,7 @@ def bench(
         note(f"done in {time.perf_counter() - started:.1f} s")
         return 0
     from geokit.accuracy import run, write_report
-    from geokit.accuracy.report import check_folder
+    from geokit.accuracy.report.folder import check_folder
 
     check_folder(out, force=force)
     subjects = [_subject(source, grid) for source in sources] or None
@@ -72,7 +72,7 @@ def bench(
 
 def _stability(out: Path, device: str | None, *, force: bool) -> None:
     from geokit.accuracy import write_stability
-    from geokit.accuracy.stability import check_page
+    from geokit.accuracy.stability.follow_sweeps import check_page
 
     check_page(out, force=force)
     announce_compiling()
@@ -97,16 +97,16 @@ def _subject(source: Path, grid: str | None) -> "Subject":
 
 
 def _facts(row: object) -> dict[str, object]:
-    from geokit.accuracy._table import COLUMNS
+    from geokit.accuracy.report.table import COLUMNS
 
     return {name: getattr(row, name) for name in COLUMNS}
 
 
 def _print_fronts(results: "Results") -> None:
     """What each chart's front is made of."""
-    from geokit.accuracy._pareto import cost_of, front_of
-    from geokit.accuracy._results import grouped
-    from geokit.accuracy._text import bytes_text, error_text, seconds_text, share_text
+    from geokit.accuracy.report.pareto import cost_of, front_of
+    from geokit.accuracy.report.text import bytes_text, error_text, seconds_text, share_text
+    from geokit.accuracy.trials.results import grouped
 
     for group in grouped(results):
         duration = "a call" if group.per_call else "each"
@@ -122,6 +122,6 @@ def _print_fronts(results: "Results") -> None:
         print_table(columns, cells, title=f"{group.chart.title}: {group.subject} [{group.chart.unit}]")
         print()
     for failure in results.failures:
-        from geokit.accuracy._html import failure_text
+        from geokit.accuracy.report.html import failure_text
 
         note(failure_text(failure))

@@ -79,16 +79,16 @@ def _versions() -> dict[str, str]:
 
 
 def _machine() -> dict[str, Any]:
-    from geokit import _launch
+    from geokit.core import launcher
 
-    cpu = _launch.resolve_device("cpu")
+    cpu = launcher.resolve_device("cpu")
     import warp as wp
 
-    facts: dict[str, Any] = {"system": platform.platform(), "cpu threads": _launch.thread_count(), "cpu": cpu.name}
-    for alias in _launch.cuda_devices():
+    facts: dict[str, Any] = {"system": platform.platform(), "cpu threads": launcher.thread_count(), "cpu": cpu.name}
+    for alias in launcher.cuda_devices():
         device = wp.get_device(alias)
         facts[alias] = f"{device.name}, sm_{device.arch}, {device.total_memory / 2**30:.1f} GiB"
-    if not _launch.cuda_devices():
+    if not launcher.cuda_devices():
         facts["cuda"] = "no device"
     folder = Path(str(wp.config.kernel_cache_dir))
     modules = sum(1 for entry in folder.glob("wp_geokit*")) if folder.is_dir() else 0

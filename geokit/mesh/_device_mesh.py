@@ -1,4 +1,4 @@
-"""Meshes whose arrays lie where kernels have made them, until somebody reads them."""
+"""Meshes whose arrays stay on the device where kernels made them, until they are first read."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit import _launch
-from geokit._download import download
-from geokit._pinned import host_arrays
-from geokit.mesh.model import TriangleMesh, read_only
+from geokit.core import launcher
+from geokit.core.download import download
+from geokit.core.pinned import host_arrays
+from geokit.mesh._model import TriangleMesh
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["DeviceArrays", "arrays_on", "box_of", "fetch", "mesh_on_device", "vertices_near"]
+__all__ = ["DeviceArrays", "arrays_on", "box_of", "mesh_on_device", "vertices_near"]
 
 # Boxes that points are first put into, and those into which these are: what fills a GPU, and what the host looks at.
 ROUNDS = 1 << 16, 1 << 8
@@ -36,6 +36,11 @@ class DeviceArrays:
         self.vertices, self.faces = vertices, faces
         self.lock = threading.Lock()
 
+    def download(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Vertices (V, 3) and faces (F, 3) on the host."""
+        vertices, faces = (array.reshape(-1, 3) for array in download(self.vertices, self.faces))
+        return vertices, faces
+
     def bounds(self) -> NDArray[np.float64]:
         """Box around the vertices, shape (2, 3); NaN where there are no faces."""
         if len(self.faces) == 0:
@@ -50,14 +55,14 @@ def box_of(points: "wp.array") -> NDArray[np.float64]:
     """Box around points, (N,) of vec3d with N at least 1, as shape (2, 3): least and largest need no order."""
     import warp as wp
 
-    from geokit.mesh._frame_kernels import boxes_kernel
+    from geokit.core.frame_kernels import boxes_kernel
 
     device = points.device
     many, few = (min(most, len(points)) for most in ROUNDS)
     boxes = [wp.empty(many, dtype=wp.vec3d, device=device) for _ in range(2)]
-    _launch.launch(boxes_kernel, many, [many, points, points], boxes, device)
+    launcher.launch(boxes_kernel, many, [many, points, points], boxes, device)
     found = host_arrays(device, *[((few, 3), np.float64)] * 2)
-    _launch.launch(boxes_kernel, few, [few, *boxes], found, device)
+    launcher.launch(boxes_kernel, few, [few, *boxes], found, device)
     lower, upper = (box.numpy() for box in found)
     return np.stack([lower.min(axis=0), upper.max(axis=0)])
 
@@ -75,19 +80,6 @@ def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str) -> Triang
     return mesh
 
 
-def fetch(mesh: TriangleMesh) -> None:
-    """Bring the arrays to the host, both at once, unless they are there; the mesh then lets go of the device's."""
-    held = mesh._on_device
-    if held is None:
-        return
-    with held.lock:
-        if mesh._on_device is None:  # another thread has brought them
-            return
-        vertices, faces = (read_only(array.reshape(-1, 3)) for array in download(held.vertices, held.faces))
-        mesh.__dict__.update(vertices=vertices, faces=faces)
-        del mesh.__dict__["_on_device"]
-
-
 def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.array"]:
     """Vertices, (V,) of vec3d, and faces, (3 F,) of int32, on a device: the mesh's own if they are there."""
     import warp as wp
@@ -102,4 +94,4 @@ def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.
 def vertices_near(mesh: TriangleMesh, device: Any) -> Any:
     """The vertices for a query on a device: as a warp array if they are still there, else NumPy's."""
     held = mesh._on_device
-    return mesh.vertices if held is None or held.vertices.device != _launch.resolve_device(device) else held.vertices
+    return mesh.vertices if held is None or held.vertices.device != launcher.resolve_device(device) else held.vertices

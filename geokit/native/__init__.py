@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit._files import atomic_path, require_file
+from geokit.core.files import atomic_path, require_file
 from geokit.errors import (
     DeviceMemoryError,
     FileAccessError,

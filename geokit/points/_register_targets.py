@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from geokit import _launch
-from geokit._arrays import read_vectors
+from geokit.core import launcher
+from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError
-from geokit.points._nearest import build_tree, nearest
+from geokit.points.search.nearest import build_tree, nearest
 
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh.surface import Surface
-    from geokit.volume.model import SparseVolume
+    from geokit.mesh._surface import Surface
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["Pairs", "Target", "make_target"]
 
@@ -68,9 +68,9 @@ def make_target(target: Any, target_normals: Any, wants_normals: bool, device: A
     Raises:
         InputError: It is none, or the normals do not fit it.
     """
-    from geokit.mesh.model import TriangleMesh
-    from geokit.mesh.surface import Surface
-    from geokit.volume.model import SparseVolume
+    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._surface import Surface
+    from geokit.volume._model import SparseVolume
 
     if isinstance(target, TriangleMesh):
         target = Surface(target, device=device)
@@ -79,7 +79,7 @@ def make_target(target: Any, target_normals: Any, wants_normals: bool, device: A
             kind = type(target).__name__
             raise InputError(f"target_normals: a {kind} has its own; give them with a cloud only")
         return _SurfaceTarget(target) if isinstance(target, Surface) else _VolumeTarget(target, device)
-    return _CloudTarget(target, target_normals, wants_normals, _launch.resolve_device(device))
+    return _CloudTarget(target, target_normals, wants_normals, launcher.resolve_device(device))
 
 
 class _CloudTarget(Target):
@@ -99,7 +99,7 @@ class _CloudTarget(Target):
                 )
             self._normals = _unit(self._normals)
         elif wants_normals:
-            from geokit.points.normals import normals as estimated
+            from geokit.points._normals import normals as estimated
 
             # Signs do not matter to distances from planes.
             self._normals = estimated(self._points, k=NORMAL_NEIGHBORS, orientation="none", device=device).normals
@@ -109,19 +109,19 @@ class _CloudTarget(Target):
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
         import warp as wp
 
-        from geokit.points._register_kernels import cloud_partner_kernel, limit_kernel
+        from geokit.points.clouds.register_kernels import cloud_partner_kernel, limit_kernel
 
         limit: Any = max_distance * max_distance
         if self._partner is not None:
             # No farther than the partner of the step before: most searches end where they begin.
             given = [moved, self._points, self._partner, wp.float64(limit)]
             limit = wp.empty(len(moved), dtype=wp.float64, device=self.device)
-            _launch.launch(limit_kernel, len(moved), given, [limit], self.device)
+            launcher.launch(limit_kernel, len(moved), given, [limit], self.device)
         _, indices = nearest(self._tree, 1, moved, limit_squared=limit)
         self._partner = indices.flatten()
         room = self.room(len(moved))
         inputs = [self._partner, self._points, self._normals]
-        _launch.launch(cloud_partner_kernel, len(moved), inputs, [*room], self.device)
+        launcher.launch(cloud_partner_kernel, len(moved), inputs, [*room], self.device)
         return room
 
 
@@ -129,7 +129,7 @@ class _SurfaceTarget(Target):
     def __init__(self, surface: "Surface") -> None:
         import warp as wp
 
-        super().__init__(_launch.resolve_device(surface.device))
+        super().__init__(launcher.resolve_device(surface.device))
         self._surface = surface
         corners = surface.mesh.vertices[surface.mesh.faces]
         # Of unit size before they are multiplied: products of very long or short edges stay in float64.
@@ -141,18 +141,18 @@ class _SurfaceTarget(Target):
         self._normals = wp.array(normals, dtype=wp.vec3d, device=self.device)
 
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
-        from geokit.points._register_kernels import surface_partner_kernel
+        from geokit.points.clouds.register_kernels import surface_partner_kernel
 
         found = self._surface.closest_point(moved, max_distance=max_distance)
         room = self.room(len(moved))
         inputs = [found.points, found.triangle_id, self._normals]
-        _launch.launch(surface_partner_kernel, len(moved), inputs, [*room], self.device)
+        launcher.launch(surface_partner_kernel, len(moved), inputs, [*room], self.device)
         return room
 
 
 class _VolumeTarget(Target):
     def __init__(self, volume: "SparseVolume", device: Any) -> None:
-        from geokit.volume.sample import is_scalar
+        from geokit.volume._sample import is_scalar
 
         info = volume.info
         if info.grid_class != "level set" or not is_scalar(volume):
@@ -160,28 +160,28 @@ class _VolumeTarget(Target):
                 f"target: grid {info.name!r} is a {info.grid_class} of type {info.grid_type}, not a signed distance; "
                 "give a level set, as geokit.volume.from_mesh makes it"
             )
-        super().__init__(_launch.resolve_device(device))
+        super().__init__(launcher.resolve_device(device))
         self._volume = volume
         self._reach = abs(float(info.background)) - BAND_MARGIN * float(np.max(info.voxel_size))
 
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
         import warp as wp
 
-        from geokit.points._register_kernels import volume_partner_kernel
+        from geokit.points.clouds.register_kernels import volume_partner_kernel
 
         distance = self._volume.sample(moved, device=self.device)
         gradient = self._volume.gradient(moved, device=self.device)
         room = self.room(len(moved))
         inputs = [moved, distance, gradient, wp.float64(min(max_distance, self._reach))]
-        _launch.launch(volume_partner_kernel, len(moved), inputs, [*room], self.device)
+        launcher.launch(volume_partner_kernel, len(moved), inputs, [*room], self.device)
         return room
 
 
 def _unit(normals: "wp.array") -> "wp.array":
     import warp as wp
 
-    from geokit.points._register_kernels import unit_kernel
+    from geokit.points.clouds.register_kernels import unit_kernel
 
     unit = wp.empty(len(normals), dtype=wp.vec3d, device=normals.device)
-    _launch.launch(unit_kernel, len(normals), [normals], [unit], normals.device)
+    launcher.launch(unit_kernel, len(normals), [normals], [unit], normals.device)
     return unit

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._files import require_extension
+from geokit.core.files import require_extension
 from geokit.errors import InputError
 
 __all__ = ["DIVERGING", "SEQUENTIAL", "checked_size", "checked_target", "checked_values", "value_range"]

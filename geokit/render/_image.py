@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._files import atomic_path
+from geokit.core.files import atomic_path
 from geokit.errors import InputError
 from geokit.render._checks import SEQUENTIAL, checked_size, checked_target, value_range
 

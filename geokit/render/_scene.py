@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._files import atomic_path
+from geokit.core.files import atomic_path
 from geokit.errors import InputError, MissingDependencyError
 from geokit.render._backend import pyvista
 from geokit.render._checks import SEQUENTIAL, checked_size, checked_target, checked_values, value_range
 from geokit.render._grid import dense_field
 
 if TYPE_CHECKING:
-    from geokit.mesh.model import TriangleMesh
-    from geokit.volume.model import SparseVolume
+    from geokit.mesh._model import TriangleMesh
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["figure"]
 
@@ -201,7 +201,7 @@ def _add_volume(
 
 
 def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
-    from geokit.mesh.from_volume import from_volume
+    from geokit.mesh._from_volume import from_volume
 
     try:
         mesh = from_volume(volume, isovalue=isovalue)

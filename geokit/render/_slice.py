@@ -14,7 +14,7 @@ from geokit.render._checks import DIVERGING, SEQUENTIAL, checked_size, checked_t
 from geokit.render._image import new_axes, save_figure
 
 if TYPE_CHECKING:
-    from geokit.volume.model import SparseVolume
+    from geokit.volume._model import SparseVolume
 
 __all__ = ["slice_figure"]
 

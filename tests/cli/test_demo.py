@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from geokit import native
-from geokit.accuracy import reference
+from geokit.accuracy.reference import mesh as reference
 from geokit.cli._demo_input import camera_rays, points_on
 from geokit.mesh import TriangleMesh
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built
 
 @pytest.fixture(scope="module")
 def bodies(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    from tests.operation_samples import ball, cubes, level_set
+    from tests.support.analytic_volumes import ball, cubes, level_set
 
     folder = tmp_path_factory.mktemp("bodies")
     for name, x in (("a", -0.3), ("b", 0.4)):
@@ -26,7 +26,7 @@ def bodies(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def flow(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from tests.operation_samples import field
+    from tests.support.analytic_volumes import field
 
     path = tmp_path_factory.mktemp("flow") / "flow.vdb"
     save(path, field(lambda p: p @ np.diag([1.0, 2.0, 3.0]), background=np.zeros(3), leaves=1, name="flow"))

@@ -1,0 +1,159 @@
+"""Every chart of every subject on every device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from geokit.accuracy._subjects import default_subjects, unique_names
+from geokit.accuracy.trials.machine import machine_facts, version_facts
+from geokit.accuracy.trials.measuring import measure
+from geokit.accuracy.trials.results import Failure, Results, info_of
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.accuracy.trials.model import Chart, Measurement, Subject, Trial
+
+__all__ = ["run"]
+
+ChartMaker = Callable[["Subject", Any, bool], "list[Chart]"]
+
+
+def run(
+    subjects: "Sequence[Subject] | None" = None,
+    *,
+    devices: Iterable[Any] | None = None,
+    quick: bool = False,
+    charts: Iterable[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Results:
+    """Measure geokit's methods over their settings: how long an answer takes, how far it is from a float64 reference.
+
+    A method that raises does not end the run: it is listed in ``failures`` of the result, and its chart goes on with
+    the next one.
+
+    Args:
+        subjects: Meshes, volumes and clouds to measure on; None for the samples. Of equal names the later get a number.
+        devices: Where to compute ("cpu", "cuda:0"); None for every device there is.
+        quick: Fewer settings, smaller samples and shorter timing: under a minute for the samples on two cores.
+        charts: Names of the charts to make; None for all.
+        progress: Called with a line before each trial.
+    Returns:
+        A list of Measurement, in the order in which they were made, with ``charts``, ``subjects`` and ``failures``.
+    Raises:
+        InputError: No subject or none that holds exactly one thing, no such device, or no such chart; the message lists
+            those there are.
+    Example:
+        >>> import numpy as np
+        >>> cloud = gk.accuracy.Subject("cloud", points=np.random.default_rng(0).random((100, 3)))
+        >>> rows = gk.accuracy.run([cloud], devices=["cpu"], quick=True, charts=["neighbors"])
+        >>> {row.wrong_share for row in rows if "float64" in row.method}
+        {0.0}
+    """
+    from geokit.core import launcher
+
+    if devices is None:
+        places = [launcher.resolve_device(alias) for alias in ("cpu", *launcher.cuda_devices())]
+    else:
+        named = [launcher.resolve_device(device) for device in devices]
+        places = list({place.alias: place for place in named}.values())
+    if not places:
+        raise InputError("devices: empty; name at least one, or leave it out for all")
+    found = unique_names(list(default_subjects(quick=quick) if subjects is None else subjects))
+    _check(found)
+    subjects_by_name = {subject.name: subject for subject in found}
+    results = Results(subjects=subjects_by_name, machine=machine_facts(), versions=version_facts())
+    tell = progress or (lambda line: None)
+    planned = list(_planned(found, places, quick, results))
+    wanted = _wanted(charts, planned)
+    for subject, place, chart in planned:
+        if chart.name not in wanted:
+            continue
+        results.charts.setdefault(chart.name, info_of(chart))
+        for row in _measured(chart, subject, place, quick, results.failures, tell):
+            results.append(row)
+    return results
+
+
+def _check(subjects: "list[Subject]") -> None:
+    if not subjects:
+        raise InputError("subjects: empty; give at least one, or leave it out for the samples")
+    for row, subject in enumerate(subjects):
+        held = sum(part is not None for part in (subject.mesh, subject.volume, subject.points))
+        if held != 1:
+            raise InputError(f"subjects: {row} ({subject.name!r}) holds {held} things; give a mesh, a volume or points")
+
+
+def _planned(
+    subjects: "list[Subject]", places: list[Any], quick: bool, results: Results
+) -> "Iterator[tuple[Subject, Any, Chart]]":
+    for subject in subjects:
+        for place in places:
+            for maker in _makers(subject):
+                try:
+                    made = maker(subject, place.alias, quick)
+                except Exception as error:  # a chart that cannot be made must not take the others with it
+                    results.failures.append(Failure("", subject.name, place.alias, "", "", _message(error)))
+                    continue
+                for chart in made:
+                    yield subject, place, chart
+
+
+def _makers(subject: "Subject") -> list[ChartMaker]:
+    """What makes the charts of a subject of this kind."""
+    if subject.mesh is not None:
+        from geokit.accuracy.charts.mesh import mesh_charts
+        from geokit.accuracy.charts.volume import mesh_volume_charts
+
+        return [mesh_charts, mesh_volume_charts]
+    if subject.volume is not None:
+        from geokit.accuracy.charts.volume import volume_charts
+
+        return [volume_charts]
+    from geokit.accuracy.charts.points import points_charts
+
+    return [points_charts]
+
+
+def _wanted(charts: Iterable[str] | None, planned: "list[tuple[Subject, Any, Chart]]") -> set[str]:
+    known = dict.fromkeys(chart.name for _, _, chart in planned)
+    if charts is None:
+        return set(known)
+    asked = [charts] if isinstance(charts, str) else list(charts)
+    for name in asked:
+        if name not in known:
+            raise InputError(f"charts: there is no {name!r} for these subjects; use one of {', '.join(known)}")
+    return set(asked)
+
+
+def _measured(
+    chart: "Chart", subject: "Subject", place: Any, quick: bool, failures: list[Failure], tell: Callable[[str], None]
+) -> "Iterator[Measurement]":
+    def failed(error: Exception, trial: "Trial | None") -> None:
+        method, setting = (trial.method, trial.setting) if trial else ("", "")
+        failures.append(Failure(chart.name, subject.name, place.alias, method, setting, _message(error)))
+        tell(f"{chart.name}, {subject.name}, {place.alias}: {method} {setting} failed: {_message(error)}")
+
+    try:
+        trials = iter(chart.trials())
+    except Exception as error:
+        failed(error, None)
+        return
+    while True:
+        trial = None
+        try:
+            trial = next(trials, None)
+            if trial is None:
+                return
+            tell(f"{chart.name}, {subject.name}, {place.alias}: {trial.method}, {trial.setting}")
+            row = measure(trial, chart, subject.name, place, quick=quick)
+        except Exception as error:
+            failed(error, trial)
+            if trial is None:  # a generator that has raised gives nothing more
+                return
+            continue
+        yield row
+
+
+def _message(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

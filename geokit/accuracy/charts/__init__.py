@@ -1,0 +1,1 @@
+"""Accuracy against speed: which settings each chart tries."""

@@ -1,0 +1,193 @@
+"""Charts of first hits: exact, watertight or quick, and through a distance field instead of the triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.charts.closest_point import warp_tree_bytes
+from geokit.accuracy.charts.mesh_setup import SEED
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.held_bytes import held_bytes
+from geokit.accuracy.trials.model import Chart, Judgement, Trial
+from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, without_warnings
+from geokit.errors import GeokitError
+
+if TYPE_CHECKING:
+    from geokit.accuracy.charts.mesh_setup import MeshSetup
+
+__all__ = ["first_hit_charts"]
+
+Floats = NDArray[np.float64]
+
+# Rays start on a sphere of this radius around the middle of the box [diagonals].
+START = 1.0
+# Where two hits are farther apart than this [diagonals], one of them is on another part of the surface: a silhouette
+# was passed on the other side.
+ELSEWHERE = 0.02
+# Rays through edges are asked for again, moved aside by this much [diagonals]: those whose answers differ touch a
+# silhouette, and may hit or pass. One is moved onto a face that has the edge, the others all around.
+ASIDE = 1e-9
+AROUND = 6
+# How far such answers may differ [diagonals]: what a grazing ray makes of ASIDE.
+TOUCH = 1e-6
+# Voxel sizes [diagonals], in quick charts and in others.
+QUICK_DIVISIONS = (32, 96)
+DIVISIONS = (32, 64, 128, 256)
+
+
+class Rays(NamedTuple):
+    """Origins and unit directions (N, 3) [world], and the rows of those that are checked."""
+
+    origins: Floats
+    directions: Floats
+    rows: NDArray[np.int64]
+
+
+class Known(NamedTuple):
+    """t of the checked rays, inf for a miss, and which of them count."""
+
+    t: Floats
+    counts: NDArray[np.bool_]
+
+
+def first_hit_charts(setup: MeshSetup) -> list[Chart]:
+    """Errors of t for rays from all around, and shares of leaks for rays that are aimed at edges and vertices.
+
+    Hits for misses, misses for hits and hits elsewhere are wrong: a silhouette that is somewhere else. Of the rays at
+    edges, those that touch a silhouette are left out.
+    """
+    title = "First hit of a ray"
+    return [
+        Chart("first_hit", title, "world", "rays", lambda: _trials(setup)),
+        Chart(
+            "first_hit_edges", f"{title} through an edge or a vertex", "world", "rays", lambda: _leaks(setup), "wrong"
+        ),
+    ]
+
+
+def _trials(setup: MeshSetup) -> Iterator[Trial]:
+    rays = _aimed(setup, _in_box(setup), setup.rows())
+    judge = _judge(setup, rays, lambda: _first(setup, rays))
+    yield from _of_mesh(setup, rays, judge)
+    yield from _of_volumes(setup, rays, judge)
+
+
+def _leaks(setup: MeshSetup) -> Iterator[Trial]:
+    targets, middles = _on_edges(setup)
+    rays = _aimed(setup, targets, setup.rows(AROUND + 2))
+    known = _undoubted(setup, rays, (middles - targets)[rays.rows])
+    # Of a mesh that is nothing but silhouettes no ray is left.
+    if known.counts.any():
+        yield from _of_mesh(setup, rays, _judge(setup, rays, lambda: known))
+
+
+def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
+    from geokit.accuracy.charts.raw_queries import raw_raycast
+
+    surface, size = setup.surface, held_bytes(setup.surface)
+    origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
+    for watertight in (True, False):
+        chosen = {"watertight": watertight}
+        run = _casting(surface, origins, directions, watertight=watertight)
+        yield Trial("raycast", setting_of(chosen), run, judge, setup.count, size, chosen)
+    size = warp_tree_bytes(setup)
+
+    def run_raw() -> Any:
+        return raw_raycast(surface, origins, directions)
+
+    yield Trial("warp.mesh_query_ray, float32", "as it is", run_raw, judge, setup.count, size)
+
+
+def _of_volumes(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
+    from geokit.volume._from_mesh import from_mesh
+
+    origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
+    for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:
+        chosen = {"voxel_size": setup.shared(1.0 / parts)}
+        try:
+            volume = without_warnings(partial(from_mesh, setup.surface, chosen["voxel_size"]))
+        except GeokitError as error:
+            yield failed("volume.raycast", chosen, error)
+            continue
+        run = _casting(volume, origins, directions, device=setup.device)
+        yield Trial("volume.raycast", setting_of(chosen), run, judge, setup.count, volume.info.byte_count, chosen)
+
+
+def _casting(target: Any, origins: Any, directions: Any, **options: Any) -> Callable[[], Any]:
+    return lambda: target.raycast(origins, directions, **options)
+
+
+def _aimed(setup: MeshSetup, targets: Floats, rows: NDArray[np.int64]) -> Rays:
+    """Rays towards the targets from a sphere around the mesh."""
+    rng = np.random.default_rng(SEED + 3)
+    outward = _unit(rng.normal(size=targets.shape))
+    origins = setup.mesh.bounds.mean(axis=0) + START * setup.size * outward
+    return Rays(origins, _unit(targets - origins), rows)
+
+
+def _unit(rows: Floats) -> Floats:
+    length = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(length > 0.0, length, 1.0))
+
+
+def _in_box(setup: MeshSetup) -> Floats:
+    lower, upper = setup.mesh.bounds
+    return np.random.default_rng(SEED + 4).uniform(lower, upper, (setup.count, 3))
+
+
+def _on_edges(setup: MeshSetup) -> tuple[Floats, Floats]:
+    """Points on random edges, every fourth of them a vertex, and the middle of a face of each edge."""
+    rng = np.random.default_rng(SEED + 5)
+    corners = setup.mesh.vertices[setup.mesh.faces[rng.integers(len(setup.mesh.faces), size=setup.count)]]
+    each, start = np.arange(setup.count), rng.integers(3, size=setup.count)
+    a, b = (corners[each, (start + k) % 3] for k in range(2))
+    share = np.where(each % 4 == 0, 0.0, rng.random(setup.count))[:, None]
+    return a + share * (b - a), corners.mean(axis=1)
+
+
+def _first(setup: MeshSetup, rays: Rays) -> Known:
+    found = _hits(setup, rays.origins[rays.rows], rays)
+    return Known(found, np.ones(len(found), bool))
+
+
+def _undoubted(setup: MeshSetup, rays: Rays, inward: Floats) -> Known:
+    origins, directions = rays.origins[rays.rows], rays.directions[rays.rows]
+    known = _hits(setup, origins, rays)
+    # The axis that a direction is least along is never along it.
+    u = np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)])
+    turns = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    ways = [_unit(inward), *(np.cos(turn) * _unit(u) + np.sin(turn) * np.cross(directions, _unit(u)) for turn in turns)]
+    counts = np.ones(len(known), bool)
+    for way in ways:
+        counts &= _apart(known, _hits(setup, origins + ASIDE * setup.size * way, rays)) <= TOUCH * setup.size
+    return Known(known, counts)
+
+
+def _hits(setup: MeshSetup, origins: Floats, rays: Rays) -> Floats:
+    return reference.first_hit(setup.mesh.vertices, setup.mesh.faces, origins, rays.directions[rays.rows]).t
+
+
+def _apart(a: Floats, b: Floats) -> Floats:
+    """Differences; 0 where both miss, inf where one does."""
+    missed = np.isinf(a) & np.isinf(b)
+    return np.abs(np.where(missed, 0.0, a) - np.where(missed, 0.0, b))
+
+
+def _judge(setup: MeshSetup, rays: Rays, ask: Callable[[], Known]) -> Callable[[Any], Judgement]:
+    known = cache(ask)
+
+    def judge(answer: Any) -> Judgement:
+        wanted, counts = known()
+        errors = _apart(on_host(answer.t)[rays.rows], wanted)
+        wrong = ~(errors <= ELSEWHERE * setup.size)
+        # Drawn where the ray should have hit, or where it starts if it should not.
+        reach = np.where(np.isinf(wanted), 0.0, wanted)[:, None]
+        positions = rays.origins[rays.rows] + reach * rays.directions[rays.rows]
+        return judged(errors[counts], positions[counts], wrong[counts])
+
+    return judge

@@ -1,0 +1,135 @@
+"""Charts of gradients of volumes: orders against the direction of the exact distance, or of the float64 interpolant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.charts.volume_setup import QUICK_CODECS, coded, known_codecs
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.model import Chart, Judgement, Trial
+from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, setting_of
+
+if TYPE_CHECKING:
+    from geokit.accuracy.charts.volume_points import VolumePoints
+    from geokit.accuracy.charts.volume_setup import Known, NearSurface
+    from geokit.mesh._model import TriangleMesh
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["gradients_chart", "sdf_gradients_chart"]
+
+ORDERS = (0, 1, 2, 3)
+# How far the voxels that the cubic takes are from a point along an axis, at most [voxels].
+REACH = 2.0
+CORNERS = 8
+# Points that are checked at least, where so many are known.
+FEWEST = 64
+# Within those voxels a surface may turn by this much [degrees]; where it turns more it is not resolved.
+TURN = 30.0
+# Nearer to the surface than this share of the diagonal the direction to it has too few digits.
+NEAREST = 1e-9
+
+
+def sdf_gradients_chart(near: NearSurface) -> Chart:
+    """How far gradients of level sets of a mesh point from the direction to its closest point, by voxel size and order.
+
+    Left out, for each voxel size, are points near the medial axis or an edge: those where the face that is closest, or
+    the direction to it, turns by more than 30 degrees between the point and a corner of the box of voxels that order 3
+    takes (two voxels to each side). A voxel size that leaves no point has no trials. A gradient of length 0 is wrong.
+    """
+    title = "Gradient near a mesh, from its level set"
+    return Chart("sdf_gradients", title, "degrees", "gradients", lambda: _sdf_trials(near))
+
+
+def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
+    points = send(near.points, near.device)
+    # Eight more references for each: an eighth of the checked points are as much work, of which some are left out.
+    step = max(1, min(CORNERS, len(near.known.rows) // FEWEST))
+    known = near.known.take(np.arange(0, len(near.known.rows), step))
+    for voxel_size in near.voxel_sizes:
+        chosen = known.take(_is_smooth(near.oriented, known, voxel_size))
+        if not len(chosen.rows):
+            continue
+        outward = _directions(chosen.points, chosen.closest) * np.sign(chosen.distance)[:, None]
+
+        def judge(answer: Any, chosen: Known = chosen, outward: NDArray[np.float64] = outward) -> Judgement:
+            return judged(angles(on_host(answer)[chosen.rows], outward), chosen.points)
+
+        try:
+            band = near.level_set(voxel_size)
+        except Exception as error:
+            yield failed("volume.from_mesh", {"voxel_size": voxel_size}, error)
+            continue
+        for order in ORDERS:
+            yield _gradient_trial({"voxel_size": voxel_size, "order": order}, band, points, judge, near.device)
+
+
+def _directions(points: NDArray[np.float64], closest: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors from the closest points to the points; zero where they are the same."""
+    apart = points - closest
+    length = np.linalg.norm(apart, axis=-1, keepdims=True)
+    return apart / np.where(length > 0.0, length, 1.0)
+
+
+def _is_smooth(mesh: TriangleMesh, known: Known, voxel_size: float) -> NDArray[np.bool_]:
+    """Points in whose stencil the closest face and the direction to it turn by little."""
+    corners = REACH * voxel_size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+    around = (known.points[:, None] + corners).reshape(-1, 3)
+    found = reference.closest_point(mesh.vertices, mesh.faces, around)
+    normals = reference.face_normals(mesh.vertices, mesh.faces)
+    least = np.cos(np.radians(TURN))
+    normal = (normals[known.triangle_id][:, None] * normals[found.triangle_id].reshape(-1, CORNERS, 3)).sum(axis=2)
+    # Either way: the corners lie on both sides of the surface.
+    here, there = _directions(known.points, known.closest), _directions(around, found.points).reshape(-1, CORNERS, 3)
+    turned = np.abs((here[:, None] * there).sum(axis=2))
+    defined = np.abs(known.distance) > NEAREST * mesh.diagonal
+    return defined & (normal >= least).all(axis=1) & (turned >= least).all(axis=1)
+
+
+def gradients_chart(field: VolumePoints) -> Chart:
+    """How far gradients of a volume are from those of its own interpolant, by order and codec.
+
+    The reference for each order is the gradient of the interpolant of that order of the values as the volume came, in
+    float64 NumPy (central differences for order 0); an error is the length of the difference over the root mean square
+    of the reference's lengths.
+    """
+    title = "Gradients of a volume, as stored and in fewer bits"
+    return Chart("gradients", title, "relative", "gradients", lambda: _volume_trials(field))
+
+
+def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
+    points = send(field.points, field.device)
+    for codec in QUICK_CODECS if field.quick else known_codecs():
+        try:
+            grid = coded(field.volume, codec, field.value_range)
+        except Exception as error:
+            yield failed("volume.quantize", {"codec": codec}, error)
+            continue
+        for order in ORDERS:
+
+            def judge(answer: Any, order: int = order) -> Judgement:
+                wanted = field.gradients(order)
+                scale = float(np.sqrt((wanted * wanted).sum(axis=1).mean())) or 1.0
+                off = np.linalg.norm(on_host(answer)[field.rows] - wanted, axis=1)
+                return judged(off / scale, field.points[field.rows])
+
+            yield _gradient_trial({"order": order, "codec": codec}, grid, points, judge, field.device)
+
+
+def _gradient_trial(
+    parameters: dict[str, Any],
+    grid: SparseVolume,
+    points: Any,
+    judge: Callable[[Any], Judgement],
+    device: Any,
+) -> Trial:
+    order = parameters["order"]
+
+    def run() -> Any:
+        return grid.gradient(points, order=order, device=device)
+
+    method = f"volume.gradient, order {order}"
+    return Trial(method, setting_of(parameters), run, judge, len(points), grid.info.byte_count, parameters)

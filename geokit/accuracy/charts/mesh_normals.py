@@ -1,0 +1,67 @@
+"""A chart of normals on a mesh's surface that are read from its distance field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.accuracy.charts.first_hit import DIVISIONS, QUICK_DIVISIONS
+from geokit.accuracy.charts.mesh_setup import MOST, SEED
+from geokit.accuracy.charts.volume_setup import area_samples
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.model import Chart, Judgement, Trial
+from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, setting_of, without_warnings
+from geokit.errors import GeokitError
+
+if TYPE_CHECKING:
+    from geokit.accuracy.charts.mesh_setup import MeshSetup
+
+__all__ = ["normals_chart"]
+
+ORDERS = (0, 1, 2, 3)
+
+
+def normals_chart(setup: MeshSetup) -> Chart:
+    """Angles between gradients of level sets and the normals of the faces that the points lie on.
+
+    Where faces meet at an angle no field of finite voxels follows them: the largest error is there. A gradient of
+    length 0 is wrong.
+    """
+    title = "Normal on the surface, from a level set"
+    return Chart("normals", title, "degrees", "gradients", lambda: _trials(setup))
+
+
+def _trials(setup: MeshSetup) -> Iterator[Trial]:
+    from geokit.volume._from_mesh import from_mesh
+
+    mesh = setup.oriented
+    samples, face = area_samples(mesh, setup.count, np.random.default_rng(SEED + 6))
+    points = send(samples, setup.device)
+    rows = np.arange(min(MOST, setup.count))
+    judge = _judge(samples[rows], reference.face_normals(mesh.vertices, mesh.faces[face[rows]]), rows)
+    for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:
+        voxel_size = setup.shared(1.0 / parts)
+        try:
+            volume = without_warnings(partial(from_mesh, setup.surface, voxel_size))
+        except GeokitError as error:
+            yield failed("volume.gradient", {"voxel_size": voxel_size}, error)
+            continue
+        for order in ORDERS:
+            chosen = {"voxel_size": voxel_size, "order": order}
+            run = _asking(volume, points, order, setup.device)
+            size = volume.info.byte_count
+            yield Trial(f"gradient, order {order}", setting_of(chosen), run, judge, setup.count, size, chosen)
+
+
+def _asking(volume: Any, points: Any, order: int, device: Any) -> Callable[[], Any]:
+    return lambda: volume.gradient(points, order=order, device=device)
+
+
+def _judge(positions: Any, normals: Any, rows: Any) -> Callable[[Any], Judgement]:
+    def judge(answer: Any) -> Judgement:
+        return judged(angles(on_host(answer)[rows], normals), positions)
+
+    return judge

@@ -1,0 +1,98 @@
+"""Charts of sampling: voxel size, order and codec against the truth, in time and in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from geokit.accuracy.charts.volume_setup import HALF_WIDTH, QUICK_CODECS, coded, known_codecs
+from geokit.accuracy.trials.model import Chart, Judgement, Trial
+from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of
+
+if TYPE_CHECKING:
+    from geokit.accuracy.charts.volume_points import VolumePoints
+    from geokit.accuracy.charts.volume_setup import NearSurface
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["sampling_chart", "sdf_sampling_chart"]
+
+ORDERS = (0, 1, 2, 3)
+
+
+def sdf_sampling_chart(near: NearSurface) -> Chart:
+    """How far sampled level sets of a mesh are from the exact distance, by voxel size, order and codec.
+
+    The queries lie up to half the smallest voxel from the surface. The reference is the distance to the triangles by
+    brute force in float64, negative where the winding number of the mesh, its faces turned alike, is over one half;
+    points where that is in doubt, in the mouth of an open mesh, are left out.
+    """
+    title = "Distance near a mesh, sampled from its level set"
+    return Chart("sdf_sampling", title, "world", "samples", lambda: _sdf_trials(near))
+
+
+def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
+    points = send(near.points, near.device)
+
+    def judge(answer: Any) -> Judgement:
+        return judged(on_host(answer)[near.known.rows] - near.known.distance, near.known.points)
+
+    for voxel_size in near.voxel_sizes:
+        try:
+            band = near.level_set(voxel_size)
+        except Exception as error:
+            yield failed("volume.from_mesh", {"voxel_size": voxel_size}, error)
+            continue
+        # A quick chart has all of them for its smallest voxels only.
+        for codec in QUICK_CODECS if near.quick and voxel_size != min(near.voxel_sizes) else known_codecs():
+            try:
+                grid = coded(band, codec, 2.0 * HALF_WIDTH * voxel_size)
+            except Exception as error:
+                yield failed("volume.quantize", {"voxel_size": voxel_size, "codec": codec}, error)
+                continue
+            for order in ORDERS:
+                parameters = {"voxel_size": voxel_size, "order": order, "codec": codec}
+                yield _sample_trial(parameters, grid, points, judge, near.device)
+
+
+def sampling_chart(field: VolumePoints) -> Chart:
+    """How far samples of a volume are from its own interpolant, by order and codec.
+
+    The reference for each order is the interpolant of that order of the values as the volume came, summed up in float64
+    NumPy: float grids show the roundings of sampling alone, and the codecs what they lose. Errors are in world units
+    for level sets, else relative to the range of the values.
+    """
+    title = "Values of a volume, as stored and in fewer bits"
+    return Chart("sampling", title, field.unit, "samples", lambda: _volume_trials(field))
+
+
+def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
+    points = send(field.points, field.device)
+    for codec in known_codecs():
+        try:
+            grid = coded(field.volume, codec, field.value_range)
+        except Exception as error:
+            yield failed("volume.quantize", {"codec": codec}, error)
+            continue
+        for order in ORDERS:
+
+            def judge(answer: Any, order: int = order) -> Judgement:
+                off = on_host(answer)[field.rows] - field.sampled(order)
+                return judged(off / field.error_scale, field.points[field.rows])
+
+            yield _sample_trial({"order": order, "codec": codec}, grid, points, judge, field.device)
+
+
+def _sample_trial(
+    parameters: dict[str, Any],
+    grid: SparseVolume,
+    points: Any,
+    judge: Callable[[Any], Judgement],
+    device: Any,
+) -> Trial:
+    order = parameters["order"]
+
+    def run() -> Any:
+        return grid.sample(points, order=order, device=device)
+
+    method = f"volume.sample, order {order}"
+    return Trial(method, setting_of(parameters), run, judge, len(points), grid.info.byte_count, parameters)

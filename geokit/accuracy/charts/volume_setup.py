@@ -1,0 +1,198 @@
+"""What the charts of volumes share: how much is asked, codecs, and points near a mesh."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.running import without_warnings
+
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._surface import Surface
+    from geokit.volume._model import SparseVolume
+
+__all__ = [
+    "CODECS",
+    "HALF_WIDTH",
+    "QUICK_CODECS",
+    "Effort",
+    "Known",
+    "NearSurface",
+    "area_samples",
+    "coded",
+    "known_codecs",
+    "surface_samples",
+]
+
+Floats = NDArray[np.float64]
+
+# What geokit can make. "half" is a .vdb file's, measured as it comes back from one: NanoVDB only has a name for it.
+CODECS = ("float", "half", "fp16", "fp8", "fp4", "fpn")
+# Those of a quick chart where it has another question than what codecs lose.
+QUICK_CODECS = ("float", "fp8")
+# The tolerance that "fpn" is given, as a share of the values' range: between the steps of fp8 (1/255 of a leaf's range)
+# and fp16, so that its leaves differ in their bits.
+FPN_SHARE = 1e-3
+# Of the level sets [voxels], where a chart does not vary it: what from_mesh makes by itself.
+HALF_WIDTH = 3.0
+# Where the winding number is this near to one half, in the mouth of an open mesh, there is no side to be right about;
+# geokit's own winding number is good to 0.02.
+UNDECIDED = 0.05
+# Seed of every random choice: charts of two runs ask the same.
+SEED = 61
+
+
+class Effort(NamedTuple):
+    """How much of everything, so that a timed call takes 1 to 50 ms in quick charts and up to 300 ms in others.
+
+    Attributes:
+        queries: Points of a timed call.
+        rays: Rays of a timed call.
+        checked: Answers that are held against the reference.
+        checked_rays: Rays that are; each is marched through the volume.
+        divisions: Diagonal over voxel size, ascending.
+    """
+
+    queries: int
+    rays: int
+    checked: int
+    checked_rays: int
+    divisions: tuple[int, ...]
+
+    @classmethod
+    def of(cls, device: Any, quick: bool, triangle_count: int = 0) -> Effort:
+        """For a device, and a mesh: references look at each triangle for each answer, 3e6 pairs in a quick chart."""
+        more = 10 if str(device).startswith("cuda") else 1
+        pairs, least, most = (3_000_000, 64, 600) if quick else (30_000_000, 256, 2000)
+        checked = min(max(pairs // max(triangle_count, 1), least), most)
+        if quick:
+            return cls(20_000 * more, 10_000 * more, checked, 60, (32, 128))
+        return cls(100_000 * more, 100_000 * more, checked, 200, (32, 64, 128, 256))
+
+
+class Known(NamedTuple):
+    """The truth about M points near a mesh.
+
+    Attributes:
+        rows: Which of the queries they are (M,).
+        points: Where they are [world], shape (M, 3).
+        distance: Signed distances [world], shape (M,).
+        closest: Closest points [world], shape (M, 3).
+        triangle_id: On which triangles, shape (M,).
+    """
+
+    rows: NDArray[np.int64]
+    points: Floats
+    distance: Floats
+    closest: Floats
+    triangle_id: NDArray[np.int64]
+
+    def take(self, rows: NDArray[Any]) -> Known:
+        return Known(*(np.asarray(column)[rows] for column in self))
+
+
+class NearSurface:
+    """Points near a mesh and what is true there; made when first asked for, and shared by the charts of a mesh.
+
+    Args:
+        mesh: The triangles.
+        device: Where the methods run.
+        quick: Whether to ask little.
+    """
+
+    def __init__(self, mesh: TriangleMesh, device: Any, quick: bool) -> None:
+        self.mesh, self.device, self.quick = mesh, device, quick
+        self.effort = Effort.of(device, quick, len(mesh.faces))
+        # Three digits, so that a reader can type what a chart says.
+        self.voxel_sizes = tuple(float(f"{mesh.diagonal / parts:.3g}") for parts in self.effort.divisions)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The mesh on the device."""
+        from geokit.mesh._surface import Surface
+
+        return Surface(self.mesh, device=self.device)
+
+    @cached_property
+    def points(self) -> Floats:
+        """Queries [world] up to half the smallest voxel from the surface: where every grid of the charts has a band."""
+        rng = np.random.default_rng(SEED)
+        points, face = area_samples(self.mesh, self.effort.queries, rng)
+        offset = rng.uniform(-0.5, 0.5, len(points)) * min(self.voxel_sizes)
+        return points + offset[:, None] * reference.face_normals(self.mesh.vertices, self.mesh.faces)[face]
+
+    @cached_property
+    def oriented(self) -> TriangleMesh:
+        """The mesh with its faces wound alike, outward, without which no sign means anything."""
+        from geokit.mesh._repair import orient
+
+        return orient(self.mesh).mesh
+
+    @cached_property
+    def known(self) -> Known:
+        """What is true at the rows of the points that are checked."""
+        count = min(self.effort.checked, len(self.points))
+        rows = np.sort(np.random.default_rng(SEED + 1).choice(len(self.points), count, replace=False))
+        return self.truth(self.points[rows], rows)
+
+    def truth(self, points: Floats, rows: NDArray[np.int64]) -> Known:
+        """Closest points and signed distances, of the points whose side can be told."""
+        mesh = self.oriented
+        winding = reference.winding_number(mesh.vertices, mesh.faces, points)
+        told = np.abs(winding - 0.5) > UNDECIDED
+        closest = reference.closest_point(mesh.vertices, mesh.faces, points[told])
+        distance = np.where(winding[told] > 0.5, -closest.distance, closest.distance)
+        return Known(rows[told], points[told], distance, closest.points, closest.triangle_id)
+
+    def level_set(self, voxel_size: float, *, half_width: float = HALF_WIDTH, method: str = "geokit") -> SparseVolume:
+        """geokit's level set of the mesh; what it says of pieces that are too thin is for the charts to show."""
+        from geokit.volume._from_mesh import from_mesh
+
+        options: dict[str, Any] = {"half_width": half_width, "method": method, "device": self.device}
+        return without_warnings(lambda: from_mesh(self.surface, voxel_size, **options))
+
+
+def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
+    """Points (N, 3) uniform by area, and their faces (N,)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    ends = np.cumsum(area)
+    face = np.minimum(np.searchsorted(ends, rng.random(count) * ends[-1], side="right"), len(ends) - 1)
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    return a[face] + u * (b - a)[face] + v * (c - a)[face], face
+
+
+def surface_samples(mesh: TriangleMesh, count: int, seed: int) -> Floats:
+    """Points of a surface that tell how far it is from another: half of them vertices, where corners are; shuffled."""
+    rng = np.random.default_rng(seed)
+    used = np.unique(mesh.faces)
+    vertices = mesh.vertices[rng.choice(used, min(count // 2, len(used)), replace=False)]
+    return rng.permutation(np.concatenate([vertices, area_samples(mesh, count - len(vertices), rng)[0]]))
+
+
+def known_codecs() -> tuple[str, ...]:
+    """Those that this build can make: "half" needs OpenVDB."""
+    from geokit import native
+
+    return CODECS if native.available() else tuple(codec for codec in CODECS if codec != "half")
+
+
+def coded(volume: SparseVolume, codec: str, value_range: float) -> SparseVolume:
+    """A float grid in another codec."""
+    if codec == "float":
+        return volume
+    if codec == "half":
+        from geokit.volume._io import load, save
+
+        with tempfile.TemporaryDirectory() as folder:
+            save(Path(folder) / "half.vdb", volume, half=True)
+            return load(Path(folder) / "half.vdb", trusted=True)
+    return volume.quantize(codec, tolerance=FPN_SHARE * value_range if codec == "fpn" else None)

@@ -1,0 +1,1 @@
+"""Slow float64 answers in NumPy that charts and tests compare with. Shares no code with geokit."""

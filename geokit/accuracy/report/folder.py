@@ -1,0 +1,175 @@
+"""A folder that a person can read: results.csv, figures and report.html."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from geokit.accuracy.report.html import page
+from geokit.accuracy.report.plot import Plot, plot_of
+from geokit.accuracy.report.table import read_table, write_table
+from geokit.accuracy.trials.machine import machine_facts, machine_line, version_facts
+from geokit.accuracy.trials.model import Measurement
+from geokit.accuracy.trials.results import Failure, Group, Results, grouped
+from geokit.errors import FileAccessError, GeokitError, InputError
+
+__all__ = ["check_folder", "write_report"]
+
+TABLE, PAGE, FIGURES = "results.csv", "report.html", "figures"
+
+
+def write_report(
+    measurements: Sequence[Measurement], out: str | os.PathLike[str], *, force: bool = False, pictures: bool = True
+) -> Path:
+    """Write results.csv, a figure for each chart and subject, and one page that needs no network.
+
+    A new folder appears whole or not at all. In one that is there, nothing is replaced before everything is made; then
+    files are moved into place one by one, the page last. With ``force``, those of an earlier report are replaced, and
+    its figures that this one does not have are removed; other files in the folder stay as they are.
+
+    Args:
+        measurements: What ``run`` gave, or rows from ``read_table``, which come without titles, pictures and failures.
+        out: The folder; it is made where it is missing.
+        force: Replace the report in a folder that is not empty.
+        pictures: Draw where the errors sit; they need OpenGL, and without it the page says why there are none.
+    Returns:
+        Path of the page.
+    Raises:
+        InputError: There is nothing to report, or the folder is not empty and ``force`` is not given.
+        FileAccessError: The folder cannot be written.
+    """
+    folder = check_folder(out, force=force)
+    results = measurements if isinstance(measurements, Results) else Results(measurements)
+    if not results and not results.failures:
+        raise InputError("measurements: empty: there is nothing to report")
+    groups = grouped(results)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        # Inside a folder that is there, which may be a file system of its own; else beside the one to be.
+        made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder if folder.is_dir() else folder.parent))
+    except OSError as error:
+        raise FileAccessError(f"{folder}: cannot write there ({error.strerror}); choose another folder") from error
+    try:
+        write_table(results, made / TABLE)
+        (made / FIGURES).mkdir()
+        line = machine_line(results.machine or machine_facts())
+        for group in groups:
+            _figure(made / FIGURES / f"{group.slug}.png", group, line)
+        _write_page(made / PAGE, groups, results, pictures)
+        _publish(made, folder)
+    except OSError as error:
+        if isinstance(error, GeokitError):
+            raise
+        raise FileAccessError(f"{folder}: writing failed ({error.strerror or error}); check the disk") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return folder / PAGE
+
+
+def check_folder(out: str | os.PathLike[str], *, force: bool) -> Path:
+    """Refuse a folder before the work rather than after it.
+
+    Raises:
+        InputError: It is not empty, and ``force`` is not given.
+        FileAccessError: It is a file.
+    """
+    # "." and "report/.." have no name of their own to put a temporary one beside.
+    folder = Path(out).resolve()
+    if folder.exists() and not folder.is_dir():
+        raise FileAccessError(f"{out}: is a file, not a folder; choose another")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise InputError(f"{out}: is not empty; choose another folder, or add --force (force=True) to replace a report")
+    return folder
+
+
+def _write_page(target: Path, groups: list[Group], results: Results, pictures: bool) -> None:
+    from geokit.accuracy.report.error_figures import pictures_of
+
+    drawn, reason = pictures_of(groups, results.subjects) if pictures else ({}, "")
+    failures = list(results.failures)
+    if reason:
+        failures.append(Failure("pictures of where the error sits", "", "", "", "", reason))
+    machine, versions = results.machine or machine_facts(), results.versions or version_facts()
+    target.write_text(page(groups, failures, drawn, machine, versions), encoding="utf-8")
+
+
+def _figure(target: Path, group: Group, machine: str) -> None:
+    from geokit.accuracy.report.text import error_text, seconds_text, share_text, tick_text
+    from geokit.render._pareto_chart import Cloud, pareto_chart
+
+    plot = plot_of(group)
+    if not plot.marks:
+        return
+    clouds: list[Cloud] = []
+    for device in range(len(plot.devices)):
+        for method, name in enumerate(plot.methods):
+            marks = [mark for mark in plot.marks if (mark.method, mark.device) == (method, device)]
+            first = all(mark.device >= device for mark in plot.marks if mark.method == method)
+            if marks:
+                x, y = [mark.x for mark in marks], [mark.y for mark in marks]
+                clouds.append(Cloud(name if first else "", method, x, y, [mark.hollow for mark in marks], device > 0))
+    fronts = [
+        (f"front on {alias}", [mark.x for mark in front], [mark.y for mark in front], [mark.letter for mark in front])
+        for alias, front in zip(plot.devices, plot.fronts, strict=True)
+    ]
+    wrong = group.chart.vertical == "wrong"
+    # The setting last: it is what is cut where the list is too narrow.
+    entries = [
+        f"{mark.letter}  {seconds_text(mark.x)}, "
+        + (share_text(mark.row.wrong_share) if wrong else error_text(mark.row.max_error))
+        + f": {mark.row.setting or mark.row.method}"
+        for front in plot.fronts
+        for mark in front
+    ]
+    pareto_chart(
+        target,
+        clouds,
+        fronts,
+        x_label=plot.x_label,
+        x_text=tick_text,
+        y_label=plot.y_label,
+        x_range=plot.x_range,
+        y_range=plot.y_range,
+        y_ticks=plot.y_ticks,
+        lines=_levels(plot),
+        entries=entries,
+        title=f"{group.chart.title}: {group.subject}",
+        footer=machine,
+    )
+
+
+def _levels(plot: Plot) -> list[tuple[float, str]]:
+    levels = ((plot.floor, plot.floor_name), (plot.ceiling, "not finite"))
+    return [(height, name) for height, name in levels if height is not None]
+
+
+def _publish(made: Path, folder: Path) -> None:
+    if made.parent != folder:
+        os.chmod(made, 0o777 & ~_umask())
+        os.rename(made, folder)
+        return
+    stale = _figures_of(folder) - {path.name for path in (made / FIGURES).iterdir()}
+    (folder / FIGURES).mkdir(exist_ok=True)
+    for path in sorted((made / FIGURES).iterdir()):
+        os.replace(path, folder / FIGURES / path.name)
+    os.replace(made / TABLE, folder / TABLE)
+    os.replace(made / PAGE, folder / PAGE)
+    for name in stale:
+        (folder / FIGURES / name).unlink(missing_ok=True)
+
+
+def _figures_of(folder: Path) -> set[str]:
+    """Names of the figures that belong to the report in ``folder``, as its table tells."""
+    with contextlib.suppress(GeokitError, OSError):
+        return {f"{group.slug}.png" for group in grouped(read_table(folder / TABLE))}
+    return set()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,181 @@
+"""The figure of a sweep: error and share of wrong answers against what grows worse, the envelope shaded."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.files import atomic_path
+
+__all__ = ["sweep_figure"]
+
+SIZE = (520, 400)
+# Colours of the file: two lines, a shade and grey text need no more.
+PALETTE = 32
+ERROR_COLOR, WRONG_COLOR, ENVELOPE_COLOR = "#0072B2", "#D55E00", "#009E73"
+# Exact answers are drawn this many decades below the smallest error or promise.
+GAP = 1.0
+LONE_FLOOR = 1e-16
+
+
+def sweep_figure(
+    path: Path,
+    *,
+    values: Sequence[float],
+    errors: Sequence[float],
+    wrong: Sequence[float],
+    refused: Sequence[bool],
+    covered: Sequence[float],
+    promised: Sequence[float],
+    allowed: float,
+    x_label: str,
+    y_label: str | None,
+    title: str,
+    logarithmic: bool,
+) -> Path:
+    """Draw one sweep.
+
+    Args:
+        path: Target, a .png file.
+        values: Of the parameter.
+        errors: Largest error at each; NaN where there is none.
+        wrong: Share of wrong answers at each.
+        refused: Where the method refused.
+        covered: Values that the envelope covers.
+        promised: Largest error allowed at each of those.
+        allowed: Largest share of wrong answers allowed there.
+        x_label: The parameter, with its unit.
+        y_label: What the errors are, with their unit; None where answers are only right or wrong.
+        title: Text above.
+        logarithmic: Whether the parameter's axis is logarithmic.
+    Returns:
+        The path that was written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from geokit.render._image import DPI
+
+    figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    # Placed by hand: a layout engine would draw everything twice to find the same.
+    x = np.asarray(values, dtype=np.float64)
+    lower = figure.add_axes((0.15, 0.13, 0.82, 0.79 if y_label is None else 0.18))
+    _scale(lower, x, logarithmic)
+    axes = [lower]
+    if y_label is not None:
+        upper = figure.add_axes((0.15, 0.35, 0.82, 0.57), sharex=lower)
+        _draw_errors(upper, x, np.asarray(errors), np.asarray(refused), np.asarray(covered), np.asarray(promised))
+        upper.set_ylabel(_plain(y_label))
+        upper.tick_params(labelbottom=False)
+        axes.append(upper)
+    share = np.where(np.asarray(refused), np.nan, np.asarray(wrong, dtype=np.float64))
+    lower.plot(x, 100.0 * share, color=WRONG_COLOR, marker="s", markersize=4, linewidth=1.2)
+    if len(covered):
+        # Below zero, so that a promise of none shows.
+        bottom = -100.0 if y_label is None else -2.0
+        lower.fill_between(covered, bottom, 100.0 * allowed, color=ENVELOPE_COLOR, alpha=0.2, linewidth=0)
+    turned_down = np.asarray(refused, dtype=bool)
+    if y_label is None and turned_down.any():
+        lower.plot(x[turned_down], np.zeros(int(turned_down.sum())), linestyle="none", marker="x", color="black",
+                   label="refused")  # fmt: skip
+        lower.legend(frameon=False, fontsize=7.5, loc="upper left")
+    lower.set(xlabel=_plain(x_label), ylabel="wrong [%]")
+    largest = float(np.nanmax(100.0 * share, initial=0.0))
+    lower.set_ylim(-0.05 * max(largest, 1.0), 1.1 * max(largest, 1.0))
+    axes[-1].set_title(_plain(title), loc="left", fontsize=10)
+    for axis in axes:
+        axis.grid(visible=True, which="major", color="0.9", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8)
+        axis.xaxis.label.set_fontsize(9)
+        axis.yaxis.label.set_fontsize(9)
+    if x[0] > x[-1]:
+        lower.invert_xaxis()  # worse is to the right
+    return _save(figure, path)
+
+
+def _scale(axis: Any, x: NDArray[np.float64], logarithmic: bool) -> None:
+    """A logarithmic axis where there is something to take the logarithm of, its ticks in plain text."""
+    from geokit.render._pareto_chart import decade_ticks, power_text
+
+    positive = np.abs(x[x != 0.0])
+    if not logarithmic or (x < 0.0).any() or len(positive) == 0:
+        return
+    low, high = float(positive.min()), float(positive.max())
+    # Half a decade beside the outermost values; zero has no place on the axis, which is linear below the smallest.
+    ends = (low / 2.0, high * 2.0)
+    zero = [0.0] if (x == 0.0).any() else []
+    if zero:
+        axis.set_xscale("symlog", linthresh=low)
+        axis.set_xlim(-low / 4.0, ends[1])
+    else:
+        axis.set_xscale("log")
+        axis.set_xlim(*ends)
+    ticks = [*zero, *(tick for tick in decade_ticks(ends, SIZE[0] // 65) if not zero or tick >= low)]
+    axis.set_xticks(ticks, [power_text(tick) if tick else "0" for tick in ticks])
+    axis.set_xticks([], minor=True)
+
+
+def _draw_errors(
+    axis: Any,
+    x: NDArray[np.float64],
+    errors: NDArray[np.float64],
+    refused: NDArray[np.bool_],
+    covered: NDArray[np.float64],
+    promised: NDArray[np.float64],
+) -> None:
+    from geokit.accuracy.report.plot import named_ticks
+    from geokit.render._pareto_chart import power_text
+
+    known = ~np.isnan(errors) & ~refused
+    usual = np.concatenate([errors, promised])
+    usual = usual[np.isfinite(usual) & (usual > 0.0)]
+    low, high = (float(usual.min()), float(usual.max())) if len(usual) else (10 * LONE_FLOOR, 10 * LONE_FLOOR)
+    floor, ceiling = low / 10.0**GAP, high * 10.0**GAP
+    axis.set_yscale("log")
+    axis.set_ylim(floor / 2.0, ceiling * 2.0)
+    ticks = named_ticks((floor / 2.0, ceiling * 2.0), floor if (errors[known] <= 0.0).any() else None, None, 8)
+    ticks = ticks if len(usual) else []
+    axis.set_yticks(ticks, [power_text(tick) for tick in ticks])
+    axis.set_yticks([], minor=True)
+    if len(covered):
+        axis.fill_between(
+            covered, floor / 2.0, np.maximum(promised, floor), color=ENVELOPE_COLOR, alpha=0.2, linewidth=0
+        )
+        axis.plot(covered, np.maximum(promised, floor), color=ENVELOPE_COLOR, linewidth=1.0, label="promise")
+    drawn = np.where(errors <= 0.0, floor, np.minimum(errors, ceiling))
+    axis.plot(
+        x[known], drawn[known], color=ERROR_COLOR, marker="o", markersize=4.5, linewidth=1.2, label="largest error"
+    )
+    if (errors[known] <= 0.0).any():
+        axis.axhline(floor, color="0.55", linewidth=0.8, linestyle=(0, (2, 3)), zorder=1)
+        axis.annotate("exact", (1.0, floor), xycoords=("axes fraction", "data"), xytext=(-4, 3), ha="right",
+                      textcoords="offset points", fontsize=7, color="0.35")  # fmt: skip
+    if refused.any():
+        axis.plot(x[refused], np.full(int(refused.sum()), ceiling), linestyle="none", marker="x", color="black",
+                  label="refused")  # fmt: skip
+    axis.legend(frameon=False, fontsize=7.5, loc="upper left")
+
+
+def _plain(text: str) -> str:
+    return text.replace("$", r"\$")
+
+
+def _save(figure: Any, path: Path) -> Path:
+    """Write it with a palette, which takes a third of the space."""
+    from PIL import Image
+
+    from geokit.render._image import DPI
+
+    stream = io.BytesIO()
+    figure.savefig(stream, dpi=DPI, format="png")
+    stream.seek(0)
+    with Image.open(stream) as picture, atomic_path(path) as part:
+        picture.convert("RGB").quantize(PALETTE, method=Image.Quantize.MEDIANCUT).save(part, "PNG", optimize=True)
+    return path

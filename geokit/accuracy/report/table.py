@@ -1,0 +1,93 @@
+"""results.csv: one row for each method, setting and device, written and read back."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from geokit.accuracy.trials.model import Measurement
+from geokit.core.files import atomic_path, require_file
+from geokit.errors import FileFormatError
+
+__all__ = ["COLUMNS", "cells_of", "read_table", "write_table"]
+
+# The attributes of Measurement in their order; what they mean stands there.
+COLUMNS = tuple(field.name for field in dataclasses.fields(Measurement) if field.name != "judgement")
+_INTEGERS = ("peak_bytes", "byte_count", "checked")
+_FLOATS = ("seconds", "spread", "rate", "max_error", "rms_error", "p999_error", "wrong_share")
+
+
+def write_table(rows: Iterable[Measurement], path: str | os.PathLike[str]) -> Path:
+    """Write measurements as CSV, each number so that it is read back bit for bit.
+
+    Args:
+        rows: The measurements.
+        path: The file.
+    Returns:
+        The path that was written.
+    Raises:
+        FileAccessError: The file cannot be written.
+    """
+    with atomic_path(path) as part, open(part, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(cells_of(row) for row in rows)
+    return Path(path)
+
+
+def cells_of(row: Measurement) -> list[str]:
+    """The cells of a row, as text; parameters are JSON."""
+    return [_cell(name, getattr(row, name)) for name in COLUMNS]
+
+
+def _cell(name: str, value: Any) -> str:
+    if name == "parameters":
+        return json.dumps(dict(value), default=_plain, sort_keys=True)
+    return repr(float(value)) if name in _FLOATS else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON lacks: NumPy's numbers and arrays as Python's, all else by its text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def read_table(path: str | os.PathLike[str]) -> list[Measurement]:
+    """Measurements from a results.csv; their judgements are not in it.
+
+    Args:
+        path: The file.
+    Returns:
+        The rows, equal to those that were written.
+    Raises:
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: It is not a table of results; the message names the line.
+    """
+    with open(require_file(path), encoding="utf-8", newline="") as file:
+        reader = csv.reader(file)
+        try:
+            header = tuple(next(reader, ()))
+            if header != COLUMNS:
+                raise FileFormatError(f"{path}: line 1 is not the header of results ({', '.join(COLUMNS)})")
+            return [_measurement(cells, path, reader.line_num) for cells in reader]
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise FileFormatError(f"{path}: line {reader.line_num} is not CSV ({error}); write it again") from error
+
+
+def _measurement(cells: list[str], path: Any, line: int) -> Measurement:
+    if len(cells) != len(COLUMNS):
+        raise FileFormatError(f"{path}: line {line} has {len(cells)} cells, not {len(COLUMNS)}; write it again")
+    values: dict[str, Any] = dict(zip(COLUMNS, cells, strict=True))
+    try:
+        for name in _INTEGERS:
+            values[name] = int(values[name])
+        for name in _FLOATS:
+            values[name] = float(values[name])
+        values["parameters"] = json.loads(values["parameters"])
+    except ValueError as error:
+        raise FileFormatError(f"{path}: line {line} holds what is not a number ({error}); write it again") from error
+    return Measurement(**values)

@@ -1,0 +1,1 @@
+"""Sweeps towards failure, and the envelope that each method promises."""

@@ -1,0 +1,250 @@
+"""Where methods fail: sweeps towards failure, the envelope that each method promises, and the page that shows both."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from geokit.accuracy.report.stability_figures import sweep_figure
+from geokit.accuracy.trials.model import Sweep
+from geokit.core.files import atomic_path
+from geokit.errors import FileAccessError, GeokitError, InputError
+
+__all__ = ["Outcome", "follow", "inside", "keeps", "promised", "sweeps", "write_stability"]
+
+INTRODUCTION = """\
+Each sweep makes one thing worse until a method fails, and holds the answers against a float64 reference that shares no
+code with it. Up to the last value of its envelope the promise holds, and `tests/accuracy/stability/test_envelopes.py`
+asserts it; beyond it, nothing is promised. In the figures the envelope is shaded, exact answers lie on the lowest
+line, and crosses are values at which the method refuses with a named error. The step of the granular example is swept
+in docs/granular.md."""
+# The unit of sweeps whose answers are right or wrong and nothing between.
+NO_UNIT = "none"
+PAGE, FIGURES = "stability.md", Path("figures") / "stability"
+
+
+class Outcome(NamedTuple):
+    """What came of a sweep at one value of its parameter.
+
+    Attributes:
+        value: Of the parameter.
+        max_error: Largest error of the answers that are not wrong [unit of the sweep]; NaN where there is none.
+        wrong_share: Share of the answers that are wrong.
+        refusal: The method's own error where it refused to answer, else "".
+    """
+
+    value: float
+    max_error: float
+    wrong_share: float
+    refusal: str = ""
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Every sweep there is: of meshes, of volumes, of points.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    Returns:
+        The sweeps, their names all different. Those of methods that need OpenVDB are left out where it is not there.
+    """
+    from geokit.accuracy.stability.mesh import mesh_sweeps
+    from geokit.accuracy.stability.points import points_sweeps
+    from geokit.accuracy.stability.volume import volume_sweeps
+
+    return [*mesh_sweeps(device), *volume_sweeps(device), *points_sweeps(device)]
+
+
+def follow(sweep: Sweep, values: Iterable[float] | None = None) -> list[Outcome]:
+    """Ask a sweep's method at each value.
+
+    A GeokitError is an outcome of its own: the method says that it cannot answer, which is not a wrong answer.
+
+    Args:
+        sweep: The sweep.
+        values: Values of its parameter; None for all of its own.
+    Returns:
+        One outcome for each value.
+    Raises:
+        InputError: The sweep's judge checked no answer.
+    """
+    return [_asked(sweep, value) for value in (sweep.values if values is None else values)]
+
+
+def _asked(sweep: Sweep, value: float) -> Outcome:
+    try:
+        judgement = sweep.ask(value)
+    except GeokitError as error:
+        return Outcome(value, math.nan, 0.0, f"{type(error).__name__}: {' '.join(str(error).split())}")
+    errors, wrong = np.asarray(judgement.errors, dtype=np.float64), np.asarray(judgement.wrong, dtype=bool)
+    if len(wrong) == 0:
+        raise InputError(f"sweep {sweep.name!r}: no answer was checked at {value:g}; give its judge at least one")
+    right = errors[~wrong]
+    # An answer that is not a number is not right.
+    largest = float(np.where(np.isfinite(right), right, np.inf).max()) if len(right) else math.nan
+    return Outcome(value, largest, float(wrong.mean()))
+
+
+def inside(sweep: Sweep, value: float) -> bool:
+    """Whether the envelope covers the value: it is not beyond ``last`` in the direction of the sweep."""
+    last = sweep.envelope.last
+    return value >= last if sweep.values[0] > sweep.values[-1] else value <= last
+
+
+def promised(sweep: Sweep, value: float) -> float:
+    """The largest error that the envelope allows at the value."""
+    error = sweep.envelope.error
+    return float(error(value)) if callable(error) else float(error)
+
+
+def keeps(sweep: Sweep, outcome: Outcome) -> bool:
+    """Whether the outcome obeys the envelope's promise; a refusal does not, as nothing was answered."""
+    if outcome.refusal:
+        return False
+    if outcome.wrong_share > sweep.envelope.wrong_share:
+        return False
+    # Where all answers are wrong, and may be, there is no error to judge.
+    return math.isnan(outcome.max_error) or outcome.max_error <= promised(sweep, outcome.value)
+
+
+def write_stability(
+    out: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    chosen: Sequence[Sweep] | None = None,
+    device: Any = None,
+    progress: Callable[[str], None] | None = None,
+) -> Path:
+    """Follow the sweeps to their ends and write stability.md with a figure for each, in figures/stability.
+
+    Each file is replaced as a whole, the page last; a sweep that fails in another way than by refusing ends the writing
+    with the earlier page left as it was.
+
+    Args:
+        out: The folder, which may hold other files; it is made where it is missing.
+        force: Replace an earlier page.
+        chosen: The sweeps; None for all.
+        device: Where the methods of all sweeps compute; None for the first GPU, else the CPU.
+        progress: Called with a line before each sweep.
+    Returns:
+        Path of the page.
+    Raises:
+        InputError: The folder holds a page already and ``force`` is not given, there is no sweep, or two have one name.
+        FileAccessError: The folder cannot be written.
+    """
+    folder = Path(out)
+    page = check_page(folder, force=force)
+    found = list(sweeps(device) if chosen is None else chosen)
+    names = [sweep.name for sweep in found]
+    if not found:
+        raise InputError("chosen: empty; give at least one sweep")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"chosen: two sweeps are called {twice!r}; give each a name of its own")
+    try:
+        (folder / FIGURES).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"{folder}: cannot be made a folder ({error.strerror}); choose another") from error
+    outcomes: list[list[Outcome]] = []
+    for number, sweep in enumerate(found):
+        if progress is not None:
+            progress(f"{number + 1}/{len(found)} {sweep.name}: {sweep.method}, {sweep.parameter}")
+        outcomes.append(follow(sweep))
+        _draw(folder / FIGURES / f"{sweep.name}.png", sweep, outcomes[-1])
+    with atomic_path(page) as part:
+        part.write_text(_page(found, outcomes), encoding="utf-8")
+    return page
+
+
+def check_page(folder: str | os.PathLike[str], *, force: bool) -> Path:
+    """Where the page goes, refused before the work.
+
+    Raises:
+        InputError: There is one already, and ``force`` is not given.
+    """
+    page = Path(folder) / PAGE
+    if page.exists() and not force:
+        raise InputError(f"{page}: exists already; add --force (force=True) to replace it")
+    return page
+
+
+def _draw(path: Path, sweep: Sweep, outcomes: Sequence[Outcome]) -> None:
+    covered = [value for value in sweep.values if inside(sweep, value)]
+    sweep_figure(
+        path,
+        values=[outcome.value for outcome in outcomes],
+        errors=[outcome.max_error for outcome in outcomes],
+        wrong=[outcome.wrong_share for outcome in outcomes],
+        refused=[bool(outcome.refusal) for outcome in outcomes],
+        covered=covered,
+        promised=[promised(sweep, value) for value in covered],
+        allowed=sweep.envelope.wrong_share,
+        x_label=sweep.parameter,
+        y_label=None if sweep.unit == NO_UNIT else f"largest error [{sweep.unit}]",
+        title=f"{sweep.method}",
+        logarithmic=sweep.logarithmic,
+    )
+
+
+def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]]) -> str:
+    import geokit
+
+    parts = [
+        "# Where methods fail",
+        "",
+        f"Written by `geokit bench --stability` (geokit {geokit.__version__}). {INTRODUCTION}",
+        "",
+        "| method | what grows worse | holds up to | largest error | wrong answers |",
+        "|---|---|---:|---:|---:|",
+    ]
+    for sweep in found:
+        last = sweep.envelope.last
+        largest = max(promised(sweep, value) for value in (last, *sweep.values) if inside(sweep, value))
+        parts.append(
+            f"| [`{sweep.method}`](#{sweep.name}) | {_cell(sweep.parameter)} | {last:g} | "
+            f"{_error_cell(largest, sweep.unit)} | {100.0 * sweep.envelope.wrong_share:.3g}% |"
+        )
+    for sweep, measured in zip(found, outcomes, strict=True):
+        parts += _sweep_section(sweep, measured)
+    return "\n".join(parts) + "\n"
+
+
+def _sweep_section(sweep: Sweep, measured: Sequence[Outcome]) -> list[str]:
+    figure = (FIGURES / f"{sweep.name}.png").as_posix()
+    lines = [
+        "",
+        f'<a id="{sweep.name}"></a>',
+        "",
+        f"## {sweep.method}: {sweep.parameter}",
+        "",
+        sweep.envelope.statement,
+        "",
+        f"![{_cell(sweep.method)}: error against {_cell(sweep.parameter)}]({figure})",
+        "",
+        f"| {_cell(sweep.parameter)} | largest error [{_cell(sweep.unit)}] | wrong | promise |",
+        "|---:|---:|---:|---|",
+    ]
+    for outcome in measured:
+        error = "-" if math.isnan(outcome.max_error) else f"{outcome.max_error:.2g}"
+        if inside(sweep, outcome.value):
+            verdict = "kept" if keeps(sweep, outcome) else "**BROKEN**"
+        else:
+            verdict = "outside, kept" if keeps(sweep, outcome) else "outside"
+        if outcome.refusal:
+            verdict += f": refused, {_cell(outcome.refusal)}"
+        lines.append(f"| {outcome.value:g} | {error} | {100.0 * outcome.wrong_share:.3g}% | {verdict} |")
+    return lines
+
+
+def _error_cell(error: float, unit: str) -> str:
+    if unit == NO_UNIT:
+        return "-"
+    return f"exact [{_cell(unit)}]" if error == 0.0 else f"{error:.2g} {_cell(unit)}"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

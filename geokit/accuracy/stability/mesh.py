@@ -1,0 +1,33 @@
+"""The methods of meshes on their way towards failure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geokit.accuracy.stability.mesh_distance import distance_sweeps
+from geokit.accuracy.stability.mesh_rays import ray_sweeps
+from geokit.accuracy.stability.mesh_repair import repair_sweeps
+from geokit.accuracy.stability.mesh_sign import sign_sweeps
+from geokit.accuracy.trials.model import Sweep
+
+__all__ = ["mesh_sweeps"]
+
+
+def mesh_sweeps(device: Any = "cpu") -> list[Sweep]:
+    """Sweeps of the methods of :mod:`geokit.mesh`, each with what it promises.
+
+    Closest points, signed distances, signs and rays by place and size of the mesh, slivers, holes, flips, copies,
+    overlaps, edges, vertices and grazing angles; Hausdorff distances, orientation, merging and audits by what breaks
+    them. Answers are held against analytic shapes and float64 brute force; each promise leaves at least a factor of
+    four to what was measured on several seeds (tests/accuracy/stability/test_mesh_sweeps.py).
+
+    Args:
+        device: Where the methods run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        list of Sweep, in the order in which a report would show them.
+    Example:
+        >>> sweep = mesh_sweeps()[0]
+        >>> sweep.name, bool(sweep.ask(1e8).errors.max() <= sweep.envelope.error)
+        ('closest_point_origin', True)
+    """
+    return [*distance_sweeps(device), *sign_sweeps(device), *ray_sweeps(device), *repair_sweeps(device)]

@@ -1,0 +1,272 @@
+"""Closest points and signed distances on their way towards failure: place, size, slivers, far queries, thin walls."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.stability.mesh_questions import (
+    OBLIQUE,
+    around_and_near,
+    judged,
+    on_gpu,
+    powers,
+    surface_of,
+    turned,
+    unit_sized,
+    unit_vectors,
+)
+from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["distance_sweeps"]
+
+QUERIES = 200
+# Brute force over queries from afar takes longest: nothing far away is left out early.
+FAR_QUERIES = 50
+# From so far away float64 cannot tell the mesh from the point that it is about, and squares of brute force overflow
+# farther out [sizes].
+POINT_LIKE = 1e18
+# Slivers of a fan: few, so that slanted ones fit already at small aspect ratios.
+FAN = 6
+# The far edge of the fan leans by this many times its width: slivers then have an angle of some degrees at the short
+# edge, where digits are lost first.
+LEAN = 30.0
+# Signs are asked for at this distance from the surface and farther [sizes]: more than ten times what rounding the
+# coordinates moves at the last place that keeps its promise.
+CLEAR = 1e-5
+# A thin wall is asked about so deep inside of it, and as far outside [thicknesses].
+DEPTH = 0.25
+
+
+class _Known(NamedTuple):
+    """A mesh of size 1 next to the origin, and what is right there by brute force."""
+
+    mesh: TriangleMesh
+    queries: NDArray[np.float64]
+    points: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+
+
+def _torus(seed: int) -> TriangleMesh:
+    """Smooth and not convex, turned at random; few triangles, so that brute force is quick."""
+    return unit_sized(rotated(torus(20, 10), seed))
+
+
+@lru_cache(maxsize=4)
+def _known(seed: int) -> _Known:
+    mesh = _torus(seed)
+    queries = around_and_near(mesh, QUERIES, seed)
+    closest = reference.closest_point(mesh.vertices, mesh.faces, queries)
+    inside = reference.winding_number(mesh.vertices, mesh.faces, queries) > 0.5
+    clear = closest.distance > CLEAR
+    return _Known(mesh, queries[clear], closest.points[clear], closest.distance[clear], inside[clear])
+
+
+def _closest_at(offset: float, device: Any, seed: int = 0) -> Judgement:
+    """Held against the mesh next to the origin, as the user means it: what float64 loses on the way there counts."""
+    known, away = _known(seed), offset * OBLIQUE
+    found = surface_of(moved(known.mesh, away), device).closest_point(known.queries + away)
+    errors = np.linalg.norm(found.points - away - known.points, axis=1)
+    return judged(errors, found.triangle_id < 0, known.queries)
+
+
+def _signed_at(offset: float, device: Any, seed: int = 0) -> Judgement:
+    known, away = _known(seed), offset * OBLIQUE
+    found = surface_of(moved(known.mesh, away), device).signed_distance(known.queries + away).distance
+    return judged(np.abs(found) - known.distance, (found < 0.0) != known.inside, known.queries)
+
+
+def _closest_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
+    known = _known(seed)
+    found = surface_of(scaled(known.mesh, scale), device).closest_point(known.queries * scale)
+    return judged(found.distance / scale - known.distance, found.triangle_id < 0, known.queries)
+
+
+def _signed_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
+    known = _known(seed)
+    found = surface_of(scaled(known.mesh, scale), device).signed_distance(known.queries * scale).distance
+    return judged(np.abs(found) / scale - known.distance, (found < 0.0) != known.inside, known.queries)
+
+
+def _closest_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
+    """Known from the triangle that all slivers make together, which is of two dimensions before it is turned."""
+    rng = np.random.default_rng(seed)
+    width = FAN / aspect
+    slant = min(LEAN * width, 0.5)
+    outline = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0 - slant, width, 0.0]])
+    # On them, and at all distances from that.
+    away = rng.normal(size=(2 * QUERIES, 3)) * 10.0 ** rng.uniform(-16.0, 0.0, (2 * QUERIES, 1))
+    queries = rng.dirichlet(np.ones(3), 2 * QUERIES) @ outline + away
+    surface = surface_of(rotated(sliver_fan(FAN, aspect, slant), seed), device)
+    found = surface.closest_point(turned(queries, seed))
+    return judged(found.distance - _flat_distance(queries, outline), found.triangle_id < 0, queries)
+
+
+def _flat_distance(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance (N,) to a triangle in the plane z = 0 that winds counter-clockwise."""
+    within = np.ones(len(points), bool)
+    nearest = np.full(len(points), np.inf)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along, apart = b - a, points - a
+        within &= along[0] * apart[:, 1] >= along[1] * apart[:, 0]
+        share = np.clip(apart @ along / (along @ along), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(apart - share[:, None] * along, axis=1))
+    return np.where(within, np.abs(points[:, 2]), nearest)
+
+
+def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
+    """Errors are shares of the distance."""
+    mesh = _torus(seed)
+    queries = unit_vectors(FAR_QUERIES, np.random.default_rng(seed)) * distance
+    found = surface_of(mesh, device).signed_distance(queries, sign="winding").distance
+    expected = np.full(FAR_QUERIES, distance)
+    if distance < POINT_LIKE:
+        expected = reference.closest_point(mesh.vertices, mesh.faces, queries).distance
+    return judged(np.abs(found) / expected - 1.0, found < 0.0, queries)
+
+
+def _signed_within(thickness: float, device: Any, seed: int = 0) -> Judgement:
+    """Points in a plate and as many outside, equally near to its faces, not at its rim."""
+    rng = np.random.default_rng(seed)
+    queries = rng.uniform(-0.45, 0.45, (QUERIES, 3))
+    inside = rng.random(QUERIES) < 0.5
+    height = np.where(inside, 0.5 - DEPTH, 0.5 + DEPTH) * thickness
+    queries[:, 2] = height * rng.choice([-1.0, 1.0], QUERIES)
+    surface = surface_of(rotated(thin_plate(thickness), seed), device)
+    found = surface.signed_distance(turned(queries, seed)).distance
+    return judged(np.abs(found) - DEPTH * thickness, (found < 0.0) != inside, queries)
+
+
+def distance_sweeps(device: Any) -> list[Sweep]:
+    """Sweeps of :meth:`Surface.closest_point` and :meth:`Surface.signed_distance` on this device."""
+    return [*_closest_sweeps(device), *_signed_sweeps(device)]
+
+
+def _closest_sweeps(device: Any) -> list[Sweep]:
+    method, unit = "mesh.Surface.closest_point", "sizes of the mesh"
+    return [
+        Sweep(
+            "closest_point_origin",
+            method,
+            "distance from the origin [sizes of the mesh]",
+            unit,
+            powers(0, 13),
+            partial(_closest_at, device=device),
+            Envelope(
+                1e8,
+                1e-6,
+                0.0,
+                "Closest points stay within 1e-6 of the mesh's size up to 1e8 sizes from the origin: farther away the "
+                "float64 coordinates themselves do not hold that.",
+            ),
+        ),
+        Sweep(
+            "closest_point_large",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, 70, 10), 1e74, *powers(80, 90, 10)),
+            partial(_closest_sized, device=device),
+            Envelope(1e70, 1e-14, 0.0, "Distances are good to 1e-14 of the mesh's size for sizes up to 1e70."),
+        ),
+        Sweep(
+            "closest_point_small",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, -70, -10), 1e-74, *powers(-80, -90, -10)),
+            partial(_closest_sized, device=device),
+            Envelope(1e-70, 1e-14, 0.0, "Distances are good to 1e-14 of the mesh's size for sizes down to 1e-70."),
+        ),
+        Sweep(
+            "closest_point_slivers",
+            method,
+            "longest edge of the triangles over their height",
+            unit,
+            powers(1, 13),
+            partial(_closest_on_slivers, device=device),
+            Envelope(
+                1e13,
+                1e-12,
+                0.0,
+                "Distances are good to 1e-12 of the mesh's size on slivers of any aspect ratio: no failure found.",
+            ),
+        ),
+    ]
+
+
+def _signed_sweeps(device: Any) -> list[Sweep]:
+    method, unit = "mesh.Surface.signed_distance", "sizes of the mesh"
+    return [
+        Sweep(
+            "signed_distance_origin",
+            method,
+            "distance from the origin [sizes of the mesh]",
+            unit,
+            powers(0, 14),
+            partial(_signed_at, device=device),
+            Envelope(
+                1e9,
+                1e-6,
+                0.0,
+                "Distances stay within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the "
+                "surface, up to 1e9 sizes from the origin.",
+            ),
+        ),
+        Sweep(
+            "signed_distance_large",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, 70, 10), *powers(80, 90, 10)),
+            partial(_signed_sized, device=device),
+            Envelope(1e70, 1e-14, 0.0, "Signed distances are right to 1e-14 of the mesh's size for sizes up to 1e70."),
+        ),
+        Sweep(
+            "signed_distance_small",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, -70, -10), *powers(-80, -90, -10)),
+            partial(_signed_sized, device=device),
+            Envelope(
+                1e-70, 1e-14, 0.0, "Signed distances are right to 1e-14 of the mesh's size for sizes down to 1e-70."
+            ),
+        ),
+        Sweep(
+            "signed_distance_afar",
+            method,
+            "distance of the queries [sizes of the mesh]",
+            "relative",
+            (*powers(0, 8, 4), 1e16, *powers(40, 120, 40), 1e150, 1e160),
+            partial(_signed_from_afar, device=device),
+            Envelope(
+                1e150,
+                4e-15,
+                0.0,
+                "Distances are good to 4e-15 of themselves, and outside is outside, up to 1e150 from the mesh.",
+            ),
+        ),
+        Sweep(
+            "signed_distance_thin_walls",
+            method,
+            "thickness of a plate [its length]",
+            "lengths of the plate",
+            powers(-1, -17, -1),
+            partial(_signed_within, device=device),
+            Envelope(
+                1e-11 if on_gpu(device) else 1e-14,
+                4e-15,
+                0.0,
+                "The two sides of a wall are told apart down to a thickness of 1e-14 of the mesh's size, "
+                "on a GPU of 1e-11.",
+            ),
+        ),
+    ]

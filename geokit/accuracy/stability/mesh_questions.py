@@ -1,0 +1,83 @@
+"""What the sweeps of meshes have in common: where they ask, and how answers become judgements."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.shapes import rotation, scaled
+from geokit.accuracy.trials.model import Judgement
+from geokit.mesh._model import TriangleMesh
+
+if TYPE_CHECKING:
+    from geokit.mesh._surface import Surface
+
+__all__ = [
+    "OBLIQUE",
+    "around_and_near",
+    "judged",
+    "on_gpu",
+    "powers",
+    "surface_of",
+    "turned",
+    "unit_sized",
+    "unit_vectors",
+]
+
+# Where meshes are moved to: along no axis and no diagonal, and of length 1 but for rounding.
+OBLIQUE = np.array([2.0, -1.0, 2.0]) / 3.0
+
+
+def powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
+    """Powers of ten, both ends included where the step meets the last."""
+    return tuple(float(f"1e{k}") for k in range(first, last + (1 if step > 0 else -1), step))
+
+
+def judged(errors: Any, wrong: Any, positions: NDArray[np.float64] | None = None) -> Judgement:
+    """Errors where the answers are right in kind; what is no number there is infinitely wrong."""
+    missed = np.asarray(wrong, bool)
+    numbers = np.where(missed, 0.0, np.nan_to_num(np.abs(errors), nan=np.inf, posinf=np.inf))
+    return Judgement(numbers, missed, positions)
+
+
+def unit_sized(mesh: TriangleMesh) -> TriangleMesh:
+    """With a bounding box of diagonal 1: errors are then shares of the size."""
+    return scaled(mesh, 1.0 / mesh.diagonal)
+
+
+def around_and_near(mesh: TriangleMesh, count: int, seed: int) -> NDArray[np.float64]:
+    """Half of the points in twice the box, half about the surface, at 1e-3 of the size."""
+    rng = np.random.default_rng(seed)
+    lower, upper = mesh.bounds
+    around = lower + (2.0 * rng.random((count - count // 2, 3)) - 0.5) * (upper - lower)
+    weights = rng.dirichlet(np.ones(3), count // 2)
+    corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count // 2)]]
+    near = np.einsum("nk,nkd->nd", weights, corners) + rng.normal(size=(count // 2, 3)) * 1e-3 * mesh.diagonal
+    return np.concatenate([around, near])
+
+
+def unit_vectors(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Directions (count, 3), uniform on the sphere."""
+    drawn = rng.normal(size=(count, 3))
+    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+
+def turned(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Points as :func:`geokit.accuracy.stability.shapes.rotated` would turn them."""
+    return points @ rotation(seed).T
+
+
+def on_gpu(device: Any) -> bool:
+    """Whether queries run on a GPU, where some envelopes are narrower."""
+    from geokit.core import launcher
+
+    return bool(launcher.resolve_device(device).is_cuda)
+
+
+def surface_of(mesh: TriangleMesh, device: Any) -> Surface:
+    """The mesh prepared for queries."""
+    from geokit.mesh._surface import Surface
+
+    return Surface(mesh, device=device)

@@ -1,0 +1,285 @@
+"""Rays on their way towards failure: place, size, slivers, edges and vertices, grazing angles, their own surface."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.stability.mesh_questions import (
+    OBLIQUE,
+    judged,
+    powers,
+    surface_of,
+    turned,
+    unit_sized,
+    unit_vectors,
+)
+from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["ray_sweeps"]
+
+RAYS = 300
+# Leaks are rare: more rays find them.
+EDGE_RAYS = 3000
+FAN = 24
+# From there rays go to the slivers, which lie in the plane z = 0 before they are turned.
+START = np.array([0.3, 0.2, 1.0])
+# Rays from hits inward stray by up to this from the face's normal, before they are made unit vectors.
+STRAY = 0.8
+# Nearer hits are the face that the ray starts on: the other side of the box is farther [edges of the box].
+OWN_FACE = 0.01
+
+
+class _Known(NamedTuple):
+    """A sphere of size 1 next to the origin, unit rays from well inside of it, and where they hit by brute force."""
+
+    mesh: TriangleMesh
+    starts: NDArray[np.float64]
+    headings: NDArray[np.float64]
+    t: NDArray[np.float64]
+
+
+def _sphere(seed: int) -> TriangleMesh:
+    return unit_sized(rotated(icosphere(2), seed))
+
+
+@lru_cache(maxsize=4)
+def _known(seed: int) -> _Known:
+    rng = np.random.default_rng(seed)
+    mesh, starts, headings = _sphere(seed), rng.uniform(-0.1, 0.1, (RAYS, 3)), unit_vectors(RAYS, rng)
+    return _Known(mesh, starts, headings, reference.first_hit(mesh.vertices, mesh.faces, starts, headings).t)
+
+
+def _hits_at(offset: float, device: Any, seed: int = 0) -> Judgement:
+    """Held against the mesh next to the origin, as the user means it."""
+    known, away = _known(seed), offset * OBLIQUE
+    found = surface_of(moved(known.mesh, away), device).raycast(known.starts + away, known.headings)
+    return judged(found.t - known.t, found.triangle_id < 0, known.starts)
+
+
+def _hits_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
+    known = _known(seed)
+    found = surface_of(scaled(known.mesh, scale), device).raycast(known.starts * scale, known.headings)
+    return judged(found.t / scale - known.t, found.triangle_id < 0, known.starts)
+
+
+def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
+    """Aimed from all sides at the middle of a face that looks there."""
+    rng = np.random.default_rng(seed)
+    mesh = _sphere(seed)
+    targets = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=RAYS)]].mean(axis=1)
+    outward = targets / np.linalg.norm(targets, axis=1, keepdims=True)
+    found = surface_of(mesh, device).raycast(targets + distance * outward, -outward)
+    return judged(found.t - distance, found.triangle_id < 0, targets)
+
+
+def _hits_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
+    """Aimed at random places of a fan of slivers, which has no gaps, well away from its border."""
+    rng = np.random.default_rng(seed)
+    width = FAN / aspect
+    x = rng.uniform(0.2, 0.9, RAYS)
+    flat = np.stack([x, x * width * rng.uniform(0.1, 0.9, RAYS), np.zeros(RAYS)], axis=1)
+    starts, targets = turned(flat + START, seed), turned(flat, seed)
+    surface = surface_of(rotated(sliver_fan(FAN, aspect), seed), device)
+    found = surface.raycast(starts, targets - starts)
+    return judged(found.t - 1.0, found.triangle_id < 0, targets)
+
+
+class _Aims(NamedTuple):
+    """A sphere, starts within it, places on its edges and vertices, and unit vectors from there into a face."""
+
+    mesh: TriangleMesh
+    starts: NDArray[np.float64]
+    places: NDArray[np.float64]
+    across: NDArray[np.float64]
+
+
+@lru_cache(maxsize=4)
+def _aims(seed: int) -> _Aims:
+    rng = np.random.default_rng(seed)
+    mesh = rotated(icosphere(3), seed)
+    a, b, c = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=EDGE_RAYS)]].transpose(1, 0, 2)
+    # A third of them are vertices.
+    places = a + rng.random((EDGE_RAYS, 1)) * (rng.random((EDGE_RAYS, 1)) < 0.67) * (b - a)
+    across = (a + b + c) / 3.0 - places
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    starts = unit_vectors(EDGE_RAYS, rng) * rng.uniform(0.0, 0.7, (EDGE_RAYS, 1))
+    return _Aims(mesh, starts, places, across)
+
+
+def _hits_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
+    """The sphere is convex: what is aimed at from within is hit at t = 1."""
+    mesh, starts, places, across = _aims(seed)
+    found = surface_of(mesh, device).raycast(starts, places + offset * across - starts)
+    return judged(found.t - 1.0, found.triangle_id < 0, places)
+
+
+def _crossings_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
+    """A ray from within a convex mesh crosses it once."""
+    mesh, starts, places, across = _aims(seed)
+    count = surface_of(mesh, device).crossing_count(starts, places + offset * across - starts)
+    return judged(np.zeros(EDGE_RAYS), count != 1, places)
+
+
+def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
+    """Rays that come down on the top of a box at this angle to it."""
+    rng = np.random.default_rng(seed)
+    targets = np.stack([rng.uniform(-0.1, 0.1, RAYS), rng.uniform(-0.4, 0.4, RAYS), np.full(RAYS, 0.5)], axis=1)
+    distance = rng.uniform(0.2, 0.4, RAYS)
+    heading = np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    starts, headings = targets - distance[:, None] * heading, np.tile(heading, (RAYS, 1))
+    found = surface_of(rotated(box(), seed), device).raycast(turned(starts, seed), turned(headings, seed))
+    return judged(found.t - distance, found.triangle_id < 0, turned(targets, seed))
+
+
+def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
+    """Rays from hits on a box, rounded as they are, inward: the hit that is asked for is on another side."""
+    rng = np.random.default_rng(seed)
+    surface = surface_of(rotated(box(), seed), device)
+    outward = turned(np.eye(3)[rng.integers(3, size=RAYS)] * rng.choice([-1.0, 1.0], (RAYS, 1)), seed)
+    middle = turned(rng.uniform(-0.3, 0.3, (RAYS, 3)), seed)
+    starts = middle + surface.raycast(middle, outward).t[:, None] * outward
+    headings = STRAY * unit_vectors(RAYS, rng) - outward
+    headings /= np.linalg.norm(headings, axis=1, keepdims=True)
+    t = surface.raycast(starts, headings, t_min=t_min).t
+    return judged(np.zeros(RAYS), ~(np.isfinite(t) & (t > OWN_FACE)), starts)
+
+
+def ray_sweeps(device: Any) -> list[Sweep]:
+    """Sweeps of :meth:`Surface.raycast` and :meth:`Surface.crossing_count` on this device."""
+    return [*_placed_sweeps(device), *_aimed_sweeps(device)]
+
+
+def _placed_sweeps(device: Any) -> list[Sweep]:
+    method, unit = "mesh.Surface.raycast", "sizes of the mesh"
+    return [
+        Sweep(
+            "raycast_origin",
+            method,
+            "distance from the origin [sizes of the mesh]",
+            unit,
+            powers(0, 13),
+            partial(_hits_at, device=device),
+            Envelope(1e9, 1e-6, 0.0, "Hits stay within 1e-6 of the mesh's size up to 1e9 sizes from the origin."),
+        ),
+        Sweep(
+            "raycast_large",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, 60, 15), *powers(70, 120, 10)),
+            partial(_hits_sized, device=device),
+            Envelope(1e70, 1e-14, 0.0, "Hits are good to 1e-14 of the mesh's size for sizes up to 1e70."),
+        ),
+        Sweep(
+            "raycast_small",
+            method,
+            "size of the mesh [world]",
+            unit,
+            (*powers(0, -60, -15), *powers(-70, -120, -10)),
+            partial(_hits_sized, device=device),
+            Envelope(1e-70, 1e-14, 0.0, "Hits are good to 1e-14 of the mesh's size for sizes down to 1e-70."),
+        ),
+        Sweep(
+            "raycast_afar",
+            method,
+            "distance of the starts [sizes of the mesh]",
+            unit,
+            powers(0, 13),
+            partial(_hits_from_afar, device=device),
+            Envelope(
+                1e8,
+                1e-6,
+                0.0,
+                "Rays that start up to 1e8 sizes away hit what they are aimed at, within 1e-6 of the mesh's size; from "
+                "1e12 sizes they may miss the mesh.",
+            ),
+        ),
+    ]
+
+
+def _aimed_sweeps(device: Any) -> list[Sweep]:
+    method = "mesh.Surface.raycast"
+    # From far beside an edge to exactly at it: the last offsets are lost when they are added.
+    offsets = (*powers(-2, -18, -2), 1e-30)
+    return [
+        Sweep(
+            "raycast_slivers",
+            method,
+            "longest edge of the triangles over their height",
+            "lengths of the ray",
+            powers(1, 17),
+            partial(_hits_on_slivers, device=device),
+            Envelope(
+                1e15,
+                1e-14,
+                0.0,
+                "Slivers are hit, and t is that of their planes, until rounding their corners makes gaps between them.",
+            ),
+        ),
+        Sweep(
+            "raycast_edges",
+            method,
+            "distance from the edge or vertex aimed at [radii of the sphere]",
+            "lengths of the ray",
+            offsets,
+            partial(_hits_beside_edges, device=device),
+            Envelope(
+                offsets[-1],
+                1e-14,
+                0.0,
+                "No ray from within a closed mesh gets out, however near to an edge or a vertex it is aimed: no "
+                "failure found.",
+            ),
+        ),
+        Sweep(
+            "crossing_count_edges",
+            "mesh.Surface.crossing_count",
+            "distance from the edge or vertex aimed at [radii of the sphere]",
+            "lengths of the ray",
+            offsets,
+            partial(_crossings_beside_edges, device=device),
+            Envelope(
+                offsets[-1],
+                0.0,
+                0.0,
+                "A passage through an edge or a vertex is one crossing, however exactly it is aimed at: no failure "
+                "found.",
+            ),
+        ),
+        Sweep(
+            "raycast_grazing",
+            method,
+            "angle between ray and face [radians]",
+            "edges of the box",
+            (1.5, *powers(-1, -17, -1)),
+            partial(_grazing_hits, device=device),
+            Envelope(
+                1e-9,
+                1e-6,
+                0.0,
+                "t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face: 1e-6 at 1e-9 "
+                "radians; no hit is missed down to 1e-15 radians.",
+            ),
+        ),
+        Sweep(
+            "raycast_t_min",
+            method,
+            "t_min [edges of the box]",
+            "edges of the box",
+            powers(-1, -18, -1),
+            partial(_hits_past_the_start, device=device),
+            Envelope(
+                1e-13,
+                0.0,
+                0.0,
+                "Rays that start at a hit pass over the face they start on with a t_min of 1e-13 of the mesh's size.",
+            ),
+        ),
+    ]

@@ -1,0 +1,230 @@
+"""Distances between meshes, repairs and audits on their way towards failure: tolerances, flips, slivers, place."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.mesh_questions import OBLIQUE, judged, powers
+from geokit.accuracy.stability.shapes import (
+    box,
+    flipped_faces,
+    icosphere,
+    join,
+    moved,
+    rotated,
+    sliver_fan,
+    without_cap,
+)
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["repair_sweeps"]
+
+FAN = 24
+# Two boxes at the ends of a plate: the farthest point of the plate lies halfway between them, where no vertex is.
+GAP = 2.3
+# Corners that are one are apart by up to this [shortest edges].
+NOISE = 1e-3
+
+
+def _plate_and_ends() -> tuple[TriangleMesh, TriangleMesh, float]:
+    """A plate between two boxes, and its Hausdorff distance from them: half the gap, and nothing else is so far."""
+    half = 0.5 * GAP
+    plate = box((-half, -0.2, -0.1), (half, 0.2, 0.1))
+    ends = [box((x, -0.5, -0.5), (x + 0.5, 0.5, 0.5)) for x in (-half - 0.5, half)]
+    return plate, join(*ends), half
+
+
+def _hausdorff_bounds(tolerance: float, device: Any, offset: float = 0.0, seed: int = 0) -> Judgement:
+    """Errors: the width of the bounds, and by how much the truth lies outside of them, as shares of the diagonal."""
+    from geokit.mesh._hausdorff import hausdorff
+
+    plate, ends, truth = _plate_and_ends()
+    plate, ends = rotated(plate, seed), rotated(ends, seed)
+    size = join(plate, ends).diagonal
+    away = offset * size * OBLIQUE
+    a, b = moved(plate, away), moved(ends, away)
+    found = hausdorff(a, b, tolerance=tolerance, samples=0, device=device)
+    outside = max(found.max - truth, truth - found.upper, 0.0)
+    return judged(np.array([found.upper - found.max, outside]) / size, np.zeros(2, bool))
+
+
+def _hausdorff_at(offset: float, device: Any, seed: int = 0) -> Judgement:
+    return _hausdorff_bounds(1e-7, device, offset, seed)
+
+
+def _oriented(mesh: TriangleMesh, share: float, seed: int) -> Judgement:
+    """Faces of a part of a sphere, some flipped: those that orient leaves facing inward are wrong."""
+    from geokit.mesh._repair import orient
+
+    mended = orient(flipped_faces(mesh, share, seed)).mesh
+    corners = mended.vertices[mended.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    middle = corners.mean(axis=1)
+    return judged(np.zeros(len(middle)), (normal * middle).sum(axis=1) < 0.0, middle)
+
+
+def _oriented_bowl(share: float, seed: int = 0) -> Judgement:
+    return _oriented(without_cap(icosphere(3), 0.3), share, seed)
+
+
+def _oriented_sphere(share: float, seed: int = 0) -> Judgement:
+    return _oriented(icosphere(3), share, seed)
+
+
+def _merged(tolerance: float, seed: int = 0) -> Judgement:
+    """Triangles with vertices of their own: wrong are corners that stay apart from their like or join others.
+
+    Errors are how far the corners moved, in shortest edges, as the tolerance is.
+    """
+    from geokit.mesh._repair import merge_vertices
+
+    mesh = icosphere(2)
+    corners = mesh.vertices[mesh.faces]
+    shortest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min()
+    offsets = np.random.default_rng(seed).normal(size=(corners.size // 3, 3))
+    offsets *= 0.5 * NOISE * shortest / np.linalg.norm(offsets, axis=1, keepdims=True)
+    soup = TriangleMesh(corners.reshape(-1, 3) + offsets, np.arange(len(offsets)).reshape(-1, 3))
+    merged = merge_vertices(soup, tolerance=tolerance * shortest)
+    was, became = mesh.faces.ravel(), merged.faces.ravel()
+    pairs = np.unique(np.stack([was, became], axis=1), axis=0)
+    apart = np.bincount(pairs[:, 0])[was] > 1
+    mixed = np.bincount(pairs[:, 1])[became] > 1
+    shift = np.linalg.norm(merged.vertices[became] - soup.vertices, axis=1) / shortest
+    return judged(shift, apart | mixed, soup.vertices)
+
+
+def _aspects_of_slivers(aspect: float, seed: int = 0) -> Judgement:
+    """Aspect ratios and the area that audit gives; wrong are ratios of triangles that it takes for degenerate."""
+    from geokit.mesh._audit import audit
+    from geokit.mesh.topology.audit import ASPECT_QUANTILES
+
+    found = audit(rotated(sliver_fan(FAN, aspect), seed))
+    ratios = np.sort(_fan_aspects(aspect))[[round(q * (FAN - 1)) for q in ASPECT_QUANTILES]]
+    finite = np.isfinite(found.aspect_ratio_quantiles)
+    errors = np.where(finite, found.aspect_ratio_quantiles, 0.0) / ratios - 1.0
+    return judged(np.append(errors, found.area / (0.5 * FAN / aspect) - 1.0), np.append(~finite, False))
+
+
+def _fan_aspects(aspect: float) -> NDArray[np.float64]:
+    low, high = np.arange(FAN) / aspect, np.arange(1, FAN + 1) / aspect
+    edges = np.stack([np.hypot(1.0, low), np.hypot(1.0, high), high - low])
+    # The radius of the inscribed circle is twice the area, here the far edge, over the perimeter.
+    return edges.max(axis=0) * edges.sum(axis=0) / (2.0 * np.sqrt(3.0) * (high - low))
+
+
+def repair_sweeps(device: Any) -> list[Sweep]:
+    """Sweeps of ``hausdorff``, on this device, and of ``orient``, ``merge_vertices`` and ``audit``."""
+    return [*_hausdorff_sweeps(device), *_orient_sweeps(), _merge_sweep(), _audit_sweep()]
+
+
+def _hausdorff_sweeps(device: Any) -> list[Sweep]:
+    unit = "diagonals"
+    return [
+        Sweep(
+            "hausdorff_tolerance",
+            "mesh.hausdorff",
+            "tolerance [diagonals]",
+            unit,
+            powers(-1, -15, -2),
+            partial(_hausdorff_bounds, device=device),
+            Envelope(
+                1e-11,
+                lambda tolerance: tolerance + 1e-12,
+                0.0,
+                "The Hausdorff distance lies within the bounds, which are no farther apart than the tolerance, down to "
+                "1e-11 diagonals.",
+            ),
+        ),
+        Sweep(
+            "hausdorff_origin",
+            "mesh.hausdorff",
+            "distance from the origin [diagonals]",
+            unit,
+            powers(0, 12, 2),
+            partial(_hausdorff_at, device=device),
+            Envelope(
+                1e8,
+                4e-6,
+                0.0,
+                "Bounds that are asked for to 1e-7 diagonals stay within 4e-6 up to 1e8 diagonals from the origin: "
+                "they are never closer than 32 roundings of the coordinates.",
+            ),
+        ),
+    ]
+
+
+def _orient_sweeps() -> list[Sweep]:
+    method, parameter = "mesh.orient", "share of the faces that are flipped"
+    return [
+        Sweep(
+            "orient_open",
+            method,
+            parameter,
+            "none",
+            (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
+            _oriented_bowl,
+            Envelope(
+                0.45,
+                0.0,
+                0.0,
+                "Open pieces come out the way most of their faces wound: right while fewer than half were flipped.",
+            ),
+            logarithmic=False,
+        ),
+        Sweep(
+            "orient_closed",
+            method,
+            parameter,
+            "none",
+            (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
+            _oriented_sphere,
+            Envelope(
+                1.0,
+                0.0,
+                0.0,
+                "Closed pieces come out outward, however many faces were flipped: no failure found.",
+            ),
+            logarithmic=False,
+        ),
+    ]
+
+
+def _merge_sweep() -> Sweep:
+    return Sweep(
+        "merge_vertices_tolerance",
+        "mesh.merge_vertices",
+        "tolerance [shortest edges]",
+        "shortest edges",
+        (2e-3, 1e-2, 0.1, 0.3, 0.6, 0.9, 1.1, 1.5, 2.0),
+        _merged,
+        Envelope(
+            0.9,
+            2.0 * NOISE,
+            0.0,
+            "Vertices that belong together become one, and no others, for tolerances between their distance and 0.9 of "
+            "the shortest edge.",
+        ),
+    )
+
+
+def _audit_sweep() -> Sweep:
+    return Sweep(
+        "audit_slivers",
+        "mesh.audit",
+        "longest edge of the triangles over their height",
+        "relative",
+        powers(0, 15),
+        _aspects_of_slivers,
+        Envelope(
+            1e9,
+            1e-6,
+            0.0,
+            "Aspect ratios and areas of slivers are good to 1e-15 times the aspect ratio, as the rounding of their "
+            "coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
+        ),
+    )

@@ -1,0 +1,21 @@
+"""Where methods on points fail: sweeps of them all, each with the envelope that its docstring promises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geokit.accuracy.stability import points_search, points_shape
+from geokit.accuracy.trials.model import Sweep
+
+__all__ = ["points_sweeps"]
+
+
+def points_sweeps(device: Any = None) -> list[Sweep]:
+    """Sweeps of neighbour searches, normals, registration and densities.
+
+    Args:
+        device: Where the methods compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        Sweeps with different names.
+    """
+    return [sweep for part in (points_search, points_shape) for sweep in part.sweeps(device)]

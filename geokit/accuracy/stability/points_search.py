@@ -1,0 +1,174 @@
+"""Neighbour searches towards failure: radii, crowds, extents, duplicates, ever more neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+# Points of a cloud in the unit cube, and how many of them are asked.
+COUNT, ASKED = 2000, 200
+SPACING = COUNT ** (-1 / 3)
+# Two roundings of float64: of the distance itself, and of its square before.
+ROUNDING = 2.0**-51
+# Neighbours of a query at most, and points that have more.
+MOST_NEIGHBORS, MANY = 1024, 3000
+# Share of the volume that the crowd is in.
+CROWDED = 0.01
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``points.NeighborGrid``.
+
+    Args:
+        device: Where the searches run; None for the first GPU, else the CPU.
+    """
+    exact = "sets of neighbours are exact, and distances to 2^-51: no failure found."
+    return [
+        _radius_search(
+            "radius",
+            "radius [spacings], cells made for 2 spacings",
+            (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3),
+            radii,
+            f"From a thousandth of the spacing to a thousand spacings {exact}",
+            device,
+        ),
+        _radius_search(
+            "crowd",
+            "share of the points in 1 % of the volume",
+            (0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
+            crowds,
+            f"However many of the points crowd into 1 % of the volume, {exact}",
+            device,
+            logarithmic=False,
+        ),
+        _radius_search(
+            "extent",
+            "extent of the cloud [radii]",
+            (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+            extents,
+            f"In clouds that are 1e-6 to 1e15 radii wide {exact}",
+            device,
+        ),
+        _radius_search(
+            "duplicates",
+            "points in one place",
+            (1.0, 10.0, 100.0, 1000.0),
+            duplicates,
+            f"With up to 1000 points in one place {exact}",
+            device,
+        ),
+        _nearest(device),
+    ]
+
+
+def _radius_search(
+    name: str,
+    parameter: str,
+    values: tuple[float, ...],
+    ask: Callable[..., Judgement],
+    statement: str,
+    device: Any,
+    logarithmic: bool = True,
+) -> Sweep:
+    return Sweep(
+        name=f"radius_search_{name}",
+        method="points.NeighborGrid.radius_search",
+        parameter=parameter,
+        unit="radii",
+        values=values,
+        ask=partial(ask, device=device),
+        envelope=Envelope(last=values[-1], error=ROUNDING, wrong_share=0.0, statement=statement),
+        logarithmic=logarithmic,
+    )
+
+
+def _nearest(device: Any) -> Sweep:
+    return Sweep(
+        name="knn_k",
+        method="points.NeighborGrid.knn",
+        parameter="neighbours of a query",
+        unit="relative",
+        values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
+        ask=partial(nearest, device=device),
+        envelope=Envelope(
+            last=float(MOST_NEIGHBORS),
+            error=ROUNDING,
+            wrong_share=0.0,
+            statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",
+        ),
+    )
+
+
+def radii(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Neighbours within a multiple of the spacing, in cells made for twice the spacing."""
+    points = np.random.default_rng(seed).random((COUNT, 3))
+    return _searched(points, 2.0 * SPACING, ratio * SPACING, seed, device)
+
+
+def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Neighbours in a cloud of which a share is in a small cube."""
+    random = np.random.default_rng(seed)
+    points = random.random((COUNT, 3))
+    crowd = random.permutation(COUNT)[: round(share * COUNT)]
+    points[crowd] = 0.3 + points[crowd] * CROWDED ** (1 / 3)
+    return _searched(points, SPACING, SPACING, seed, device)
+
+
+def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Neighbours within 1 in a cloud as wide as ``ratio``, half of which is within a few radii of the middle."""
+    random = np.random.default_rng(seed)
+    points = ratio * (random.random((COUNT, 3)) - 0.5)
+    points[: COUNT // 2] = min(ratio, 8.0) * (random.random((COUNT // 2, 3)) - 0.5)
+    return _searched(points, 1.0, 1.0, seed, device)
+
+
+def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Neighbours in a cloud whose points are ``copies`` times there."""
+    random = np.random.default_rng(seed)
+    places = random.random((COUNT // int(copies), 3))
+    points = random.permutation(np.repeat(places, int(copies), axis=0))
+    return _searched(points, 2.0 * SPACING, 2.0 * SPACING, seed, device)
+
+
+def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """The k nearest points of a cloud in which some coincide; errors relative to the distance."""
+    from geokit.points._neighbors import NeighborGrid
+
+    random = np.random.default_rng(seed)
+    points = random.random((MANY, 3))
+    points[:30] = points[30:60]
+    queries = np.concatenate([points[:20], random.random((20, 3))])
+    found = NeighborGrid(points, device=device).knn(queries, int(k))
+    true, indices = reference.k_nearest(points, int(k), queries)
+    wrong = (found.indices != indices).any(axis=1)
+    scale = np.where(true > 0.0, true, 1.0)
+    return Judgement((np.abs(found.distance - true) / scale).max(axis=1), wrong, queries)
+
+
+def _searched(points: Floats, cell: float, radius: float, seed: int, device: Any) -> Judgement:
+    """Wrong where a set of neighbours or its count differs; errors are those of the distances, in radii."""
+    from geokit.points._neighbors import NeighborGrid
+
+    queries = points[np.random.default_rng([seed, 1]).permutation(len(points))[:ASKED]]
+    grid = NeighborGrid(points, cell, device=device)
+    found, counts = grid.radius_search(queries, radius=radius), grid.count(queries, radius=radius)
+    true = reference.neighbors_within(points, queries, radius)
+    errors, wrong = np.zeros(len(queries)), np.zeros(len(queries), bool)
+    for i, wanted in enumerate(true):
+        row = slice(found.offsets[i], found.offsets[i + 1])
+        wrong[i] = counts[i] != len(wanted) or not np.array_equal(found.indices[row], wanted)
+        if not wrong[i]:
+            apart = np.linalg.norm(points[wanted] - queries[i], axis=1)
+            errors[i] = np.abs(found.distance[row] - apart).max(initial=0.0) / radius
+    return Judgement(errors, wrong, queries)

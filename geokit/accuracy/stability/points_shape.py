@@ -1,0 +1,203 @@
+"""What is made of neighbourhoods, towards failure: normals, registration and densities."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.fields import unit_vectors
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+# Neighbours of a normal unless told otherwise, and points along a side of the plane that noise is added to.
+K, SIDE = 16, 50
+# A torus whose tube has this radius, so many points on it, and the most neighbours that are asked for.
+MINOR, ON_TORUS, MOST = 0.35, 2500, 1024
+# Half axes of the ellipsoid that is registered, its points, and how many turns of an angle are tried.
+AXES = np.array([1.0, 0.7, 0.45])
+ON_ELLIPSOID, TRIALS = 300, 3
+# Poses that are found again are so to rounding: others are a different place.
+FOUND = 1e-9
+# Half the side of the lattice whose density is 1, and how far from its middle it is asked [spacings].
+LATTICE, ASKED = 9, 4.0
+
+
+class _Kernel(NamedTuple):
+    """What a kernel of two spacings promises on a lattice, and its rms error at three spacings of random points."""
+
+    error: float
+    scattered: float
+
+
+# Measured on a lattice at 2 to 4 spacings: 0.24, 0.0053, 0.034 and 0.016.
+KERNELS = {
+    "count": _Kernel(0.5, 0.10),
+    "cubic_spline": _Kernel(0.02, 0.21),
+    "wendland_c2": _Kernel(0.08, 0.23),
+    "poly6": _Kernel(0.05, 0.18),
+}
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``points.normals``, ``points.register`` and ``points.density``.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    """
+    return [
+        _noise(device),
+        _curvature(device),
+        *(_turned(method, device) for method in ("point_to_plane", "point_to_point")),
+        *(_support(kernel, device) for kernel in KERNELS),
+    ]
+
+
+def _noise(device: Any) -> Sweep:
+    return Sweep(
+        name="normals_noise",
+        method="points.normals",
+        parameter="noise [spacings], k = 16",
+        unit="degrees",
+        values=(1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
+        ask=partial(noisy_planes, device=device),
+        envelope=Envelope(
+            last=0.1,
+            error=15.0,
+            wrong_share=0.0,
+            statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) where k "
+            "= 16, less noise in proportion; noise of a whole spacing leaves directions that say nothing.",
+        ),
+    )
+
+
+def _curvature(device: Any) -> Sweep:
+    return Sweep(
+        name="normals_curvature",
+        method="points.normals",
+        parameter="radius of the neighbourhood [radii of curvature]",
+        unit="degrees",
+        values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
+        ask=partial(wide_planes, device=device),
+        envelope=Envelope(
+            last=1.2,
+            error=30.0,
+            wrong_share=0.0,
+            statement="Neighbourhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
+            "worst (4 rms); those of twice that reach around the body, and normals may be of another side.",
+        ),
+    )
+
+
+def _turned(method: str, device: Any) -> Sweep:
+    return Sweep(
+        name=f"register_{method}_angle",
+        method=f"points.register, {method}",
+        parameter="angle of the start [degrees]",
+        unit="sizes",
+        values=(1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
+        ask=partial(turned_ellipsoids, method=method, device=device),
+        envelope=Envelope(
+            last=45.0,
+            error=1e-12,
+            wrong_share=0.0,
+            statement="An ellipsoid (axes 1, 0.7, 0.45) without noise is found again exactly from starts that are "
+            "turned by up to 45 degrees; from 90 on some end at another pose, and rmse shows it.",
+        ),
+        logarithmic=False,
+    )
+
+
+def _support(kernel: str, device: Any) -> Sweep:
+    error, scattered = KERNELS[kernel]
+    return Sweep(
+        name=f"density_{kernel}_radius",
+        method=f"points.density, {kernel}",
+        parameter="radius [spacings]",
+        unit="relative",
+        values=(4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
+        ask=partial(lattice_densities, kernel=kernel, device=device),
+        envelope=Envelope(
+            last=2.0,
+            error=error,
+            wrong_share=0.0,
+            statement=f"On a lattice a radius of 2 spacings and more gives the density to {error:.0%}, one of 1 "
+            f"spacing nothing like it. Points at random scatter more: {scattered:.0%} rms at 3 spacings.",
+        ),
+    )
+
+
+def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Normals of a plane with a point somewhere in each cell, moved across it at random."""
+    random = np.random.default_rng(seed)
+    cells = np.stack(np.meshgrid(*2 * [np.arange(float(SIDE))]), axis=-1).reshape(-1, 2)
+    flat = cells + random.random(cells.shape)
+    points = np.column_stack([flat, noise * random.normal(size=len(flat))])
+    return _angles(points, np.array([0.0, 0.0, 1.0]), K, device)
+
+
+def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Normals of a torus from neighbourhoods as wide as ``width`` times its tube's radius."""
+    random = np.random.default_rng(seed)
+    u, v, kept = random.random((3, 3 * ON_TORUS))
+    u, v = 2.0 * np.pi * u, 2.0 * np.pi * v
+    # Evenly by area: the outer side has more of it.
+    chosen = kept * (1.0 + MINOR) < 1.0 + MINOR * np.cos(v)
+    u, v = u[chosen][:ON_TORUS], v[chosen][:ON_TORUS]
+    normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
+    points = np.stack([np.cos(u), np.sin(u), np.zeros(len(u))], axis=1) + MINOR * normals
+    area = 4.0 * np.pi**2 * MINOR
+    k = round(len(points) * np.pi * (width * MINOR) ** 2 / area)
+    return _angles(points, normals, min(k, MOST), device)
+
+
+def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
+    """An ellipsoid's points to themselves, turned about some axes; wrong where they end elsewhere."""
+    from geokit.points._register import register
+
+    errors, wrong = np.zeros(TRIALS), np.zeros(TRIALS, bool)
+    for i in range(TRIALS):
+        points = unit_vectors(ON_ELLIPSOID, 10 * seed + i) * AXES
+        normals = points / AXES**2
+        turn = _rotation(unit_vectors(1, 1000 + 10 * seed + i)[0], np.radians(angle))
+        target = points @ turn.T
+        found = register(
+            points, target, target_normals=normals @ turn.T, method=method, max_iterations=100, device=device
+        ).transform
+        off = float(np.abs(points @ found[:3, :3].T + found[:3, 3] - target).max())
+        errors[i], wrong[i] = off, off > FOUND
+    return Judgement(errors, wrong)
+
+
+def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any = None) -> Judgement:
+    """Densities anywhere between points that are 1 apart, which is 1."""
+    from geokit.points._density import density
+
+    axis = np.arange(-LATTICE, LATTICE + 1.0)
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    queries = np.random.default_rng(seed).uniform(-ASKED, ASKED, (2000, 3))
+    found = density(points, radius=radius, kernel=kernel, queries=queries, device=device)
+    return Judgement(np.abs(found - 1.0), np.zeros(len(queries), bool), queries)
+
+
+def _angles(points: Floats, true: Floats, k: int, device: Any) -> Judgement:
+    """Angles between normals and the true ones, of either sign [degrees]; wrong where there is none."""
+    from geokit.points._normals import normals
+
+    found = normals(points, k=k, orientation="none", device=device).normals
+    cosine = np.abs((found * true).sum(axis=1))
+    sine = np.linalg.norm(np.cross(found, true), axis=1)
+    return Judgement(np.degrees(np.arctan2(sine, cosine)), ~found.any(axis=1), points)
+
+
+def _rotation(axis: Floats, angle: float) -> Floats:
+    """By Rodrigues' formula, about a unit axis."""
+    x, y, z = axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turn: Floats = np.eye(3) + np.sin(angle) * across + (1.0 - np.cos(angle)) * across @ across
+    return turn

@@ -1,0 +1,186 @@
+"""Shapes whose answers are known, and what goes wrong with them: meshes that the sweeps towards failure ask."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh._model import TriangleMesh
+
+__all__ = [
+    "box",
+    "box_distance",
+    "copied_faces",
+    "flipped_faces",
+    "icosphere",
+    "join",
+    "moved",
+    "rotated",
+    "rotation",
+    "scaled",
+    "sliver_fan",
+    "sphere_distance",
+    "thin_plate",
+    "torus",
+    "torus_distance",
+    "without_cap",
+    "without_faces",
+]
+
+# Vertex 4 z + 2 y + x of a box stands at the lower (0) or upper (1) end of each axis; two triangles a side, outward.
+_BOX_SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+
+
+def box(
+    lower: tuple[float, float, float] = (-0.5, -0.5, -0.5), upper: tuple[float, float, float] = (0.5, 0.5, 0.5)
+) -> TriangleMesh:
+    """A closed box of 12 triangles between two corners [world]; its distances are those of :func:`box_distance`."""
+    ends = np.array([lower, upper], np.float64)
+    vertices = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
+    faces = [[side[0], *side[k : k + 2]] for side in _BOX_SIDES for k in (1, 2)]
+    return TriangleMesh(vertices, faces, name="box")
+
+
+def thin_plate(thickness: float) -> TriangleMesh:
+    """A closed plate [-0.5, 0.5]^2 of this thickness about z = 0 [world]."""
+    half = 0.5 * thickness
+    plate = box((-0.5, -0.5, -half), (0.5, 0.5, half))
+    return TriangleMesh(plate.vertices, plate.faces, name="thin_plate")
+
+
+def icosphere(subdivisions: int = 3, radius: float = 1.0) -> TriangleMesh:
+    """A closed sphere of ``20 * 4**subdivisions`` triangles, its vertices ``radius`` [world] from the origin."""
+    angle = np.arange(5) * (2.0 * np.pi / 5.0)
+    # The corners of an icosahedron on a corner: the two rings stand at the heights +-1 / sqrt(5).
+    rings = [
+        np.stack([2.0 * np.cos(angle + turn), 2.0 * np.sin(angle + turn), np.full(5, height)], axis=1)
+        for turn, height in ((0.0, 1.0), (np.pi / 5.0, -1.0))
+    ]
+    vertices = np.concatenate([[[0.0, 0.0, 1.0]], *(ring / np.sqrt(5.0) for ring in rings), [[0.0, 0.0, -1.0]]])
+    up, low = np.arange(1, 6), np.arange(6, 11)
+    next_up, next_low = np.roll(up, -1), np.roll(low, -1)
+    top, bottom = np.zeros(5, int), np.full(5, 11)
+    triangles = ((top, up, next_up), (up, low, next_up), (low, next_low, next_up), (bottom, next_low, low))
+    faces = np.concatenate([np.stack(corners, axis=1) for corners in triangles])
+    for _ in range(subdivisions):
+        vertices, faces = _halved_edges(vertices, faces)
+        vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    return TriangleMesh(vertices * radius, faces, name="icosphere")
+
+
+def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray, NDArray]:
+    """Four triangles in place of each, with the middles of its edges."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, edge = np.unique(edges, axis=0, return_inverse=True)
+    middle = len(vertices) + edge.reshape(-1, 3)
+    corners = [np.stack([faces[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
+    return np.concatenate([vertices, vertices[unique].mean(axis=1)]), np.concatenate([*corners, middle])
+
+
+def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float = 0.35) -> TriangleMesh:
+    """A closed torus about the z axis of ``2 * around * across`` triangles, its vertices on the true one [world]."""
+    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
+    a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * j / across
+    distance = major + minor * np.cos(b)
+    vertices = np.stack([distance * np.cos(a), distance * np.sin(a), minor * np.sin(b)], axis=1)
+    further, beside = (i + 1) % around * across, (j + 1) % across
+    corner, ahead, across_both, side = i * across + j, further + j, further + beside, i * across + beside
+    faces = np.concatenate([np.stack([corner, ahead, across_both], axis=1), np.stack([corner, across_both, side], 1)])
+    return TriangleMesh(vertices, faces, name="torus")
+
+
+def sliver_fan(count: int, aspect: float, slant: float = 0.0) -> TriangleMesh:
+    """``count`` triangles from the origin to a segment that starts at (1, 0, 0), each ``1 / aspect`` wide in y.
+
+    Open, in the plane z = 0; together they are the triangle of the origin, that corner, and the segment's other end at
+    ``(1 - slant, count / aspect, 0)``. Each of them starts with another of its corners.
+    """
+    share = np.arange(count + 1) / count
+    ends = np.stack([1.0 - slant * share, count / aspect * share, np.zeros(count + 1)], axis=1)
+    second = np.arange(1, count + 1)
+    faces = np.stack([np.zeros(count, int), second, second + 1], axis=1)
+    for k in range(3):
+        faces[k::3] = np.roll(faces[k::3], k, axis=1)
+    return TriangleMesh(np.concatenate([np.zeros((1, 3)), ends]), faces, name="sliver_fan")
+
+
+def without_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
+    """Without faces drawn one by one until they made up this share of the area: small holes everywhere."""
+    order = np.random.default_rng(seed).permutation(len(mesh.faces))
+    return _without_first(mesh, order, share)
+
+
+def without_cap(mesh: TriangleMesh, share: float) -> TriangleMesh:
+    """Without the highest faces, until they made up this share of the area: one round hole in a sphere."""
+    height = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
+    return _without_first(mesh, np.argsort(-height, kind="stable"), share)
+
+
+def _without_first(mesh: TriangleMesh, order: NDArray[np.int64], share: float) -> TriangleMesh:
+    area = _areas(mesh)[order]
+    removed = order[: int(np.searchsorted(np.cumsum(area), share * area.sum()))]
+    return TriangleMesh(mesh.vertices, np.delete(mesh.faces, removed, axis=0), name=mesh.name)
+
+
+def flipped_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
+    """With this share of the faces, drawn at random, wound the wrong way."""
+    chosen = np.random.default_rng(seed).permutation(len(mesh.faces))[: round(share * len(mesh.faces))]
+    faces = mesh.faces.copy()
+    faces[chosen] = faces[chosen, ::-1]
+    return TriangleMesh(mesh.vertices, faces, name=mesh.name)
+
+
+def copied_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
+    """With this share of the faces, drawn at random, once more at the end."""
+    chosen = np.random.default_rng(seed).permutation(len(mesh.faces))[: round(share * len(mesh.faces))]
+    return TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[chosen]]), name=mesh.name)
+
+
+def join(*meshes: TriangleMesh) -> TriangleMesh:
+    """All of them as one mesh."""
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]
+    return TriangleMesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), name=meshes[0].name)
+
+
+def moved(mesh: TriangleMesh, offset: tuple[float, float, float] | NDArray[np.float64]) -> TriangleMesh:
+    """``offset`` [world] farther."""
+    return TriangleMesh(mesh.vertices + np.asarray(offset, np.float64), mesh.faces, name=mesh.name)
+
+
+def scaled(mesh: TriangleMesh, factor: float) -> TriangleMesh:
+    """``factor`` times as large about the origin."""
+    return TriangleMesh(mesh.vertices * factor, mesh.faces, name=mesh.name)
+
+
+def rotated(mesh: TriangleMesh, seed: int) -> TriangleMesh:
+    """Turned by :func:`rotation` about the origin."""
+    return TriangleMesh(mesh.vertices @ rotation(seed).T, mesh.faces, name=mesh.name)
+
+
+def rotation(seed: int) -> NDArray[np.float64]:
+    """A rotation matrix (3, 3) drawn at random: what lies along the axes then lies along none."""
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def box_distance(points: NDArray[np.float64], lower: NDArray, upper: NDArray) -> NDArray[np.float64]:
+    """Signed distance (N,) to a box, negative inside [world]."""
+    beyond = np.maximum(np.asarray(lower) - points, points - np.asarray(upper))
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+
+
+def sphere_distance(points: NDArray[np.float64], radius: float = 1.0) -> NDArray[np.float64]:
+    """Signed distance (N,) to the true sphere about the origin, negative inside [world]."""
+    return np.linalg.norm(points, axis=1) - radius
+
+
+def torus_distance(points: NDArray[np.float64], major: float = 1.0, minor: float = 0.35) -> NDArray[np.float64]:
+    """Signed distance (N,) to the true torus about the z axis, negative inside [world]."""
+    return np.hypot(np.hypot(points[:, 0], points[:, 1]) - major, points[:, 2]) - minor
+
+
+def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

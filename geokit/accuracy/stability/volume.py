@@ -1,0 +1,22 @@
+"""Where methods on volumes fail: sweeps of them all, each with the envelope that its docstring promises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geokit.accuracy.stability import volume_change, volume_mesh, volume_rays, volume_sample
+from geokit.accuracy.trials.model import Sweep
+
+__all__ = ["volume_sweeps"]
+
+
+def volume_sweeps(device: Any = None) -> list[Sweep]:
+    """Sweeps of level sets of meshes, isosurfaces, sampling, codecs, rays, fog and level-set operations.
+
+    Args:
+        device: Where the methods compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        Sweeps with different names. Those of methods that need OpenVDB are left out where geokit was built without.
+    """
+    parts = (volume_mesh, volume_sample, volume_rays, volume_change)
+    return [sweep for part in parts for sweep in part.sweeps(device)]

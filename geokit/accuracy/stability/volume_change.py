@@ -1,0 +1,202 @@
+"""Level sets that change, towards failure: slopes that are not 1, sharp curvature, offsets past the centre."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.fields import ball, level_set, voxel_centres
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+HALF_WIDTH = 3.0
+# Radius of the spheres whose fields are spoiled [voxels].
+RADIUS = 16.0
+# Radius of the ball that is shrunk [voxels].
+SHRINKING = 12.0
+# Voxels are asked so far from the surface [voxels], so many of them.
+ASKED, COUNT = 2.5, 5000
+# A wave of slope 1 + a sin(k x) changes by a k a voxel; this is k.
+WAVE_NUMBER = 0.25
+# Four passes of a mean over three voxels have a variance of 4 * 2/3 voxels^2, half of which times the curvature 2 / R
+# is how far a sphere shrinks [voxels^2].
+GAUSSIAN_SHRINKS = 8.0 / 3.0
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``volume.renormalize``, ``offset`` and, where geokit was built with OpenVDB, ``smooth``.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    """
+    from geokit import native
+
+    found = [_slope(device), _uneven(device), _curvature(device), _offset(device)]
+    return [*found, _smooth(device)] if native.available() else found
+
+
+def _slope(device: Any) -> Sweep:
+    return Sweep(
+        name="renormalize_slope",
+        method="volume.renormalize",
+        parameter="slope of the field, cut off at +-3 voxels",
+        unit="voxels",
+        values=(0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
+        ask=partial(evened_slopes, device=device),
+        envelope=Envelope(
+            last=1.7,
+            error=0.02,
+            wrong_share=0.0,
+            statement="Even slopes up to half_width / 1.75 become distances to 0.02 voxel (radius of 16 voxels). "
+            "Steeper fields are cut off within the cells that the surface crosses: it is no longer known where.",
+        ),
+    )
+
+
+def _uneven(device: Any) -> Sweep:
+    return Sweep(
+        name="renormalize_uneven_slope",
+        method="volume.renormalize",
+        parameter="change of the slope [1 / voxel]",
+        unit="voxels",
+        values=(0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
+        ask=partial(evened_waves, device=device),
+        envelope=Envelope(
+            last=0.02,
+            error=0.1,
+            wrong_share=0.0,
+            statement="Where the slope changes by up to 2 % a voxel, distances are right to 0.1 voxel (with 4 % just "
+            "so); with 20 % they are a voxel off.",
+        ),
+    )
+
+
+def _curvature(device: Any) -> Sweep:
+    return Sweep(
+        name="renormalize_curvature",
+        method="volume.renormalize",
+        parameter="radius of curvature [voxels], slope 0.7",
+        unit="voxels",
+        values=(20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
+        ask=partial(evened_balls, device=device),
+        envelope=Envelope(
+            last=10.0,
+            error=0.02,
+            wrong_share=0.0,
+            statement="Distances are right to 0.02 voxel around surfaces whose radius of curvature is at least 10 "
+            "voxels.",
+        ),
+    )
+
+
+def _offset(device: Any) -> Sweep:
+    return Sweep(
+        name="offset_radius",
+        method="volume.offset",
+        parameter="radius of curvature that is left [voxels] of 12",
+        unit="voxels",
+        values=(11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
+        ask=partial(shrunk_balls, device=device),
+        envelope=Envelope(
+            last=8.0,
+            error=0.05,
+            wrong_share=0.0,
+            statement="Offsets are exact to 0.05 voxel as long as the radius of curvature is at least 8 voxels, before "
+            "and after.",
+        ),
+    )
+
+
+def _smooth(device: Any) -> Sweep:
+    return Sweep(
+        name="smooth_gaussian_radius",
+        method="volume.smooth, gaussian",
+        parameter="radius of a ball [voxels]",
+        unit="voxels",
+        values=(20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
+        ask=partial(smoothed_balls, device=device),
+        envelope=Envelope(
+            last=8.0,
+            error=0.05,
+            wrong_share=0.0,
+            statement="One pass of width 1 moves the surface inwards by 2.7 voxel^2 over the radius of curvature, to "
+            "0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less disappear.",
+        ),
+    )
+
+
+def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances that are made of multiplied ones."""
+    from geokit.volume._morphology import renormalize
+
+    distance = ball(RADIUS)
+    spoilt = _band(distance, lambda p: slope * distance(p), RADIUS)
+    return _judged(renormalize(spoilt, device=device), distance, RADIUS, seed, device)
+
+
+def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances that are made of those multiplied by a wave, 1 on average."""
+    from geokit.volume._morphology import renormalize
+
+    distance = ball(RADIUS)
+    amplitude = change / WAVE_NUMBER
+    spoilt = _band(distance, lambda p: distance(p) * (1.0 + amplitude * np.sin(WAVE_NUMBER * p[..., 0])), RADIUS)
+    return _judged(renormalize(spoilt, device=device), distance, RADIUS, seed, device)
+
+
+def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances around balls, made of less than them."""
+    from geokit.volume._morphology import renormalize
+
+    distance = ball(radius)
+    spoilt = _band(distance, lambda p: 0.7 * distance(p), radius)
+    return _judged(renormalize(spoilt, device=device), distance, radius, seed, device)
+
+
+def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances around what is left of a ball."""
+    from geokit.volume._morphology import offset
+
+    body = _band(ball(SHRINKING), ball(SHRINKING), SHRINKING)
+    return _judged(offset(body, radius - SHRINKING, device=device), ball(radius), radius, seed, device)
+
+
+def smoothed_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances around smoothed balls, against those around balls that are as much smaller as theory says."""
+    from geokit.volume._filters import smooth
+
+    body = _band(ball(radius), ball(radius), radius)
+    left = radius - GAUSSIAN_SHRINKS / radius
+    return _judged(smooth(body, "gaussian"), ball(left), radius, seed, device, asked=0.5)
+
+
+def _band(distance: Any, values: Any, radius: float) -> SparseVolume:
+    """What ``values`` has on the voxels within HALF_WIDTH of the surface."""
+
+    def cut(points: Floats) -> Floats:
+        d = distance(points)
+        return np.asarray(np.where(np.abs(d) < HALF_WIDTH, values(points), np.copysign(HALF_WIDTH, d)))
+
+    return level_set(cut, radius, HALF_WIDTH)
+
+
+def _judged(
+    volume: SparseVolume, distance: Any, radius: float, seed: int, device: Any, asked: float = ASKED
+) -> Judgement:
+    """Some of the voxels near the surface; wrong are those on the other side of it, by more than half a voxel."""
+    centres = voxel_centres(int(np.ceil(radius)) + 4).reshape(-1, 3)
+    true = distance(centres)
+    near = np.flatnonzero(np.abs(true) < asked)
+    near = np.random.default_rng(seed).permutation(near)[:COUNT]
+    found = volume.sample(centres[near], order=0, device=device)
+    wrong = (found * true[near] < 0.0) & (np.abs(true[near]) > 0.5)
+    return Judgement(np.abs(found - true[near]), wrong, centres[near])

@@ -1,0 +1,272 @@
+"""Level sets of meshes and their isosurfaces towards failure: thin walls, small bodies, far away, out of the band."""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.stability import shapes
+from geokit.accuracy.stability.fields import MIDDLE, ball, level_set, unit_vectors
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+# Half the side of a wall [voxels], and how far from its middle it is asked: farther from the rim than it is thick.
+WALL_HALF, WALL_ASKED = 8.0, 4.0
+# Share of half the thickness that the asked points keep from the faces: nearer, a sign is that of a rounding.
+WALL_SKIN = 0.1
+# How many walls of a thickness are asked.
+WALLS = 3
+# float32 keeps distances of a band of half width 3 to half of 2^-22.
+ROUNDING = 1e-6
+# Radius of the body whose band is left [voxels].
+BAND_RADIUS = 20.0
+# By method, error times radius [voxels^2]. A triangle has edges of up to sqrt(3) voxels and sags by 3/8 below a sphere
+# that its corners are on; corners are off by 1/8 (marching cubes) to 3/8 more. Measured 0.73, 0.52 and 0.67: twice that
+# is promised.
+CURVATURE_ERROR = {"surface_nets": 1.5, "marching_cubes": 1.0, "dual_contouring": 1.5}
+# Voxels across the torus that is moved away, and how far its voxels are asked from random vertices [voxels].
+FAR_VOXELS, FAR_REACH = 40.0, 2
+# Directions of no particular ratio, so that no coordinate stays exact.
+FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``volume.from_mesh`` and ``mesh.from_volume``.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    """
+    return [
+        _walls_by_sample(device),
+        _walls_by_surface(device),
+        _isovalue(device),
+        *(_small_balls(method, device) for method in CURVATURE_ERROR),
+        _far_away(device),
+    ]
+
+
+def _walls_by_sample(device: Any) -> Sweep:
+    return Sweep(
+        name="from_mesh_thin_wall",
+        method="volume.from_mesh",
+        parameter="thickness of a wall [voxels]",
+        unit="voxels",
+        values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+        ask=partial(wall_distances, device=device),
+        envelope=Envelope(
+            last=2.0,
+            # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
+            error=0.5 + ROUNDING,
+            wrong_share=0.0,
+            statement="Points inside walls of 2 voxels and more are inside; the interpolated distance is off by up to "
+            "half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
+        ),
+    )
+
+
+def _walls_by_surface(device: Any) -> Sweep:
+    return Sweep(
+        name="from_volume_thin_wall",
+        method="mesh.from_volume",
+        parameter="thickness of a wall [voxels]",
+        unit="voxels",
+        values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+        ask=partial(wall_surfaces, device=device),
+        envelope=Envelope(
+            last=2.0,
+            error=0.1,
+            wrong_share=0.0,
+            statement="Both faces of walls of 2 voxels and more come back to 0.1 voxel; walls of 1 voxel and less are "
+            "half a voxel off and more, have holes, or are lost.",
+        ),
+    )
+
+
+def _isovalue(device: Any) -> Sweep:
+    return Sweep(
+        name="from_volume_isovalue",
+        method="mesh.from_volume",
+        parameter="distance of the isovalue from the surface [voxels], band of half width 3",
+        unit="voxels",
+        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
+        ask=partial(offset_surfaces, device=device),
+        envelope=Envelope(
+            last=2.0,
+            error=0.06,
+            wrong_share=0.0,
+            statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel "
+            "on a sphere of 20 voxels; nearer to the end of the band it is up to a voxel off, and then there is none.",
+        ),
+        logarithmic=False,
+    )
+
+
+def _small_balls(method: str, device: Any) -> Sweep:
+    constant = CURVATURE_ERROR[method]
+    return Sweep(
+        name=f"from_volume_{method}_curvature",
+        method=f"mesh.from_volume, {method}",
+        parameter="radius of curvature [voxels]",
+        unit="voxels",
+        values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
+        ask=partial(ball_surfaces, method=method, device=device),
+        envelope=Envelope(
+            last=1.0,
+            error=lambda radius: constant / radius,
+            wrong_share=0.0,
+            statement=f"Of a distance field the surface is off by at most {constant:g} voxel^2 over the radius of "
+            "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
+        ),
+    )
+
+
+def _far_away(device: Any) -> Sweep:
+    return Sweep(
+        name="from_mesh_origin",
+        method="volume.from_mesh",
+        parameter="distance from the origin [sizes of the mesh]",
+        unit="sizes",
+        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
+        ask=partial(far_distances, device=device),
+        envelope=Envelope(
+            last=1e9,
+            error=1e-6,
+            wrong_share=0.0,
+            statement="Distances are right to 1e-6 of the size up to 1e9 sizes from the origin: they are off by a few "
+            "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
+        ),
+    )
+
+
+def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Signed distance at points inside walls, by sampling their level set at order 1."""
+    errors, wrong, positions = [], [], []
+    for number in range(WALLS):
+        mesh, turn, middle = _wall(thickness, seed, number)
+        random = np.random.default_rng([seed, number])
+        across = (1.0 - WALL_SKIN) * 0.5 * thickness * random.uniform(-1.0, 1.0, 300)
+        along = random.uniform(-WALL_ASKED, WALL_ASKED, (300, 2))
+        points = np.column_stack([along, across]) @ turn.T + middle
+        found = _level_set_of(mesh, device).sample(points, device=device)
+        errors.append(np.abs(found - (np.abs(across) - 0.5 * thickness)))
+        wrong.append(found >= 0.0)
+        positions.append(points)
+    return _together(errors, wrong, positions)
+
+
+def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """How far points on both faces of a wall are from the surface that comes back."""
+    from geokit.mesh._from_volume import from_volume
+
+    errors, wrong, positions = [], [], []
+    for number in range(WALLS):
+        mesh, turn, middle = _wall(thickness, seed, number)
+        random = np.random.default_rng([seed, number])
+        across = 0.5 * thickness * np.where(np.arange(40) % 2, 1.0, -1.0)
+        points = np.column_stack([random.uniform(-WALL_ASKED, WALL_ASKED, (40, 2)), across]) @ turn.T + middle
+        found = from_volume(_level_set_of(mesh, device), device=device)
+        errors.append(_distances_from(found, points))
+        wrong.append(np.full(40, len(found.faces) == 0))
+        positions.append(points)
+    return _together(errors, wrong, positions)
+
+
+def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """How far the surfaces inside and outside of a sphere are from the spheres that they should be."""
+    from geokit.mesh._from_volume import from_volume
+
+    band = level_set(ball(BAND_RADIUS), BAND_RADIUS)
+    judgements = []
+    for signed in (isovalue, -isovalue):
+        found = from_volume(band, isovalue=signed, device=device)
+        judgements.append(_judged_sphere(found, MIDDLE, BAND_RADIUS + signed, seed, backwards=0))
+    return _together(*zip(*judgements, strict=True))
+
+
+def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
+    """How far the surfaces of balls are from the balls', and the balls' from them."""
+    from geokit.mesh._from_volume import from_volume
+
+    # Balls about the middle of a cell are the first to hold no voxel.
+    centres = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
+    judgements = []
+    for centre in centres:
+        body = level_set(ball(radius, centre), radius)
+        found = from_volume(body, method=method, device=device)
+        judgements.append(_judged_sphere(found, centre, radius, seed, backwards=30))
+    return _together(*zip(*judgements, strict=True))
+
+
+def far_distances(distance: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Voxels near the surface of a torus far away, against the same torus brought back without rounding."""
+    near = shapes.torus(24, 12)
+    size = float(np.linalg.norm(near.vertices.max(axis=0) - near.vertices.min(axis=0)))
+    offset = distance * size * FAR_DIRECTION
+    mesh = shapes.moved(near, offset)
+    random = np.random.default_rng(seed)
+    voxel_size = size / FAR_VOXELS
+    grid = _level_set_of(mesh, device, voxel_size)
+    chosen = mesh.vertices[random.integers(0, len(mesh.vertices), 300)]
+    start = grid.info.transform[:3, 3]
+    index = np.rint((chosen - start) / voxel_size) + random.integers(-FAR_REACH, FAR_REACH + 1, (300, 3))
+    points = index * voxel_size + start
+    found = grid.sample(points, order=0, device=device)
+    # Differences of numbers that are near each other are exact.
+    true = reference.signed_distance(mesh.vertices - offset, mesh.faces, points - offset)
+    true = np.clip(true, -grid.info.background, grid.info.background)
+    return Judgement(np.abs(found - true) / size, np.zeros(300, bool), points)
+
+
+def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Floats, Floats]:
+    """A wall, how it is turned, and where its middle is; the first one square to the voxels and halfway between two."""
+    turn = shapes.rotation(4 * seed + number) if number else np.eye(3)
+    middle = np.random.default_rng([seed, number, 1]).random(3) if number else np.array([0.2, 0.3, 0.5])
+    half = (WALL_HALF, WALL_HALF, 0.5 * thickness)
+    plate = shapes.box((-half[0], -half[1], -half[2]), half)
+    from geokit.mesh._model import TriangleMesh
+
+    return TriangleMesh(plate.vertices @ turn.T + middle, plate.faces, name="wall"), turn, middle
+
+
+def _level_set_of(mesh: TriangleMesh, device: Any, voxel_size: float = 1.0) -> SparseVolume:
+    from geokit.volume._from_mesh import from_mesh
+
+    with warnings.catch_warnings():
+        # That pieces are lost is what is asked here.
+        warnings.simplefilter("ignore", UserWarning)
+        return from_mesh(mesh, voxel_size, device=device)
+
+
+def _distances_from(mesh: TriangleMesh, points: Floats) -> Floats:
+    if not len(mesh.faces):
+        return np.zeros(len(points))
+    return reference.closest_point(mesh.vertices, mesh.faces, points).distance
+
+
+def _judged_sphere(mesh: TriangleMesh, centre: Floats, radius: float, seed: int, backwards: int) -> Judgement:
+    """The mesh's vertices and a point of each face against a sphere, and some points of the sphere against the mesh."""
+    if not len(mesh.faces):
+        return Judgement(np.zeros(1), np.ones(1, bool), centre[None])
+    weights = np.random.default_rng(seed).dirichlet([0.7] * 3, len(mesh.faces))
+    on_faces = np.einsum("fk,fkc->fc", weights, mesh.vertices[mesh.faces])
+    points = np.concatenate([mesh.vertices, on_faces])
+    errors = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
+    asked = centre + radius * unit_vectors(backwards, seed)
+    errors = np.concatenate([errors, _distances_from(mesh, asked)]) if backwards else errors
+    return Judgement(errors, np.zeros(len(errors), bool), np.concatenate([points, asked]))
+
+
+def _together(errors: Any, wrong: Any, positions: Any) -> Judgement:
+    return Judgement(np.concatenate(list(errors)), np.concatenate(list(wrong)), np.concatenate(list(positions)))

@@ -1,0 +1,273 @@
+"""Rays through volumes towards failure: steep and flat fields, grazing rays, narrow bands, dense fog."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, level_set, unit_vectors
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+# The sphere that rays are shot at, and where they start [voxels].
+RADIUS, START = 16.0, 30.0
+RAYS = 4000
+# Trilinear interpolation puts the sphere's surface at most 0.25 voxel^2 / radius inside of it, where the cells that it
+# crosses hold the whole field; half as much again for those that are nearer to the centre than the surface.
+SURFACE = 1.5 * 0.25 / RADIUS
+# Rays that are aimed at something pass this share of the radius beside the middle at most.
+AIMED = 0.9
+# A cell's diagonal and more [voxels]: the corners of those that the surface crosses are no farther from it.
+CELL = 1.75
+HALF_WIDTH = 3.0
+# Half the width of the fog [voxels].
+FOG_REACH = 12
+# What integrate promises of its quadrature.
+EMISSION_ERROR = 1e-9
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``volume.raycast`` and ``volume.integrate``.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    """
+    return [
+        _slope(device),
+        _half_width(device),
+        _exponent(device),
+        _grazing(device),
+        _scale(device),
+        _free_path(device),
+        _depth(device),
+    ]
+
+
+def _slope(device: Any) -> Sweep:
+    return Sweep(
+        name="raycast_volume_slope",
+        method="volume.raycast",
+        parameter="slope of the field, cut off at +-3 voxels",
+        unit="voxels",
+        values=(0.25, 0.5, 1.0, 1.7, 3.0, 6.0, 16.0),
+        ask=partial(steep_hits, device=device),
+        envelope=Envelope(
+            last=1.7,
+            error=SURFACE,
+            wrong_share=0.0,
+            statement="No slope makes rays miss: they find the interpolant's surface, which is the field's own up to a "
+            "slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, and it "
+            "is up to half a voxel off.",
+        ),
+    )
+
+
+def _half_width(device: Any) -> Sweep:
+    return Sweep(
+        name="raycast_volume_band",
+        method="volume.raycast",
+        parameter="half width of a distance field's band [voxels]",
+        unit="voxels",
+        values=(6.0, 3.0, 2.0, CELL, 1.25, 1.0, 0.5),
+        ask=partial(banded_hits, device=device),
+        envelope=Envelope(
+            last=CELL,
+            error=SURFACE,
+            wrong_share=0.0,
+            statement="A half width of 1.75 voxels is enough: the corners of the cells that the surface crosses are "
+            "then in the band. In narrower ones hits are up to half a voxel off.",
+        ),
+    )
+
+
+def _exponent(device: Any) -> Sweep:
+    return Sweep(
+        name="raycast_volume_exponent",
+        method="volume.raycast",
+        parameter="exponent of a field that is a power of the distance",
+        unit="voxels",
+        values=(1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 9.0),
+        ask=partial(power_hits, device=device),
+        envelope=Envelope(
+            last=2.0,
+            error=0.25,
+            wrong_share=0.0,
+            statement="Fields that are no distances lose no rays: what moves is the interpolant's surface, by up to a "
+            "quarter voxel where a field is as flat as the distance's square, by half a voxel for high powers.",
+        ),
+    )
+
+
+def _grazing(device: Any) -> Sweep:
+    return Sweep(
+        name="raycast_volume_grazing",
+        method="volume.raycast",
+        parameter="angle between ray and surface [degrees], radius 16 voxels",
+        unit="voxels",
+        values=(90.0, 60.0, 30.0, 10.0, 4.0, 2.0, 1.0, 0.3, 0.1),
+        ask=partial(grazing_hits, device=device),
+        envelope=Envelope(
+            last=4.0,
+            error=SURFACE,
+            wrong_share=0.0,
+            statement="Rays at 4 degrees and more to a surface with a radius of 16 voxels hit it; in general, those "
+            "that would be 0.375 voxel^2 over the radius below it. The interpolant's surface lies that much inside at "
+            "most, and shallower rays may pass.",
+        ),
+    )
+
+
+def _scale(device: Any) -> Sweep:
+    return Sweep(
+        name="raycast_volume_scale",
+        method="volume.raycast",
+        parameter="factor on a distance field and its background",
+        unit="voxels",
+        values=(1.0, 1e-10, 1e-20, 1e-30, 1e-37, 1e-43, 1e-44),
+        ask=partial(scaled_hits, device=device),
+        envelope=Envelope(
+            last=1e-37,
+            error=SURFACE,
+            wrong_share=0.0,
+            statement="Surfaces are found at any scale that float32 keeps, down to 1e-37 a voxel; below, values have "
+            "fewer digits, and then none.",
+        ),
+    )
+
+
+def _free_path(device: Any) -> Sweep:
+    return Sweep(
+        name="integrate_free_path",
+        method="volume.integrate",
+        parameter="mean free path [voxels] in fog that begins and ends within a voxel",
+        unit="relative",
+        values=(256.0, 64.0, 16.0, 4.0, 1.0, 0.25),
+        ask=partial(slab_transmittances, device=device),
+        envelope=Envelope(
+            last=16.0,
+            error=0.07,
+            wrong_share=0.0,
+            statement="The integral of the interpolant is exact, but a fog's borders are known to half a voxel each: "
+            "transmittances are right to exp(1 / mean free path) - 1, 7 % where that is 16 voxels.",
+        ),
+    )
+
+
+def _depth(device: Any) -> Sweep:
+    return Sweep(
+        name="integrate_emission_depth",
+        method="volume.integrate",
+        parameter="optical depth of a voxel",
+        unit="relative",
+        values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4),
+        ask=partial(emissions, device=device),
+        envelope=Envelope(
+            last=1e4,
+            error=EMISSION_ERROR,
+            wrong_share=0.0,
+            statement="Emission is right to 1e-9 of itself where a voxel's optical depth is 1e-3 to 1e4: no failure "
+            "found.",
+        ),
+    )
+
+
+def steep_hits(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays at a sphere whose distance was multiplied and then cut off."""
+    distance = ball(RADIUS)
+    return _hits(lambda p: slope * distance(p), HALF_WIDTH, _aimed(seed), device)
+
+
+def banded_hits(half_width: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays at a sphere whose distance was cut off at a half width."""
+    return _hits(ball(RADIUS), half_width, _aimed(seed), device)
+
+
+def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays at a sphere in a field that is a power of the distance, with the distance's sign."""
+    distance = ball(RADIUS)
+
+    def power(points: Floats) -> Floats:
+        d = distance(points)
+        return np.asarray(np.sign(d) * np.abs(d) ** exponent)
+
+    return _hits(power, HALF_WIDTH**exponent, _aimed(seed), device)
+
+
+def grazing_hits(angle: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays that meet a sphere at an angle."""
+    beside = RADIUS * np.cos(np.radians(angle))
+    return _hits(ball(RADIUS), HALF_WIDTH, _rays(np.full(RAYS, beside), seed), device)
+
+
+def scaled_hits(factor: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays at a sphere whose distance and background were multiplied."""
+    distance = ball(RADIUS)
+    return _hits(lambda p: factor * distance(p), factor * HALF_WIDTH, _aimed(seed), device)
+
+
+def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays across slabs of even fog, straight and slanting; voxels whose centre is in the fog have its density."""
+    from geokit.volume._integrate import integrate
+
+    random = np.random.default_rng(seed)
+    errors, positions = [], []
+    # Just short of two voxels, and just beyond them, are the thickest and the thinnest that look alike.
+    ends = [(-5.999, 5.999), (-6.001, 6.001), *np.sort(random.uniform(-7.0, 7.0, (4, 2)), axis=1).tolist()]
+    for low, high in ends:
+        inside = lambda p, low=low, high=high: ((p[..., 0] > low) & (p[..., 0] < high)).astype(float)  # noqa: E731
+        fog = field(inside, FOG_REACH)
+        starts = np.column_stack([np.full(50, -FOG_REACH - 2.0), random.uniform(-1.0, 1.0, (50, 2))])
+        toward = np.column_stack([np.ones(50), random.uniform(-0.2, 0.2, (50, 2))])
+        found = integrate(fog, starts, toward, extinction=1.0 / free_path, device=device).transmittance
+        slant = np.linalg.norm(toward, axis=1)
+        # Against a ray straight across: what is slanting passes through more of everything.
+        errors.append(np.abs((found * np.exp((high - low) * slant / free_path)) ** (1.0 / slant) - 1.0))
+        positions.append(starts)
+    total = np.concatenate(errors)
+    return Judgement(total, np.zeros(len(total), bool), np.concatenate(positions))
+
+
+def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Rays that start within even fog which glows evenly: a ray that ends there too sees ``1 - exp(-length)``."""
+    from geokit.volume._integrate import integrate
+
+    fog = field(lambda p: np.ones(p.shape[:-1]), FOG_REACH)
+    starts = np.random.default_rng(seed).uniform(-3.0, 3.0, (100, 3))
+    # Within a voxel and over several: the length that is seen is given by max_distance.
+    errors = []
+    for length in (0.3, 6.0):
+        toward = unit_vectors(len(starts), seed)
+        found = integrate(fog, starts, toward, extinction=depth, emission=fog, max_distance=length, device=device)
+        true = -np.expm1(-depth * length) / depth
+        errors.append(np.abs(found.emission / true - 1.0))
+    total = np.concatenate(errors)
+    return Judgement(total, np.zeros(len(total), bool), np.concatenate([starts, starts]))
+
+
+def _aimed(seed: int) -> tuple[Floats, Floats]:
+    # The square root spreads them evenly over the disc.
+    return _rays(RADIUS * AIMED * np.sqrt(np.random.default_rng([seed, 1]).random(RAYS)), seed)
+
+
+def _rays(beside: Floats, seed: int) -> tuple[Floats, Floats]:
+    """Rays that pass the middle at distances ``beside``."""
+    toward = unit_vectors(len(beside), seed)
+    across = np.cross(toward, unit_vectors(len(beside), seed + 1000))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return MIDDLE + beside[:, None] * across - START * toward, toward
+
+
+def _hits(function: Field, cut: float, rays: tuple[Floats, Floats], device: Any) -> Judgement:
+    """How far hits are from the sphere, wrong where there is none."""
+    volume = level_set(function, RADIUS, cut)
+    found = volume.raycast(*rays, device=device)
+    missed = ~np.isfinite(found.t)
+    points = rays[0] + np.where(missed, 0.0, found.t)[:, None] * rays[1]
+    errors = np.abs(np.linalg.norm(points - MIDDLE, axis=1) - RADIUS)
+    return Judgement(np.where(missed, 0.0, errors), missed, rays[0] + START * rays[1])

@@ -1,0 +1,283 @@
+"""Sampling and quantised grids towards failure: fine features, the end of the band, far away, flat fields, few bits."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.stability.fields import MIDDLE, ball, field, level_set, unit_vectors
+from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["sweeps"]
+
+Floats = NDArray[np.float64]
+
+# Waves that are asked at a wavelength: directions and phases differ.
+WAVES = 4
+# Half the width of the fields, and how far from the middle they are asked: no stencil reaches the end [voxels].
+FIELD_REACH, ASKED = 11, 8.0
+# Radius of the sphere whose band is left [voxels].
+BAND_RADIUS = 20.0
+HALF_WIDTH = 3.0
+# Of points whose coordinates are exact while the grid is near the origin.
+FRACTION = 2.0**-20
+FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
+FAR_VOXEL = 0.1
+# Exact in float32 at every voxel.
+SLOPE = np.array([0.5, 0.25, -0.75])
+# Trilinear interpolation of a distance is off by an eighth of its second derivatives' sum, 2 / radius [voxels^2].
+INTERPOLATION = 0.25
+# How much more than that a quantised grid may be off by to count as good.
+WITH_CODEC = 3.0
+# Radius of the sphere whose grid keeps a tolerance [voxels].
+TOLERANCE_RADIUS = 30.0
+
+
+class _Waves(NamedTuple):
+    """What an order promises: ``error`` times the amplitude from ``last`` voxels a wavelength on."""
+
+    last: float
+    error: float
+    bound: str
+
+
+# Of a wave number k, errors are at most k sqrt(3) / 2 for order 0, k^2 / 8 for order 1, and 0.0642 k^3 and 0.0469 k^3
+# for orders 2 and 3, the L1 norms of their Peano kernels: wavelengths of 54, 22, 11.7 and 10.5 voxels. (Long waves are
+# off by 0.016 k^3 at order 3.)
+WAVELENGTHS = {
+    0: _Waves(64.0, 0.1, "5.5 / wavelength"),
+    1: _Waves(24.0, 0.01, "5 / wavelength^2"),
+    2: _Waves(12.0, 0.01, "16 / wavelength^3"),
+    3: _Waves(12.0, 0.01, "12 / wavelength^3, long waves a third of that"),
+}
+
+
+class _Band(NamedTuple):
+    """What an order promises within a band of half width 3: up to ``last`` voxels from the surface."""
+
+    last: float
+    error: float
+    statement: str
+
+
+BANDS = {
+    1: _Band(2.0, 0.05, "Up to half_width - 1 voxels from the surface order 1 is as good as in a field without end"),
+    2: _Band(0.5, 0.004, "Up to half_width - 2.5 voxels from the surface order 2 is as good as in a field without end"),
+    3: _Band(0.5, 0.001, "Up to half_width - 2.5 voxels from the surface order 3 is as good as in a field without end"),
+}
+
+
+class _Codec(NamedTuple):
+    """Radii from small to large, and up to which the codec's half step is at most twice the interpolation's error."""
+
+    values: tuple[float, ...]
+    last: float
+    bits: int
+
+
+# Half a step is half_width / (2^bits - 1), which is twice 0.25 / radius where the radius is (2^bits - 1) / 6.
+CODECS = {
+    "fp4": _Codec((1.0, 2.0, 4.0, 16.0, 64.0), 2.0, 4),
+    "fp8": _Codec((2.0, 4.0, 8.0, 16.0, 64.0, 256.0), 16.0, 8),
+    "fp16": _Codec((2.0, 64.0, 1024.0, 4096.0, 16384.0, 65536.0), 4096.0, 16),
+}
+
+
+def sweeps(device: Any = None) -> list[Sweep]:
+    """Those of ``volume.sample`` and ``volume.quantize``.
+
+    Args:
+        device: Where the methods compute; None for the first GPU, else the CPU.
+    """
+    return [
+        *(_wavelength(order, device) for order in WAVELENGTHS),
+        *(_band(order, device) for order in BANDS),
+        *(_origin(order, device) for order in (1, 3)),
+        *(_flatness(codec, device) for codec in CODECS),
+        _tolerance(device),
+    ]
+
+
+def _wavelength(order: int, device: Any) -> Sweep:
+    last, error, bound = WAVELENGTHS[order]
+    return Sweep(
+        name=f"sample_order_{order}_wavelength",
+        method=f"volume.sample, order={order}",
+        parameter="wavelength [voxels]",
+        unit="amplitudes",
+        values=(128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
+        ask=partial(waves, order=order, device=device),
+        envelope=Envelope(
+            last=last,
+            error=error,
+            wrong_share=0.0,
+            statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
+            f"long or more ({bound}).",
+        ),
+    )
+
+
+def _band(order: int, device: Any) -> Sweep:
+    last, error, statement = BANDS[order]
+    return Sweep(
+        name=f"sample_order_{order}_band",
+        method=f"volume.sample, order={order}",
+        parameter="distance from the surface [voxels], band of half width 3",
+        unit="voxels",
+        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
+        ask=partial(band_distances, order=order, device=device),
+        envelope=Envelope(
+            last=last,
+            error=error,
+            wrong_share=0.0,
+            statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
+            "value is half_width, however far the surface is.",
+        ),
+        logarithmic=False,
+    )
+
+
+def _origin(order: int, device: Any) -> Sweep:
+    return Sweep(
+        name=f"sample_order_{order}_origin",
+        method=f"volume.sample, order={order}",
+        parameter="distance of the grid from the origin [voxels]",
+        unit="voxels",
+        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+        ask=partial(far_values, order=order, device=device),
+        envelope=Envelope(
+            last=1e9,
+            error=2e-6,
+            wrong_share=0.0,
+            statement="Up to 1e9 voxels from the origin values are those of a place at most 2e-6 voxel away: the error "
+            "is that of float64 coordinates, a few times 2^-53 of the distance.",
+        ),
+    )
+
+
+def _flatness(codec: str, device: Any) -> Sweep:
+    values, last, bits = CODECS[codec]
+    own = HALF_WIDTH / (2**bits - 1)
+    return Sweep(
+        name=f"quantize_{codec}_curvature",
+        method=f"volume.quantize, {codec}",
+        parameter="radius of curvature [voxels], band of half width 3",
+        unit="voxels",
+        values=values,
+        ask=partial(quantised_distances, codec=codec, device=device),
+        envelope=Envelope(
+            last=last,
+            error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
+            wrong_share=0.0,
+            statement=f"{codec} is off by at most half_width / {2**bits - 1}, {own:.2g} voxel of a band of half width "
+            f"3, whatever the curvature. Up to a radius of {last:g} voxels, sampling at order 1 is then off by at most "
+            "three times what it is off by anyway, 0.25 / radius.",
+        ),
+    )
+
+
+def _tolerance(device: Any) -> Sweep:
+    return Sweep(
+        name="quantize_fpn_tolerance",
+        method="volume.quantize, fpn",
+        parameter="tolerance [voxels], band of half width 3",
+        unit="tolerances",
+        values=(0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+        ask=partial(kept_tolerances, device=device),
+        envelope=Envelope(
+            last=1e-4,
+            error=1.0,
+            wrong_share=0.0,
+            statement="A tolerance is kept or refused: of a band of half width 3, fpn keeps 1e-4 voxel and more, and "
+            "refuses what 16 bits a voxel cannot keep, half_width / 65535.",
+        ),
+    )
+
+
+def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
+    """Plane waves of amplitude 1 at random points; the first along an axis, the second along a diagonal."""
+    number = 2.0 * np.pi / wavelength
+    directions = np.concatenate([[[1.0, 0.0, 0.0]], np.full((1, 3), 3.0**-0.5), unit_vectors(WAVES - 2, seed)])
+    random = np.random.default_rng([seed, order])
+    errors, positions = [], []
+    for direction in directions:
+        phase = random.uniform(0.0, 2.0 * np.pi)
+        points = random.uniform(-ASKED, ASKED, (1000, 3))
+
+        def wave(p: Floats, d: Floats = direction, phase: float = phase) -> Floats:
+            return np.asarray(np.sin(number * (p @ d) + phase))
+
+        found = field(wave, FIELD_REACH).sample(points, order=order, device=device)
+        errors.append(np.abs(found - wave(points)))
+        positions.append(points)
+    return _right(np.concatenate(errors), np.concatenate(positions))
+
+
+def band_distances(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
+    """Points at a distance from a sphere, inside and outside."""
+    band = level_set(ball(BAND_RADIUS), BAND_RADIUS, HALF_WIDTH)
+    signed = np.where(np.arange(4000) % 2, distance, -distance)
+    points = MIDDLE + unit_vectors(4000, seed) * (BAND_RADIUS + signed)[:, None]
+    return _right(np.abs(band.sample(points, order=order, device=device) - signed), points)
+
+
+def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
+    """A linear field on a grid far from the origin; errors by its slope, which is nearly 1."""
+    translation = distance * FAR_VOXEL * FAR_DIRECTION
+    transform = np.diag([FAR_VOXEL] * 3 + [1.0])
+    transform[:3, 3] = translation
+    grid = field(lambda p: p @ SLOPE, FIELD_REACH, transform=transform)
+    limit = int(ASKED / FRACTION)
+    local = np.random.default_rng(seed).integers(-limit, limit, (2000, 3)) * FRACTION
+    points = local * FAR_VOXEL + translation
+    found = grid.sample(points, order=order, device=device)
+    return _right(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), points)
+
+
+def quantised_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances within half a voxel of a piece of a sphere, by sampling its quantised band at order 1."""
+    from geokit.volume._quantize import quantize
+
+    patch, direction, centre = _patch(radius, seed)
+    small = quantize(patch, codec)
+    random = np.random.default_rng(seed)
+    # Around the direction in which the piece lies, as far as the piece reaches.
+    spread = min(1.0, 0.5 * ASKED / radius)
+    toward = direction + spread * unit_vectors(4000, seed)
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    height = random.uniform(-0.5, 0.5, 4000)
+    points = centre + toward * (radius + height)[:, None]
+    return _right(np.abs(small.sample(points, device=device) - height), points)
+
+
+def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> Judgement:
+    """Voxels of a band that was stored with a tolerance: their changes, in tolerances."""
+    from geokit.volume._quantize import quantize
+
+    patch, _, _ = _patch(TOLERANCE_RADIUS, seed)
+    voxels = np.random.default_rng(seed).integers(-FIELD_REACH, FIELD_REACH + 1, (4000, 3)).astype(float)
+    small = quantize(patch, "fpn", tolerance=tolerance)
+    before, after = (grid.sample(voxels, order=0, device=device) for grid in (patch, small))
+    return _right(np.abs(after - before) / tolerance, voxels)
+
+
+def _patch(radius: float, seed: int) -> tuple[SparseVolume, Floats, Floats]:
+    """A piece of a sphere's band around the origin, the way from its centre to there, and the centre."""
+    direction = unit_vectors(1, seed)[0]
+    centre = MIDDLE - radius * direction
+    patch = field(
+        lambda p: np.clip(np.linalg.norm(p - centre, axis=-1) - radius, -HALF_WIDTH, HALF_WIDTH),
+        FIELD_REACH,
+        background=HALF_WIDTH,
+    )
+    return patch, direction, centre
+
+
+def _right(errors: Floats, points: Floats) -> Judgement:
+    return Judgement(errors, np.zeros(len(errors), bool), points)

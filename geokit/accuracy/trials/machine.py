@@ -1,0 +1,82 @@
+"""What a report says about the machine and the versions that it was made with."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import os
+import platform
+from collections.abc import Mapping
+
+from geokit.errors import MissingDependencyError
+
+__all__ = ["machine_facts", "machine_line", "processor_name", "version_facts"]
+
+PACKAGES = {"warp": "warp-lang", "numpy": "numpy"}
+
+
+def machine_facts() -> dict[str, str]:
+    """Processor, memory, GPUs, system and date."""
+    from geokit.core import launcher
+
+    facts = {
+        "processor": processor_name(),
+        "cores": str(os.cpu_count() or 1),
+        "threads": str(launcher.thread_count()),
+        "memory": _memory_text(),
+    }
+    for alias in launcher.cuda_devices():
+        import warp as wp
+
+        device = wp.get_device(alias)
+        facts[alias] = f"{device.name}, {device.total_memory / 2**30:.0f} GiB"
+    if not launcher.cuda_devices():
+        facts["GPU"] = "none that CUDA can use"
+    facts["system"] = platform.platform()
+    facts["date"] = datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    return {name: value for name, value in facts.items() if value}
+
+
+def machine_line(facts: Mapping[str, str]) -> str:
+    """The machine of :func:`machine_facts` in one line, for figures."""
+    gpus = [value for name, value in facts.items() if name.startswith("cuda")]
+    threads = f"{facts['threads']} threads" if "threads" in facts else ""
+    return ", ".join(filter(None, [facts.get("processor", ""), threads, *gpus]))
+
+
+def version_facts() -> dict[str, str]:
+    """Versions of geokit and of what it computes with."""
+    import geokit
+    from geokit import native
+
+    facts = {"geokit": geokit.__version__, "python": platform.python_version()}
+    for name, package in PACKAGES.items():
+        try:
+            facts[name] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    try:
+        built = native.versions()
+        facts["OpenVDB"], facts["NanoVDB"] = built["openvdb"], built["nanovdb"]
+    except MissingDependencyError:
+        facts["OpenVDB"] = "not installed"
+    return facts
+
+
+def processor_name() -> str:
+    """The processor's name as the system tells it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return " ".join(line.partition(":")[2].split())
+    except OSError:
+        pass
+    return platform.processor() or platform.machine() or "unknown"
+
+
+def _memory_text() -> str:
+    try:
+        return f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 2**30:.1f} GiB"
+    except (AttributeError, ValueError, OSError):
+        return ""

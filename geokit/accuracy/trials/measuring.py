@@ -1,0 +1,136 @@
+"""One trial: how long it takes, how much memory, and how right its answers are."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.trials.peak_memory import peak_bytes
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.accuracy.trials.model import Chart, Judgement, Measurement, Trial
+
+__all__ = ["measure"]
+
+# The median of three is not moved by one run that was disturbed.
+FEWEST_RUNS = 3
+# More runs than this tell a quick method's median no better.
+MOST_RUNS = 40
+# Time given to the runs of one trial [s]; slower methods take their fewest runs.
+BUDGET_SECONDS = 0.6
+QUICK_BUDGET_SECONDS = 0.08
+# Share of the answers that the table's percentile leaves above it.
+PERCENTILE = 0.999
+
+
+def measure(trial: "Trial", chart: "Chart", subject: str, device: Any = None, *, quick: bool = False) -> "Measurement":
+    """Time a trial and hold its answers against the reference.
+
+    The first call loads kernels and is judged, not timed. A second one shows the peak memory. Then calls are timed one
+    by one, on a CUDA device until it is done, without the garbage collector: at least three, and more while they fit
+    into a fixed time. The median is the chart's time; half of the calls took between the quartiles, whose distance over
+    the median is the spread. On a machine that does other work, times compare within one run only.
+
+    An error that is not finite counts as infinite: an answer that is not a number is not right.
+
+    Args:
+        trial: The method with its setting.
+        chart: The chart that it belongs to.
+        subject: Name of what it is measured on.
+        device: Where it computes; None is the first CUDA device, else the CPU.
+        quick: Take less time.
+    Returns:
+        The row of the results. Its ``peak_bytes`` counts the resident set of the process on the CPU and the device's
+        memory pool on CUDA, in both cases what a call takes beyond what was there before, its answer included. Where
+        every answer is wrong there is no error to speak of: the errors are NaN.
+    Raises:
+        InputError: The judge found nothing to check, gave arrays of different lengths, or negative errors.
+    """
+    from geokit.accuracy.trials.model import Measurement
+    from geokit.core import launcher
+
+    place = launcher.resolve_device(device)
+    judgement = trial.judge(trial.run())
+    errors, wrong = _checked(judgement, trial)
+    peak = peak_bytes(trial.run, place)
+    seconds, spread = _timed(trial, place, QUICK_BUDGET_SECONDS if quick else BUDGET_SECONDS)
+    largest, rms, percentile = _norms(errors[~wrong])
+    return Measurement(
+        chart=chart.name,
+        subject=subject,
+        method=trial.method,
+        setting=trial.setting,
+        device=place.alias,
+        seconds=seconds,
+        spread=spread,
+        rate=trial.count / seconds,
+        peak_bytes=peak,
+        byte_count=trial.byte_count,
+        checked=len(errors),
+        max_error=largest,
+        rms_error=rms,
+        p999_error=percentile,
+        wrong_share=float(np.mean(wrong)),
+        unit=chart.unit,
+        parameters=trial.parameters,
+        judgement=judgement,
+    )
+
+
+def _checked(judgement: "Judgement", trial: "Trial") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    errors = np.asarray(judgement.errors, dtype=np.float64)
+    wrong = np.asarray(judgement.wrong, dtype=bool)
+    name = f"{trial.method} ({trial.setting})"
+    if errors.ndim != 1 or wrong.shape != errors.shape:
+        raise InputError(f"{name}: the judge gave errors {errors.shape} and wrong {wrong.shape}; give (M,) each")
+    if len(errors) == 0:
+        raise InputError(f"{name}: the judge checked no answer; give it at least one")
+    if (errors[~wrong] < 0.0).any():
+        row = int(np.argmax((errors < 0.0) & ~wrong))
+        raise InputError(f"{name}: the judge's error {row} is negative ({errors[row]}); give absolute errors")
+    return np.where(np.isfinite(errors), errors, np.inf), wrong
+
+
+def _timed(trial: "Trial", device: "wp.Device", budget: float) -> tuple[float, float]:
+    import warp as wp
+
+    times: list[float] = []
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        while len(times) < FEWEST_RUNS or (sum(times) < budget and len(times) < MOST_RUNS):
+            if device.is_cuda:
+                wp.synchronize_device(device)
+            started = time.perf_counter()
+            answer = trial.run()
+            if device.is_cuda:
+                wp.synchronize_device(device)
+            times.append(max(time.perf_counter() - started, 1e-9))  # the clock's own step
+            del answer
+    finally:
+        if collecting:
+            gc.enable()
+    low, median, high = np.quantile(times, (0.25, 0.5, 0.75))
+    return float(median), float((high - low) / median)
+
+
+def _norms(errors: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Largest, root mean square and 99.9th percentile; NaN where there is no error at all."""
+    if len(errors) == 0:
+        return math.nan, math.nan, math.nan
+    largest = float(errors.max())
+    if largest == 0.0 or math.isinf(largest):
+        percentile = float(np.quantile(errors, PERCENTILE, method="higher"))
+        return largest, largest, percentile
+    # Relative to the largest, so that no square over- or underflows.
+    rms = largest * math.sqrt(float(np.mean((errors / largest) ** 2)))
+    # An error that did occur, not one between two that did.
+    return largest, rms, float(np.quantile(errors, PERCENTILE, method="higher"))

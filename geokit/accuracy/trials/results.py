@@ -1,0 +1,133 @@
+"""The outcome of a run: its rows, what their charts ask, what they were measured on, and what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Literal, NamedTuple
+
+from geokit.accuracy.trials.model import Chart, Measurement, Subject
+
+__all__ = ["ChartInfo", "Failure", "Group", "Results", "grouped"]
+
+
+class ChartInfo(NamedTuple):
+    """What a chart asks, without its methods; the attributes are those of Chart."""
+
+    name: str
+    title: str
+    unit: str
+    answers: str
+    vertical: Literal["error", "wrong"]
+
+
+class Failure(NamedTuple):
+    """What could not be measured.
+
+    Attributes:
+        chart, subject, device: Where; the chart is "" where a whole subject has none.
+        method, setting: Of the trial; "" where it was the preparation that failed.
+        message: The error, with its kind.
+    """
+
+    chart: str
+    subject: str
+    device: str
+    method: str
+    setting: str
+    message: str
+
+
+class Results(list[Measurement]):
+    """Rows, in the order in which they were measured.
+
+    Attributes:
+        charts: What each chart asks, by name.
+        subjects: What was measured on, by name.
+        failures: What could not be measured.
+        machine: Where it was measured: names and values for people; empty where that is not known.
+        versions: Of what measured, likewise.
+    """
+
+    def __init__(
+        self,
+        rows: Iterable[Measurement] = (),
+        *,
+        charts: Mapping[str, ChartInfo] | None = None,
+        subjects: Mapping[str, Subject] | None = None,
+        failures: Iterable[Failure] = (),
+        machine: Mapping[str, str] | None = None,
+        versions: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(rows)
+        self.charts: dict[str, ChartInfo] = dict(charts or {})
+        self.subjects: dict[str, Subject] = dict(subjects or {})
+        self.failures: list[Failure] = list(failures)
+        self.machine: dict[str, str] = dict(machine or {})
+        self.versions: dict[str, str] = dict(versions or {})
+
+
+class Group(NamedTuple):
+    """The rows of one figure: one chart on one subject, on every device.
+
+    Attributes:
+        chart: What it asks.
+        subject: What it was measured on.
+        rows: The measurements.
+        slug: Part of its file names, unlike that of any other group.
+        per_call: Its settings give different numbers of answers, as finer voxels give more triangles: times of calls
+            compare, times per answer do not.
+    """
+
+    chart: ChartInfo
+    subject: str
+    rows: list[Measurement]
+    slug: str
+    per_call: bool = False
+
+
+def info_of(chart: Chart) -> ChartInfo:
+    return ChartInfo(chart.name, chart.title, chart.unit, chart.answers, chart.vertical)
+
+
+def grouped(rows: Iterable[Measurement]) -> list[Group]:
+    """One group for each chart and subject, in the order of their first rows.
+
+    Rows that were read from a table do not know their chart's title and what it shows: the name stands for the title,
+    and a chart whose errors are all 0 or unknown, but not its wrong shares, shows those.
+    """
+    table: dict[tuple[str, str], list[Measurement]] = {}
+    for row in rows:
+        table.setdefault((row.chart, row.subject), []).append(row)
+    known = rows.charts if isinstance(rows, Results) else {}
+    groups: list[Group] = []
+    slugs: set[str] = set()
+    for (chart, subject), members in table.items():
+        slug = _slug(f"{chart}-{subject}")
+        number = 2
+        while slug in slugs:
+            slug = _slug(f"{chart}-{subject}-{number}")
+            number += 1
+        slugs.add(slug)
+        info = known.get(chart) or _guessed(chart, members)
+        groups.append(Group(info, subject, members, slug, _counts_differ(members)))
+    return groups
+
+
+def _counts_differ(rows: list[Measurement]) -> bool:
+    """Whether settings on one device gave different numbers of answers; a GPU may be asked more than a CPU."""
+    counts: dict[str, set[int]] = {}
+    for row in rows:
+        counts.setdefault(row.device, set()).add(round(row.rate * row.seconds))
+    return any(len(found) > 1 for found in counts.values())
+
+
+def _guessed(name: str, rows: list[Measurement]) -> ChartInfo:
+    silent = all(not row.max_error > 0.0 for row in rows)
+    wrong = silent and any(row.wrong_share > 0.0 for row in rows)
+    return ChartInfo(name, name.replace("_", " "), rows[0].unit, "answers", "wrong" if wrong else "error")
+
+
+def _slug(text: str) -> str:
+    """Letters, digits and underscores, all else one dash: a file name on any system."""
+    kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter == "_") else " " for letter in text)
+    return "-".join(kept.lower().split())[:80] or "chart"

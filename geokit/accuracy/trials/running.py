@@ -1,0 +1,66 @@
+"""What the trials of all charts share: the way to a device and back, judgements, and trials that could not be made."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.accuracy.trials.model import Judgement, Trial
+
+__all__ = ["angles", "failed", "judged", "on_host", "send", "setting_of", "without_warnings"]
+
+Floats = NDArray[np.float64]
+
+
+def send(points: Floats, device: Any) -> Any:
+    """Points on the device, so that a call is not timed with the way there."""
+    import warp as wp
+
+    return wp.array(points, dtype=wp.vec3d, device=device)
+
+
+def on_host(answer: Any) -> Floats:
+    """An answer in NumPy, whatever container it came in."""
+    return np.asarray(answer.numpy() if hasattr(answer, "numpy") else answer, np.float64)
+
+
+def without_warnings(call: Callable[[], Any]) -> Any:
+    """What the call gives; its warnings are dropped."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return call()
+
+
+def judged(errors: Any, positions: Floats, wrong: Any = None) -> Judgement:
+    """Answers that are not finite are wrong too, and the errors of wrong ones are 0."""
+    errors = np.abs(np.asarray(errors, np.float64))
+    wrong = ~np.isfinite(errors) if wrong is None else np.asarray(wrong, bool) | ~np.isfinite(errors)
+    return Judgement(np.where(wrong, 0.0, errors), wrong, positions)
+
+
+def angles(a: Floats, b: Floats) -> Floats:
+    """Angles between vectors (N, 3) [degrees], NaN where one is zero."""
+    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
+    return np.where(lengths > 0.0, angle, np.nan)
+
+
+def setting_of(parameters: Mapping[str, Any]) -> str:
+    """Parameters as a reader would type them."""
+    return ", ".join(f"{name}={value!r}" for name, value in parameters.items())
+
+
+def failed(method: str, parameters: Mapping[str, Any], error: Exception) -> Trial:
+    """A trial that could not be prepared: it raises when it is run, so that the others of its chart are still made."""
+
+    def run() -> Any:
+        raise error
+
+    def judge(_: Any) -> Judgement:
+        raise error
+
+    return Trial(method, setting_of(parameters), run, judge, 0, 0, dict(parameters))

@@ -1,0 +1,115 @@
+"""NumPy memory as kernels on the CPU take it, without a warp array around it."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Described", "HostArray", "array_descriptor", "row_of", "unwrapped"]
+
+
+class Described:
+    """What :func:`geokit.core.launcher.launch` takes for an array: it says where the rows are."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:  # not an ABC: to tell whether an argument is one of these would take four times as long
+
+        @property
+        def descriptor(self) -> Any:
+            """What a kernel's launch passes for an array: where it is and how long."""
+
+
+class HostArray(Described):
+    """Contiguous rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) for what it takes as vec3d.
+
+    To make and drop a warp array takes as long as a query of one point does; this takes a fifth of it. It goes where
+    :func:`geokit.core.launcher.launch` passes it on to a kernel; for anything else there is :attr:`warp`.
+    """
+
+    __slots__ = ("_descriptor", "_warp", "values")
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values = values
+        self._descriptor: Any = None
+        self._warp: Any = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __getitem__(self, rows: slice) -> HostArray:
+        return HostArray(self.values[rows])
+
+    def numpy(self) -> np.ndarray:
+        return self.values
+
+    @property
+    def device(self) -> "wp.Device":
+        import warp as wp
+
+        return wp.get_device("cpu")
+
+    @property
+    def descriptor(self) -> Any:
+        if self._descriptor is None:
+            data = self.values.__array_interface__["data"][0]
+            self._descriptor = array_descriptor(data, self.values.shape[:1], self.values.strides[0])
+        return self._descriptor
+
+    @property
+    def warp(self) -> "wp.array":
+        """The same memory as a warp array."""
+        import warp as wp
+
+        if self._warp is None:
+            values = self.values
+            vector = wp.vec3f if values.dtype == np.float32 else wp.vec3d
+            dtype = vector if values.ndim == 2 else wp.dtype_from_numpy(values.dtype)
+            self._warp = wp.array(
+                ptr=values.ctypes.data,
+                dtype=dtype,
+                shape=(len(values),),
+                device="cpu",
+                capacity=values.nbytes,
+                copy=False,
+            )
+            self._warp._geokit_source = values  # the array does not own the memory it points to
+        return self._warp
+
+
+def unwrapped(argument: Any) -> Any:
+    """A kernel's argument as warp's launch takes it."""
+    return argument.descriptor if isinstance(argument, Described) else argument
+
+
+def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
+    """What a launch passes for contiguous elements of ``size`` bytes at an address."""
+    descriptor = _descriptor_type()()
+    descriptor.data = data
+    descriptor.ndim = len(shape)
+    for axis in range(len(shape) - 1, -1, -1):
+        descriptor.shape[axis] = shape[axis]
+        descriptor.strides[axis] = size
+        size *= shape[axis]
+    return descriptor
+
+
+@functools.lru_cache(maxsize=64)
+def row_of(dtype: Any) -> np.ndarray:
+    """No rows of a warp type, as NumPy has them: (0,) numbers, or (0, 3) for vectors."""
+    import warp as wp
+
+    none: np.ndarray = wp.empty(0, dtype=dtype, device="cpu").numpy()
+    return none
+
+
+@functools.lru_cache(maxsize=1)
+def _descriptor_type() -> Any:
+    import warp as wp
+
+    return type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())

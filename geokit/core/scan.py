@@ -1,0 +1,41 @@
+"""Prefix sums on a device, and their totals on the host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.pinned import host_arrays
+
+if TYPE_CHECKING:
+    import warp as wp
+
+
+__all__ = ["counted", "summed"]
+
+
+def counted(counts: "wp.array") -> tuple["wp.array", int]:
+    """Sums of the counts up to each, that one included, and of all."""
+    sums, total = summed(counts)
+    return sums, total()
+
+
+def summed(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]:
+    """As :func:`counted`, with a function that waits for the sum of all."""
+    import warp as wp
+
+    from geokit.core.scan_kernels import last_kernel
+
+    device = counts.device
+    sums = wp.empty(len(counts), dtype=wp.int32, device=device)
+    if len(counts) == 0:
+        return sums, lambda: 0
+    wp.utils.array_scan(counts, sums, inclusive=True)
+    if device.is_cpu:
+        return sums, lambda: int(sums.numpy()[-1])
+    (total,) = host_arrays(device, ((1,), np.int32))
+    launcher.launch(last_kernel, 1, [sums], [total], device)
+    return sums, lambda: int(total.numpy()[0])

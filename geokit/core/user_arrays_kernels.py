@@ -1,0 +1,41 @@
+"""Checks and casts of arrays that already live on a GPU, so that they need not visit the host."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.atomic_kernels import lower_to
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def first_nonfinite_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_row: wp.array(dtype=int)):
+    """The lowest row with a NaN or an infinity; out_row keeps its start value where all are finite."""
+    i = first + wp.tid()
+    p = points[i]
+    if not (wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])):
+        lower_to(out_row, 0, i)
+
+
+@wp.kernel
+def first_short_kernel(
+    first: int, vectors: wp.array(dtype=wp.vec3d), shortest: wp.float64, out_row: wp.array(dtype=int)
+):
+    """The lowest row whose largest component is below ``shortest``; out_row keeps its start value where none is."""
+    i = first + wp.tid()
+    v = vectors[i]
+    if wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2])) < shortest:
+        lower_to(out_row, 0, i)
+
+
+@wp.kernel
+def widen_kernel(first: int, values: wp.array(dtype=wp.vec3f), out_values: wp.array(dtype=wp.vec3d)):
+    i = first + wp.tid()
+    out_values[i] = wp.vec3d(values[i])
+
+
+@wp.kernel
+def narrow_kernel(first: int, values: wp.array(dtype=wp.float64), out_values: wp.array(dtype=wp.float32)):
+    i = first + wp.tid()
+    out_values[i] = wp.float32(values[i])

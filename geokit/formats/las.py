@@ -1,0 +1,220 @@
+"""Airborne laser scans (.las, .laz) through laspy, with the header checked before laspy sees it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.available_memory import available_host
+from geokit.errors import FileFormatError, InputError, MissingDependencyError
+from geokit.formats.points_reader_process import read_in_process
+
+__all__ = ["read_here", "read_las", "write_las"]
+
+Columns = dict[str, NDArray[np.generic]]
+
+# Coordinates are integers of 32 bits times a scale: a few values at the ends are left for the roundings.
+LARGEST_STEPS = 2**31 - 8
+# Of ten: the smallest power that float64 tells from zero.
+SMALLEST_EXPONENT = -323
+# Bytes of the public header block, of LAS 1.0 and of 1.4.
+HEADER_SIZE, HEADER_SIZE_14 = 227, 375
+# Bytes before the data of a variable length record and of an extended one.
+VLR_SIZE, EVLR_SIZE = 54, 60
+# The bits of the point format that say "compressed".
+COMPRESSED = 0xC0
+LONGEST_NAME = 32
+# Formats of LAS 1.4 by what they hold beyond format 6.
+_FORMATS = {(): 6, ("rgb",): 7, ("nir", "rgb"): 8}
+_COLORS = ("red", "green", "blue")
+_POSITION = ("X", "Y", "Z", "x", "y", "z")
+
+
+def _laspy() -> Any:
+    try:
+        import laspy
+    except ImportError:
+        raise MissingDependencyError(
+            ".las and .laz files need the package laspy; install it with: pip install 'geokit[las]'"
+        ) from None
+    return laspy
+
+
+def read_las(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The points in float64, scaled as the header says, and every other dimension in its own type.
+
+    ``red``, ``green`` and ``blue`` become ``rgb`` (N, 3) uint16.
+
+    Raises:
+        MissingDependencyError: laspy is not installed, or no backend for .laz.
+        FileFormatError: A damaged or truncated file.
+    """
+    plain_bytes = _check_header(path, _laspy())
+    if plain_bytes is None:
+        return read_here(path)
+    if plain_bytes > available_host():
+        raise FileFormatError(
+            f"{path}: declares {plain_bytes} bytes of points, more than there is memory; get a whole copy"
+        )
+    return read_in_process(path, "las", plain_bytes)
+
+
+def read_here(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """As :func:`read_las`, of a file whose header has been checked, by laspy and in this process.
+
+    Raises:
+        FileFormatError: A damaged file.
+    """
+    laspy = _laspy()
+    try:
+        cloud = laspy.read(path)
+        points = np.stack([np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+        names = [name for name in cloud.point_format.dimension_names if name not in _POSITION]
+        data: Columns = {name: np.array(cloud[name]) for name in names}
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except (
+        BaseException
+    ) as error:  # laspy and its backends raise what they meet; a panic of the backend is no Exception
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FileFormatError(f"{path}: cannot be read as .las ({reason}); get a whole copy") from None
+    if set(_COLORS) <= data.keys():
+        data["rgb"] = np.stack([data.pop(color) for color in _COLORS], axis=1)
+    return points, data
+
+
+def _require_backend(laspy: Any, path: Path) -> None:
+    if not laspy.LazBackend.detect_available():
+        raise MissingDependencyError(
+            f"{path}: compressed points (.laz) need the package lazrs; install it with: pip install 'geokit[las]'"
+        )
+
+
+def _check_header(path: Path, laspy: Any) -> int | None:
+    """Holds the sizes that the header has against the file, before anything is allocated for them.
+
+    Returns:
+        Bytes of the points once they are decompressed; None where they are not compressed.
+    """
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(HEADER_SIZE_14)
+        if head[:4] != b"LASF":
+            raise FileFormatError(f"{path}: does not start with 'LASF'; the file is damaged or not a .las file")
+        minor = head[25] if len(head) > 25 else 0
+        needed = HEADER_SIZE_14 if minor >= 4 else HEADER_SIZE
+        if len(head) < needed:
+            raise FileFormatError(f"{path}: ends within its header, at byte {len(head)} of {needed}; get a whole copy")
+        header_size, start, records, kind, width, count = struct.unpack_from("<HIIBHI", head, 94)
+        if minor >= 4:
+            extended_start, extended_count, count = struct.unpack_from("<QIQ", head, 235)
+            if extended_count and not extended_count * EVLR_SIZE <= size - extended_start <= size:
+                raise FileFormatError(
+                    f"{path}: its {extended_count} extended records lie beyond its end; get a whole copy"
+                )
+        if not needed <= header_size <= start <= size or records * VLR_SIZE > start - header_size:
+            raise FileFormatError(
+                f"{path}: has {size} bytes, and its header puts {records} records and the points from byte {start} on; "
+                "get a whole copy"
+            )
+        if not kind & COMPRESSED:
+            have = (size - start) // max(width, 1)
+            if have < count:
+                raise FileFormatError(f"{path}: ends in point {have} of the {count} it declares; get a whole copy")
+            return None
+        _require_backend(laspy, path)
+        _check_chunks(file, path, size, start, width, count)
+    return int(count * width)
+
+
+def _check_chunks(file: Any, path: Path, size: int, start: int, width: int, count: int) -> None:
+    # The table of chunks: where it is stands before the points, and each chunk begins with one whole record.
+    if count == 0:
+        return
+    file.seek(start)
+    where = int.from_bytes(file.read(8), "little", signed=True)
+    chunks = 0
+    if start + 8 <= where <= size - 8:
+        file.seek(where + 4)
+        chunks = int.from_bytes(file.read(4), "little")
+    if not 0 < chunks <= size // max(width, 1):
+        raise FileFormatError(f"{path}: its table of compressed chunks is missing or damaged; get a whole copy")
+
+
+def write_las(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], compress: bool) -> None:
+    """LAS 1.4 with the least power of ten for a scale on each axis whose integers hold the extent.
+
+    Raises:
+        MissingDependencyError: laspy is not installed, or no backend for .laz.
+        InputError: A name or an array that the format cannot hold.
+    """
+    laspy = _laspy()
+    if compress:
+        _require_backend(laspy, path)
+    wanted = tuple(name for name in ("nir", "rgb") if name in data)
+    if wanted not in _FORMATS:
+        raise InputError("data: .las holds 'nir' only beside 'rgb'; give both, or rename it")
+    header = laspy.LasHeader(point_format=_FORMATS[wanted], version="1.4")
+    known = set(header.point_format.dimension_names) - {*_COLORS, *_POSITION}
+    header.offsets, header.scales = _placement(points)
+    extra = [_extra(laspy, name, values) for name, values in data.items() if name not in known and name != "rgb"]
+    if extra:
+        header.add_extra_dims(extra)
+    cloud = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(len(points), header=header))
+    for at, axis in enumerate("XYZ"):
+        cloud[axis] = np.rint((points[:, at] - header.offsets[at]) / header.scales[at]).astype(np.int32)
+    for name, values in data.items():
+        _fill(cloud, name, values, exact=name in known)
+    cloud.write(str(path), do_compress=compress)
+
+
+def _placement(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offset and scale of each axis: X * scale + offset is within half a scale of what was given."""
+    offsets, scales = np.zeros(3), np.full(3, 1e-3)
+    for axis, values in enumerate(points.T if len(points) else ()):
+        lower, upper = float(values.min()), float(values.max())
+        # Halved first: the extent of the largest float64 numbers overflows.
+        middle, half = 0.5 * lower + 0.5 * upper, 0.5 * upper - 0.5 * lower
+        if half == 0.0:
+            offsets[axis] = lower
+            continue
+        exponent = max(int(np.ceil(np.log10(half / LARGEST_STEPS))), SMALLEST_EXPONENT)
+        scale = float(f"1e{exponent}")
+        steps = middle / scale
+        # A whole number of scales, so that decimal coordinates stay what they were; beyond 2^53 there is no such thing.
+        offset = float(np.rint(steps)) * scale if abs(steps) < 2.0**53 else middle
+        offsets[axis], scales[axis] = offset, scale
+    return offsets, scales
+
+
+def _extra(laspy: Any, name: str, values: NDArray[np.generic]) -> Any:
+    if name in _POSITION + _COLORS or not name.isascii() or not 0 < len(name) <= LONGEST_NAME:
+        raise InputError(f"data: '{name}' is taken or cannot be a name in .las (at most 32 ASCII letters); rename it")
+    channels = 1 if values.ndim == 1 else values.shape[1]
+    if not 1 <= channels <= 3:
+        raise InputError(f"data: '{name}' has {channels} columns and .las holds up to 3; write .pcd or .npz")
+    kind = {"b": "u1", "f": "f4" if values.dtype.itemsize <= 4 else "f8"}.get(values.dtype.kind, values.dtype.str[1:])
+    return laspy.ExtraBytesParams(name, f"{channels if channels > 1 else ''}{kind}")
+
+
+def _fill(cloud: Any, name: str, values: NDArray[np.generic], *, exact: bool) -> None:
+    if name == "rgb":
+        if values.shape[1:] != (3,) or values.dtype not in (np.uint8, np.uint16):
+            raise InputError(
+                f"data: 'rgb' is {values.dtype} of shape {values.shape}; .las holds (N, 3) uint8 or uint16"
+            )
+        for at, color in enumerate(_COLORS):
+            cloud[color] = values[:, at].astype(np.uint16)
+        return
+    try:
+        cloud[name] = values
+        kept = not exact or np.array_equal(np.asarray(cloud[name]), values)
+    except (OverflowError, ValueError, TypeError):
+        kept = False
+    if not kept:
+        raise InputError(f"data: '{name}' does not fit into the dimension of this name in .las; rename or convert it")

@@ -1,0 +1,100 @@
+"""Wavefront .obj: vertices, polygons and named groups, in float64."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError
+from geokit.formats.mesh_text import numbers, point_lines
+from geokit.formats.polygons import Body
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["read_mesh", "write_mesh"]
+
+
+def read_mesh(path: Path) -> list[Body]:
+    """Body of an .obj file; its ``o`` and ``g`` lines become groups.
+
+    Texture coordinates, normals, materials and lines are left out; free-form curves and surfaces have no polygons.
+    """
+    data = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    points: list[bytes] = []
+    faces: list[bytes] = []
+    vertices_before: list[int] = []
+    starts: list[tuple[str, int]] = []
+    # splitlines also cuts at form feeds and other bytes that text may hold; the format's lines end at newlines.
+    for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
+        kind, _, rest = line.strip().partition(b" ")
+        if kind == b"v":
+            points.append(rest)
+        elif kind in (b"f", b"fo"):
+            faces.append(rest)
+            vertices_before.append(len(points))
+        elif kind in (b"o", b"g"):
+            starts.append((rest.strip().decode("utf-8", "replace"), len(faces)))
+    coordinates = numbers(_coordinates(points, path), np.float64, path, "vertices")
+    if b"/" in data or b"#" in data:
+        faces = _AFTER_INDEX.sub(b"", b"\n".join(faces)).split(b"\n") if faces else []
+    counts, corners = _split(faces)
+    indices = numbers(corners, np.int64, path, "face indices")
+    zero = np.flatnonzero(indices == 0)
+    if len(zero):
+        row = int(np.searchsorted(np.cumsum(counts), zero[0], side="right"))
+        raise FileFormatError(f"{path}: face {row} uses vertex 0, but .obj indices start at 1; the file is damaged")
+    # Negative indices count back from the last vertex above their line.
+    before = np.repeat(np.asarray(vertices_before, np.int64), counts)
+    indices = np.where(indices > 0, indices - 1, indices + before)
+    return [Body(coordinates.reshape(-1, 3), counts, indices, groups=_groups(starts, len(faces)))]
+
+
+# The texture and normal of a corner, and a comment at a line's end.
+_AFTER_INDEX = re.compile(rb"/[^ \n]*|#[^\n]*")
+
+
+def _coordinates(lines: list[bytes], path: Path) -> list[bytes]:
+    """The first three tokens of each line: a weight or a colour may follow."""
+    counts, tokens = _split(lines)
+    if np.all(counts == 3):
+        return tokens
+    rows = [line.split()[:3] for line in lines]
+    for row, found in enumerate(rows):
+        if len(found) < 3:
+            raise FileFormatError(f"{path}: vertex {row} has {len(found)} coordinates, not three; the file is damaged")
+    return [token for found in rows for token in found]
+
+
+def _split(lines: list[bytes]) -> tuple[NDArray[np.int64], list[bytes]]:
+    """Tokens of each line counted, and all tokens in one list."""
+    tokens = b" ".join(lines).split()
+    # Two single spaces in each line and three tokens a line on average: three in each. Splitting line by line costs
+    # three times as much, most of it for making the lists.
+    if len(tokens) == 3 * len(lines) and all(line.count(b" ") == 2 for line in lines):
+        return np.full(len(lines), 3, np.int64), tokens
+    return np.fromiter((len(line.split()) for line in lines), np.int64, len(lines)), tokens
+
+
+def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, int, int], ...]:
+    """(name, first, count) of the groups that hold faces; none where the file names fewer than two."""
+    bounds = [first for _, first in starts] + [face_count]
+    groups = [(name, first, end - first) for (name, first), end in zip(starts, bounds[1:], strict=True) if end > first]
+    if groups and bounds[0] > 0:
+        groups.insert(0, ("", 0, bounds[0]))
+    return tuple(groups) if len(groups) > 1 else ()
+
+
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    """Text that reads back as the same float64 vertices; parts become ``o`` groups."""
+    # A group's name ends at its line's end.
+    names = {part.first_face: " ".join(part.name.split()) or "part" for part in mesh.parts if part.face_count}
+    with open(path, "w", encoding="utf-8", newline="\n") as file:
+        if not names:
+            file.write(f"o {' '.join(mesh.name.split()) or 'mesh'}\n")
+        file.writelines(point_lines(mesh.vertices, "v "))
+        for row, (a, b, c) in enumerate((mesh.faces + 1).tolist()):
+            if row in names:
+                file.write(f"o {names[row]}\n")
+            file.write(f"f {a} {b} {c}\n")

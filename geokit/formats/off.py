@@ -1,0 +1,62 @@
+"""Object File Format (.off), ASCII: vertices and polygons, in float64."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from geokit.errors import FileFormatError
+from geokit.formats.mesh_text import numbers, point_lines, polygons
+from geokit.formats.polygons import Body
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["read_mesh", "write_mesh"]
+
+_HEADER = re.compile(rb"\s*(?:ST)?C?N?OFF\b(?!\s*BINARY)")
+
+
+def read_mesh(path: Path) -> list[Body]:
+    """Body of an ASCII .off file (OFF, COFF, NOFF, STOFF and their mixtures); colours and normals are left out."""
+    data = path.read_bytes()
+    if b"#" in data:
+        data = re.sub(rb"#[^\n]*", b"", data)
+    header = _HEADER.match(data)
+    if header is None:
+        raise FileFormatError(
+            f"{path}: does not start with OFF, COFF, NOFF or STOFF as ASCII .off files of three dimensions do; "
+            "export it as such"
+        )
+    lines = [line for line in data[header.end() :].replace(b"\r", b"\n").split(b"\n") if line.strip()]
+    sizes = numbers(lines[0].split() if lines else [], np.int64, path, "counts")
+    if len(sizes) < 2 or sizes[:2].min() < 0:
+        raise FileFormatError(f"{path}: the line of vertex and face counts is missing; the file is damaged")
+    vertex_count, face_count = int(sizes[0]), int(sizes[1])
+    if len(lines) - 1 < vertex_count + face_count:
+        raise FileFormatError(
+            f"{path}: declares {vertex_count} vertices and {face_count} faces but holds {len(lines) - 1} lines; "
+            "it is truncated, get a whole copy"
+        )
+    rows = [line.split()[:3] for line in lines[1 : 1 + vertex_count]]
+    if any(len(row) < 3 for row in rows):
+        row = next(at for at, tokens in enumerate(rows) if len(tokens) < 3)
+        raise FileFormatError(f"{path}: vertex {row} has {len(rows[row])} coordinates, not three; the file is damaged")
+    points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
+    tokens: list[bytes] = []
+    for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
+        # A face's colour stands behind its corners.
+        row_tokens = line.split()
+        tokens += row_tokens[: int(row_tokens[0]) + 1] if row_tokens[0].isdigit() else row_tokens
+    counts, indices, used = polygons(tokens, face_count, path)
+    if used != len(tokens):
+        raise FileFormatError(f"{path}: a face line holds fewer corners than it declares; the file is damaged")
+    return [Body(points.reshape(-1, 3), counts, indices)]
+
+
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    """Text that reads back as the same float64 vertices."""
+    with open(path, "w", encoding="ascii", newline="\n") as file:
+        file.write(f"OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n")
+        file.writelines(point_lines(mesh.vertices))
+        file.writelines(f"3 {a} {b} {c}\n" for a, b, c in mesh.faces.tolist())

@@ -1,0 +1,340 @@
+"""Point cloud data (.pcd) of the Point Cloud Library: ASCII, binary, and binary with LZF compression."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.text_tables import read_rows
+
+__all__ = ["ENCODINGS", "read_pcd", "write_pcd"]
+
+ENCODINGS = ("ascii", "binary", "binary_compressed")
+_KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_TYPES = {"F": ("f4", "f8"), "I": ("i1", "i2", "i4", "i8"), "U": ("u1", "u2", "u4", "u8")}
+_LONG = ("i8", "u8")
+# A field of this name is padding.
+_PADDING = "_"
+_AXES = ("x", "y", "z")
+_COLORS = ("rgb", "rgba")
+# What the library calls the components of normals, and what the rest of geokit does.
+_NORMALS = {"normal_x": "nx", "normal_y": "ny", "normal_z": "nz"}
+# LZF makes 264 bytes of three at best: sizes that say more are damage, seen before anything is allocated for them.
+LZF_BEST = 88
+# The format writes both sizes of a compressed body in 32 bits.
+LZF_LIMIT = 2**32 - 1
+# A record of more bytes than this is no point; NumPy counts them in 31 bits.
+LARGEST_RECORD = 2**30
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+@dataclass
+class _Field:
+    name: str
+    type: str
+    count: int
+
+    @property
+    def width(self) -> int:
+        return int(self.type[1:]) * self.count
+
+
+@dataclass
+class _Header:
+    fields: list[_Field]
+    count: int
+    encoding: str
+    start: int
+
+
+def read_pcd(path: Path) -> Columns:
+    """The columns by name, each in the type of the file; fields with a count above one are (N, count).
+
+    Raises:
+        FileFormatError: A damaged or truncated file, or one whose header and body disagree.
+    """
+    data = path.read_bytes()
+    header = _read_header(data, path)
+    if header.encoding == "ascii":
+        parts = _ascii(data, header, path)
+    elif header.encoding == "binary":
+        parts = _binary(data, header, path)
+    else:
+        parts = _compressed(data, header, path)
+    columns: Columns = {}
+    for field, values in zip(header.fields, parts, strict=True):
+        if field.name == _PADDING:
+            continue
+        if field.name in _COLORS and values.ndim == 1 and values.dtype.itemsize == 4:
+            # Blue, green, red and alpha from the lowest byte up, whatever the type says that they are.
+            bytes_ = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).view(np.uint8).reshape(-1, 4)
+            values = bytes_[:, [2, 1, 0, 3][: len(field.name)]]
+        columns[_NORMALS.get(field.name, field.name)] = values
+    return columns
+
+
+def _read_header(data: bytes, path: Path) -> _Header:
+    lines: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in lines:
+        end = data.find(b"\n", at)
+        if end < 0:
+            raise FileFormatError(f"{path}: the header has no DATA line; the file is truncated or not a .pcd file")
+        line = data[at:end].decode("latin-1").strip()
+        words = line.split()
+        if words and not line.startswith("#"):
+            if words[0] not in _KEYS or words[0] in lines:
+                raise FileFormatError(
+                    f"{path}: header line {line[:60]!r} (byte {at}) is not understood; "
+                    "the file is damaged or not a .pcd file"
+                )
+            lines[words[0]] = words[1:]
+        at = end + 1
+    encoding = " ".join(lines["DATA"]).lower()
+    if encoding not in ENCODINGS:
+        raise FileFormatError(f"{path}: DATA is {encoding[:40]!r}; it needs to be one of {', '.join(ENCODINGS)}")
+    return _Header(_fields(lines, path), _count(lines, path), encoding, at)
+
+
+def _fields(lines: dict[str, list[str]], path: Path) -> list[_Field]:
+    names = lines.get("FIELDS") or lines.get("COLUMNS") or []
+    sizes, types = lines.get("SIZE", ["4"] * len(names)), lines.get("TYPE", ["F"] * len(names))
+    counts = lines.get("COUNT", ["1"] * len(names))
+    if not names or not len(names) == len(sizes) == len(types) == len(counts):
+        raise FileFormatError(
+            f"{path}: FIELDS, SIZE, TYPE and COUNT list {len(names)}, {len(sizes)}, {len(types)} and {len(counts)} "
+            "entries; they need one for each field"
+        )
+    fields: list[_Field] = []
+    for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
+        kind = letter.lower() + size
+        if kind not in _TYPES.get(letter, ()) or not _is_count(count) or not 0 < int(count) < LARGEST_RECORD:
+            raise FileFormatError(
+                f"{path}: field '{name}' has TYPE {letter[:20]}, SIZE {size[:20]} and COUNT {count[:20]}, which the "
+                "format does not know; the file is damaged"
+            )
+        if name != _PADDING and name in [field.name for field in fields]:
+            raise FileFormatError(f"{path}: two fields are called '{name}'; give each its own name")
+        if name in _AXES and int(count) != 1:
+            raise FileFormatError(f"{path}: field '{name}' has COUNT {count}; a coordinate needs to be one number")
+        fields.append(_Field(name, kind, int(count)))
+    if sum(field.width for field in fields) > LARGEST_RECORD:
+        raise FileFormatError(f"{path}: its fields make a point of more than 1 GiB; the header is damaged")
+    return fields
+
+
+def _count(lines: dict[str, list[str]], path: Path) -> int:
+    found = {key: " ".join(lines[key]) for key in ("POINTS", "WIDTH", "HEIGHT") if key in lines}
+    for key, text in found.items():
+        if not _is_count(text):
+            raise FileFormatError(f"{path}: {key} is {text[:40]!r}, not a whole number; the file is damaged")
+    grid = int(found["WIDTH"]) * int(found.get("HEIGHT", "1")) if "WIDTH" in found else None
+    count = int(found["POINTS"]) if "POINTS" in found else grid
+    if count is None or (grid is not None and grid != count):
+        raise FileFormatError(
+            f"{path}: POINTS is {found.get('POINTS', 'missing')} and WIDTH x HEIGHT is "
+            f"{'missing' if grid is None else grid}; correct the header"
+        )
+    return count
+
+
+def _is_count(text: str) -> bool:
+    # Eighteen digits stay below 2^63, whatever they say.
+    return text.isascii() and text.isdecimal() and len(text) <= 18
+
+
+def _ascii(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]]:
+    width = sum(field.count for field in header.fields)
+    body = data[header.start :]
+    table = read_rows(data, header.start, path) if body.strip() else np.empty((0, width))
+    if len(table) != header.count:
+        end = f"ends in point {len(table)} of" if len(table) < header.count else f"has {len(table)} points and not"
+        raise FileFormatError(f"{path}: {end} the {header.count} it declares; get a whole copy or correct POINTS")
+    if table.shape[1] != width:
+        raise FileFormatError(
+            f"{path}: its rows have {table.shape[1]} values and its fields need {width}; correct the header"
+        )
+    # float64 has not all integers of 64 bits.
+    long = any(field.type in _LONG for field in header.fields)
+    tokens = np.array(body.split()) if long else np.empty(0)
+    parts: list[NDArray[np.generic]] = []
+    at = 0
+    for field in header.fields:
+        columns = slice(at, at + field.count) if field.count > 1 else at
+        exact = None
+        if field.type in _LONG and tokens.size == table.size:
+            exact = _exact(tokens.reshape(table.shape)[:, columns], field.type)
+        parts.append(_cast(table[:, columns], field, path) if exact is None else exact)
+        at += field.count
+    return parts
+
+
+def _exact(words: NDArray[Any], kind: str) -> NDArray[np.generic] | None:
+    """The words as integers; None where one is not, or is too large."""
+    try:
+        return np.array([int(word) for word in words.ravel()], kind).reshape(words.shape)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _cast(values: NDArray[np.float64], field: _Field, path: Path) -> NDArray[np.generic]:
+    dtype = np.dtype(field.type)
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return values.astype(dtype)
+    limits = np.iinfo(dtype)
+    # Compared as floats, 2^63 - 1 is 2^63: what is not below it does not fit.
+    bad = ~((values >= float(limits.min)) & (values < float(limits.max) + 1.0) & (np.floor(values) == values))
+    if bad.any():
+        row = int(np.argmax(bad.reshape(len(values), -1).any(axis=1)))
+        raise FileFormatError(
+            f"{path}: '{field.name}' of point {row} is not an integer of {8 * dtype.itemsize} bits; correct it"
+        )
+    return values.astype(dtype)
+
+
+def _binary(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]]:
+    record = sum(field.width for field in header.fields)
+    have = (len(data) - header.start) // record
+    if have < header.count:
+        raise FileFormatError(f"{path}: ends in point {have} of the {header.count} it declares; get a whole copy")
+    table = np.frombuffer(data, _record_type(header.fields), header.count, header.start)
+    return [table[f"f{at}"].astype(field.type) for at, field in enumerate(header.fields)]
+
+
+def _record_type(fields: Sequence[_Field]) -> np.dtype[np.void]:
+    # Numbered, because padding fields share a name.
+    parts = [("<" + field.type, (field.count,) if field.count > 1 else ()) for field in fields]
+    return np.dtype([(f"f{at}", kind, shape) for at, (kind, shape) in enumerate(parts)])
+
+
+def _compressed(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]]:
+    from geokit.formats.lzf import decompress
+
+    if len(data) < header.start + 8:
+        raise FileFormatError(f"{path}: ends before the sizes of its compressed body; get a whole copy")
+    packed, size = struct.unpack_from("<II", data, header.start)
+    body = header.start + 8
+    if packed > len(data) - body:
+        raise FileFormatError(
+            f"{path}: ends after {len(data) - body} of the {packed} bytes of its compressed body; get a whole copy"
+        )
+    # The library leaves padding out of a compressed body; others do not.
+    widths = [0 if field.name == _PADDING else field.width for field in header.fields]
+    if sum(widths) * header.count != size:
+        widths = [field.width for field in header.fields]
+    if sum(widths) * header.count != size or size > LZF_BEST * packed:
+        raise FileFormatError(
+            f"{path}: {packed} compressed bytes declare {size}, and {header.count} points have "
+            f"{sum(widths) * header.count}; the file is damaged, get a whole copy"
+        )
+    plain, bad = decompress(np.frombuffer(data, np.uint8, packed, body), size)
+    if bad >= 0:
+        raise FileFormatError(f"{path}: its compressed body is damaged at byte {body + bad}; get a whole copy")
+    parts: list[NDArray[np.generic]] = []
+    at = 0
+    for field, width in zip(header.fields, widths, strict=True):
+        block = plain[at : at + width * header.count].view("<" + field.type).astype(field.type)
+        parts.append(block.reshape(-1, field.count) if field.count > 1 and width else block)
+        at += width * header.count
+    return parts
+
+
+def write_pcd(path: Path, points: NDArray[np.floating], data: Mapping[str, NDArray[np.generic]], encoding: str) -> None:
+    """One unorganised cloud in PCD 0.7; ``rgb`` and ``rgba`` are packed as PCL has them.
+
+    Args:
+        path: The file.
+        points: Shape (N, 3); float32 is written in 4 bytes, which is all that PCL and Open3D read as coordinates.
+        data: Arrays with N rows by name.
+        encoding: One of ENCODINGS.
+
+    Raises:
+        InputError: A name that the header cannot hold, a type that the format lacks, or a compressed body over 4 GiB.
+    """
+    columns: Columns = dict(zip(_AXES, points.T, strict=True))
+    for name, values in data.items():
+        normals = name == "normals" and values.shape[1:] == (3,)
+        for part, column in zip(_NORMALS, values.T, strict=True) if normals else [(name, values)]:
+            if part in columns or not part.isascii() or not part.isprintable() or part in ("", _PADDING) or " " in part:
+                raise InputError(f"data: '{part}' is taken or cannot be a field's name in .pcd; rename '{name}'")
+            columns[part] = column
+    fields, arrays = [], []
+    for name, values in columns.items():
+        array = _storable(name, values)
+        fields.append(_Field(name, array.dtype.str[1:], 1 if array.ndim == 1 else array.shape[1]))
+        arrays.append(array)
+    count = len(arrays[0])
+    rows = [
+        ("VERSION", ["0.7"]),
+        ("FIELDS", [field.name for field in fields]),
+        ("SIZE", [field.type[1:] for field in fields]),
+        ("TYPE", [field.type[0].upper() for field in fields]),
+        ("COUNT", [str(field.count) for field in fields]),
+        ("WIDTH", [str(count)]),
+        ("HEIGHT", ["1"]),
+        ("VIEWPOINT", ["0 0 0 1 0 0 0"]),
+        ("POINTS", [str(count)]),
+        ("DATA", [encoding]),
+    ]
+    with open(path, "wb") as file:
+        file.write(b"# .PCD v0.7 - Point Cloud Data file format\n")
+        file.write("".join(f"{key} {' '.join(words)}\n" for key, words in rows).encode("ascii"))
+        if encoding == "ascii":
+            _write_rows(file, arrays)
+        elif encoding == "binary":
+            table = np.empty(count, _record_type(fields))
+            for at, array in enumerate(arrays):
+                table[f"f{at}"] = array
+            file.write(table.data if count else b"")
+        else:
+            _write_compressed(file, arrays)
+
+
+def _storable(name: str, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    channels = 1 if values.ndim == 1 else values.shape[1]
+    if name in _COLORS and values.dtype == np.uint8 and channels == len(name):
+        packed = np.zeros((len(values), 4), np.uint8)
+        packed[:, [2, 1, 0, 3][:channels]] = values
+        return packed.view("<f4" if name == "rgb" else "<u4")[:, 0]
+    if channels == 0:
+        raise InputError(f"data: '{name}' has no columns; leave it out")
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind == "f":
+        return values.astype("<f4" if values.dtype.itemsize <= 4 else "<f8")
+    return values.astype(values.dtype.newbyteorder("<"))
+
+
+def _write_rows(file: io.BufferedWriter, arrays: Sequence[NDArray[np.generic]]) -> None:
+    """Rows of the fewest digits that read back the same."""
+    parts: list[list[str]] = []
+    for array in arrays:
+        for column in (array[:, None] if array.ndim == 1 else array).T:
+            # A float32 has its own shortest digits, fewer than those of the float64 that it equals.
+            parts.append(list(map(str, column)) if column.dtype == np.float32 else list(map(repr, column.tolist())))
+    file.writelines((" ".join(row) + "\n").encode("ascii") for row in zip(*parts, strict=True))
+
+
+def _write_compressed(file: io.BufferedWriter, arrays: Sequence[NDArray[np.generic]]) -> None:
+    from geokit.formats.lzf import compress
+
+    size = sum(array.nbytes for array in arrays)
+    if size > LZF_LIMIT:
+        raise InputError(f"encoding: {size} bytes are more than binary_compressed can hold (4 GiB); use 'binary'")
+    # Field after field: equal bytes stand closer together than in records.
+    plain = np.concatenate([np.ascontiguousarray(array).view(np.uint8).reshape(-1) for array in arrays])
+    packed = compress(plain)
+    if len(packed) > LZF_LIMIT:
+        raise InputError("encoding: the compressed body would be over 4 GiB; use 'binary'")
+    file.write(struct.pack("<II", len(packed), size))
+    file.write(packed.data)

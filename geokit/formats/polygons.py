@@ -1,0 +1,219 @@
+"""Polygons as files hold them, cut into triangles and joined into one mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError, InputError
+from geokit.mesh._model import MeshPart, TriangleMesh
+
+__all__ = ["Body", "join", "triangulate"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body of a file.
+
+    Args:
+        points: Vertex positions in the body's own frame, shape (V, 3).
+        counts: Number of corners of each polygon, shape (P,).
+        indices: Vertex indices of all corners, polygon after polygon, shape (sum(counts),).
+        name: The file's name for the body.
+        transform: Matrix (4, 4) from the body's frame to the world, for column vectors; None is the identity.
+        clockwise: The file winds its polygons clockwise as seen from outside.
+        groups: (name, first polygon, polygon count) of the named parts; empty where the body is one part.
+    """
+
+    points: NDArray[Any]
+    counts: NDArray[Any]
+    indices: NDArray[Any]
+    name: str = ""
+    transform: NDArray[np.float64] | None = None
+    clockwise: bool = False
+    groups: tuple[tuple[str, int, int], ...] = ()
+
+
+def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
+    """One mesh from the bodies of a file: transforms applied, polygons triangulated, names kept as parts.
+
+    Raises:
+        FileFormatError: No polygon at all, a polygon of fewer than three corners, an index out of range, or a vertex
+            that is not finite; the message names the file, the body and the first bad row.
+    """
+    if not any(len(body.counts) for body in bodies):
+        held = sum(len(body.points) for body in bodies)
+        what = f"holds {held} points but no faces" if held else "holds neither points nor faces"
+        raise FileFormatError(f"{path}: {what}; a mesh needs faces, export the surface itself")
+    vertices, faces, parts = [], [], []
+    first_vertex = first_face = 0
+    for body in bodies:
+        where = f"{path}, body '{body.name}'" if len(bodies) > 1 else str(path)
+        points = np.asarray(body.points, np.float64)
+        counts, indices = np.asarray(body.counts, np.int64), np.asarray(body.indices, np.int64)
+        _check(points, counts, indices, where)
+        flip = body.clockwise
+        if body.transform is not None:
+            linear = body.transform[:3, :3]
+            # A mirrored body would be inside out: its winding is turned with it.
+            flip ^= bool(np.linalg.det(linear) < 0.0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                points = points @ linear.T + body.transform[:3, 3]
+        triangles, polygon = triangulate(points, counts, indices)
+        if flip:
+            triangles = triangles[:, ::-1]
+        for part, first, count in body.groups or ((body.name, 0, len(counts)),):
+            begin, end = np.searchsorted(polygon, (first, first + count))
+            parts.append(MeshPart(part, first_face + int(begin), int(end - begin)))
+        vertices.append(points)
+        faces.append(triangles + first_vertex)
+        first_vertex += len(points)
+        first_face += len(triangles)
+    if first_vertex > np.iinfo(np.int32).max:
+        raise FileFormatError(f"{path}: {first_vertex} vertices are more than 32-bit indices reach; split the file")
+    try:
+        return TriangleMesh(
+            np.concatenate(vertices), np.concatenate(faces), name=name, parts=tuple(parts) if len(parts) > 1 else ()
+        )
+    except InputError as error:  # a transform that overflows
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+def triangulate(
+    points: NDArray[np.float64], counts: NDArray[np.int64], indices: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Polygons cut into triangles that keep their winding, in the polygons' order.
+
+    Convex polygons become the fan from their first corner; concave quads the fan from their reflex corner; other
+    concave polygons lose one ear after the other, on the plane of their mean (Newell) normal, so that no triangle is
+    flipped. A polygon that crosses itself has no right answer and is cut into ``corners - 2`` triangles all the same.
+
+    Args:
+        points: Vertex positions, shape (V, 3).
+        counts: Corners of each polygon, shape (P,), all >= 3.
+        indices: Vertex indices of all corners, shape (sum(counts),), all in [0, V).
+    Returns:
+        Triangles (T, 3), and the polygon (T,) that each comes from, ascending.
+    Source:
+        Meisters, Polygons have ears (1975); Newell's normal as in Sutherland et al. (1974).
+    """
+    triangle_counts = counts - 2
+    polygon = np.repeat(np.arange(len(counts)), triangle_counts)
+    if np.all(counts == 3):
+        return indices.reshape(-1, 3), polygon
+    faces = np.empty((len(polygon), 3), np.int64)
+    first_corner = np.cumsum(counts) - counts
+    first_triangle = np.cumsum(triangle_counts) - triangle_counts
+    for size in np.unique(counts):
+        members = np.flatnonzero(counts == size)
+        corners = indices[first_corner[members][:, None] + np.arange(size)]
+        triangles = _fan(corners)
+        if size > 3:
+            turns = _turns(points[corners])
+            # Rounding must not send flat corners of convex polygons to the ear clipper: it would be right, but slow.
+            reflex = turns < -1e-12 * np.max(np.abs(turns), axis=1, keepdims=True)
+            concave = np.flatnonzero(reflex.any(axis=1))
+            if size == 4:
+                rolled = (np.argmin(turns[concave], axis=1)[:, None] + np.arange(4)) % 4
+                triangles[concave] = _fan(np.take_along_axis(corners[concave], rolled, axis=1))
+            else:
+                for row in concave:
+                    triangles[row] = corners[row][_clip_ears(_flatten(points[corners[row]]))]
+        faces[first_triangle[members][:, None] + np.arange(size - 2)] = triangles
+    return faces, polygon
+
+
+def _check(points: NDArray[Any], counts: NDArray[Any], indices: NDArray[Any], where: str) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise FileFormatError(f"{where}: points of shape {points.shape} are not (N, 3); export the file again")
+    small = counts < 3
+    if small.any():
+        row = int(np.argmax(small))
+        raise FileFormatError(f"{where}: face {row} has {counts[row]} corners; a face needs three or more, remove it")
+    if counts.sum() != len(indices):
+        raise FileFormatError(
+            f"{where}: the faces ask for {counts.sum()} corners but {len(indices)} are there; export the file again"
+        )
+    outside = (indices < 0) | (indices >= len(points))
+    if outside.any():
+        corner = int(np.argmax(outside))
+        row = int(np.searchsorted(np.cumsum(counts), corner, side="right"))
+        raise FileFormatError(
+            f"{where}: face {row} (counted from 0) uses vertex {indices[corner]}, but there are {len(points)} "
+            "(indices counted from 0); the file is damaged, export it again"
+        )
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise FileFormatError(
+            f"{where}: vertex {row} (counted from 0) is not finite ({points[row].tolist()}); "
+            "remove it and the faces that use it"
+        )
+
+
+def _fan(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Fans from the first corner: (M, n) -> (M, n - 2, 3)."""
+    apex = np.broadcast_to(corners[:, :1], corners[:, 1:-1].shape)
+    return np.stack([apex, corners[:, 1:-1], corners[:, 2:]], axis=2)
+
+
+def _turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn at each corner, positive where convex, seen along the mean normal: (M, n, 3) -> (M, n)."""
+    # Next to the first corner, so that far-away polygons keep their digits; halved, since differences could overflow.
+    local = points * 0.5 - points[:, :1] * 0.5
+    # At unit size, so that products of four lengths neither underflow nor overflow.
+    size = np.max(np.abs(local), axis=(1, 2), keepdims=True)
+    local = local / np.where(size > 0.0, size, 1.0)
+    following = np.roll(local, -1, axis=1)
+    normal = np.cross(local, following).sum(axis=1)
+    into = local - np.roll(local, 1, axis=1)
+    return np.einsum("mnk,mk->mn", np.cross(into, following - local), normal)
+
+
+def _flatten(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A polygon (n, 3) on the plane of its mean normal, counter-clockwise, (n, 2)."""
+    local = points * 0.5 - points[0] * 0.5
+    local = local / (np.max(np.abs(local)) or 1.0)
+    normal = np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0)
+    axis = int(np.argmax(np.abs(normal)))
+    # Dropping the normal's largest axis is a projection that keeps the order of corners and all inside tests.
+    flat = local[:, [(axis + 1) % 3, (axis + 2) % 3]]
+    return flat if normal[axis] >= 0.0 else flat * (-1.0, 1.0)
+
+
+def _clip_ears(flat: NDArray[np.float64]) -> list[tuple[int, int, int]]:
+    """Triangles of a counter-clockwise simple polygon (n, 2), as corner numbers."""
+    ring = list(range(len(flat)))
+    triangles = []
+    while len(ring) > 3:
+        at = _find_ear(flat, ring)
+        triangles.append((ring[at - 1], ring[at], ring[(at + 1) % len(ring)]))
+        del ring[at]
+    triangles.append((ring[0], ring[1], ring[2]))
+    return triangles
+
+
+def _find_ear(flat: NDArray[np.float64], ring: list[int]) -> int:
+    points = flat[ring]
+    before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
+    turn = _cross(points - before, after - points)
+    # Only a corner that is not convex can lie in an ear.
+    blocking = points[turn <= 0.0]
+    for at in np.flatnonzero(turn > 0.0):
+        a, b, c = before[at], points[at], after[at]
+        inside = (_cross(b - a, blocking - a) >= 0.0) & (_cross(c - b, blocking - b) >= 0.0)
+        inside &= _cross(a - c, blocking - c) >= 0.0
+        # A corner that coincides with one of the ear's own does not block it: seams of holes visit a point twice.
+        inside &= (blocking != a).any(axis=1) & (blocking != b).any(axis=1) & (blocking != c).any(axis=1)
+        if not inside.any():
+            return int(at)
+    # Flat or self-crossing: the flattest corner goes, which changes the outline least.
+    return int(np.argmin(np.abs(turn)))
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,59 @@
+"""Values of volumes at the vertices of a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.download import download
+from geokit.errors import InputError
+from geokit.mesh._device_mesh import vertices_near
+from geokit.mesh._model import TriangleMesh
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["sample_attributes"]
+
+
+def sample_attributes(
+    mesh: TriangleMesh, volumes: Mapping[str, SparseVolume], *, order: int = 1, device: Any = None
+) -> dict[str, NDArray[Any]]:
+    """Vertex attributes of a mesh from volumes, such as the temperature on an isosurface of the density.
+
+    Each volume may have a transform, a resolution and a type of its own. Values are those of ``volume.sample``, with
+    its error bounds; outside the active voxels they are the volume's background. Held by
+    tests/mesh/test_attributes.py.
+
+    Args:
+        mesh: The mesh.
+        volumes: A grid for each attribute's name.
+        order: Of the interpolation, as in :func:`geokit.volume.sample`.
+        device: Where to compute; None for the first GPU, else the CPU.
+
+    Returns:
+        An array for each name, in the order of the names: shape (V,) for scalar grids, (V, 3) or (V, 4) for grids of
+        vectors and colours, float64; ready for ``geokit.mesh.save(path, mesh, point_data=...)``.
+
+    Raises:
+        InputError: A name is empty or not text, a value is not a volume, or the order is not supported.
+        UnsupportedGridError: A grid stores indices or points instead of values.
+
+    Example:
+        >>> sdf = gk.volume.from_mesh(gk.mesh.load("data/samples/bracket.obj"), 0.5)
+        >>> surface = gk.mesh.from_volume(sdf)
+        >>> distance = gk.mesh.attributes.sample_attributes(surface, {"distance": sdf})["distance"]
+        >>> bool(abs(distance).max() < 0.5)
+        True
+    """
+    for name, volume in volumes.items():
+        if not isinstance(name, str) or not name:
+            raise InputError(f"volumes: {name!r} is not a name; use text that is not empty")
+        if not callable(getattr(volume, "sample", None)):
+            raise InputError(f"volumes: {name!r} is of type {type(volume).__name__}; give a SparseVolume")
+    points = vertices_near(mesh, device) if volumes else None
+    sampled = {name: volume.sample(points, order=order, device=device) for name, volume in volumes.items()}
+    return {name: values if isinstance(values, np.ndarray) else download(values)[0] for name, values in sampled.items()}

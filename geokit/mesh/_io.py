@@ -1,0 +1,186 @@
+"""Mesh files in and out.
+
+| extension          | read by  | written by | positions | data arrays |
+|--------------------|----------|------------|-----------|-------------|
+| .obj .off          | geokit   | geokit     | float64   | no          |
+| .ply               | geokit   | geokit     | float64   | no          |
+| .stl               | geokit   | geokit     | float32   | no          |
+| .glb               | trimesh  | trimesh    | float32   | no          |
+| .gltf              | trimesh  | -          | float32   | no          |
+| .3mf               | trimesh  | trimesh    | float64   | no          |
+| .vtp .vtk          | VTK      | pyvista    | float64   | yes         |
+| .vtu               | VTK      | meshio     | float64   | yes         |
+| .msh .xdmf         | meshio   | meshio     | float64   | yes         |
+| .usd .usda .usdc   | usd-core | usd-core   | float32   | no          |
+| .usdz              | usd-core | -          | float32   | no          |
+
+Readers other than geokit's own run in a process of their own (see ``formats/mesh_reader_process.py``).
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geokit.core.files import atomic_path, require_extension, require_file
+from geokit.errors import FileFormatError, GeokitError, InputError
+from geokit.mesh._model import TriangleMesh
+
+__all__ = ["READABLE", "WRITABLE", "load", "save"]
+
+# Extension -> module and function of geokit's own readers and writers, imported when used.
+_OWN = {".obj": "obj", ".off": "off", ".ply": "ply_mesh", ".stl": "stl"}
+# Extension -> reader module that runs in a process of its own.
+_FOREIGN = {
+    **dict.fromkeys((".glb", ".gltf", ".3mf"), "trimesh"),
+    **dict.fromkeys((".vtk", ".vtp", ".vtu"), "vtk"),
+    **dict.fromkeys((".msh", ".xdmf"), "meshio"),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
+}
+_WITH_DATA = (".msh", ".vtk", ".vtp", ".vtu", ".xdmf")
+
+READABLE = (*_OWN, *_FOREIGN)
+WRITABLE = tuple(kind for kind in READABLE if kind not in (".gltf", ".usdz"))
+
+
+def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMesh:
+    """Triangle mesh from a file, its format told by the extension.
+
+    Positions are those of the file in float64, in the file's own units and axes. Nothing is merged, moved or dropped:
+    unused vertices, duplicates and triangles without area stay. Only .stl, which has no shared corners, gets exactly
+    equal corners merged. Polygons are cut into triangles that keep their winding, also concave ones. All bodies of a
+    file are joined, each moved by its transform (a mirrored body keeps its outside), and named in ``parts``. Of USD,
+    visible prims of the default and render purposes are taken, at the default time; of files with volume cells, the
+    surface cells.
+
+    Args:
+        path: .obj .off .ply .stl .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
+        name: The mesh's name; None is the file's name without its extension.
+    Returns:
+        TriangleMesh with at least one face.
+    Raises:
+        InputError: The extension is none of these.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is truncated or damaged, holds no faces, an index out of range or a coordinate that
+            is not finite, or is not what its name says.
+        MissingDependencyError: A USD file without usd-core installed.
+    Example:
+        >>> load("data/samples/bracket.obj")
+        TriangleMesh('bracket', 76 vertices, 152 faces)
+    """
+    from geokit.formats.polygons import join
+
+    kind = require_extension(path, READABLE, "mesh")
+    path = require_file(path)
+    if path.stat().st_size == 0:
+        raise FileFormatError(f"{path}: is empty; get a whole copy")
+    try:
+        if kind in _OWN:
+            module = importlib.import_module(f"geokit.formats.{_OWN[kind]}")
+            bodies = module.read_mesh(path)
+        else:
+            from geokit.formats.mesh_reader_process import read_in_process
+
+            bodies = read_in_process(path, _FOREIGN[kind])
+        return join(bodies, path, path.stem if name is None else name)
+    except (GeokitError, MemoryError):
+        raise
+    except Exception as error:
+        raise FileFormatError(
+            f"{path}: cannot be read as {kind} ({type(error).__name__}: {error}); the file is damaged, export it again"
+        ) from error
+
+
+def save(
+    path: str | os.PathLike[str],
+    mesh: TriangleMesh,
+    *,
+    point_data: Mapping[str, ArrayLike] | None = None,
+    cell_data: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """Write a mesh, and data on its vertices and faces, in the format that the extension names.
+
+    The file is replaced as a whole: a reader sees the old file or the new one. Positions keep float64 except in .stl,
+    .glb and USD, which hold float32 (relative precision 6e-8 of the largest coordinate). The names of parts are kept
+    in .obj only.
+
+    Args:
+        path: .obj .off .ply .stl .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
+        mesh: The mesh.
+        point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
+        cell_data: Arrays (F,) or (F, k) by name, for the same formats.
+    Raises:
+        InputError: An unknown extension, a mesh without faces, data for a format that has no place for them, data of
+            a wrong shape or type, or coordinates that float32 cannot hold for a format of float32.
+        FileAccessError: The target cannot be written.
+        MissingDependencyError: A USD file without usd-core installed.
+    Example:
+        >>> bracket = load("data/samples/bracket.obj")
+        >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
+    """
+    kind = require_extension(path, WRITABLE, "mesh")
+    if not isinstance(mesh, TriangleMesh):
+        raise InputError(f"mesh: a {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+    if len(mesh.faces) == 0:
+        raise InputError("mesh: has no faces; a mesh file without faces cannot be read back")
+    points = _checked(point_data, len(mesh.vertices), "point_data", "vertices")
+    cells = _checked(cell_data, len(mesh.faces), "cell_data", "faces")
+    if (points or cells) and kind not in _WITH_DATA:
+        raise InputError(f"{path}: {kind} holds no data arrays; use one of {', '.join(_WITH_DATA)}")
+    if kind in (".stl", ".glb") or kind.startswith(".usd"):
+        _require_float32(mesh, kind)
+    with atomic_path(path) as part:
+        if kind in _OWN:
+            importlib.import_module(f"geokit.formats.{_OWN[kind]}").write_mesh(part, mesh)
+            return
+        from geokit.formats import write_foreign
+
+        if kind in (".vtp", ".vtk"):
+            write_foreign.write_poly_data(part, mesh, points, cells)
+        elif kind in _WITH_DATA:
+            write_foreign.write_meshio(part, mesh, points, cells)
+        elif kind in (".glb", ".3mf"):
+            write_foreign.write_trimesh(part, mesh)
+        else:
+            write_foreign.write_usd(part, mesh)
+
+
+def _checked(data: Mapping[str, ArrayLike] | None, count: int, argument: str, rows: str) -> dict[str, NDArray[Any]]:
+    checked = {}
+    for name, given in (data or {}).items():
+        values = np.asarray(given)
+        if not isinstance(name, str) or not name.strip():
+            raise InputError(f"{argument}: the name {name!r} is not a text; give each array a name")
+        if values.ndim not in (1, 2) or len(values) != count:
+            raise InputError(
+                f"{argument}['{name}']: shape {values.shape} is neither ({count},) nor ({count}, k); "
+                f"give one row for each of the {count} {rows}"
+            )
+        checked[name] = _storable(values, f"{argument}['{name}']")
+    return checked
+
+
+def _storable(values: NDArray[Any], where: str) -> NDArray[Any]:
+    # The types that all of the formats have; .xdmf and legacy .vtk have no truth values and no 8-bit integers.
+    if values.dtype in (np.float32, np.float64):
+        return values
+    if values.dtype.kind in "bui":
+        wide = values.dtype.itemsize > 4 or values.dtype == np.uint32
+        if values.dtype == np.uint64 and values.size and values.max() > np.iinfo(np.int64).max:
+            raise InputError(f"{where}: {values.max()} is beyond int64; write smaller numbers")
+        return values.astype(np.int64 if wide else np.int32)
+    raise InputError(f"{where}: dtype {values.dtype} cannot be written; use float32, float64 or integers")
+
+
+def _require_float32(mesh: TriangleMesh, kind: str) -> None:
+    largest = np.abs(mesh.vertices).max(axis=1)
+    if largest.max() > np.finfo(np.float32).max:
+        row = int(np.argmax(largest))
+        raise InputError(
+            f"mesh: vertex {row} ({mesh.vertices[row].tolist()}) is beyond the float32 of {kind}; save as .ply or .vtp"
+        )

@@ -1,0 +1,169 @@
+"""Points on a mesh's surface: uniform, or evenly spread with a least distance."""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.user_arrays import require_finite_scalar
+from geokit.errors import InputError
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh.queries import poisson_disk
+
+__all__ = ["SurfaceSamples", "require_whole", "sample_surface", "scaled_areas"]
+
+METHODS = ("uniform", "poisson_disk")
+
+
+class SurfaceSamples(NamedTuple):
+    """points (N, 3) [world], triangle_id (N,) int32, barycentric (N, 3), radius [world].
+
+    No two points are nearer to each other than ``radius``, which is 0.0 for uniform samples.
+    """
+
+    points: NDArray[np.float64]
+    triangle_id: NDArray[np.int32]
+    barycentric: NDArray[np.float64]
+    radius: float
+
+
+def sample_surface(
+    mesh: TriangleMesh,
+    count: int | None = None,
+    *,
+    method: str = "uniform",
+    radius: float | None = None,
+    seed: int = 0,
+) -> SurfaceSamples:
+    """Random points on the surface, the same for the same mesh, arguments and seed.
+
+    - "uniform": independent, each triangle as likely as its share of the area, uniform within it
+      (tests/mesh/queries/test_sample_surface.py tests both against their distributions).
+    - "poisson_disk" with ``count``: so many points, spread evenly. What distance they have from each other is on the
+      result as ``radius``: about 0.8 times the square root of the area for each point, less on thin or folded shapes.
+    - "poisson_disk" with ``radius``: points at least that far from each other, as many as random throwing finds; less
+      than half a percent of the surface has room for another.
+
+    Distances between points are straight lines through space, ``sqrt((dx * dx + dy * dy) + dz * dz)`` in float64, and
+    the least one holds for every pair but for the last digit of that square root. Points lie on their triangles to
+    4 roundings of the largest coordinate. Triangles without area are never chosen.
+
+    Args:
+        mesh: The triangles.
+        count: Number of points; required by "uniform". "poisson_disk" takes either this or ``radius``.
+        method: "uniform" or "poisson_disk".
+        radius: Least distance between any two points [world], for "poisson_disk".
+        seed: Seed of the random numbers, 0 or more.
+    Returns:
+        SurfaceSamples with points (N, 3) [world], triangle_id (N,), barycentric (N, 3), radius.
+    Raises:
+        InputError: mesh is not a TriangleMesh, or has no area to put a point on; there is no such method; count is
+            missing, negative or not a whole number; radius is not a positive finite number or does not go with the
+            method and count; seed is negative or not a whole number; or float64 does not have ``count`` different
+            points there.
+        DeviceMemoryError: The points that far apart would not fit in memory.
+    Source:
+        Turk, "Generating random points in triangles" (1990), by folding the square. Cook, "Stochastic sampling in
+        computer graphics" (1986); for a given count McCool and Fiume, "Hierarchical Poisson disk sampling
+        distributions" (1992). Differs: on surfaces, candidates drawn beforehand.
+    Example:
+        >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        >>> gk.mesh.sample_surface(triangle, 1000).points.shape
+        (1000, 3)
+        >>> gk.mesh.sample_surface(triangle, 100, method="poisson_disk").radius > 0.05
+        True
+    """
+    if not isinstance(mesh, TriangleMesh):
+        raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+    count, radius = _checked(count, method, radius)
+    generator = np.random.default_rng(require_whole(seed, "seed"))
+    if count == 0:
+        return SurfaceSamples(np.empty((0, 3)), np.empty(0, np.int32), np.empty((0, 3)), 0.0)
+    scale, areas = scaled_areas(mesh)
+    bounds = np.cumsum(areas)
+    label = mesh.name or "the mesh"
+    if len(bounds) == 0 or not bounds[-1] > 0.0:
+        raise InputError(f"mesh: {label} has no area to put a point on; give one with triangles that have")
+
+    def draw(n: int) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        return _draw(mesh, bounds, n, generator)
+
+    if method == "uniform":
+        assert count is not None
+        triangle_id, barycentric, points = draw(count)
+        return SurfaceSamples(points, triangle_id, barycentric, 0.0)
+    lower, upper = mesh.bounds * scale
+    place = scale, float(bounds[-1]), lower, float((upper - lower).max()), label
+    if radius is None:
+        assert count is not None
+        (triangle_id, barycentric, points), radius = poisson_disk.throw_count(draw, count, *place)
+    else:
+        (triangle_id, barycentric, points), radius = poisson_disk.throw_radius(draw, radius, *place)
+    return SurfaceSamples(points, triangle_id, barycentric, radius)
+
+
+def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | None]:
+    if method not in METHODS:
+        raise InputError(f"method: {method!r} is not a method; use one of {', '.join(map(repr, METHODS))}")
+    if method == "uniform":
+        if count is None:
+            raise InputError("count: method 'uniform' needs the number of points; give one")
+        if radius is not None:
+            raise InputError("radius: method 'uniform' keeps no distance; use method='poisson_disk' or leave it out")
+    elif (count is None) == (radius is None):
+        raise InputError("count: method 'poisson_disk' takes either count or radius; give one of them")
+    return (
+        None if count is None else require_whole(count, "count"),
+        None if radius is None else require_finite_scalar(radius, "radius", low=0.0),
+    )
+
+
+def require_whole(value: Any, name: str) -> int:
+    """``value`` as an int from 0 up.
+
+    Raises:
+        InputError: It is none.
+    """
+    try:
+        # True is a whole number to Python.
+        number = -1 if isinstance(value, bool | np.bool_) else operator.index(value)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise InputError(f"{name}: {value!r} is not a whole number from 0 up; give one")
+    return number
+
+
+def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:
+    """A power of two that brings the mesh to about unit size, and the areas (F,) of its triangles at that size."""
+    lower, upper = mesh.bounds
+    # Halved before the difference: boxes as large as float64 must not overflow.
+    half = float(np.max(upper * 0.5 - lower * 0.5)) if len(mesh.faces) else 0.0
+    scale = math.ldexp(1.0, -math.frexp(half)[1]) if half > 0.0 else 1.0
+    # Axis by axis: numpy.cross over rows of three is many times slower.
+    axes = [np.ascontiguousarray(axis) * scale for axis in mesh.vertices.T]
+    a, b, c = ([axis.take(corner) for axis in axes] for corner in mesh.faces.T)
+    (ux, uy, uz), (vx, vy, vz) = ([end - start for end, start in zip(ends, a, strict=True)] for ends in (b, c))
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return scale, 0.5 * np.sqrt(x * x + y * y + z * z)
+
+
+def _draw(
+    mesh: TriangleMesh, bounds: NDArray[np.float64], count: int, generator: np.random.Generator
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+    """Uniform samples: triangle_id, barycentric, points. ``bounds`` are the cumulative areas."""
+    choice, v, w = generator.random((3, count))
+    # The first triangle whose bound is above the number: one without area ends where the one before it does.
+    triangle_id = np.searchsorted(bounds, choice * bounds[-1], side="right").astype(np.int32)
+    beyond = v + w > 1.0
+    v, w = np.where(beyond, 1.0 - v, v), np.where(beyond, 1.0 - w, w)
+    barycentric = np.stack([1.0 - (v + w), v, w], axis=1)
+    # take() is several times quicker than an index.
+    a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.faces.take(triangle_id, axis=0).T)
+    # From differences: coordinates that all corners share come out as they are.
+    points = a + v[:, None] * (b - a) + w[:, None] * (c - a)
+    return triangle_id, barycentric, points

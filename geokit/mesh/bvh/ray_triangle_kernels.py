@@ -1,0 +1,179 @@
+"""C++ text of the exact test of a ray against a triangle, in float64."""
+
+from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import SLOT_WORDS
+from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh.bvh.predicates_kernels import EXACT
+
+# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+SHORTEST_DIRECTION = 1e-150
+
+# Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
+# round the two products of each differently, and a ray through the edge could miss both (Woop, Benthin, Wald,
+# "Watertight Ray/Triangle Intersection", JCGT 2013). Differs: all in float64, no fall-back needed.
+
+# Names that the text expects: tree and t_min. `hit` is false where the ray misses the triangle in a slot; t in units of
+# the direction, v and w the weights of b and c.
+_HIT = (
+    EXACT
+    + """
+    #if defined(__CUDA_ARCH__)
+    // By an index that is not known in advance a GPU could read memory only, and would keep all points there.
+    auto pick = [&](const point& p, int k) { return k == 0 ? p[0] : k == 1 ? p[1] : p[2]; };
+    #else
+    auto pick = [&](const point& p, int k) { return p[k]; };
+    #endif
+    auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
+        double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
+                          direction[1] < 0 ? -direction[1] : direction[1],
+                          direction[2] < 0 ? -direction[2] : direction[2]};
+        // The axis along which the ray moves most becomes z of a sheared frame in which the ray is the z axis.
+        const int kz = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
+        const double most = pick(direction, kz);
+        const int kx = most < 0.0 ? (kz + 2) % 3 : (kz + 1) % 3;
+        const int ky = most < 0.0 ? (kz + 1) % 3 : (kz + 2) % 3;
+        const double sz = 1.0 / most, sx = pick(direction, kx) * sz, sy = pick(direction, ky) * sz;
+        // From the start of the ray, along the axes of that frame.
+        auto from_start = [&](int corner) {
+            const point p = tree.corners.data[3 * slot + corner] - start;
+            return point(pick(p, kx), pick(p, ky), pick(p, kz));
+        };
+        const point a = from_start(0), b = from_start(1), c = from_start(2);
+        const double ax = minus(a[0], product(sx, a[2])), ay = minus(a[1], product(sy, a[2]));
+        const double bx = minus(b[0], product(sx, b[2])), by = minus(b[1], product(sy, b[2]));
+        const double cx = minus(c[0], product(sx, c[2])), cy = minus(c[1], product(sy, c[2]));
+        double fa = minus(product(cx, by), product(cy, bx));
+        double fb = minus(product(ax, cy), product(ay, cx));
+        double fc = minus(product(bx, ay), product(by, ax));
+        ON_EDGE
+        double whole = fa + fb + fc;
+        if (whole == 0.0) {
+            ON_LINE
+        }
+        v = fb / whole;
+        w = fc / whole;
+        t = (fa * a[2] + fb * b[2] + fc * c[2]) * sz / whole;
+        return t >= t_min;
+    };
+"""
+)
+
+# Weights of a sliver lose digits along its longest edge, as many as the edge is longer than the height, and t with
+# them. Its plane does not: from the corner between the two shorter edges, with a normal whose components are right to a
+# few roundings (Kahan's difference of products), t is off by roundings of the longest edge. It never leaves the
+# triangle: where that is seen edge-on, its longest edge tells. The weights then are those of a point that lies as far
+# along that edge as t says. Names that the text expects: those of EXACT and of the test above, and tree.
+REFINE_SLIVER = """
+    auto difference_of_products = [&](double p, double q, double r, double s) {
+        const double rs = product(r, s);
+        return plus(fused(p, q, -rs), fused(-r, s, rs));
+    };
+    auto refine_sliver = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
+        const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
+                    c = tree.corners.data[3 * slot + 2];
+        const point ab = b - a, bc = c - b, ca = a - c;
+        const double ab2 = wp::dot(ab, ab), bc2 = wp::dot(bc, bc), ca2 = wp::dot(ca, ca);
+        // The longest edge runs from corner i to corner j.
+        const int o = bc2 >= ca2 ? (bc2 >= ab2 ? 0 : 2) : (ca2 >= ab2 ? 1 : 2), i = (o + 1) % 3;
+        const point edge = o == 0 ? bc : o == 1 ? ca : ab;
+        const point e = o == 0 ? ab : o == 1 ? bc : ca, f = o == 0 ? -ca : o == 1 ? -ab : -bc;
+        const point normal(difference_of_products(e[1], f[2], e[2], f[1]),
+                           difference_of_products(e[2], f[0], e[0], f[2]),
+                           difference_of_products(e[0], f[1], e[1], f[0]));
+        const double length2 = wp::dot(edge, edge);
+        if (length2 == 0.0) return;
+        // From the start of the ray to the ends of the edge and the corner opposite.
+        const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
+        const point last = first + edge;
+        const int axis = wp::abs(direction[0]) >= wp::abs(direction[1])
+            ? (wp::abs(direction[0]) >= wp::abs(direction[2]) ? 0 : 2)
+            : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
+        const double step = pick(direction, axis), of_first = pick(first, axis) / step,
+                     of_last = pick(last, axis) / step, of_opposite = pick(opposite, axis) / step;
+        const double slope = wp::dot(normal, direction);
+        if (slope != 0.0) {
+            t = wp::dot(normal, opposite) / slope;
+        } else {
+            // Seen along the ray: where the edge passes by it.
+            const double along2 = wp::dot(direction, direction);
+            const point seen = edge - direction * (wp::dot(edge, direction) / along2);
+            const double seen2 = wp::dot(seen, seen), share = seen2 > 0.0 ? -wp::dot(first, seen) / seen2 : 0.5;
+            t = of_first + wp::min(wp::max(share, 0.0), 1.0) * (of_last - of_first);
+        }
+        t = wp::max(t, wp::min(wp::min(of_first, of_last), of_opposite));
+        t = wp::min(t, wp::max(wp::max(of_first, of_last), of_opposite));
+        const double weight_o = o == 0 ? 1.0 - v - w : o == 1 ? v : w;
+        const double along = (wp::dot(direction * t - first, edge) + weight_o * wp::dot(e, edge)) / length2;
+        const double weight_j = wp::min(wp::max(along, 0.0), 1.0 - weight_o);
+        const double weight_i = 1.0 - weight_o - weight_j;
+        v = o == 1 ? weight_o : i == 1 ? weight_i : weight_j;
+        w = o == 2 ? weight_o : i == 2 ? weight_i : weight_j;
+    };
+"""
+
+# The same where a triangle is a sliver by the leaf's own numbers, the longest edge and the height: on a CPU they have
+# become a bit of what the walk has just read.
+REFINE = (
+    REFINE_SLIVER
+    + f"""
+    auto is_sliver = [&](int slot) {{
+        #if defined(__CUDA_ARCH__)
+        const float* const number = tree.leaves.data + {SLOT_WORDS} * slot;
+        return number[14] < {SLIVER}f * number[12];
+        #else
+        const float* const head = tree.ray_leaves.data + {LEAF_WORDS} * (wp::int64)(slot >> 3) + {HEAD};
+        return (((const unsigned*)head)[6] >> 8 >> (slot & 7) & 1u) != 0;
+        #endif
+    }};
+    auto refine = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {{
+        if (is_sliver(slot)) refine_sliver(start, direction, slot, t, v, w);
+    }};
+"""
+)
+
+# A ray through an edge or a vertex hits all triangles there: what is closed has no hole. t is not refined.
+RAY_HIT = _HIT.replace(
+    "ON_EDGE",
+    "if ((fa < 0.0 || fb < 0.0 || fc < 0.0) && (fa > 0.0 || fb > 0.0 || fc > 0.0)) return false;",
+).replace("ON_LINE", "return false;  // seen edge-on: its neighbours take the ray")
+
+RAY_HIT_AT_ALL = RAY_HIT.replace("auto hit =", "auto hit_at_all =").replace("return t >= t_min;", "return true;")
+# With t refined before it is compared with anything.
+RAY_HIT_REFINED = (
+    RAY_HIT_AT_ALL
+    + REFINE
+    + """
+    auto hit = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
+        if (!hit_at_all(start, direction, slot, t, v, w)) return false;
+        refine(start, direction, slot, t, v, w);
+        return t >= t_min;
+    };
+"""
+)
+
+# A ray through an edge or a vertex hits as many triangles there as one moved by an infinitesimal (e, e^2) in x and y
+# of the sheared frame: each passage through the surface counts once, a touch from one side twice or not at all
+# (Edelsbrunner, Muecke, "Simulation of Simplicity", 1990). Signs are those of the exact determinants of the sheared
+# corners, so that they belong to one arrangement of points in the plane and a closed surface is crossed an even number
+# of times by any line.
+RAY_CROSSING = _HIT.replace(
+    "ON_EDGE",
+    """
+        auto side = [&](double px, double py, double qx, double qy, double f) {
+            // Sign of px * qy - py * qx, whose rounded value is f.
+            const double one = product(px, qy), other = product(py, qx);
+            const double bound = 4e-16 * ((one < 0.0 ? -one : one) + (other < 0.0 ? -other : other));
+            if (f > bound) return 1;
+            if (f < -bound) return -1;
+            const double rest = (one - other) + (fused(px, qy, -one) - fused(py, qx, -other));
+            if (rest != 0.0) return rest > 0.0 ? 1 : -1;
+            if (py != qy) return py > qy ? 1 : -1;
+            return px == qx ? 0 : qx > px ? 1 : -1;
+        };
+        const int ea = side(cx, cy, bx, by, fa), eb = side(ax, ay, cx, cy, fb), ec = side(bx, by, ax, ay, fc);
+        if (ea == 0 || ea != eb || eb != ec) return false;
+        // What rounding left on the wrong side of zero.
+        if (fa * ea < 0.0) fa = 0.0;
+        if (fb * ea < 0.0) fb = 0.0;
+        if (fc * ea < 0.0) fc = 0.0;
+""",
+).replace("ON_LINE", "fa = fb = fc = 1.0; whole = 3.0;  // hit, at a place that rounding hides")

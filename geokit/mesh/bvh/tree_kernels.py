@@ -1,0 +1,74 @@
+"""The handle through which kernels reach a prepared surface."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) an axis;
+# 2e-7 covers that in three axes, and the rounding of the box distance itself, about twice over.
+BOX_PADDING = 2.0e-7
+
+# In the first place of a query's candidates: there is none; and: ask the search that does all at once.
+NO_CANDIDATE = wp.constant(-1)
+UNDECIDED = wp.constant(-2)
+
+
+@wp.struct
+class SurfaceTree:
+    """A surface as its kernels see it: on a CPU through the wide tree, on CUDA through the tree of the warp Mesh.
+
+    A slot is a place in a leaf: triangles that are near each other in space stand in slots that are near each other.
+    """
+
+    # Local frame: local = (world - origin) / scale lies in [-1, 1].
+    origin: wp.vec3d
+    scale: wp.float64
+    # World corners of the triangle in each slot, three a slot, and its number; -1 and NaN where a slot is empty.
+    corners: wp.array(dtype=wp.vec3d)
+    slot_triangle: wp.array(dtype=int)
+    # Handle of the warp Mesh; 0 on a CPU.
+    mesh: wp.uint64
+    # Wide tree: for each node the boxes of its eight children, six rows of eight (lower x, y, z, upper x, y, z), local.
+    # On CUDA: the nodes of bvh2_packed_cuda_kernels.
+    boxes: wp.array(dtype=wp.float32)
+    # Eight a node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
+    # On CUDA: one, the root as a child would be referred to.
+    children: wp.array(dtype=int)
+    # The same for rays, on CUDA only: with smaller leaves.
+    ray_boxes: wp.array(dtype=wp.float32)
+    ray_children: wp.array(dtype=int)
+    # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see bvh8_leaves_cpu_kernels.
+    leaves: wp.array(dtype=wp.float32)
+    # The same for rays, on the CPU only: LEAF_WORDS words a block; see bvh8_ray_leaves_cpu_kernels.
+    ray_leaves: wp.array(dtype=wp.float32)
+
+
+@wp.kernel
+def gather_corners_kernel(
+    first: int,
+    slot_triangle: wp.array(dtype=int),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    out_corners: wp.array(dtype=wp.vec3d),
+):
+    slot = first + wp.tid()
+    triangle = slot_triangle[slot]
+    for k in range(3):
+        if triangle >= 0:
+            out_corners[3 * slot + k] = vertices[faces[3 * triangle + k]]
+        else:
+            none = wp.float64(wp.nan)
+            out_corners[3 * slot + k] = wp.vec3d(none, none, none)
+
+
+@wp.func_native("return wp::bvh_load_int(wp::mesh_get(id).bvh.primitive_indices, slot);")
+def triangle_in_leaf_order(id: wp.uint64, slot: int) -> int: ...
+
+
+@wp.kernel
+def leaf_order_kernel(first: int, mesh: wp.uint64, out_slot_triangle: wp.array(dtype=int)):
+    """The triangles of a warp Mesh in the order of its leaves."""
+    slot = first + wp.tid()
+    out_slot_triangle[slot] = triangle_in_leaf_order(mesh, slot)

@@ -1,0 +1,1 @@
+"""Queries of a prepared surface: closest points, rays, overlaps, intersections, distances between surfaces."""

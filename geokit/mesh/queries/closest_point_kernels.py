@@ -1,0 +1,62 @@
+"""Closest point on a surface, one query a thread."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.morton_order_kernels import ask_ahead
+from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
+from geokit.mesh.bvh.nearest_kernels import nearest_slot
+from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 80
+
+
+@wp.kernel(cuda_max_registers=REGISTERS)
+def closest_point_kernel(
+    first: int,
+    group: int,
+    order: wp.array(dtype=int),
+    points: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    max_distance: wp.float64,
+    out_points: wp.array(dtype=wp.vec3d),
+    out_distance: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
+):
+    """A group of queries that are near each other a thread: each starts from the answer of the one before.
+
+    A query that is not finite is a miss, and raises ``out_bad`` for the host to see which row it is.
+    """
+    begin = (first + wp.tid()) * group
+    slot = int(-1)
+    for k in range(begin, wp.min(begin + group, points.shape[0])):
+        ask_ahead(points, order, k)
+        i = order[k]
+        p = points[i]
+        if wp.isfinite(p):
+            slot = nearest_slot(tree, p, max_distance * max_distance, slot)
+        else:
+            slot = int(-1)
+            out_bad[0] = 1
+        if slot < 0:
+            none = wp.float64(wp.nan)
+            out_points[i] = wp.vec3d(none, none, none)
+            out_distance[i] = wp.float64(wp.inf)
+            out_triangle_id[i] = -1
+            out_barycentric[i] = wp.vec3d(none, none, none)
+        else:
+            a = tree.corners[3 * slot]
+            b = tree.corners[3 * slot + 1]
+            c = tree.corners[3 * slot + 2]
+            barycentric = closest_on_triangle(p, a, b, c)
+            out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
+            out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
+            out_triangle_id[i] = tree.slot_triangle[slot]
+            out_barycentric[i] = barycentric

@@ -1,0 +1,170 @@
+"""Branch and bound for the largest distance of one surface from another: triangles are cut until bounds suffice."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.host_array import HostArray
+from geokit.mesh._model import TriangleMesh
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.mesh._surface import Surface
+
+__all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_pieces"]
+
+
+class TrianglePieces(NamedTuple):
+    """Parts of triangles, P of them, and what is known of their distances."""
+
+    corners: NDArray[np.float64]  # (P, 3, 3): piece, corner, axis [world]
+    distance: NDArray[np.float64]  # (P, 3), of the corners
+    triangle: NDArray[np.int32]  # (P, 3), the corners' closest triangles
+    candidate: NDArray[np.int32]  # (P,), the triangle that gave the bound
+    upper: NDArray[np.float64]  # (P,), bound of the distance anywhere in the piece
+    depth: NDArray[np.int32]  # (P,), cuts that it came from
+    edge: NDArray[np.int32]  # (P,), the edge to cut if that bound is too large; edge k starts at corner k
+    cut: NDArray[np.float64]  # (P, 3), where [world]
+
+    def take(self, rows: NDArray[Any]) -> TrianglePieces:
+        return TrianglePieces(*(column[rows] for column in self))
+
+
+class DistanceSearch:
+    """Branch and bound for the largest distance of a mesh from a surface.
+
+    Pieces whose bound does not exceed the largest distance found by more than the gap are done: all that is kept of
+    them is the largest such bound.
+    """
+
+    def __init__(self, target: Surface, gap: float, rounding: float) -> None:
+        from geokit.mesh.queries.hausdorff_kernels import Target
+
+        self.lower, self.done_upper = -math.inf, 0.0
+        self.point = self.closest = np.full(3, math.nan)
+        self._surface, self._gap, self._rounding = target, gap, rounding
+        self._device: "wp.Device" = target._device
+        self._target = Target()
+        self._target.vertices, self._target.faces = target._vertices, target._faces
+
+    def ask(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Distances of points of the mesh and their closest triangles; the largest distance is remembered."""
+        found = self._surface.closest_point(points)
+        if len(points):
+            row = int(np.argmax(found.distance))
+            if found.distance[row] > self.lower + self._rounding:
+                self.lower = float(found.distance[row])
+                self.point, self.closest = points[row].copy(), found.points[row].copy()
+        return found.distance, found.triangle_id
+
+    def ask_vertices(self, mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """As :meth:`ask`, for all vertices; NaN and -1 for those that no face uses."""
+        used = np.zeros(len(mesh.vertices), bool)
+        used[mesh.faces.ravel()] = True
+        distance, triangle = np.full(len(used), math.nan), np.full(len(used), -1, np.int32)
+        distance[used], triangle[used] = self.ask(mesh.vertices[used])
+        return distance, triangle
+
+    def run(self, mesh: TriangleMesh, distance: NDArray[np.float64], triangle: NDArray[np.int32]) -> None:
+        """Close the gap between ``lower`` and ``upper`` over all triangles; takes what the vertices' answers are."""
+        waiting: list[TrianglePieces] = []
+        for start in range(0, len(mesh.faces), BLOCK):
+            faces = mesh.faces[start : start + BLOCK]
+            waiting.append(self._first_pieces(mesh.vertices[faces], distance[faces], triangle[faces]))
+        pieces = joined_pieces(waiting)
+        while True:
+            pieces = self._undecided(pieces)
+            if len(pieces.upper) == 0:
+                return
+            chosen = self._next_rows(pieces)
+            rest = np.ones(len(pieces.upper), bool)
+            rest[chosen] = False
+            pieces = joined_pieces([pieces.take(rest), self._halves(pieces.take(chosen))])
+
+    @property
+    def upper(self) -> float:
+        return max(self.lower, self.done_upper)
+
+    def _first_pieces(
+        self, corners: NDArray[np.float64], distance: NDArray[np.float64], triangle: NDArray[np.int32]
+    ) -> TrianglePieces:
+        """Whole triangles that are not decided by their corners, nor by the triangle closest to their middle."""
+        count = len(corners)
+        unknown = np.full(count, math.inf), np.zeros(count, np.int32), np.empty(count, np.int32), np.empty((count, 3))
+        pieces = TrianglePieces(corners, distance, triangle, triangle[:, 0].copy(), *unknown)
+        self._bound(pieces)
+        pieces = self._undecided(pieces)
+        pieces.candidate[:] = self.ask(pieces.corners.mean(axis=1))[1]
+        self._bound(pieces)
+        return self._undecided(pieces)
+
+    def _undecided(self, pieces: TrianglePieces) -> TrianglePieces:
+        undecided = pieces.upper > self.lower + self._gap
+        self.done_upper = max(self.done_upper, float(np.max(pieces.upper[~undecided], initial=0.0)))
+        return pieces if undecided.all() else pieces.take(undecided)
+
+    def _next_rows(self, pieces: TrianglePieces) -> NDArray[np.int64]:
+        count = len(pieces.upper)
+        if count <= BLOCK or count > MOST_WAITING:
+            return np.arange(max(0, count - BLOCK), count)
+        return np.argpartition(pieces.upper, count - BLOCK)[count - BLOCK :]
+
+    def _halves(self, pieces: TrianglePieces) -> TrianglePieces:
+        """Each piece cut in two, bounded."""
+        distance, triangle = self.ask(pieces.cut)
+        both = joined_pieces([pieces, pieces])
+        rows = np.arange(len(both.upper))
+        replaced = np.concatenate([pieces.edge, (pieces.edge + 1) % 3])
+        both.corners[rows, replaced] = both.cut
+        both.distance[rows, replaced] = np.tile(distance, 2)
+        both.triangle[rows, replaced] = np.tile(triangle, 2)
+        both.depth[:] += 1
+        self._bound(both)
+        return both
+
+    def _bound(self, pieces: TrianglePieces) -> None:
+        import warp as wp
+
+        from geokit.mesh.queries.hausdorff_kernels import bound_kernel
+
+        flat = pieces.corners.reshape(-1, 3), pieces.distance.reshape(-1), pieces.triangle.reshape(-1), pieces.depth
+        enough, least_gap = wp.float64(self.lower + self._gap), wp.float64(CUT_SHARE * self._gap)
+        inputs = [*(self._sent(array) for array in flat), self._target, enough, least_gap]
+        self._launch(bound_kernel, len(pieces.upper), inputs, [pieces.candidate, pieces.upper, pieces.edge, pieces.cut])
+
+    def _sent(self, array: NDArray[Any]) -> Any:
+        host = HostArray(np.ascontiguousarray(array))
+        return host if self._device.is_cpu else host.warp.to(self._device)
+
+    def _launch(self, kernel: Any, count: int, inputs: list[Any], results: list[NDArray[Any]]) -> None:
+        """Run the kernel; ``results`` go in as they are and hold what it has made of them."""
+        if count == 0:
+            return
+        outputs = [self._sent(array) for array in results]
+        launcher.launch(kernel, count, inputs, outputs, self._device)
+        for array, output in zip(results, outputs, strict=True):
+            if not self._device.is_cpu:
+                array[:] = output.numpy()
+
+
+# Pieces that are cut at once, about 60 MB with their halves.
+BLOCK = 1 << 17
+
+
+# While fewer pieces than this wait (152 bytes each), those with the largest bounds are cut first, which raises the
+# lower bound soonest; from there on the newest, of which there can be no more than a block for each halving of an edge.
+MOST_WAITING = 1 << 20
+
+
+# Edges are cut where closest triangles change if their distances differ by this share of what is still allowed.
+CUT_SHARE = 0.25
+
+
+def joined_pieces(parts: list[TrianglePieces]) -> TrianglePieces:
+    return TrianglePieces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -1,0 +1,223 @@
+"""Which triangles of a prepared surface meet boxes, another surface, or each other."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory, launcher, user_arrays
+from geokit.core.pinned import host_flags
+from geokit.errors import DeviceMemoryError, InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.core.frame import Frame
+
+__all__ = ["BoxOverlaps", "OverlapQueries"]
+
+# Leaves of a tree, or boxes, that a thread takes at least at once.
+LEAF_GRAIN = 16
+WIDTH = 8
+
+
+class BoxOverlaps(NamedTuple):
+    """offsets (N + 1,), triangle_id (H,): those of box i are ``triangle_id[offsets[i]:offsets[i + 1]]``, ascending."""
+
+    offsets: Any
+    triangle_id: Any
+
+
+class OverlapQueries:
+    """Overlap queries of a :class:`geokit.mesh.Surface`."""
+
+    _device: "wp.Device"
+    _frame: Frame
+    _tree: Any
+
+    def overlapping(self, lower: Any, upper: Any) -> BoxOverlaps:
+        """Triangles that meet each box; the triangles themselves, not only their bounding boxes.
+
+        Boxes and triangles are closed: touching is meeting. No triangle that meets a box is missed; one that does not
+        may be listed where it is nearer to it than 1e-14 of the box's size (tests/mesh/queries/test_overlaps.py).
+
+        Args:
+            lower: Lower corners of the boxes [world], shape (N, 3).
+            upper: Upper corners [world], shape (N, 3), nowhere below the lower ones.
+        Returns:
+            BoxOverlaps with offsets (N + 1,) and triangle_id, ascending for each box.
+        Raises:
+            InputError: An array is not (N, 3) or not finite, their lengths differ, or a box is inside out.
+            DeviceMemoryError: There are more overlaps than the device can hold.
+        Source:
+            Akenine-Möller, "Fast 3D Triangle-Box Overlap Testing" (2001). Differs: margins for rounding, so that none
+            is missed.
+        Example:
+            >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+            >>> surface = gk.mesh.Surface(triangle, device="cpu")
+            >>> surface.overlapping([[0, 0, 0], [0.8, 0.8, 0]], [[0.1, 0.1, 0], [1, 1, 0]]).offsets
+            array([0, 1, 1])
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.overlaps_kernels import (
+            count_overlaps_kernel,
+            list_overlaps_kernel,
+            triangle_of_key_kernel,
+        )
+
+        device = self._device
+        low = user_arrays.read_vectors(lower, "lower", device)
+        high = user_arrays.read_vectors(upper, "upper", device)
+        _require_boxes(low, high)
+        boxes, tree = [low.rows, high.rows], [self._tree, self._slot_boxes]
+        offsets = wp.zeros(len(low) + 1, dtype=wp.int64, device=device)
+        if len(low):
+            count = wp.empty(len(low), dtype=wp.int64, device=device)
+            launcher.launch(count_overlaps_kernel, len(low), [*boxes, *tree], [count], device, grain=LEAF_GRAIN)
+            wp.utils.array_scan(count, offsets[1:], inclusive=True)
+        total = int(offsets[-1:].numpy()[0])
+        # Keys, their scratch space and that of the values that the sort moves along, and the list.
+        _require_room(total, 28, "overlaps", device)
+        key = wp.empty(2 * total, dtype=wp.int64, device=device)
+        triangle_id = wp.empty(total, dtype=wp.int32, device=device)
+        if total:
+            launcher.launch(list_overlaps_kernel, len(low), [*boxes, offsets, *tree], [key], device, grain=LEAF_GRAIN)
+            _sort(key, total)
+            launcher.launch(triangle_of_key_kernel, total, [key], [triangle_id], device)
+        return BoxOverlaps(low.give(offsets), low.give(triangle_id))
+
+    def intersecting_triangles(self, other: "OverlapQueries") -> NDArray[np.int32]:
+        """Pairs of triangles, one of this surface and one of another, that meet.
+
+        Decided exactly for float64 corners (tests/mesh/queries/test_intersections_property.py). Triangles are closed:
+        touching is meeting; those without area are the segments or points that they are.
+
+        Args:
+            other: A surface on the same device.
+        Returns:
+            int32 (P, 2): triangle of this surface, triangle of the other, sorted.
+        Raises:
+            InputError: other is not a Surface, or lives on another device.
+            DeviceMemoryError: There are more pairs than the device can hold.
+        Source:
+            Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates" (1997);
+            Guigue, Devillers, "Fast and Robust Triangle-Triangle Overlap Test Using Orientation Predicates" (2003).
+        """
+        if not isinstance(other, OverlapQueries):
+            raise InputError(f"other: {type(other).__name__} is not a Surface; prepare one from the mesh")
+        if other._device != self._device:
+            raise InputError(
+                f"other: it is on {other._device.alias}, this surface on {self._device.alias}; prepare both on one"
+            )
+        return self._pairs(other)
+
+    def self_intersections(self) -> NDArray[np.int32]:
+        """Pairs of triangles of this mesh that meet elsewhere than on the vertex or edge that they share.
+
+        Shared are corners of equal positions, so that a soup of triangles answers as the indexed mesh. Pairs of the
+        same three positions count as meeting; so do triangles that touch without a common corner, such as at a
+        T-junction. Decided exactly for float64 corners (tests/mesh/queries/test_intersections_property.py).
+
+        Returns:
+            int32 (P, 2): the lower and the higher triangle_id of each pair, sorted.
+        Raises:
+            DeviceMemoryError: There are more pairs than the device can hold.
+        Source:
+            As for :meth:`intersecting_triangles`.
+        """
+        return self._pairs(self)
+
+    def _has_self_intersections(self) -> bool:
+        """Whether :meth:`self_intersections` has any; stops at the first that is found."""
+
+        from geokit.mesh.queries.intersecting_kernels import find_pair_kernel
+
+        found = host_flags(1, self._device)
+        launcher.launch(
+            find_pair_kernel, self._leaf_count, self._pair_inputs(self), [found], self._device, grain=LEAF_GRAIN
+        )
+        return bool(found.numpy()[0])
+
+    def _pairs(self, other: "OverlapQueries") -> NDArray[np.int32]:
+        import warp as wp
+
+        from geokit.mesh.queries.intersecting_kernels import count_pairs_kernel, fill_pairs_kernel
+
+        device, inputs = self._device, self._pair_inputs(other)
+        count = wp.empty(self._leaf_count, dtype=wp.int64, device=device)
+        launcher.launch(count_pairs_kernel, len(count), inputs, [count], device, grain=LEAF_GRAIN)
+        counts = count.numpy()
+        items = np.flatnonzero(counts)
+        ends = np.cumsum(counts[items])
+        total = int(ends[-1]) if len(ends) else 0
+        _require_room(total, 8, "pairs", device)
+        pairs = wp.empty(2 * total, dtype=wp.int32, device=device)
+        where = [
+            wp.array(items, dtype=wp.int32, device=device),
+            wp.array(ends - counts[items], dtype=wp.int64, device=device),
+        ]
+        launcher.launch(fill_pairs_kernel, len(items), [*where, *inputs], [pairs], device, grain=LEAF_GRAIN)
+        # Rows of two as one number each, little-endian or not, sort as rows do.
+        rows = pairs.numpy().reshape(-1, 2)
+        key = np.sort(rows[:, 0].astype(np.int64) << 32 | rows[:, 1])
+        return np.stack([key >> 32, key & 0xFFFFFFFF], axis=1).astype(np.int32)
+
+    def _pair_inputs(self, other: "OverlapQueries") -> list[Any]:
+        import warp as wp
+
+        # A power of two scales without rounding: products of corners must not underflow.
+        unit = 2.0 ** -round(math.log2(max(self._frame.scale, other._frame.scale)))
+        return [self._tree, other._tree, other._slot_boxes, other is self, wp.float64(unit)]
+
+    @property
+    def _leaf_count(self) -> int:
+        slots = len(self._tree.slot_triangle)
+        return slots // WIDTH if self._device.is_cpu else slots
+
+    @cached_property
+    def _slot_boxes(self) -> "wp.array":
+        """The boxes of the triangles, by eights as the leaves; a GPU has one triangle a leaf, and needs none."""
+        import warp as wp
+
+        from geokit.mesh.bvh.box_walk_kernels import slot_boxes_kernel
+
+        slots = len(self._tree.slot_triangle) if self._device.is_cpu else 0
+        boxes = wp.empty(6 * slots, dtype=wp.float32, device=self._device)
+        launcher.launch(slot_boxes_kernel, slots, [self._tree], [boxes], self._device)
+        return boxes
+
+
+def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
+
+    from geokit.mesh.queries.overlaps_kernels import first_inverted_kernel
+
+    if len(lower) != len(upper):
+        raise InputError(f"upper: {len(upper)} rows for {len(lower)} of lower; give one for each")
+    row = user_arrays.reported_row(first_inverted_kernel, lower.rows, [upper.rows])
+    if row >= 0:
+        low, high = (batch.rows[row : row + 1].numpy()[0].tolist() for batch in (lower, upper))
+        raise InputError(f"upper: row {row} {high} is below lower {low}; swap them where they are")
+
+
+def _require_room(count: int, size: int, what: str, device: "wp.Device") -> None:
+    room = available_memory.available(device)
+    if count * size > room:
+        raise DeviceMemoryError(
+            f"{count} {what} need {count * size >> 20} MiB on {device.alias}, which has {room >> 20} free; "
+            "ask for fewer at once"
+        )
+
+
+def _sort(key: "wp.array", count: int) -> None:
+    import warp as wp
+
+    if key.device.is_cpu:
+        key.numpy()[:count].sort()  # in place: the array shares its memory
+        return
+    values = wp.empty(2 * count, dtype=wp.int32, device=key.device)
+    wp.utils.radix_sort_pairs(key, values, count)

@@ -1,0 +1,170 @@
+"""Closest and furthest points of a prepared surface; on which side points lie is asked in _sign_queries."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher, user_arrays
+from geokit.core.chunked_queries import Progress, in_blocks
+from geokit.core.pinned import host_flags
+from geokit.mesh.topology.size_limits import require_measurable
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.core.frame import Frame
+    from geokit.core.host_array import HostArray
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
+
+# The order of queries is resolved over twice the mesh's box: what is farther away is clamped to its sides.
+ORDER_HALF_WIDTH = 2.0
+# Queries of a thread, each starting from its neighbour's answer: more gain nothing on a CPU. On a GPU a thread for each
+# is quickest: what two in a row gain is lost to caches that more distant threads share.
+QUERY_GROUP = 32
+
+
+class ClosestPoints(NamedTuple):
+    """points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
+
+    A miss has triangle_id -1, distance inf, and NaN elsewhere.
+    """
+
+    points: Any
+    distance: Any
+    triangle_id: Any
+    barycentric: Any
+
+
+class FurthestPoints(NamedTuple):
+    """points (N, 3) [world], distance (N,) [world], triangle_id (N,); the points are vertices of those triangles."""
+
+    points: Any
+    distance: Any
+    triangle_id: Any
+
+
+class PointQueries:
+    """Point queries of a :class:`geokit.mesh.Surface`."""
+
+    mesh: TriangleMesh
+    _device: "wp.Device"
+    _frame: Frame
+    _tree: Any
+
+    def closest_point(
+        self, points: Any, *, max_distance: float = math.inf, progress: Progress | None = None
+    ) -> ClosestPoints:
+        """Closest point on the surface for each query point.
+
+        Exact for float64 coordinates, to 1e-12 of the mesh's diagonal
+        (tests/mesh/queries/test_closest_point_property.py); ties go to the lowest triangle_id. Triangles without area
+        answer as the segment or point that they are.
+
+        Within 1e-6 of the mesh's size up to 1e8 sizes from the origin, and 1e-12 on slivers of any aspect ratio; for
+        sizes from 1e-70 to 1e70. Held by tests/accuracy/stability/test_envelopes.py.
+
+        Args:
+            points: Query points [world], shape (N, 3).
+            max_distance: Search radius [world]; farther points are misses.
+            progress: Called as ``progress(done, total)`` after each block of a few million queries.
+        Returns:
+            ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
+        Raises:
+            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, or the mesh is
+                smaller than 1e-70 or larger than 1e70.
+        Source:
+            Ericson, Real-Time Collision Detection (2005), 5.1.5. Differs: float64, slivers from their edges.
+        Example:
+            >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+            >>> surface = gk.mesh.Surface(triangle, device="cpu")
+            >>> surface.closest_point([[0.25, 0.25, 2.0]]).distance
+            array([2.])
+        """
+
+        reach = checked_radius(max_distance)
+        require_measurable(self.mesh, self._frame)
+
+        def query(batch: user_arrays.Batch) -> ClosestPoints:
+            # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
+            bad = host_flags(1, self._device)
+            found = self._closest(batch.rows, reach, bad)
+            # A GPU is at work meanwhile: the flag waits for it.
+            answer = ClosestPoints(*(batch.give(array) for array in found))
+            refuse_raised(bad, batch)
+            return answer
+
+        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
+
+    def furthest_point(self, points: Any) -> FurthestPoints:
+        """Furthest point of the surface for each query point: always a vertex, exact in float64.
+
+        Ties go to the lowest triangle_id, and within it to the first corner (tests/mesh/test_surface.py).
+
+        Args:
+            points: Query points [world], shape (N, 3).
+        Returns:
+            FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
+        Raises:
+            InputError: points is not (N, 3) or not finite.
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.furthest_kernels import furthest_point_kernel
+
+        batch = user_arrays.read_vectors(points, "points", self._device, pin=True)
+        found = FurthestPoints(
+            points=user_arrays.empty(len(batch), wp.vec3d, batch.rows),
+            distance=user_arrays.empty(len(batch), wp.float64, batch.rows),
+            triangle_id=user_arrays.empty(len(batch), wp.int32, batch.rows),
+        )
+        self._query(furthest_point_kernel, batch.rows, [self._tree], list(found))
+        return FurthestPoints(*(batch.give(array) for array in found))
+
+    def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:
+        """``bad`` is raised where a point is not finite: for such a one nothing is found."""
+        import warp as wp
+
+        from geokit.mesh.queries.closest_point_kernels import closest_point_kernel
+
+        count, device = len(points), self._device
+        found = ClosestPoints(*user_arrays.several(count, [wp.vec3d, wp.float64, wp.int32, wp.vec3d], points))
+        group = QUERY_GROUP if device.is_cpu else 1
+        self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group, bad)
+        return found
+
+    def _order_box(self) -> tuple[NDArray[np.float64], float]:
+        """Lower corner and edge length [world] of the box that the order of queries resolves."""
+        half = ORDER_HALF_WIDTH * self._frame.scale
+        return self._frame.origin - half, 2.0 * half
+
+    def _query(
+        self,
+        kernel: Any,
+        points: Any,
+        inputs: list[Any],
+        outputs: list[Any],
+        group: int = 0,
+        flag: Any = None,
+    ) -> None:
+        """``flag`` is a further output that all queries share."""
+        lower, extent = self._order_box()
+        flags = [] if flag is None else [flag]
+        launcher.launch_queries(
+            kernel, points, inputs, outputs, self._device, lower=lower, extent=extent, group=group, flags=flags
+        )
+
+
+def checked_radius(max_distance: float) -> float:
+    return user_arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
+
+
+def refuse_raised(bad: HostArray, batch: user_arrays.Batch) -> None:
+    """Raises InputError, and names the first point that is not finite, where a kernel has found one."""
+    if bad.numpy()[0]:
+        user_arrays.require_finite(batch, "points")

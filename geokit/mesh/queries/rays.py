@@ -1,0 +1,304 @@
+"""What rays hit on a prepared surface: first hits, all hits, occlusion."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from geokit.core import launcher, user_arrays
+from geokit.core.chunked_queries import Progress, in_blocks
+from geokit.core.host_array import HostArray
+from geokit.core.pinned import host_flags
+from geokit.errors import InputError
+from geokit.mesh.topology.size_limits import require_measurable
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.core.frame import Frame
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["RayHitLists", "RayHits", "RayQueries"]
+
+# Rays of a thread on a CPU, where many are in flight at once: with few there are none to take the places of those that
+# are done, with many threads wait for the last. A GPU has a thread for each.
+FEWEST_IN_GROUP = 256
+MOST_IN_GROUP = 1024
+GROUPS_PER_THREAD = 8
+# Rays on a GPU for which two launches are quicker than one.
+FEWEST_IN_PASSES = 1 << 14
+
+
+class RayHits(NamedTuple):
+    """t (N,) in units of the ray's direction, triangle_id (N,), barycentric (N, 3).
+
+    A miss has triangle_id -1, t inf, and NaN elsewhere.
+    """
+
+    t: Any
+    triangle_id: Any
+    barycentric: Any
+
+
+class RayHitLists(NamedTuple):
+    """All hits of each ray: those of ray i are rows ``offsets[i]`` to ``offsets[i + 1]`` of the rest, by ascending t.
+
+    offsets (N + 1,), t (H,) in units of the ray's direction, triangle_id (H,), barycentric (H, 3).
+    """
+
+    offsets: Any
+    t: Any
+    triangle_id: Any
+    barycentric: Any
+
+
+class RayQueries:
+    """Ray queries of a :class:`geokit.mesh.Surface`."""
+
+    mesh: TriangleMesh
+    _device: "wp.Device"
+    _frame: Frame
+    _tree: Any
+
+    def raycast(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        watertight: bool = True,
+        progress: Progress | None = None,
+    ) -> RayHits:
+        """First hit of each ray.
+
+        Watertight: no ray passes between triangles through an edge or a vertex that they share
+        (tests/mesh/queries/test_ray_leaks_stability.py). Ties go to the lowest triangle_id.
+
+        Within 1e-6 of the mesh's size up to 1e9 sizes from the origin, and from starts up to 1e8 sizes away; from 1e12
+        on they may miss. t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face, on
+        slivers as well. A t_min of 1e-13 of the mesh's size passes over the face that a ray starts on. Held by
+        tests/accuracy/stability/test_envelopes.py.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Hits nearer than this are passed over, in units of the direction; for rays that start on the surface.
+            max_distance: Length of the rays [world]; farther hits are misses.
+            watertight: False allows rays to slip between triangles where that is quicker. It is not: the walk is the
+                same, and so is every bit of the answers (tests/mesh/bvh/test_bvh8_ray_leaves_property.py).
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
+        Returns:
+            RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
+        Raises:
+            InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
+                negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
+                larger than 1e70.
+        Source:
+            Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013). Differs: float64 throughout.
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.raycast_kernels import raycast_kernel
+
+        require_measurable(self.mesh, self._frame)
+
+        def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:
+            found = RayHits(*user_arrays.several(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
+            self._cast(raycast_kernel, rays, heading, t_min, max_distance, list(found))
+            return RayHits(*(rays.give(array) for array in found))
+
+        return self._in_blocks(query, origins, directions, progress)
+
+    def raycast_all(
+        self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
+    ) -> RayHitLists:
+        """Every crossing of each ray with the surface, by ascending t.
+
+        A passage through an edge or a vertex is one crossing, of one of the triangles there; touching an edge or a
+        vertex from one side is none or two, as if the ray ran an infinitesimal beside it. A line crosses a closed
+        surface an even number of times, always (tests/mesh/queries/test_crossings_property.py). Rays within a
+        triangle's plane do not cross it.
+
+        A passage through an edge or a vertex is one crossing, however exactly it is aimed at. Held by
+        tests/accuracy/stability/test_envelopes.py. t is that of :meth:`raycast`; the limits of a ray are compared with
+        one that has lost digits on slivers.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer crossings are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+        Returns:
+            RayHitLists with offsets (N + 1,), t, triangle_id and barycentric.
+        Raises:
+            InputError: As for :meth:`raycast`.
+        Source:
+            Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.crossings_kernels import list_crossings_kernel
+
+        rays = user_arrays.read_vectors(origins, "origins", self._device, defer=True)
+        directions = user_arrays.read_vectors(directions, "directions", self._device, defer=True)
+        count = self._count_crossings(rays, directions, t_min, max_distance)
+        offsets = wp.zeros(len(rays) + 1, dtype=wp.int64, device=self._device)
+        if len(rays):
+            wp.utils.array_scan(_widened(count), offsets[1:], inclusive=True)
+        total = int(offsets[-1:].numpy()[0])
+        t = user_arrays.empty(total, wp.float64, rays.rows)
+        triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
+        barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
+        self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
+        return RayHitLists(rays.give(offsets), rays.give(t), rays.give(triangle_id), rays.give(barycentric))
+
+    def crossing_count(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        progress: Progress | None = None,
+    ) -> Any:
+        """How often each ray crosses the surface: the lengths of the lists of :meth:`raycast_all`.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer crossings are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
+        Returns:
+            int (N,).
+        Raises:
+            InputError: As for :meth:`raycast`.
+        """
+
+        def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
+            return rays.give(self._count_crossings(rays, heading, t_min, max_distance))
+
+        return self._in_blocks(query, origins, directions, progress)
+
+    def occluded(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        progress: Progress | None = None,
+    ) -> Any:
+        """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
+
+        On a CPU always as :meth:`raycast` has it. On a GPU the limits of a ray are compared, on slivers, with a t that
+        has lost digits.
+
+        Args:
+            origins: Where rays start [world], shape (N, 3).
+            directions: Their directions, of any length, shape (N, 3).
+            t_min: Nearer hits are passed over, in units of the direction.
+            max_distance: Length of the rays [world].
+            progress: Called as ``progress(done, total)`` after each block of a few million rays.
+        Returns:
+            bool (N,).
+        Raises:
+            InputError: As for :meth:`raycast`.
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.raycast_kernels import occluded_kernel
+
+        def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
+            occluded = user_arrays.empty(len(rays), wp.bool, rays.rows)
+            self._cast(occluded_kernel, rays, heading, t_min, max_distance, [occluded])
+            return rays.give(occluded)
+
+        return self._in_blocks(query, origins, directions, progress)
+
+    @cached_property
+    def _ray_tree(self) -> Any:
+        """The tree with leaves for rays, which a CPU makes when first asked.
+
+        A tree of its own: two threads may make it at once, and each needs its leaves until its rays are done.
+        """
+        if not self._device.is_cpu:
+            return self._tree
+        from geokit.mesh.bvh.bvh8 import ray_leaves
+        from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
+        tree: Any = SurfaceTree()
+        tree.assign(self._tree)
+        tree.ray_leaves = ray_leaves(tree)
+        return tree
+
+    def _count_crossings(
+        self, rays: user_arrays.Batch, directions: user_arrays.Batch, t_min: float, max_distance: float
+    ) -> "wp.array":
+        import warp as wp
+
+        from geokit.mesh.queries.crossings_kernels import count_crossings_kernel
+
+        count = user_arrays.empty(len(rays), wp.int32, rays.rows)
+        self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
+        return count
+
+    def _in_blocks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
+        names = ["origins", "directions"]
+        return in_blocks(query, [origins, directions], names, self._device, progress, defer=True)
+
+    def _cast(
+        self,
+        kernel: Any,
+        rays: user_arrays.Batch,
+        heading: user_arrays.Batch,
+        t_min: float,
+        max_distance: float,
+        outputs: list[Any],
+        *streams: "wp.array",
+    ) -> None:
+        import warp as wp
+
+        from geokit.mesh.bvh.ray_triangle_kernels import SHORTEST_DIRECTION
+
+        if len(rays) != len(heading):
+            raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
+        lowest = -math.ulp(0.0)
+        start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
+        reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+        bad = host_flags(2, self._device)  # there is a bad ray; some are undecided
+        count = len(rays)
+        shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
+        if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
+            self._cast_in_passes(count, shared, outputs, bad)
+        else:
+            group = _group_size(count) if self._device.is_cpu else 1
+            launcher.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
+        if bad.numpy()[0]:
+            user_arrays.require_finite(rays, "origins")
+            user_arrays.require_finite(heading, "directions")
+            user_arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
+
+    def _cast_in_passes(self, count: int, shared: list[Any], outputs: list[Any], bad: "wp.array") -> None:
+        from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
+        from geokit.mesh.queries.raycast_kernels import raycast_undecided_kernel
+
+        launcher.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
+        if bad.numpy()[1]:
+            launcher.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
+
+
+def _group_size(count: int) -> int:
+    size = count // (GROUPS_PER_THREAD * launcher.thread_count())
+    return min(max(size, FEWEST_IN_GROUP), MOST_IN_GROUP)
+
+
+def _widened(count: "wp.array") -> "wp.array":
+    import warp as wp
+
+    count = count.warp if isinstance(count, HostArray) else count
+    wide = wp.empty(len(count), dtype=wp.int64, device=count.device)
+    wp.utils.array_cast(count, wide)
+    return wide

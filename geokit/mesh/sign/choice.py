@@ -1,0 +1,85 @@
+"""What ``sign="auto"`` is for a mesh: the pseudonormal where the mesh is proven clean, else the winding number."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh.topology.audit import face_parts
+
+if TYPE_CHECKING:
+    from geokit.mesh._surface import Surface
+    from geokit.mesh.topology.orientation import FaceOrientation
+
+__all__ = ["SignChoice", "choose_sign"]
+
+# How far from a whole number a winding number may be that is taken for it: twenty times its error.
+WHOLE = 0.1
+
+
+class SignChoice(NamedTuple):
+    """The method, and what it was chosen for."""
+
+    method: str
+    reason: str
+
+
+def choose_sign(surface: Surface) -> SignChoice:
+    """The cheap proofs first: what the audit counts, then intersections, then how the parts lie to each other."""
+    defect = _defect(surface.audit, surface._orientation)
+    if not defect and surface._has_self_intersections():
+        defect = "faces that intersect"
+    if not defect and surface.audit.component_count > 1 and not _parts_bound_one_solid(surface):
+        defect = "parts within each other that are not cavities"
+    if defect:
+        return SignChoice("winding", defect)
+    return SignChoice("pseudonormal", "closed, manifold, wound alike, no intersections")
+
+
+def _defect(report: Any, orientation: FaceOrientation) -> str:
+    """The first of the mesh's defects that pseudonormals cannot stand, or nothing."""
+    counts = (
+        (report.boundary_edge_count, "boundary edges"),
+        (report.non_manifold_edge_count, "edges of three faces or more"),
+        (report.degenerate_count, "faces without area"),
+        (report.duplicate_count, "duplicate faces"),
+    )
+    for count, what in counts:
+        if count:
+            return f"{what}: {count}"
+    if not report.manifold:
+        return "vertices that separate fans share"
+    return "" if orientation.closed else "faces that cannot be wound alike"
+
+
+def _parts_bound_one_solid(surface: Surface) -> bool:
+    """Whether the winding number is 0 in front of each part and so 1 behind it, as pseudonormals have it.
+
+    It is the same all over a part, as none intersect. It is asked for in front of the part's largest face, halfway to
+    what else is there.
+    """
+    frame = surface._frame
+    # At unit size: the squares of lengths must neither overflow nor underflow.
+    corners = ((surface.mesh.vertices - frame.origin) / frame.scale)[surface.mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals[surface._orientation.flipped] *= -1.0
+    twice = np.linalg.norm(normals, axis=1)
+    face = _largest_of_each(face_parts(surface.mesh), twice)
+    starts = corners[face].mean(axis=1) * frame.scale + frame.origin
+    headings = normals[face] / twice[face, None]
+    hits = surface.raycast_all(starts, headings)
+    ray = np.repeat(np.arange(len(face)), np.diff(hits.offsets))
+    others = hits.triangle_id != face[ray]
+    room = np.sqrt(twice[face]) * frame.scale
+    np.minimum.at(room, ray[others], hits.t[others])
+    winding = surface.winding_number(starts + 0.5 * room[:, None] * headings)
+    return bool((np.abs(winding) < WHOLE).all())
+
+
+def _largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
+    """For each part the number of its largest face."""
+    order = np.lexsort([size, part])
+    last = np.append(part[order][1:] != part[order][:-1], True)
+    return order[last]

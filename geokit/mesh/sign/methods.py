@@ -1,0 +1,51 @@
+"""How inside is told from outside: orientation first, then pseudonormals, winding numbers or rays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher, user_arrays
+from geokit.core.pinned import host_flags
+
+if TYPE_CHECKING:
+    import warp as wp
+
+# Directions of the rays that vote; along no axis or diagonal, where meshes like to have edges and vertices in a row.
+PARITY_DIRECTIONS = (
+    (0.7548776662, 0.5698402910, 0.3247179572),
+    (-0.4142135, 0.7320508, -0.5412),
+    (0.2360679, -0.6180, 0.7861513),
+)
+
+
+def any_missed(triangle_id: "wp.array") -> bool:
+
+    from geokit.mesh.sign.parity_kernels import missed_kernel
+
+    found = host_flags(1, triangle_id.device)
+    launcher.launch(missed_kernel, len(triangle_id), [triangle_id], [found], triangle_id.device)
+    return bool(found.numpy()[0])
+
+
+def missed_by_winding(winding: "wp.array", closest: Any, device: "wp.Device") -> None:
+    from geokit.mesh.sign.parity_kernels import missed_sign_kernel
+
+    launcher.launch(missed_sign_kernel, len(winding), [winding, closest.triangle_id], [closest.distance], device)
+
+
+def by_parity(surface: Any, points: "wp.array", distance: "wp.array") -> None:
+    import warp as wp
+
+    from geokit.mesh.sign.parity_kernels import parity_sign_kernel, vote_kernel
+
+    count, device = len(points), points.device
+    votes = wp.zeros(count, dtype=wp.int32, device=device)
+    rays = user_arrays.Batch(points, False, lambda out: out)
+    for direction in PARITY_DIRECTIONS:
+        heading = wp.full(count, wp.vec3d(*direction), dtype=wp.vec3d, device=device)
+        crossings = surface._count_crossings(rays, user_arrays.Batch(heading, False, lambda out: out), 0.0, np.inf)
+        launcher.launch(vote_kernel, count, [crossings], [votes], device)
+    needed = len(PARITY_DIRECTIONS) // 2 + 1
+    launcher.launch(parity_sign_kernel, count, [votes, needed], [distance], device)

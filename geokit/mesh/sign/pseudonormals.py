@@ -1,0 +1,86 @@
+"""The normals that tell inside from outside at faces, edges and vertices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.host_array import HostArray
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh.topology.connectivity import MeshTopology
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["by_pseudonormal", "pseudonormal_tables"]
+
+
+def pseudonormal_tables(
+    mesh: TriangleMesh, topology: MeshTopology, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"
+) -> list["wp.array"]:
+    """What :func:`pseudonormal` reads: vertices, faces, flipped, the triangle across each edge (-1 for none), the
+    vertex normal of each corner, and the angle-weighted vertex normals, one for each position.
+
+    Args:
+        mesh: The mesh.
+        topology: How it hangs together.
+        flipped: Its faces that count as turned, (F,).
+        vertices: Its vertices where the tables are to be, (V,) of vec3d.
+        faces: Its faces there, (3 F,).
+    Source:
+        Baerentzen, Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005).
+    """
+    import warp as wp
+
+    device = vertices.device
+
+    def on_device(values: NDArray[Any], dtype: Any) -> "wp.array":
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+    corners, position_count = topology.corners, topology.position_count
+    normals = _vertex_normals(mesh, flipped, corners, position_count)
+    return [
+        vertices,
+        faces,
+        on_device(flipped, wp.bool),
+        on_device(_across(topology), wp.int32),
+        on_device(corners.ravel(), wp.int32),
+        on_device(normals, wp.vec3d),
+    ]
+
+
+def _across(topology: MeshTopology) -> NDArray[np.int64]:
+    """The triangle on the other side of each half-edge, (3 F,); -1 where there is none, or more than one."""
+    twin = topology.edges.twin
+    if not topology.collapsed.any():
+        return np.where(twin < 0, -1, twin // 3)
+    kept = np.flatnonzero(~topology.collapsed)
+    across = np.full(topology.corners.shape, -1, np.int64)
+    across[kept] = np.where(twin < 0, -1, kept[twin // 3]).reshape(-1, 3)
+    return across.ravel()
+
+
+def _vertex_normals(
+    mesh: TriangleMesh, flipped: NDArray[np.bool_], corners: NDArray[np.int32], position_count: int
+) -> NDArray[np.float64]:
+    """On the host for all devices, and summed in the order of the corners: the same bits everywhere."""
+    import warp as wp
+
+    from geokit.mesh.sign.pseudonormals_kernels import corner_normals_kernel
+
+    host = wp.get_device("cpu")
+    weighted = np.empty((len(mesh.faces) * 3, 3))
+    inputs = [HostArray(mesh.vertices), HostArray(mesh.faces.reshape(-1)), HostArray(flipped)]
+    launcher.launch(corner_normals_kernel, len(mesh.faces), inputs, [HostArray(weighted)], host)
+    at = corners.ravel()
+    return np.stack([np.bincount(at, weighted[:, axis], minlength=position_count) for axis in range(3)], axis=1)
+
+
+def by_pseudonormal(found: list[Any], tables: list["wp.array"], distance: "wp.array", device: "wp.Device") -> None:
+    """Turns the distances of inside points negative, in place; ``found`` are points and their closest points."""
+    from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
+
+    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, *tables], [distance], device)

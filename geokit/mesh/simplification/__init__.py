@@ -1,0 +1,1 @@
+"""Parts of simplify: edge collapse, what it must not change, and proven bounds of the deviation."""

@@ -1,0 +1,99 @@
+"""What decimation must not change: how a mesh hangs together, and which way its faces look."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._surface import Surface
+from geokit.mesh.topology.audit import audit_topology
+from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
+
+__all__ = ["Shape", "faces_as_before", "shape_of"]
+
+# Faces whose surroundings are listed at once.
+BLOCK = 1024
+
+
+class Shape(NamedTuple):
+    """How a mesh hangs together; the first six are kept, the others do not grow."""
+
+    watertight: bool
+    manifold: bool
+    oriented: bool
+    component_count: int
+    euler_number: int
+    boundary_loop_count: int
+    non_manifold_edge_count: int
+    non_manifold_vertex_count: int
+    degenerate_count: int
+    duplicate_count: int
+
+    def is_kept_by(self, other: Shape) -> bool:
+        """Whether the other mesh is one that this one may become.
+
+        Where edges have more than two faces, loops and the Euler number count little: pieces and defects are compared.
+        """
+        kept = 6 if self.non_manifold_edge_count == 0 else 4
+        return self[:kept] == other[:kept] and all(b <= a for a, b in zip(self[6:], other[6:], strict=True))
+
+
+def shape_of(mesh: TriangleMesh) -> Shape:
+    whole = mesh_topology(mesh)
+    report = audit_topology(mesh, whole)
+    return Shape(
+        watertight=report.watertight,
+        manifold=report.manifold,
+        oriented=report.oriented,
+        component_count=report.component_count,
+        euler_number=report.euler_number,
+        boundary_loop_count=_boundary_loops(whole),
+        non_manifold_edge_count=report.non_manifold_edge_count,
+        non_manifold_vertex_count=report.non_manifold_vertex_count,
+        degenerate_count=report.degenerate_count,
+        duplicate_count=report.duplicate_count,
+    )
+
+
+def _boundary_loops(whole: MeshTopology) -> int:
+    """Pieces of the boundary that share no position."""
+    edges = whole.edges
+    if edges.boundary_count == 0:
+        return 0
+    half_edge = edges.order[edges.starts[edges.uses == 1]]
+    end = edges.faces.reshape(-1)[np.where(half_edge % 3 == 2, half_edge - 2, half_edge + 1)]
+    position, at = np.unique(np.concatenate([edges.start[half_edge], end]), return_inverse=True)
+    label = connected_components(len(position), at[: len(half_edge)], at[len(half_edge) :])
+    return int(np.count_nonzero(label == np.arange(len(position))))
+
+
+def faces_as_before(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
+    """Whether each face has a face of the original near its middle that looks the same way, by less than 90 degrees.
+
+    Args:
+        mesh: The mesh to look at.
+        original: What it came from.
+        distance: How near [world]; taken along each axis.
+    """
+    middle, normal = mesh.vertices[mesh.faces].mean(axis=1), _normals(mesh)
+    before = _normals(original.mesh)
+    nearest = original.closest_point(middle).triangle_id
+    left = np.flatnonzero(np.einsum("ij,ij->i", normal, before[nearest]) <= 0.0)
+    # The nearest face may be the other side of a thin wall, or the flank of a bump: any other near one will do.
+    for begin in range(0, len(left), BLOCK):
+        rows = left[begin : begin + BLOCK]
+        near = original.overlapping(middle[rows] - distance, middle[rows] + distance)
+        row = np.repeat(np.arange(len(rows)), np.diff(near.offsets))
+        alike = np.einsum("ij,ij->i", normal[rows[row]], before[near.triangle_id]) > 0.0
+        if not np.bincount(row[alike], minlength=len(rows)).all():
+            return False
+    return True
+
+
+def _normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Normals (F, 3), twice as long as the faces are large."""
+    a, b, c = (mesh.vertices[corner] for corner in mesh.faces.T)
+    return np.cross(b - a, c - a)

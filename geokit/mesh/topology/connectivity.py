@@ -1,0 +1,360 @@
+"""How the faces of a mesh hang together: half-edges, edges, fans around vertices, connected pieces.
+
+Topology is that of positions: vertices at equal coordinates are one, and faces with two equal corners take no part.
+Half-edge ``3 f + k`` runs from corner k of face f to the next one.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.equal_rows import merge_equal_points
+from geokit.core.host_array import HostArray
+from geokit.mesh._model import TriangleMesh
+
+__all__ = [
+    "MeshTopology",
+    "Topology",
+    "collapsed_faces",
+    "connected_components",
+    "kernels_pay",
+    "mesh_topology",
+    "position_corners",
+]
+
+# Rounds in which the fans of all vertices are walked at once, a face each: enough for all vertices but a few apexes,
+# whose thousands of faces would take a round each. Those are left to a slower method that takes a few rounds only.
+FAN_ROUNDS = 32
+# Where a number and an index no longer fit into 64 bits together.
+PACKED_END = 2**64
+# Fewest items for which a kernel is worth its launch, and for which it is worth loading warp too.
+KERNELS_PAY = 1 << 13
+KERNELS_PAY_WITH_LOADING = 1 << 21
+# Faces at a time where many small steps are taken: what is computed of them stays in the caches.
+BLOCK = 1 << 14
+
+
+def position_corners(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
+    """Corners of the faces as numbers of distinct positions, (F, 3), and how many positions the vertices have."""
+    first, group = merge_equal_points(mesh.vertices)
+    if len(first) == len(mesh.vertices):
+        return mesh.faces, len(first)
+    # take() over a flat index is several times quicker than fancy indexing by rows.
+    return np.take(group.astype(np.int32), mesh.faces.ravel()).reshape(-1, 3), len(first)
+
+
+def collapsed_faces(corners: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Faces with two equal corners, (F,)."""
+    a, b, c = corners.T
+    return (a == b) | (b == c) | (c == a)
+
+
+class MeshTopology(NamedTuple):
+    """How a mesh hangs together.
+
+    Attributes:
+        corners: Corners of the faces as numbers of distinct positions, (F, 3).
+        position_count: How many positions the vertices have.
+        collapsed: Faces with two equal corners, (F,), which take no part.
+        edges: Edges of the other faces.
+    """
+
+    corners: NDArray[np.int32]
+    position_count: int
+    collapsed: NDArray[np.bool_]
+    edges: Topology
+
+
+def mesh_topology(mesh: TriangleMesh) -> MeshTopology:
+    corners, position_count = position_corners(mesh)
+    collapsed = collapsed_faces(corners)
+    faces = corners[~collapsed] if collapsed.any() else corners
+    return MeshTopology(corners, position_count, collapsed, Topology(faces, position_count))
+
+
+class Topology:
+    """Edges of faces (F, 3), int32, whose three corners differ; corners are numbers below ``position_count``.
+
+    Attributes:
+        order: Half-edges (3 F,), those of one edge together, ascending.
+        starts: Where in ``order`` each edge begins (E,).
+        uses: How many half-edges each edge has (E,).
+    """
+
+    def __init__(self, faces: NDArray[np.int32], position_count: int) -> None:
+        self.faces = np.ascontiguousarray(faces)
+        self.position_count = position_count
+        self.start = self.faces.reshape(-1)
+        # Whether a half-edge runs from the lower position to the higher one, (3 F,).
+        self.forward = np.empty(len(self.start), bool)
+        edge, self.order = self._sorted_half_edges()
+        # The common case first: every edge has two half-edges.
+        if len(edge) % 2 == 0 and np.array_equal(edge[::2], edge[1::2]) and np.all(edge[1:-1:2] != edge[2::2]):
+            self.starts = np.arange(0, len(edge), 2)
+            self.uses = np.full(len(edge) // 2, 2)
+        else:
+            self.starts = np.flatnonzero(np.concatenate([[True], edge[1:] != edge[:-1]]))
+            self.uses = np.diff(np.append(self.starts, len(edge)))
+
+    @property
+    def edge_count(self) -> int:
+        return len(self.starts)
+
+    @cached_property
+    def boundary_count(self) -> int:
+        return int(np.count_nonzero(self.uses == 1))
+
+    @cached_property
+    def non_manifold_count(self) -> int:
+        return int(np.count_nonzero(self.uses > 2))
+
+    @property
+    def only_pairs(self) -> bool:
+        """Whether each edge has exactly two half-edges."""
+        return 2 * self.edge_count == len(self.order) and self.boundary_count == 0
+
+    @cached_property
+    def face_counts(self) -> NDArray[np.int64]:
+        """How many faces each position has, (P,)."""
+        return np.bincount(self.start, minlength=self.position_count)
+
+    @cached_property
+    def vertex_count(self) -> int:
+        return int(np.count_nonzero(self.face_counts))
+
+    @cached_property
+    def pairs(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The two half-edges of each edge that has two."""
+        if self.only_pairs:
+            return self.order[::2], self.order[1::2]
+        at = self.starts[self.uses == 2]
+        return self.order[at], self.order[at + 1]
+
+    @cached_property
+    def opposed(self) -> NDArray[np.bool_]:
+        """Of each pair, whether the two run against each other."""
+        one, other = self.pairs
+        return np.take(self.forward, one) != np.take(self.forward, other)
+
+    @cached_property
+    def oriented(self) -> bool:
+        return len(self.faces) > 0 and bool(np.all(self.opposed))
+
+    @cached_property
+    def twin(self) -> NDArray[Any]:
+        """The other half-edge of each one's edge, (3 F,); -1 where the edge has not exactly two."""
+        one, other = self.pairs
+        twin = np.full(len(self.order), -1, self.order.dtype)
+        twin[one], twin[other] = other, one
+        return twin
+
+    def _sorted_half_edges(self) -> tuple[NDArray[np.uint64], NDArray[Any]]:
+        """The half-edges, those of one edge together, ascending; before them the number of the edge of each."""
+        count = len(self.start)
+        # Twice the half-edges are counted around vertices.
+        index = np.int32 if 2 * count <= np.iinfo(np.int32).max else np.int64
+        edge = np.empty(count, np.uint64)
+        # Number and index in one where both fit: values sort three times quicker than indices do.
+        packs = self.position_count * (self.position_count + 1) // 2 * count <= PACKED_END
+        for begin in range(0, len(self.faces), BLOCK):
+            faces = self.faces[begin : begin + BLOCK]
+            rows = slice(3 * begin, 3 * begin + faces.size)
+            start, end = faces.reshape(-1), faces[:, (1, 2, 0)].reshape(-1)
+            self.forward[rows] = start < end
+            # Pairs on and below the diagonal of a square, row by row: the same for both directions.
+            high = np.maximum(start, end).astype(np.uint64)
+            edge[rows] = (high * (high + np.uint64(1)) >> np.uint64(1)) + np.minimum(start, end).astype(np.uint64)
+            if packs:
+                edge[rows] *= np.uint64(count)
+                edge[rows] += np.arange(rows.start, rows.stop, dtype=np.uint64)
+        if not packs:
+            by_edge = np.argsort(edge, kind="stable")
+            return edge[by_edge], by_edge.astype(index)
+        edge.sort()
+        order = np.empty(count, index)
+        for begin in range(0, count, 3 * BLOCK):
+            packed = edge[begin : begin + 3 * BLOCK]
+            number = packed // np.uint64(count)
+            order[begin : begin + 3 * BLOCK] = packed - number * np.uint64(count)
+            packed[:] = number
+        return edge, order
+
+    def split_vertices(self) -> NDArray[np.int64]:
+        """Positions at which the faces do not form a single fan, ascending.
+
+        A fan is a row of faces around the position, each meeting the next at an edge of exactly two faces, closed or
+        not. All positions are walked at once, one way around, and from where that ended the other way.
+        """
+        counts = self.face_counts
+        # A corner of each position: with repeated indices the last assignment stands, so this is the first.
+        first = np.full(self.position_count, -1, self.order.dtype)
+        first[self.start[::-1]] = np.arange(len(self.start) - 1, -1, -1, dtype=first.dtype)
+        if kernels_pay(self.position_count) and self.order.dtype == np.int32:
+            return np.flatnonzero(self._fans_by_kernel(first) != counts)
+        crossing = self._crossings()
+        position = np.flatnonzero(counts)
+        corner = first[position]
+        seen = np.zeros(self.position_count, np.int64)
+        ended, long = _walk(crossing, position, corner, 0, seen)
+        _, also_long = _walk(crossing, ended, first[ended], 1, seen)
+        # The corner that both ways begin at.
+        seen[ended] -= 1
+        long = np.union1d(long, also_long)
+        seen[long] = counts[long]
+        return np.union1d(np.flatnonzero(seen != counts), self._split_by_components(long))
+
+    def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
+        """How many corners the fan of each position's first corner has."""
+        from geokit.mesh.topology.fans_kernels import fan_kernel
+
+        link = self.twin << 1
+        if not self.oriented:
+            for pair in self.pairs:
+                link[pair[~self.opposed]] |= 1
+        seen = np.empty(self.position_count, np.int32)
+        inputs = [HostArray(first), HostArray(link)]
+        launcher.launch(fan_kernel, len(seen), inputs, [HostArray(seen)], launcher.resolve_device("cpu"))
+        return seen
+
+    def _crossings(self) -> NDArray[Any]:
+        """Where one gets from a corner around its position, (6 F,): -1 where the edge has not exactly two faces.
+
+        State ``2 c + s`` is corner c about to be left: through the half-edge that starts there where s is 0, through
+        the one that ends there where s is 1.
+        """
+        crossing = np.empty((len(self.faces), 3, 2), self.twin.dtype)
+        opposed = None if self.oriented else self._opposed_half_edges()
+        for begin in range(0, len(self.faces), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            across = self.twin.reshape(-1, 3)[rows]
+            after = _after(across)
+            alike = None if opposed is None else ~opposed.reshape(-1, 3)[rows]
+            leaving_start, leaving_end = 2 * after, 2 * across[:, (2, 0, 1)] + 1
+            if alike is not None:
+                # The half-edge across starts where this one starts.
+                leaving_start = np.where(alike, 2 * across + 1, leaving_start)
+                leaving_end = np.where(alike[:, (2, 0, 1)], 2 * after[:, (2, 0, 1)], leaving_end)
+            crossing[rows, :, 0] = np.where(across < 0, -1, leaving_start)
+            crossing[rows, :, 1] = np.where(across[:, (2, 0, 1)] < 0, -1, leaving_end)
+        return crossing.reshape(-1)
+
+    def _opposed_half_edges(self) -> NDArray[np.bool_]:
+        opposed = np.zeros(len(self.order), bool)
+        for pair in self.pairs:
+            opposed[pair] = self.opposed
+        return opposed
+
+    def _split_by_components(self, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of the vertices at which the faces do not form a single fan."""
+        if not len(vertices):
+            return np.zeros(0, np.int64)
+        wanted = np.zeros(self.position_count, bool)
+        wanted[vertices] = True
+        one, other = self.pairs
+        one_end, other_end = _after(one), _after(other)
+        # Nodes are corners, numbered as the half-edge from there. The two faces at an edge meet at both its ends.
+        links = np.where(self.opposed, other_end, other), np.where(self.opposed, other, other_end)
+        here = [wanted[self.start[one]], wanted[self.start[one_end]]]
+        ends = [
+            np.concatenate([one[here[0]], one_end[here[1]]]),
+            np.concatenate([links[0][here[0]], links[1][here[1]]]),
+        ]
+        corners = np.flatnonzero(wanted[self.start])
+        label = connected_components(len(corners), *(np.searchsorted(corners, end) for end in ends))
+        fans = np.bincount(self.start[corners[label == np.arange(len(corners))]], minlength=self.position_count)
+        return np.flatnonzero(fans > 1)
+
+    def piece_count(self, collapsed: NDArray[np.int32]) -> int:
+        """Pieces that share no position; also those of faces with equal corners only, which are given apart."""
+        label = self._vertex_pieces(collapsed)
+        used = self.face_counts > 0
+        used[collapsed] = True
+        return int(np.count_nonzero(used & (label == np.arange(len(label)))))
+
+    def _vertex_pieces(self, collapsed: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The lowest position of each position's piece, (P,)."""
+        edge = self.order[self.starts]
+        one, other = np.take(self.start, edge), np.take(self.start, _after(edge))
+        if len(collapsed):
+            one = np.concatenate([one, collapsed[:, (0, 1)].ravel()])
+            other = np.concatenate([other, collapsed[:, (1, 2)].ravel()])
+        return connected_components(self.position_count, one, other)
+
+
+def _walk(
+    crossing: NDArray[Any], position: NDArray[np.int64], corner: NDArray[Any], way: int, seen: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Walks from corner to corner around each position, and adds to ``seen`` how many there were.
+
+    Returns the positions whose walk came to an end, and those that were walked for too long.
+    """
+    ended = [position[:0]]
+    state = 2 * corner + way
+    for step in range(1, FAN_ROUNDS + 1):
+        if not len(position):
+            break
+        state = np.take(crossing, state)
+        open_end = state < 0
+        done = open_end | (state >> 1 == corner)
+        if done.any():
+            seen[position[done]] += step
+            ended.append(position[open_end])
+            position, corner, state = position[~done], corner[~done], state[~done]
+    return np.concatenate(ended), position
+
+
+def _after(half_edge: NDArray[Any]) -> NDArray[Any]:
+    """The half-edge from where each one ends, in its face."""
+    corner = half_edge - half_edge // 3 * 3
+    # 0 and 1 go one on, 2 goes two back.
+    return half_edge + 1 - (corner >> 1) * 3
+
+
+def kernels_pay(item_count: int) -> bool:
+    """Whether kernels are quicker than NumPy where both give the same; warp takes half a second to load."""
+    return item_count >= (KERNELS_PAY if "warp" in sys.modules else KERNELS_PAY_WITH_LOADING)
+
+
+def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
+    """Label (count,) of each node's component under the links ``one[i] - other[i]``: its lowest node.
+
+    Source:
+        Shiloach and Vishkin, An O(log n) parallel connectivity algorithm (1982). Differs: every node hooks onto its
+        lowest lower neighbour, and the trees that come of it are the nodes of the next round.
+    """
+    if kernels_pay(len(one)):
+        return _components_by_kernel(count, one, other)
+    label = np.arange(count, dtype=np.int32)
+    np.minimum.at(label, np.maximum(one, other), np.minimum(one, other).astype(np.int32))
+    while True:
+        jumped = np.take(label, label)
+        if np.array_equal(jumped, label):
+            break
+        label = jumped
+    a, b = np.take(label, one), np.take(label, other)
+    apart = a != b
+    if not apart.any():
+        return label
+    roots = np.flatnonzero(label == np.arange(count)).astype(np.int32)
+    rank = np.empty(count, np.int32)
+    rank[roots] = np.arange(len(roots), dtype=np.int32)
+    joined = connected_components(len(roots), np.take(rank, a[apart]), np.take(rank, b[apart]))
+    return np.take(roots[joined], np.take(rank, label))
+
+
+def _components_by_kernel(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
+    from geokit.mesh.topology.components_kernels import join_kernel, lowest_kernel
+
+    device = launcher.resolve_device("cpu")
+    forest = np.arange(count, dtype=np.int32)
+    links = [HostArray(np.ascontiguousarray(ends, np.int32)) for ends in (one, other)]
+    launcher.launch(join_kernel, len(one), links, [HostArray(forest)], device)
+    label = np.empty_like(forest)
+    launcher.launch(lowest_kernel, count, [HostArray(forest)], [HostArray(label)], device)
+    return label

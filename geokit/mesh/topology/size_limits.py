@@ -1,0 +1,30 @@
+"""Sizes of meshes whose distances float64 holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.core.frame import Frame
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["require_measurable"]
+
+# Sizes of a mesh, as halves of its box's longest side: queries multiply four lengths, and what leaves float64's 1e-308
+# to 1e308 comes back as 0, inf or NaN (tests/accuracy/stability/test_envelopes.py).
+LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71
+
+
+def require_measurable(mesh: TriangleMesh, frame: Frame) -> None:
+    """Refuse distances from meshes of a size at which their products leave float64.
+
+    Raises:
+        InputError: The mesh is too small or too large.
+    """
+    if not LEAST_SCALE <= frame.scale <= LARGEST_SCALE:
+        raise InputError(
+            f"mesh: {mesh.name or 'it'} is {2.0 * frame.scale:.3g} across; scale it to between {LEAST_SCALE:g} and "
+            f"{LARGEST_SCALE:g}: beyond, products of lengths leave float64"
+        )

@@ -1,0 +1,178 @@
+"""Fewer points that stand for many: voxel centroids, farthest points, Poisson-disk subsets, covers."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.user_arrays import read_vectors, require_finite_scalar
+from geokit.errors import InputError
+
+__all__ = ["Cover", "Downsampled", "cover", "downsample"]
+
+
+class Downsampled(NamedTuple):
+    """points (M, 3) [world]; indices (M,) int32, the input point that each of them is, or is nearest to."""
+
+    points: Any
+    indices: Any
+
+
+class Cover(NamedTuple):
+    """Points near each of many, and how near.
+
+    Attributes:
+        points: The points that are left (M, 3) [world].
+        indices: Which of the input points they are (M,) int32, ascending.
+        deviation: The largest distance of an input point from the nearest of them [world], exact.
+        deviation_p999: The 99.9th percentile of these distances [world].
+    """
+
+    points: Any
+    indices: Any
+    deviation: float
+    deviation_p999: float
+
+
+def downsample(
+    points: Any,
+    *,
+    voxel_size: float | None = None,
+    count: int | None = None,
+    radius: float | None = None,
+    tolerance: float | None = None,
+    start: int = 0,
+    seed: int = 0,
+    device: Any = None,
+) -> Downsampled:
+    """Fewer points: one a voxel, or so many far apart, or as many as fit with a distance between them, or within one.
+
+    Exactly one of ``voxel_size``, ``count``, ``radius`` and ``tolerance`` is given; it chooses the method. All of them
+    give the same bits on every device and for any number of threads.
+
+    - ``voxel_size``: the centroids of the occupied voxels of a grid through the origin, in ascending (z, y, x). The
+      voxel of a coordinate is ``floor(coordinate / voxel_size)`` in float64. A centroid is summed in float64 relative
+      to the voxel's first point: good to a rounding of the coordinates and n * 2^-53 of the voxel, n the number of its
+      points. ``indices`` names the voxel's point that is nearest to the centroid, for whatever else belongs to points.
+    - ``count``: farthest point sampling. From point ``start`` on, each point is the one farthest from all taken before
+      it; ties go to the lowest index, and none is taken twice. This is the greedy answer, index for index, not an
+      approximation of it. ``points`` and ``indices`` are in the order in which they were taken.
+    - ``radius``: a Poisson-disk subset. Points are tried in random order, and taken where none taken before is nearer
+      than the radius: no two that are left are nearer to each other, and every input point is nearer than that to one
+      of them, or is one. ``indices`` ascend. The order is ``numpy.random.default_rng(seed).permutation(len(points))``;
+      "nearer" is ``(dx * dx + dy * dy) + dz * dz < radius * radius`` in float64.
+    - ``tolerance``: few points such that each input point is within it of one of them: the Poisson-disk subset of that
+      radius. :func:`cover` says how near they come. What no quick method has, the fewest that do, would be about a
+      sixth fewer (docs/design/simplification.md).
+
+    Held by tests/points/clouds/test_downsample.py and tests/points/clouds/test_downsample_property.py, against plain
+    NumPy loops.
+
+    Args:
+        points: Positions [world], shape (N, 3), float32 or float64.
+        voxel_size: Edge length of a voxel [world].
+        count: Number of points wanted, from 1 to N.
+        radius: Least distance between two points [world].
+        tolerance: Largest distance of an input point from the nearest that is left [world].
+        start: First point of farthest point sampling.
+        seed: Seed of the random order of a Poisson-disk subset, 0 or more.
+        device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        Downsampled with points (M, 3) [world] and indices (M,) int32, in the container of the points.
+    Raises:
+        InputError: points is not (N, 3) or not finite; not exactly one of voxel_size, count, radius and tolerance is
+            given; one of them, start or seed is out of range; voxel_size is too small for float64 to tell the voxels
+            of such coordinates apart; there is no such device.
+    Source:
+        Eldar, Lindenbaum, Porat, Zeevi, "The farthest point strategy for progressive image sampling" (1997), with the
+        pruning by boxes of Han et al., "QuickFPS" (2023), on two levels of them; Blelloch, Fineman, Shun, "Greedy
+        sequential maximal independent set and matching are parallel on average" (2012) for the Poisson-disk subset.
+    Example:
+        >>> line = [[0.1, 0, 0], [0.3, 0, 0], [1.2, 0, 0], [2.9, 0, 0]]
+        >>> gk.points.downsample(line, voxel_size=1.0, device="cpu").points[:, 0].tolist()
+        [0.2, 1.2, 2.9]
+        >>> gk.points.downsample(line, count=3, device="cpu").indices.tolist()
+        [0, 3, 2]
+        >>> gk.points.downsample(line, radius=0.5, device="cpu").indices.tolist()
+        [0, 2, 3]
+    """
+    given = {"voxel_size": voxel_size, "count": count, "radius": radius, "tolerance": tolerance}
+    chosen = [name for name, value in given.items() if value is not None]
+    if len(chosen) != 1:
+        raise InputError(
+            f"downsample: {' and '.join(chosen) or 'nothing'} given; give exactly one of voxel_size, count, radius and "
+            "tolerance"
+        )
+    target = launcher.resolve_device(device)
+    if chosen[0] == "voxel_size":
+        size = require_finite_scalar(voxel_size, "voxel_size", low=0.0)
+        batch = read_vectors(points, "points", target)
+        from geokit.points.clouds.voxel_centroids import voxel_centroids
+
+        return Downsampled(*map(batch.give, voxel_centroids(batch.array, size)))
+    if chosen[0] in ("radius", "tolerance"):
+        distance = require_finite_scalar(given[chosen[0]], chosen[0], low=0.0)
+        seed = _require_whole(seed, "seed", 0)
+        batch = read_vectors(points, "points", target)
+        from geokit.points.clouds.poisson_disk import poisson_disk_subset
+
+        return Downsampled(*map(batch.give, poisson_disk_subset(batch.array, distance, seed)))
+    wanted = _require_whole(count, "count", 1)
+    batch = read_vectors(points, "points", target)
+    if wanted > len(batch):
+        raise InputError(f"count: {wanted} of {len(batch)} points; ask for as many as there are at most")
+    start = _require_whole(start, "start", 0, len(batch) - 1)
+    from geokit.points.clouds.farthest_points import farthest_points
+
+    return Downsampled(*map(batch.give, farthest_points(batch.array, wanted, start)))
+
+
+def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -> Cover:
+    """:func:`downsample` to a tolerance, and how near the points that are left are to all others.
+
+    ``deviation`` is at most the tolerance; it is that of the float64 coordinates, rounded term by term. No two of the
+    points that are left are nearer to each other than the tolerance. The same bits on every device and for any number
+    of threads. Held by tests/points/clouds/test_downsample.py and tests/house/test_tolerances_property.py, against all
+    pairs.
+
+    Args:
+        points: Positions [world], shape (N, 3), float32 or float64; at least one.
+        tolerance: Largest distance of an input point from the nearest that is left [world].
+        seed: Seed of the random order in which points are tried, 0 or more.
+        device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        Cover with points (M, 3) [world] and indices (M,) int32 in the container of the points, deviation and
+        deviation_p999 [world].
+    Raises:
+        InputError: points is not (N, 3), not finite or empty; tolerance is not a positive finite number; seed is out of
+            range; there is no such device.
+    Example:
+        >>> line = [[0.1, 0, 0], [0.3, 0, 0], [1.2, 0, 0], [2.9, 0, 0]]
+        >>> found = gk.points.cover(line, tolerance=0.5, device="cpu")
+        >>> found.indices.tolist(), round(found.deviation, 12)
+        ([0, 2, 3], 0.2)
+    """
+    target = launcher.resolve_device(device)
+    distance = require_finite_scalar(tolerance, "tolerance", low=0.0)
+    seed = _require_whole(seed, "seed", 0)
+    batch = read_vectors(points, "points", target)
+    if len(batch) == 0:
+        raise InputError("points: a cloud without points has nothing to cover; give at least one")
+    from geokit.points.clouds.poisson_disk import poisson_disk_subset
+    from geokit.points.search.nearest import build_tree, nearest
+
+    kept, indices = poisson_disk_subset(batch.array, distance, seed)
+    apart = nearest(build_tree(kept), 1, batch.array)[0].numpy().reshape(-1)
+    percentile = float(np.quantile(apart, 0.999, method="higher"))
+    return Cover(batch.give(kept), batch.give(indices), float(apart.max()), percentile)
+
+
+def _require_whole(value: Any, name: str, low: int, high: int | None = None) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise InputError(f"{name}: {value!r} is not a whole number; give one")
+    if value < low or (high is not None and value > high):
+        bounds = f"{low} or more" if high is None else f"one from {low} to {high}"
+        raise InputError(f"{name}: {value} is out of range; give {bounds}")
+    return int(value)

@@ -1,0 +1,281 @@
+"""Point sets and rays in files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geokit.core.files import atomic_path, require_extension, require_file
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.columns import joined, read_columns, read_table, split
+
+__all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
+
+_READABLE = (".csv", ".las", ".laz", ".npy", ".npz", ".obj", ".pcd", ".ply", ".pts", ".txt", ".vtp", ".xyz")
+_RAY_FORMATS = (".csv", ".npy", ".npz", ".txt", ".xyz")
+_WRITABLE = (".csv", ".las", ".laz", ".npz", ".pcd", ".ply", ".pts", ".vtp", ".xyz")
+# Encodings by format, the usual one first; the others have one.
+_ENCODINGS: dict[str, tuple[str, ...]] = {".pcd": ("binary", "ascii", "binary_compressed")}
+_RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points and what is known about each, checked when made.
+
+    Args:
+        points: Positions [world], shape (N, 3); kept as read-only float64.
+        data: Arrays of numbers with N rows, shape (N,) or (N, K), by name; kept in their own types.
+    Raises:
+        InputError: points is not (N, 3) or not finite, or an array of data is not numbers or has other than N rows.
+    """
+
+    points: NDArray[np.float64]
+    data: Mapping[str, NDArray[np.generic]]
+
+    def __init__(self, points: ArrayLike, data: Mapping[str, ArrayLike] | None = None) -> None:
+        table = _points(points)
+        arrays = {name: _data(values, name, len(table)) for name, values in (data or {}).items()}
+        object.__setattr__(self, "points", table)
+        object.__setattr__(self, "data", MappingProxyType(arrays))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"PointCloud({len(self.points)} points, data: {', '.join(self.data) or 'none'})"
+
+
+class Rays(NamedTuple):
+    """origins (N, 3) [world] and directions (N, 3), float64."""
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+
+
+def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointCloud:
+    """Points from a file, with whatever numbers it has for each.
+
+    Reads .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (columns named x, y, z,
+    else the first three), .pts, .npy ((N, K), the first three columns), .npz (the array ``points``, else the only one
+    of shape (N, 3); other arrays with N rows are data) and .obj (vertices). Columns ``name_x, name_y, name_z`` become
+    one array (N, 3), ``nx, ny, nz`` the array ``normals``, ``red, green, blue`` of one type the array ``rgb``; unnamed
+    columns are called ``column_3``, ``column_4``, ... Text gives float64 data, each number rounded correctly.
+
+    Of .pcd, ``normal_x, normal_y, normal_z`` become ``normals``, a packed ``rgb`` or ``rgba`` an array of uint8; the
+    width, height and viewpoint are not kept, and the viewpoint is not applied. Of .pts, the colour becomes ``rgb``
+    uint8. Of .las, coordinates are the integers of the file times its scale in float64, within 2 roundings.
+
+    Args:
+        path: The file; its extension says what is in it.
+        finite_only: Leave out points that are not finite, as scanners write for rays without an echo, together with
+            their rows of data; otherwise they are refused.
+    Returns:
+        PointCloud.
+    Raises:
+        InputError: The extension is none of these.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The content is damaged, has no coordinates, or a point that is not finite; the row is named.
+            Held by tests/formats/test_damaged_points_stability.py.
+        MissingDependencyError: A .las or .laz file without laspy installed.
+    Example:
+        >>> load("data/samples/cloud.ply")
+        PointCloud(20000 points, data: normals)
+    """
+    kind = require_extension(path, _READABLE, "point")
+    path = require_file(path)
+    if kind == ".vtp":
+        from geokit.formats.vtp import read_vtp
+
+        points, data = read_vtp(path)
+    elif kind == ".npz":
+        from geokit.formats.numpy_files import read_cloud
+
+        points, data = read_cloud(path)
+    elif kind in (".las", ".laz"):
+        from geokit.formats.las import read_las
+
+        points, data = read_las(path)
+    else:
+        points, data = joined(read_columns(path, kind), path)
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        if not finite_only:
+            row = int(np.argmax(bad))
+            raise FileFormatError(
+                f"{path}: point {row} is not finite ({points[row].tolist()}); remove or replace it, or leave out all "
+                f"{int(bad.sum())} such points with finite_only=True"
+            )
+        points, data = points[~bad], {name: values[~bad] for name, values in data.items()}
+    return PointCloud(points, data)
+
+
+def load_rays(path: str | os.PathLike[str]) -> Rays:
+    """Rays from a file: .csv, .txt, .xyz, .npy with columns ox, oy, oz, dx, dy, dz (else the first six) or .npz.
+
+    An .npz holds the arrays ``origins`` and ``directions``, or one of shape (N, 6). Directions need not have unit
+    length.
+
+    Args:
+        path: The file; its extension says what is in it.
+    Returns:
+        Rays(origins, directions), each (N, 3) float64.
+    Raises:
+        InputError: The extension is none of these.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has no direction; its
+            row is named.
+    """
+    kind = require_extension(path, _RAY_FORMATS, "ray")
+    path = require_file(path)
+    table = _ray_table(path, kind)
+    bad = ~np.isfinite(table).all(axis=1) | ~(table[:, 3:] != 0.0).any(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise FileFormatError(f"{path}: ray {row} has no usable direction or origin ({table[row].tolist()}); remove it")
+    return Rays(np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:]))
+
+
+def save(
+    path: str | os.PathLike[str],
+    points: ArrayLike,
+    *,
+    data: Mapping[str, ArrayLike] | None = None,
+    encoding: str | None = None,
+) -> None:
+    """Writes points and arrays that go with them; whoever reads the file meanwhile sees the old one or the new one.
+
+    .vtp, .csv, .npz, .pcd, .ply (binary), .pts and .xyz all keep float64. .las and .laz hold integers times a scale,
+    the least power of ten that reaches over the extent: coordinates are kept within 1.2e-9 of the extent along their
+    axis (and two roundings), which tests/formats/test_points_pcd_pts_las.py holds.
+
+    In .csv, .ply and .xyz an array (N, 3) becomes the columns ``name_x, name_y, name_z`` (``normals``: nx, ny, nz;
+    ``rgb``: red, green, blue), one of another width ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x,
+    normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as PCL has them; coordinates are
+    8-byte floats, 4-byte ones where points is a float32 array: PCL and Open3D read no others. .pts holds
+    ``intensity`` and ``rgb`` uint8 only. In .las, arrays with the name of a dimension go there, ``rgb`` as it is (LAS
+    means 16 bits), and all others into extra dimensions.
+
+    Args:
+        path: The file; its extension says what is written.
+        points: Positions [world], shape (N, 3).
+        data: Arrays of numbers with N rows, shape (N,) or (N, K), by name.
+        encoding: Of .pcd: "binary" (the usual), "ascii" or "binary_compressed". None for the usual.
+    Raises:
+        InputError: The extension is none of these, points or data cannot be used, a name cannot stand in the format,
+            or the format has no such encoding.
+        FileAccessError: The folder is missing or the file cannot be written.
+        MissingDependencyError: A .las or .laz file without laspy installed.
+    Example:
+        >>> save("grains.pcd", [[0, 0, 0], [1, 0, 0]], data={"radius": [0.5, 0.25]}, encoding="ascii")
+    """
+    kind = require_extension(path, _WRITABLE, "point")
+    encodings = _ENCODINGS.get(kind, ())
+    if encoding is not None and encoding not in encodings:
+        known = ", ".join(["None", *map(repr, encodings)])
+        raise InputError(f"encoding: {encoding!r} is not one of {kind}; use one of {known}")
+    cloud = PointCloud(points, data)
+    if kind == ".npz" and "points" in cloud.data:
+        raise InputError("data: the name 'points' is taken by the positions in .npz; choose another")
+    with atomic_path(path) as part:
+        if kind in (".csv", ".ply", ".xyz"):
+            columns = split(cloud.points, cloud.data, kind)
+            _write_columns(part, columns, kind)
+        elif kind == ".pcd":
+            from geokit.formats.pcd import write_pcd
+
+            # Other readers take four bytes only: whoever gives float32 gets that.
+            coordinates = cloud.points.astype(np.float32) if _is_single(points) else cloud.points
+            write_pcd(part, coordinates, cloud.data, encoding or encodings[0])
+        elif kind == ".pts":
+            from geokit.formats.pts import write_pts
+
+            write_pts(part, cloud.points, cloud.data)
+        elif kind == ".vtp":
+            from geokit.formats.vtp import write_vtp
+
+            write_vtp(part, cloud.points, cloud.data)
+        elif kind == ".npz":
+            from geokit.formats.numpy_files import write_archive
+
+            write_archive(part, {"points": cloud.points, **cloud.data})
+        else:
+            from geokit.formats.las import write_las
+
+            write_las(part, cloud.points, cloud.data, compress=kind == ".laz")
+
+
+def _write_columns(path: Path, columns: dict[str, NDArray[np.generic]], kind: str) -> None:
+    if kind == ".ply":
+        from geokit.formats.ply_points import write_ply
+
+        write_ply(path, list(columns), list(columns.values()))
+    else:
+        from geokit.formats.text_tables import write_text
+
+        write_text(path, list(columns), list(columns.values()), comma=kind == ".csv")
+
+
+def _is_single(points: ArrayLike) -> bool:
+    return getattr(points, "dtype", None) == np.float32
+
+
+def _points(values: ArrayLike) -> NDArray[np.float64]:
+    try:
+        table = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"points: cannot be read as an (N, 3) table of numbers ({error})") from None
+    if table.size == 0:
+        table = table.reshape(0, 3)
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise InputError(f"points: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"points: row {row} is not finite ({table[row].tolist()}); remove or replace such rows")
+    table.flags.writeable = False
+    return table
+
+
+def _data(values: ArrayLike, name: str, count: int) -> NDArray[np.generic]:
+    array = np.array(values)
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"data: '{name}' has dtype {array.dtype}; give numbers")
+    if array.ndim not in (1, 2) or len(array) != count:
+        raise InputError(f"data: '{name}' has shape {array.shape}; give one row for each of the {count} points")
+    array.flags.writeable = False
+    return array
+
+
+def _ray_table(path: Path, kind: str) -> NDArray[np.float64]:
+    if kind == ".npz":
+        from geokit.formats.numpy_files import read_archive
+
+        arrays: dict[str, Any] = read_archive(path)
+        if {"origins", "directions"} <= arrays.keys():
+            parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]
+        else:
+            wide = [array for array in arrays.values() if array.ndim == 2 and array.shape[1] >= 6]
+            parts = [wide[0][:, :3], wide[0][:, 3:6]] if len(wide) == 1 else []
+        shapes = {part.shape for part in parts}
+        if len(shapes) != 1 or parts[0].ndim != 2 or parts[0].shape[1] != 3:
+            raise FileFormatError(f"{path}: has no arrays 'origins' and 'directions' of one shape (N, 3)")
+        if any(part.dtype.kind not in "fiu" for part in parts):
+            raise FileFormatError(f"{path}: origins or directions are not numbers")
+        return np.concatenate(parts, axis=1).astype(np.float64)
+    names, table = read_table(path, kind)
+    lowered = [name.lower() for name in names]
+    if table.size == 0:
+        return np.empty((0, 6))
+    if set(_RAY_COLUMNS) <= set(lowered):
+        return table[:, [lowered.index(name) for name in _RAY_COLUMNS]]
+    if table.shape[1] < 6:
+        raise FileFormatError(f"{path}: has {table.shape[1]} columns; rays need {', '.join(_RAY_COLUMNS)}")
+    return table[:, :6]

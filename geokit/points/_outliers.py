@@ -1,0 +1,128 @@
+"""Points that stand apart from the others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.user_arrays import read_vectors, require_finite_scalar
+from geokit.errors import InputError
+from geokit.points._neighbors import NeighborGrid
+from geokit.points.search.nearest import MAX_K, nearest
+from geokit.points.search.nearest_tree import build_tree
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["outliers"]
+
+METHODS = ("statistical", "radius")
+
+
+def outliers(
+    points: Any,
+    *,
+    method: str = "statistical",
+    k: int = 16,
+    ratio: float = 2.0,
+    radius: float | None = None,
+    minimum_count: int = 2,
+    device: Any = None,
+) -> Any:
+    """Which points stand apart from the others.
+
+    - "statistical": those whose mean distance to their ``k`` nearest others is greater than the mean of all such means
+      plus ``ratio`` times their standard deviation (with N - 1). Where there are fewer than ``k`` others all are taken.
+    - "radius": those with fewer than ``minimum_count`` others within the radius (``(dx * dx + dy * dy) + dz * dz <=
+      radius * radius`` in float64).
+
+    The neighbours and their distances are exact; a mean has a relative error of (k + 2) * 2^-53, mean and deviation of
+    all of about 2^-50: only points as near to the threshold as that may differ from the definition. The answer does not
+    depend on device or threads. Held by tests/points/clouds/test_outliers.py and
+    tests/points/clouds/test_clouds_property.py.
+
+    Args:
+        points: Positions [world], shape (N, 3), float32 or float64.
+        method: "statistical" or "radius".
+        k: Number of nearest others whose distances are averaged, 1 to 1024.
+        ratio: Standard deviations above the mean that are still usual.
+        radius: Largest distance of neighbours [world]; for "radius" only, and needed there.
+        minimum_count: Fewest others within the radius of a point that is no outlier; 1 or more.
+        device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
+    Returns:
+        Mask (N,) bool, True for outliers, in the container of the points. A single point is none to "statistical".
+    Raises:
+        InputError: points is not (N, 3) or not finite; method is neither; k, ratio, radius or minimum_count is out of
+            range; radius is missing, or given to "statistical"; there is no such device.
+        DeviceMemoryError: The nearest points of all points would not fit in memory: 12 k bytes a point.
+    Source:
+        Rusu, Marton, Blodow, Dolha, Beetz, Towards 3D point cloud based object maps (2008). The definitions are those
+        of PCL's StatisticalOutlierRemoval and RadiusOutlierRemoval. Open3D counts a point as one of its own nearest
+        ones: ``nb_neighbors = k + 1`` there is ``k`` here. Differs from Open3D: points all of whose neighbours are in
+        the same place are no outliers.
+    Example:
+        >>> line = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [90, 0, 0]]
+        >>> gk.points.outliers(line, method="radius", radius=1.5, minimum_count=1, device="cpu").tolist()
+        [False, False, False, False, True]
+    """
+    if method not in METHODS:
+        raise InputError(f"method: {method!r} is not known; give 'statistical' or 'radius'")
+    target = launcher.resolve_device(device)
+    if method == "radius":
+        if radius is None:
+            raise InputError("radius: missing; method 'radius' needs one")
+        fewest = _require_whole(minimum_count, "minimum_count", 1, 2**31 - 1)
+        batch = read_vectors(points, "points", target)
+        return batch.give(_sparse(batch.array, radius, fewest, target))
+    if radius is not None:
+        raise InputError("radius: method 'statistical' takes none; give method='radius', or k and ratio")
+    k = _require_whole(k, "k", 1, MAX_K)
+    ratio = require_finite_scalar(ratio, "ratio")
+    batch = read_vectors(points, "points", target)
+    return batch.give(_unusual(batch.array, k, ratio, target))
+
+
+def _sparse(rows: "wp.array", radius: float, fewest: int, device: "wp.Device") -> "wp.array":
+    import warp as wp
+
+    from geokit.points.clouds.outliers_kernels import below_kernel
+
+    counts = NeighborGrid(rows, radius, device=device).count(exclude_self=True)
+    mask = wp.empty(len(rows), dtype=wp.bool, device=device)
+    launcher.launch(below_kernel, len(rows), [counts, fewest], [mask], device)
+    return mask
+
+
+def _unusual(rows: "wp.array", k: int, ratio: float, device: "wp.Device") -> "wp.array":
+    import warp as wp
+
+    from geokit.points.clouds.outliers_kernels import above_kernel, mean_distance_kernel
+
+    count = len(rows)
+    mask = wp.zeros(count, dtype=wp.bool, device=device)
+    if count < 2:
+        return mask
+    distance, _ = nearest(build_tree(rows), min(k, count - 1), None, exclude_self=True)
+    mean = wp.empty(count, dtype=wp.float64, device=device)
+    launcher.launch(mean_distance_kernel, count, [distance], [mean], device)
+    threshold = wp.float64(_threshold(mean.numpy(), ratio))
+    launcher.launch(above_kernel, count, [mean, threshold], [mask], device)
+    return mask
+
+
+def _threshold(means: np.ndarray, ratio: float) -> float:
+    # Relative to the least: equal means must not end up above their own average by a rounding.
+    least = means.min()
+    above = means - least
+    # Relative to the greatest: squares neither vanish nor overflow.
+    greatest = above.max() or 1.0
+    above /= greatest
+    return float(least + greatest * (above.mean() + ratio * above.std(ddof=1)))
+
+
+def _require_whole(value: Any, name: str, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+        raise InputError(f"{name}: {value!r} is not a whole number from {low} to {high}; give one")
+    return int(value)

@@ -1,0 +1,1 @@
+"""Kernels and parts of what is made of point clouds: normals, density, subsets, registration."""

@@ -1,0 +1,202 @@
+"""Density-based clusters: core points joined in a union-find while the rows of cells around them are read.
+
+Positions are those of the sorted points, so that a point's neighbours are near it in memory too.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.atomic_kernels import lower_to
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
+from geokit.points.search.neighbors_kernels import (
+    cells_around,
+    lowest_bit,
+    reach_of,
+    row_count,
+    row_range,
+    within_mask,
+)
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# warp's own atomics are plain reads and writes on a CPU, where geokit runs a launch in several threads.
+UNITE = """
+#if defined(__CUDA_ARCH__)
+    auto load = [](int* at) { return *(volatile int*)at; };
+    auto store = [](int* at, int value) { *(volatile int*)at = value; };
+    auto swapped = [](int* at, int old, int value) { return atomicCAS(at, old, value) == old; };
+#else
+    auto load = [](int* at) { return __atomic_load_n(at, __ATOMIC_RELAXED); };
+    auto store = [](int* at, int value) { __atomic_store_n(at, value, __ATOMIC_RELAXED); };
+    auto swapped = [](int* at, int old, int value) {
+        return __atomic_compare_exchange_n(at, &old, value, false, __ATOMIC_RELAXED, __ATOMIC_RELAXED);
+    };
+#endif
+    int* const up = parent.data;
+    auto root = [&](int x) {
+        for (;;) {
+            const int above = load(up + x);
+            if (above == x)
+                return x;
+            const int next = load(up + above);
+            if (next != above)
+                store(up + x, next);
+            x = next;
+        }
+    };
+    for (;;) {
+        a = root(a);
+        b = root(b);
+        if (a == b)
+            return;
+        if (a < b) {
+            const int c = a;
+            a = b;
+            b = c;
+        }
+        if (swapped(up + a, a, b))
+            return;
+    }
+"""
+
+
+@wp.func_native(UNITE)
+def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
+    """Joins the sets of a and b; the lower root becomes the root of both, whoever comes first.
+
+    Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
+    replaced only while it still is one; everything else may be overwritten with an ancestor at any time.
+    """
+    ...
+
+
+@wp.func
+def root_of(parent: wp.array(dtype=wp.int32), x: wp.int32) -> wp.int32:
+    at = x
+    while parent[at] != at:
+        at = parent[at]
+    return at
+
+
+@wp.kernel
+def start_kernel(
+    first: int,
+    grid: CellGrid,
+    count: wp.array(dtype=wp.int32),
+    minimum_count: wp.int32,
+    out_core: wp.array(dtype=wp.uint8),
+    out_parent: wp.array(dtype=wp.int32),
+):
+    """Which sorted points are core points; each is a set of its own."""
+    s = first + wp.tid()
+    out_parent[s] = s
+    out_core[s] = wp.uint8(0)
+    if count[grid.index[s]] >= minimum_count:
+        out_core[s] = wp.uint8(1)
+
+
+@wp.kernel
+def join_kernel(
+    first: int,
+    grid: CellGrid,
+    radius: wp.float64,
+    core: wp.array(dtype=wp.uint8),
+    out_parent: wp.array(dtype=wp.int32),
+):
+    """Joins each core point with the core points within the radius that are sorted before it."""
+    s = first + wp.tid()
+    if core[s] == wp.uint8(0):
+        return
+    q = wp.vec3d(grid.x[s], grid.y[s], grid.z[s])
+    box = cells_around(grid, q, reach_of(radius))
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        # Being neighbours is mutual: half of the pairs will do.
+        end = wp.min(span[1], s)
+        for begin in range(span[0], end, MASK_BITS):
+            mask = within_mask(grid, begin, end, q, radius * radius)
+            while mask != wp.uint64(0):
+                j = begin + lowest_bit(mask)
+                mask = mask & (mask - wp.uint64(1))
+                # Most neighbours are in the same set already, and most of those have the same parent.
+                if core[j] != wp.uint8(0) and out_parent[j] != out_parent[s]:
+                    unite(out_parent, s, j)
+
+
+@wp.kernel
+def lowest_kernel(
+    first: int,
+    grid: CellGrid,
+    core: wp.array(dtype=wp.uint8),
+    parent: wp.array(dtype=wp.int32),
+    out_root: wp.array(dtype=wp.int32),
+    out_lowest: wp.array(dtype=wp.int32),
+):
+    """Root of each core point, and the lowest index of a point with each root."""
+    s = first + wp.tid()
+    if core[s] != wp.uint8(0):
+        root = root_of(parent, s)
+        out_root[s] = root
+        lower_to(out_lowest, root, grid.index[s])
+
+
+@wp.kernel
+def mark_kernel(
+    first: int,
+    core: wp.array(dtype=wp.uint8),
+    root: wp.array(dtype=wp.int32),
+    lowest: wp.array(dtype=wp.int32),
+    out_mark: wp.array(dtype=wp.int32),
+):
+    """A 1 at the lowest index of each cluster's core points."""
+    s = first + wp.tid()
+    if core[s] != wp.uint8(0) and root[s] == s:
+        out_mark[lowest[s]] = 1
+
+
+@wp.func
+def nearest_core(grid: CellGrid, s: wp.int32, radius: wp.float64, core: wp.array(dtype=wp.uint8)) -> wp.int32:
+    """Sorted position of the core point nearest to a point and within the radius of it, -1 if there is none."""
+    q = wp.vec3d(grid.x[s], grid.y[s], grid.z[s])
+    box = cells_around(grid, q, reach_of(radius))
+    best = wp.int32(-1)
+    least = wp.float64(0.0)
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        for begin in range(span[0], span[1], MASK_BITS):
+            mask = within_mask(grid, begin, span[1], q, radius * radius)
+            while mask != wp.uint64(0):
+                j = begin + lowest_bit(mask)
+                mask = mask & (mask - wp.uint64(1))
+                if core[j] != wp.uint8(0):
+                    dx = grid.x[j] - q[0]
+                    dy = grid.y[j] - q[1]
+                    dz = grid.z[j] - q[2]
+                    d = (dx * dx + dy * dy) + dz * dz
+                    if best < 0 or d < least or (d == least and grid.index[j] < grid.index[best]):
+                        best = j
+                        least = d
+    return best
+
+
+@wp.kernel
+def label_kernel(
+    first: int,
+    grid: CellGrid,
+    radius: wp.float64,
+    core: wp.array(dtype=wp.uint8),
+    root: wp.array(dtype=wp.int32),
+    lowest: wp.array(dtype=wp.int32),
+    number: wp.array(dtype=wp.int32),
+    out_label: wp.array(dtype=wp.int32),
+):
+    """The number of each point's cluster; a point that is not core joins its nearest core point, or is noise, -1."""
+    s = first + wp.tid()
+    at = s
+    if core[s] == wp.uint8(0):
+        at = nearest_core(grid, s, radius, core)
+    label = wp.int32(-1)
+    if at >= 0:
+        label = number[lowest[root[at]]]
+    out_label[grid.index[s]] = label

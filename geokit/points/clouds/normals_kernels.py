@@ -1,0 +1,343 @@
+"""Planes through neighbourhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
+
+Sums are taken about the point itself, whose differences to near points are exact in float64, so that neither an offset
+nor the scale of the points costs digits.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
+from geokit.points.search.neighbors_kernels import (
+    cells_around,
+    lowest_bit,
+    reach_of,
+    row_count,
+    row_range,
+    within_mask,
+)
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# Of a thread on a GPU; see docs/design/layers.md.
+REGISTERS = 96
+
+# Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
+MAX_SWEEPS = wp.constant(8)
+# Off-diagonals below this share of the trace turn no eigenvector by more than the roundings before them did.
+NEGLIGIBLE = wp.constant(wp.float64(2.0**-60))
+# Neighbourhoods whose width, squared, is this share of their squared length are lines: eigenvalues are good to a few
+# 2^-53 of the largest, and the direction of what is left would be their rounding.
+LINE_RELATIVE = wp.constant(wp.float64(2.0**-46))
+# So are those narrower than a few roundings of their coordinates, of half a step each.
+LINE_ROUNDINGS = wp.constant(wp.float64(4.0 * 2.0**-53))
+
+
+@wp.struct
+class Eigen:
+    """Eigenvalues of a symmetric matrix and, with the same names, unit eigenvectors."""
+
+    values: wp.vec3d
+    x: wp.vec3d
+    y: wp.vec3d
+    z: wp.vec3d
+
+
+@wp.func
+def rotation_of(pp: wp.float64, qq: wp.float64, pq: wp.float64, least: wp.float64) -> wp.vec3d:
+    """Cosine, sine, tangent of the smaller angle that turns the off-diagonal ``pq`` to 0, if it is over ``least``."""
+    c = wp.float64(1.0)
+    s = wp.float64(0.0)
+    t = wp.float64(0.0)
+    if wp.abs(pq) > least:
+        theta = (qq - pp) / (wp.float64(2.0) * pq)
+        t = wp.float64(1.0) / (wp.abs(theta) + wp.sqrt(theta * theta + wp.float64(1.0)))
+        if theta < wp.float64(0.0):
+            t = -t
+        c = wp.float64(1.0) / wp.sqrt(t * t + wp.float64(1.0))
+        s = t * c
+    return wp.vec3d(c, s, t)
+
+
+@wp.func
+def eigen_of(m: wp.mat33d) -> Eigen:
+    """Eigenvalues and eigenvectors of a symmetric matrix, in no order.
+
+    Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are good to about 1e-15 of the
+    largest, eigenvectors orthonormal to 1e-15, each off by about 1e-15 of the largest over the gap to the others.
+    """
+    a = m[0, 0]
+    b = m[1, 1]
+    c = m[2, 2]
+    ab = m[0, 1]
+    ac = m[0, 2]
+    bc = m[1, 2]
+    x = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    y = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+    z = wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
+    limit = (wp.abs(a) + wp.abs(b) + wp.abs(c)) * NEGLIGIBLE
+    # Three of these are below the limit together.
+    least = wp.float64(0.25) * limit
+    sweep = wp.int32(0)
+    while sweep < MAX_SWEEPS and wp.abs(ab) + wp.abs(ac) + wp.abs(bc) > limit:
+        sweep += 1
+        r = rotation_of(a, b, ab, least)
+        a -= r[2] * ab
+        b += r[2] * ab
+        if wp.abs(ab) > least:
+            ab = wp.float64(0.0)
+        old = ac
+        ac = r[0] * old - r[1] * bc
+        bc = r[1] * old + r[0] * bc
+        v = x
+        x = r[0] * v - r[1] * y
+        y = r[1] * v + r[0] * y
+
+        r = rotation_of(a, c, ac, least)
+        a -= r[2] * ac
+        c += r[2] * ac
+        if wp.abs(ac) > least:
+            ac = wp.float64(0.0)
+        old = ab
+        ab = r[0] * old - r[1] * bc
+        bc = r[1] * old + r[0] * bc
+        v = x
+        x = r[0] * v - r[1] * z
+        z = r[1] * v + r[0] * z
+
+        r = rotation_of(b, c, bc, least)
+        b -= r[2] * bc
+        c += r[2] * bc
+        if wp.abs(bc) > least:
+            bc = wp.float64(0.0)
+        old = ab
+        ab = r[0] * old - r[1] * ac
+        ac = r[1] * old + r[0] * ac
+        v = y
+        y = r[0] * v - r[1] * z
+        z = r[1] * v + r[0] * z
+    found = Eigen()
+    found.values = wp.vec3d(a, b, c)
+    found.x = x
+    found.y = y
+    found.z = z
+    return found
+
+
+@wp.func
+def leading_up(n: wp.vec3d) -> wp.vec3d:
+    """The one of n and -n whose component of largest magnitude is positive, the first of such components."""
+    largest = n[0]
+    if wp.abs(n[1]) > wp.abs(largest):
+        largest = n[1]
+    if wp.abs(n[2]) > wp.abs(largest):
+        largest = n[2]
+    if largest < wp.float64(0.0):
+        return -n
+    return n
+
+
+@wp.struct
+class Plane:
+    normal: wp.vec3d
+    curvature: wp.float64
+
+
+@wp.func
+def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
+    """Normal and surface variation of ``count`` points from the sums of their differences and of the products of these:
+    (x, y, z), (xx, xy, xz), (yy, yz, zz).
+
+    ``rounding`` bounds what the coordinates were rounded by, in the units of the differences.
+    """
+    plane = Plane()
+    if count < 3:
+        return plane
+    n = wp.float64(count)
+    x = sums[0, 0] / n
+    y = sums[0, 1] / n
+    z = sums[0, 2] / n
+    xy = sums[1, 1] / n - x * y
+    xz = sums[1, 2] / n - x * z
+    yz = sums[2, 1] / n - y * z
+    xx = sums[1, 0] / n - x * x
+    yy = sums[2, 0] / n - y * y
+    zz = sums[2, 2] / n - z * z
+    found = eigen_of(wp.mat33d(xx, xy, xz, xy, yy, yz, xz, yz, zz))
+    e = found.values
+    least = e[0]
+    normal = found.x
+    if e[1] < least:
+        least = e[1]
+        normal = found.y
+    if e[2] < least:
+        least = e[2]
+        normal = found.z
+    largest = wp.max(wp.max(e[0], e[1]), e[2])
+    middle = (e[0] + e[1] + e[2]) - least - largest
+    if middle <= largest * LINE_RELATIVE or middle <= rounding * rounding:
+        return plane
+    # Orthonormal to a rounding already; its length is made 1 to the last bit.
+    plane.normal = leading_up(normal / wp.sqrt(wp.dot(normal, normal)))
+    plane.curvature = wp.max(least, wp.float64(0.0)) / (e[0] + e[1] + e[2])
+    return plane
+
+
+# Warp's own access to an array goes through its strides, which takes longer here than the sums.
+ROW_SUMS = """
+    const int* const row = neighbor.data + (int64_t)i * neighbor.shape[1];
+    const double px = points.data[i][0], py = points.data[i][1], pz = points.data[i][2];
+    double sx = 0.0, sy = 0.0, sz = 0.0, xx = 0.0, xy = 0.0, xz = 0.0, yy = 0.0, yz = 0.0, zz = 0.0;
+    for (int k = 0; k < count; ++k) {
+        const double* const q = (const double*)(points.data + row[k]);
+        const double x = (q[0] - px) * scale, y = (q[1] - py) * scale, z = (q[2] - pz) * scale;
+        sx += x;
+        sy += y;
+        sz += z;
+        xx += x * x;
+        xy += x * y;
+        xz += x * z;
+        yy += y * y;
+        yz += y * z;
+        zz += z * z;
+    }
+    return wp::mat_t<3, 3, double>(sx, sy, sz, xx, xy, xz, yy, yz, zz);
+"""
+
+
+@wp.func_native(ROW_SUMS)
+def row_sums(
+    points: wp.array(dtype=wp.vec3d),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    i: wp.int32,
+    count: wp.int32,
+    scale: wp.float64,
+) -> wp.mat33d:
+    """Sums, as plane_of takes them, over the first ``count`` neighbours in row i of their differences to point i."""
+    ...
+
+
+@wp.func
+def largest_of(p: wp.vec3d) -> wp.float64:
+    return wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.abs(p[2]))
+
+
+@wp.kernel
+def place_kernel(
+    first: int,
+    order: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3d),
+    out_place: wp.array(dtype=wp.int32),
+    out_points: wp.array(dtype=wp.vec3d),
+):
+    """Where each point is in the order, and the points in this order."""
+    i = first + wp.tid()
+    out_place[order[i]] = i
+    out_points[i] = points[order[i]]
+
+
+@wp.func_native("""
+    const int width = neighbor.shape[1];
+    const int* const from = neighbor.data + (int64_t)row * width;
+    int* const to = out_neighbor.data + (int64_t)i * width;
+    for (int k = 0; k < width; ++k)
+        to[k] = from[k] < 0 ? -1 : place.data[from[k]];
+""")
+def place_row(
+    place: wp.array(dtype=wp.int32),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    row: wp.int32,
+    i: wp.int32,
+    out_neighbor: wp.array(dtype=wp.int32, ndim=2),
+):
+    """Row i of ``out_neighbor``: where the points of a row of ``neighbor`` are. In C++, as row_sums is."""
+    ...
+
+
+@wp.kernel
+def place_neighbors_kernel(
+    first: int,
+    order: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    out_neighbor: wp.array(dtype=wp.int32, ndim=2),
+):
+    """Rows of neighbours in the order, as places in it."""
+    i = first + wp.tid()
+    place_row(place, neighbor, order[i], i, out_neighbor)
+
+
+@wp.kernel(cuda_max_registers=REGISTERS)
+def nearest_plane_kernel(
+    first: int,
+    order: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3d),
+    distance: wp.array(dtype=wp.float64, ndim=2),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    out_normal: wp.array(dtype=wp.vec3d),
+    out_curvature: wp.array(dtype=wp.float64),
+):
+    """Plane of each row of neighbours, the nearest first. Points and neighbours are in the order, distances not."""
+    i = first + wp.tid()
+    p = points[i]
+    row = order[i]
+    count = neighbor.shape[1]
+    while count > 0 and neighbor[i, count - 1] < 0:
+        count -= 1
+    # Differences of unit size at most: their squares stay in range.
+    farthest = distance[row, wp.max(count - 1, 0)]
+    scale = wp.float64(0.0)
+    if farthest > wp.float64(0.0):
+        scale = wp.float64(1.0) / farthest
+    sums = row_sums(points, neighbor, i, count, scale)
+    plane = plane_of(count, sums, LINE_ROUNDINGS * ((largest_of(p) + farthest) * scale))
+    out_normal[row] = plane.normal
+    out_curvature[row] = plane.curvature
+
+
+@wp.kernel(cuda_max_registers=REGISTERS)
+def within_plane_kernel(
+    first: int,
+    grid: CellGrid,
+    radius: wp.float64,
+    scale: wp.float64,
+    out_normal: wp.array(dtype=wp.vec3d),
+    out_curvature: wp.array(dtype=wp.float64),
+):
+    """Plane of the points within the radius of each point; ``scale`` makes their differences one at most."""
+    s = first + wp.tid()
+    p = wp.vec3d(grid.x[s], grid.y[s], grid.z[s])
+    box = cells_around(grid, p, reach_of(radius))
+    sums = wp.mat33d()
+    widest = wp.float64(0.0)
+    count = wp.int32(0)
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        for begin in range(span[0], span[1], MASK_BITS):
+            mask = within_mask(grid, begin, span[1], p, radius * radius)
+            while mask != wp.uint64(0):
+                j = begin + lowest_bit(mask)
+                mask = mask & (mask - wp.uint64(1))
+                x = (grid.x[j] - p[0]) * scale
+                y = (grid.y[j] - p[1]) * scale
+                z = (grid.z[j] - p[2]) * scale
+                sums += wp.mat33d(x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)
+                widest = wp.max(widest, largest_of(wp.vec3d(x, y, z)))
+                count += 1
+    plane = plane_of(count, sums, LINE_ROUNDINGS * (largest_of(p) * scale + widest))
+    out_normal[grid.index[s]] = plane.normal
+    out_curvature[grid.index[s]] = plane.curvature
+
+
+@wp.kernel
+def towards_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    viewpoint: wp.vec3d,
+    out_normal: wp.array(dtype=wp.vec3d),
+):
+    """Turns normals that point away from the viewpoint."""
+    i = first + wp.tid()
+    if wp.dot(out_normal[i], viewpoint - points[i]) < wp.float64(0.0):
+        out_normal[i] = -out_normal[i]

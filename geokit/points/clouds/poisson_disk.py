@@ -1,0 +1,100 @@
+"""Poisson-disk subsets: what trying the points one after the other in random order would take, in parallel rounds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.points._neighbors import NeighborGrid
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["poisson_disk_subset"]
+
+# Rounded squared distances of at most the squared radius belong to coordinates that differ by no more than that: five
+# roundings of the radius, and squares that vanish.
+REACH_RELATIVE = 1e-15
+REACH_ABSOLUTE = 1e-161
+
+
+def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["wp.array", "wp.array"]:
+    """A maximal subset of points that are at least the radius apart.
+
+    A round takes the undecided points that have no undecided one near them that comes before them in the order, and
+    refuses those near to a taken one: the outcome is that of the sequence, whatever is done at the same time. The
+    number of rounds grows with the logarithm of the number of points. Each round sorts the undecided points into cells
+    in the order in which they are tried: the first that a search looks at are the most likely to come before.
+
+    Args:
+        points: vec3d positions (N,) [world].
+        radius: Least distance [world].
+        seed: Of the random order in which points are tried.
+    Returns:
+        The points that are left, vec3d (M,) [world], and their indices (M,) int32, ascending.
+    """
+    import warp as wp
+
+    from geokit.points.clouds import poisson_disk_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    if count == 0:
+        return points, wp.empty(0, dtype=wp.int32, device=device)
+    # Nearer than the radius is at most the largest number below its square: what the masks compare with is closed.
+    with np.errstate(over="ignore"):
+        below = float(np.nextafter(np.float64(radius) * np.float64(radius), -np.inf))
+    search = [wp.float64(radius * (1.0 + REACH_RELATIVE) + REACH_ABSOLUTE), wp.float64(below)]
+
+    tried = np.random.default_rng(seed).permutation(count).astype(np.int32)
+    waiting = wp.array(tried, dtype=wp.int32, device=device)
+    taken = wp.zeros(count, dtype=wp.int32, device=device)
+    while len(waiting):
+        rows = wp.empty(len(waiting), dtype=wp.vec3d, device=device)
+        launcher.launch(kernels.gather_kernel, len(waiting), [points, waiting], [rows], device)
+        grid = NeighborGrid(rows, radius, device=device)._cells_for(radius).grid
+        # By sorted position: 1 is taken, 2 refused.
+        state = wp.zeros(len(waiting), dtype=wp.int8, device=device)
+        launcher.launch(kernels.take_kernel, len(waiting), [grid, *search], [state], device)
+        launcher.launch(kernels.refuse_kernel, len(waiting), [grid, *search], [state], device)
+        left = wp.empty(len(waiting), dtype=wp.int32, device=device)
+        launcher.launch(kernels.outcome_kernel, len(waiting), [grid, state, waiting], [left, taken], device)
+        waiting = _those_left(waiting, left)
+    return _those_taken(points, taken)
+
+
+def _those_left(waiting: "wp.array", left: "wp.array") -> "wp.array":
+    """The entries whose flag is 1, in their order."""
+    import warp as wp
+
+    from geokit.points.clouds.poisson_disk_kernels import keep_kernel
+
+    device: Any = waiting.device
+    place, count = _counted(left)
+    kept = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(keep_kernel, len(waiting), [waiting, left, place], [kept], device)
+    return kept
+
+
+def _those_taken(points: "wp.array", taken: "wp.array") -> tuple["wp.array", "wp.array"]:
+    import warp as wp
+
+    from geokit.points.clouds.poisson_disk_kernels import keep_points_kernel
+
+    device: Any = points.device
+    place, count = _counted(taken)
+    kept = wp.empty(count, dtype=wp.vec3d, device=device)
+    indices = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(keep_points_kernel, len(points), [points, taken, place], [kept, indices], device)
+    return kept, indices
+
+
+def _counted(flag: "wp.array") -> tuple["wp.array", int]:
+    """How many flags are 1 up to and with each, and in all."""
+    import warp as wp
+
+    place = wp.empty(len(flag), dtype=wp.int32, device=flag.device)
+    wp.utils.array_scan(flag, place, inclusive=True)
+    return place, int(place[len(flag) - 1 :].numpy()[0])

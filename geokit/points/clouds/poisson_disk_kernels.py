@@ -1,0 +1,133 @@
+"""Rounds of a greedy maximal independent set: points that come first among their undecided neighbours are taken.
+
+The undecided points are those of a CellGrid, numbered in the order in which they are tried. A state is written by
+several threads only with the same value, and no kernel reads what it writes but for that.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
+from geokit.points.search.neighbors_kernels import cells_around, lowest_bit, row_count, row_range, within_mask
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+WAITING = wp.constant(wp.int8(0))
+TAKEN = wp.constant(wp.int8(1))
+REFUSED = wp.constant(wp.int8(2))
+
+
+@wp.func
+def comes_before(
+    grid: CellGrid, begin: wp.int32, end: wp.int32, q: wp.vec3d, limit: wp.float64, number: wp.int32
+) -> wp.bool:
+    """Whether one of the next MASK_BITS sorted points is near q and has a lower number."""
+    mask = within_mask(grid, begin, end, q, limit)
+    while mask != wp.uint64(0):
+        if grid.index[begin + lowest_bit(mask)] < number:
+            return True
+        mask = mask & (mask - wp.uint64(1))
+    return False
+
+
+@wp.func
+def is_first(i: wp.int32, grid: CellGrid, reach: wp.float64, limit: wp.float64) -> wp.bool:
+    """Whether no neighbour of the sorted point i is tried before it."""
+    q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
+    number = grid.index[i]
+    # Those of its own cell that are tried first: where there are many neighbours this settles it.
+    own = row_range(grid, cells_around(grid, q, wp.float64(0.0)), 0)
+    if comes_before(grid, own[0], own[1], q, limit, number):
+        return False
+    box = cells_around(grid, q, reach)
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        for begin in range(span[0], span[1], MASK_BITS):
+            if comes_before(grid, begin, span[1], q, limit, number):
+                return False
+    return True
+
+
+@wp.kernel
+def take_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
+    """Takes the points that are tried before all their neighbours."""
+    i = first + wp.tid()
+    if is_first(i, grid, reach, limit):
+        out_state[i] = TAKEN
+
+
+@wp.kernel
+def refuse_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
+    """Refuses the neighbours of the points that have been taken, of which none is another's neighbour."""
+    i = first + wp.tid()
+    if out_state[i] == TAKEN:
+        q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
+        box = cells_around(grid, q, reach)
+        for row in range(row_count(box)):
+            span = row_range(grid, box, row)
+            for begin in range(span[0], span[1], MASK_BITS):
+                mask = within_mask(grid, begin, span[1], q, limit)
+                while mask != wp.uint64(0):
+                    j = begin + lowest_bit(mask)
+                    mask = mask & (mask - wp.uint64(1))
+                    if j != i:
+                        out_state[j] = REFUSED
+
+
+@wp.kernel
+def outcome_kernel(
+    first: int,
+    grid: CellGrid,
+    state: wp.array(dtype=wp.int8),
+    waiting: wp.array(dtype=wp.int32),
+    out_left: wp.array(dtype=wp.int32),
+    out_taken: wp.array(dtype=wp.int32),
+):
+    """1 for what is still waiting, by its number, and for what has been taken, by its index among all points."""
+    i = first + wp.tid()
+    number = grid.index[i]
+    out_left[number] = wp.where(state[i] == WAITING, 1, 0)
+    if state[i] == TAKEN:
+        out_taken[waiting[number]] = 1
+
+
+@wp.kernel
+def gather_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    index: wp.array(dtype=wp.int32),
+    out_points: wp.array(dtype=wp.vec3d),
+):
+    i = first + wp.tid()
+    out_points[i] = points[index[i]]
+
+
+@wp.kernel
+def keep_kernel(
+    first: int,
+    entry: wp.array(dtype=wp.int32),
+    flag: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    out_entry: wp.array(dtype=wp.int32),
+):
+    """The entries with a flag; ``place`` counts them up to and with each."""
+    i = first + wp.tid()
+    if flag[i] == 1:
+        out_entry[place[i] - 1] = entry[i]
+
+
+@wp.kernel
+def keep_points_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    flag: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    out_points: wp.array(dtype=wp.vec3d),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """The points with a flag and their indices; ``place`` counts them up to and with each."""
+    i = first + wp.tid()
+    if flag[i] == 1:
+        out_points[place[i] - 1] = points[i]
+        out_index[place[i] - 1] = i

@@ -1,0 +1,244 @@
+"""Centroids of the points in each voxel of a grid: points put in the order of their voxels, then a sum for each run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.errors import InputError
+from geokit.points.search.cells import survey
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["VoxelOrder", "centroids_by_pieces", "voxel_centroids"]
+
+# Beyond, a coordinate's voxel number is not a whole number that float64 holds with all others around it.
+MOST_VOXELS_FROM_ORIGIN = 2.0**52
+# Voxels of the whole box that one 63-bit key numbers.
+MOST_KEYS = 2**62
+# Counting by voxel takes a count of each voxel for each thread: where these would be many more than the points, a sort
+# is as quick and smaller. Places are int32.
+TALLIES_PER_POINT = 8
+TALLIES_MORE = 1 << 16
+MOST_TALLIES = 2**31 - 1
+# Fewer points than this are one thread's: to wake another takes longer.
+TALLY_SHARE = 1 << 18
+
+
+class VoxelOrder(NamedTuple):
+    """Points voxel after voxel, their indices, and where each voxel's begin, with their number at the end."""
+
+    points: "wp.array"
+    index: "wp.array"
+    begin: "wp.array"
+
+
+def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", "wp.array"]:
+    """Centroids of the occupied voxels by ascending (z, y, x), and the point of each that is nearest to it.
+
+    Args:
+        points: vec3d positions (N,) [world].
+        voxel_size: Edge length of a voxel [world].
+    Returns:
+        vec3d centroids (M,) [world] and int32 indices (M,).
+    Raises:
+        InputError: Voxels are too small for coordinates as large as these.
+    """
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import centroid_kernel
+
+    device: Any = points.device
+    known = survey(points, _already_finite)
+    lower, upper = known.lower, known.upper
+    with np.errstate(over="ignore"):
+        farthest = max(np.abs(lower).max(), np.abs(upper).max())
+        if farthest / voxel_size > MOST_VOXELS_FROM_ORIGIN:
+            raise InputError(
+                f"voxel_size: {voxel_size:g} is too small for coordinates of {farthest:g}, which float64 does not "
+                f"resolve so finely; use {farthest / MOST_VOXELS_FROM_ORIGIN * 1.01:.3g} or more, or move the points "
+                "next to the origin"
+            )
+    order = _by_voxel(points, voxel_size, np.floor(lower / voxel_size), np.floor(upper / voxel_size))
+    if not device.is_cpu:
+        return centroids_by_pieces(order)
+    count = len(order.begin) - 1
+    centroids = wp.empty(count, dtype=wp.vec3d, device=device)
+    indices = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(centroid_kernel, count, [*order], [centroids, indices], device)
+    return centroids, indices
+
+
+def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
+    """What a thread for each voxel gets, bit for bit, with a thread for each piece of a voxel."""
+    import warp as wp
+
+    from geokit.points.clouds import voxel_centroids_kernels as kernels
+
+    points, index, begin = order
+    device: Any = points.device
+    count = len(begin) - 1
+    centroids = wp.empty(count, dtype=wp.vec3d, device=device)
+    indices = wp.empty(count, dtype=wp.int32, device=device)
+    if count == 0:
+        return centroids, indices
+    piece_end = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.piece_count_kernel, count, [begin], [piece_end], device)
+    wp.utils.array_scan(piece_end, piece_end, inclusive=True)
+    pieces = int(piece_end[count - 1 :].numpy()[0])
+    sums = wp.empty(pieces, dtype=wp.vec3d, device=device)
+    launcher.launch(kernels.piece_sum_kernel, pieces, [points, begin, piece_end], [sums], device)
+    means = wp.empty(count, dtype=wp.vec3d, device=device)
+    launcher.launch(kernels.mean_kernel, count, [points, begin, piece_end, sums], [means, centroids], device)
+    nearest = wp.empty(pieces, dtype=wp.int32, device=device)
+    launcher.launch(kernels.piece_nearest_kernel, pieces, [points, begin, piece_end, means], [nearest], device)
+    given = [points, index, begin, piece_end, means, nearest]
+    launcher.launch(kernels.nearest_kernel, count, given, [indices], device)
+    return centroids, indices
+
+
+def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> VoxelOrder:
+    """The points by voxel: those of the box between two voxels of whole numbers."""
+    # Whole numbers below 2^53: exact as Python's.
+    sizes = [int(b) - int(a) + 1 for a, b in zip(lower, upper, strict=True)]
+    voxel_count = sizes[0] * sizes[1] * sizes[2]
+    count = len(points)
+    if count == 0:
+        return _sorted_by(points, None, 1)
+    lows = [int(a) for a in lower]
+    if voxel_count > MOST_KEYS:
+        return _sorted_by(points, *_layer_keys(points, voxel_size, lows, sizes))
+    shares = min(launcher.thread_count(), -(-count // TALLY_SHARE))
+    if points.device.is_cpu and shares * voxel_count <= min(TALLIES_PER_POINT * count + TALLIES_MORE, MOST_TALLIES):
+        return _counted(points, voxel_size, lows, sizes, shares)
+    return _sorted_by(points, _voxel_keys(points, voxel_size, lows, sizes), voxel_count)
+
+
+def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int], shares: int) -> VoxelOrder:
+    """Each thread of a CPU counts a share of the points by voxel, then puts it where it belongs."""
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import scatter_kernel, tally_kernel
+
+    device: Any = points.device
+    count, voxel_count = len(points), sizes[0] * sizes[1] * sizes[2]
+    length = -(-count // shares)
+    keys = wp.empty(count, dtype=wp.int32, device=device)
+    tally = np.zeros((shares, voxel_count), np.int32)
+    given = [points, wp.float64(voxel_size), *map(wp.int64, lows), *map(wp.int64, sizes[:2]), length, voxel_count]
+    out_tally = wp.array(tally.ravel(), dtype=wp.int32, device=device, copy=False)
+    launcher.launch(tally_kernel, shares, given, [keys, out_tally], device, grain=1)
+    total = tally.sum(axis=0, dtype=np.int32) if shares > 1 else tally[0]
+    occupied = np.flatnonzero(total)
+    begin = np.zeros(len(occupied) + 1, np.int32)
+    np.cumsum(total[occupied], out=begin[1:])
+    # The places of a voxel go to the shares in turn: its points stay in the order in which they came.
+    place = begin[:-1].copy()
+    for share in tally:
+        counts = share[occupied]
+        share[occupied] = place
+        place += counts
+    order = VoxelOrder(
+        wp.empty(count, dtype=wp.vec3d, device=device),
+        wp.empty(count, dtype=wp.int32, device=device),
+        wp.array(begin, dtype=wp.int32, device=device),
+    )
+    given = [points, keys, length, voxel_count, out_tally]
+    launcher.launch(scatter_kernel, shares, given, [order.points, order.index], device, grain=1)
+    return order
+
+
+def _voxel_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int]) -> "wp.array":
+    """The number of each point's voxel in the box, in the first half of an array."""
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import key_kernel
+
+    keys = wp.empty(2 * len(points), dtype=wp.int64, device=points.device)
+    given = [points, wp.float64(voxel_size), *map(wp.int64, lows), *map(wp.int64, sizes[:2])]
+    launcher.launch(key_kernel, len(points), given, [keys], points.device)
+    return keys
+
+
+def _layer_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int]) -> tuple["wp.array", int]:
+    """Keys for a box of more voxels than 63 bits can number, in the first half of an array, and how many there may be.
+
+    The occupied layers of each axis are numbered instead, at most 2^31 of them, and two axes at a time.
+    """
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import axis_key_kernel, join_kernel
+
+    device: Any = points.device
+    count, edge = len(points), wp.float64(voxel_size)
+
+    def layers(axis: int) -> tuple["wp.array", int]:
+        layer = wp.empty(2 * count, dtype=wp.int64, device=device)
+        launcher.launch(axis_key_kernel, count, [points, edge, axis, wp.int64(lows[axis])], [layer], device)
+        return _ranked(layer, count, sizes[axis])
+
+    def joined(outer: "wp.array", inner: "wp.array", inner_count: int) -> "wp.array":
+        keys = wp.empty(2 * count, dtype=wp.int64, device=device)
+        launcher.launch(join_kernel, count, [outer, inner, wp.int64(inner_count)], [keys], device)
+        return keys
+
+    (z, count_z), (y, count_y), (x, count_x) = layers(2), layers(1), layers(0)
+    zy, count_zy = _ranked(joined(z, y, count_y), count, count_z * count_y)
+    return joined(zy, x, count_x), count_zy * count_x
+
+
+def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", int]:
+    """The number of each key among the different ones, ascending, and how many different ones there are."""
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import rank_kernel
+
+    order, numbers = _sorted_numbers(keys, count, key_count)
+    ranks = wp.empty(count, dtype=wp.int32, device=keys.device)
+    launcher.launch(rank_kernel, count, [order, numbers], [ranks], keys.device)
+    return ranks, int(numbers[count - 1 :].numpy()[0])
+
+
+def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
+    """The points by ascending key, of which the first half of an array has one for each; stable."""
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import begin_kernel, gather_kernel
+
+    device: Any = points.device
+    count = len(points)
+    if count == 0:
+        none = wp.empty(0, dtype=wp.int32, device=device)
+        return VoxelOrder(points, none, wp.zeros(1, dtype=wp.int32, device=device))
+    order, numbers = _sorted_numbers(keys, count, key_count)
+    run_count = int(numbers[count - 1 :].numpy()[0])
+    begin = wp.empty(run_count + 1, dtype=wp.int32, device=device)
+    launcher.launch(begin_kernel, count, [numbers], [begin], device)
+    rows = wp.empty(count, dtype=wp.vec3d, device=device)
+    launcher.launch(gather_kernel, count, [points, order], [rows], device)
+    return VoxelOrder(rows, order, begin)
+
+
+def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array"]:
+    """The order that sorts the keys, stable, and for each sorted one how many different ones there are up to it."""
+    import warp as wp
+
+    from geokit.core.morton_order_kernels import identity_kernel
+    from geokit.points.clouds.voxel_centroids_kernels import head_kernel
+
+    device: Any = keys.device
+    # radix_sort_pairs uses the second half of both arrays as scratch space.
+    order = wp.empty(2 * count, dtype=wp.int32, device=device)
+    launcher.launch(identity_kernel, count, [], [order], device)
+    wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (key_count - 1).bit_length()))
+    numbers = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(head_kernel, count, [keys], [numbers], device)
+    wp.utils.array_scan(numbers, numbers, inclusive=True)
+    return order, numbers
+
+
+def _already_finite() -> None:
+    """What is not finite has been refused when the points were read."""

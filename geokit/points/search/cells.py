@@ -1,0 +1,363 @@
+"""Points sorted by cell: the one structure behind every radius search, with memory bounded by the points alone."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import host_pool, launcher
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Cells", "Survey", "build_cells", "survey", "usual_spacing"]
+
+# Each axis is cut into this many intervals of about equally many points. An interval too long for cells of the radius
+# gets longer cells of its own, the others keep theirs: one far point, or clusters far apart, must not leave a crowd in
+# a single cell.
+INTERVALS = 64
+# Three axes of 64 intervals of 2^14 cells leave a key room in 63 bits.
+MAX_CELLS_PER_INTERVAL = 1 << 14
+# More cells on an interval than it has points separate nothing more; few points still get this many.
+MIN_CELLS_PER_INTERVAL = 16
+# Points whose coordinates decide the intervals: 32 for each, which puts up to a half more or less points than wanted
+# into one.
+SAMPLE_SIZE = 2048
+# The inverse of a cell's edge stays finite, so that its product with a coordinate does: longer cells than the radius
+# cost time, never neighbours.
+MAX_INVERSE_EDGE = 1e300
+# The table has at most this many entries for each point and on top of them the second figure, whatever the extent:
+# 16 bytes a point and 256 KiB. Four leaves most tables of evenly spread points direct.
+TABLE_ENTRIES_PER_POINT = 4
+TABLE_ENTRIES_MORE = 1 << 16
+# Table entries of an item: on a CPU one search through all keys serves many, on a GPU there are to be many items.
+TABLE_RUN_HOST = 64
+TABLE_RUN_GPU = 8
+TABLE_GRAIN = 16
+# The points are surveyed in shares: so many at least a slice on a CPU, which one thread reads in the time that it takes
+# to wake another; so many threads with one each on a GPU.
+SURVEY_GRAIN = 512
+SURVEY_THREADS = 1 << 16
+# Their boxes are condensed to so many before they travel to the host.
+CONDENSED = 1024
+# Cells for each point that are not too many, and how much longer than the radius their edges may be made for it.
+FEW_CELLS = 2.0
+MOST_STRETCH = 1.5
+# Counting by cell takes a row of counts for each thread: so many numbers a point at most, and TABLE_ENTRIES_MORE.
+TALLY_PER_POINT = 8
+# Points that are worth another thread: fewer are sorted by one in the time that threads take to wake and to pass each
+# other the lines that both write to.
+TALLY_SHARE = 1 << 18
+# Powers of two that a float64 holds: the scale of the float32 frame stays within them.
+LARGEST_EXPONENT = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Sorted points on a device.
+
+    Attributes:
+        grid: The kernels' view of them, a CellGrid.
+        radius: The search radius [world] that the cells are made for.
+    """
+
+    grid: Any
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What is known of points before they are sorted.
+
+    Attributes:
+        lower: Lower corner of the box around all of them [world], zeros where there are none.
+        upper: Its upper corner.
+        sample: Some of them, evenly over their order; shape (3, S) [world].
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    sample: NDArray[np.float64]
+
+    # A GPU waits while these are found: they are found once.
+    @functools.cached_property
+    def crowd(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper corner of a box around all but the outermost points on each axis [world]."""
+        count = self.sample.shape[1]
+        if count == 0:
+            return np.zeros(3), np.zeros(3)
+        outermost = count // INTERVALS
+        return self.ascending[:, outermost], self.ascending[:, -1 - outermost]
+
+    @functools.cached_property
+    def ascending(self) -> NDArray[np.float64]:
+        """The sample with each axis sorted for itself."""
+        return np.sort(self.sample, axis=1)
+
+
+def survey(points: "wp.array", refuse: Any) -> Survey:
+    """Box and sample of vec3d or vec3f points [world], in one pass over them.
+
+    Args:
+        points: The points.
+        refuse: Called when a point is not finite, to name it.
+    Raises:
+        InputError: The points spread over more than a float64 can hold.
+    """
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+    from geokit.points.search.bounding_box_cpu_kernels import SHARE, SURVEY_HOST
+
+    device: Any = points.device
+    count = len(points)
+    if count == 0:
+        return Survey(np.zeros(3), np.zeros(3), np.zeros((3, 0)))
+    runs = -(-count // int(SHARE)) if device.is_cpu else min(count, SURVEY_THREADS)
+    boxes = [wp.empty(runs, dtype=wp.vec3d, device=device) for _ in range(2)]
+    if device.is_cpu:
+        launcher.launch(SURVEY_HOST[points.dtype], runs, [points], boxes, device, grain=SURVEY_GRAIN)
+    else:
+        launcher.launch(kernels.SURVEY[points.dtype], runs, [points, runs], boxes, device)
+    few, taken = min(runs, CONDENSED), min(count, SAMPLE_SIZE)
+    out = wp.empty((3, 2 * few + taken), dtype=wp.float64, device=device)
+    given = [points, *boxes, few, taken]
+    # Less than a thread's waking is worth.
+    launcher.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device, grain=SAMPLE_SIZE)
+    found = out.numpy()
+    if not np.isfinite(found).all():
+        refuse()
+    lower, upper = found[:, :few].min(axis=1), found[:, few : 2 * few].max(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not np.isfinite(upper - lower).all():
+            raise InputError(
+                f"points: they spread from {lower.tolist()} to {upper.tolist()}, more than a float64 can hold; "
+                "scale them down"
+            )
+    return Survey(lower, upper, found[:, 2 * few :])
+
+
+def usual_spacing(survey: Survey, count: int) -> float:
+    """Edge [world] of the cubes, planes' squares or lines' steps that the crowd would fill with one point each."""
+    lower, upper = survey.crowd
+    edges = (upper - lower)[upper > lower]
+    if not count or not len(edges):
+        return 0.0
+    # The logarithm: a product of three extents may overflow.
+    return float(np.exp((np.log(edges).sum() - np.log(count)) / len(edges)))
+
+
+def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
+    """Points sorted by cells of about the radius.
+
+    Args:
+        points: vec3d or vec3f positions (N,) [world]; copied.
+        survey: What is known of them.
+        radius: Edge length of a cell [world] where the extent allows it; above 0.
+    Returns:
+        Cells: 28 bytes a point (44 on a GPU), 8 more where the table is not direct, and up to 16 for the table stay in
+        use; up to 28 more while they are made.
+    """
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    grid: Any = kernels.CellGrid()
+    grid.lower, grid.upper = wp.vec3d(*survey.lower.tolist()), wp.vec3d(*survey.upper.tolist())
+    _choose_frame(grid, survey)
+    cell_count = _cut_axes(grid, survey, count, _edge(survey, count, radius), device)
+    grid.shift = _table_shift(cell_count, count)
+    _make_room(grid, count, device)
+    # Places in the tally are int32, and it is not to be much larger than the points are.
+    most = min(TALLY_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
+    rows = min(launcher.thread_count(), -(-count // TALLY_SHARE), most)
+    if device.is_cpu and grid.shift == 0 and rows:
+        _place_by_count(grid, points, cell_count, rows)
+    else:
+        _place_by_sort(grid, points, cell_count)
+    return Cells(grid=grid, radius=radius)
+
+
+def _edge(survey: Survey, count: int, radius: float) -> float:
+    """The radius, or somewhat more where that leaves at most FEW_CELLS cells for each point.
+
+    Cells a fifth longer take a fifth more tests and a fifth fewer ranges to look up, and empty ones cost time to make.
+    """
+    share = 1.0 / max(FEW_CELLS * count, 1.0)
+    for extent in (survey.upper - survey.lower).tolist():
+        share *= max(extent / radius, 1.0)
+    return radius * share ** (1.0 / 3.0) if 1.0 < share <= MOST_STRETCH**3 else radius
+
+
+def _choose_frame(grid: Any, survey: Survey) -> None:
+    """The float32 frame: the middle of the crowd, and a power of two, so that scaling rounds nothing."""
+    import warp as wp
+
+    lower, upper = survey.crowd
+    centre = lower + 0.5 * (upper - lower)
+    extent = float((upper - lower).max(initial=0.0))
+    exponent = -np.frexp(extent)[1] if extent > 0.0 else 0
+    grid.centre = wp.vec3d(*centre.tolist())
+    grid.scale = wp.float64(np.ldexp(1.0, int(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))))
+
+
+def _make_room(grid: Any, count: int, device: Any) -> None:
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+
+    if device.is_cuda:
+        grid.x, grid.y, grid.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
+        grid.packed = wp.empty(count, dtype=wp.vec4f, device=device)
+        return
+    # Vectors are read past the end of the last row; what they find there is masked out.
+    padded = count + int(kernels.MASK_BITS)
+    grid.x, grid.y, grid.z = (_padded(count, padded, wp.float64, device) for _ in range(3))
+
+
+def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
+    """Room for ``padded`` entries of which those from ``count`` on are 0."""
+    array = host_pool.room(padded, dtype, device)
+    array[count:].zero_()
+    return array
+
+
+def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -> None:
+    """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
+    import warp as wp
+
+    from geokit.core.counting_sort_kernels import sum_kernel
+    from geokit.points.search import cells_cpu_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    share = -(-count // rows)
+    keys = host_pool.room(count, wp.int32, device)
+    tally = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
+    given = [points, grid, share, cell_count]
+    launcher.launch(kernels.TALLY_OF[points.dtype], rows, given, [keys, tally], device, grain=1)
+    grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
+    launcher.launch(sum_kernel, 1, [rows, cell_count], [tally, grid.start], device)
+    grid.key = wp.empty(0, dtype=wp.int64, device=device)
+    grid.index = host_pool.room(count, wp.int32, device)
+    launcher.launch(kernels.place_kernel, rows, [keys, share, cell_count, tally], [grid], device, grain=1)
+    _gather(grid, points, grid.index)
+
+
+def _gather(grid: Any, points: "wp.array", order: "wp.array") -> None:
+    """Coordinates in sorted order, on a CPU."""
+    from geokit.points.search.cells_cpu_kernels import GATHER_OF, GATHERED
+
+    items = -(-len(points) // int(GATHERED))
+    # All items take as long as each other.
+    grain = max(TALLY_SHARE // int(GATHERED), -(-items // (2 * launcher.thread_count())))
+    launcher.launch(GATHER_OF[points.dtype], items, [points, order], [grid], points.device, grain=grain)
+
+
+def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    keys, order = sorted_keys(grid, points, cell_count)
+    grid.index = host_pool.room(count, wp.int32, device)
+    if device.is_cpu:
+        wp.copy(grid.index, order, count=count)
+        _gather(grid, points, order)
+    else:
+        launcher.launch(kernels.GATHER_PACKED[points.dtype], count, [points, order], [grid], device)
+    grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)
+    run = TABLE_RUN_HOST if device.is_cpu else TABLE_RUN_GPU
+    given = [keys, count, grid.shift, run]
+    launcher.launch(
+        kernels.TABLE[keys.dtype], -(-len(grid.start) // run), given, [grid.start], device, grain=TABLE_GRAIN
+    )
+    # With a direct table no key is read again.
+    grid.key = _head(keys, count) if grid.shift else wp.empty(0, dtype=wp.int64, device=device)
+
+
+def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.array", "wp.array"]:
+    """Keys of the points in ascending order and whose they are; only the first half of either is theirs."""
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    # radix_sort_pairs uses the second half of both arrays as scratch space. A table that is not direct has its keys
+    # searched later on, in 64 bits.
+    wide = grid.shift > 0 or cell_count >= 1 << 31
+    keys = wp.empty(2 * count, dtype=wp.int64 if wide else wp.int32, device=device)
+    order = wp.empty(2 * count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.KEY[points.dtype, keys.dtype], count, [points, grid], [keys, order], device)
+    if count:
+        wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
+    return keys, order
+
+
+def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any) -> int:
+    """Cuts the three axes into cells for the grid; returns the number of cells in all."""
+    import warp as wp
+
+    most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
+    cuts, sizes, first = [], [], 0
+    for axis in range(3):
+        cut = _intervals(survey, axis, radius, most)
+        grid.first_cut[axis], grid.last_cut[axis] = first, first + len(cut) - 1
+        first += len(cut)
+        cuts.append(cut)
+        sizes.append(int(cut[:, 3].sum()))
+    grid.cut = wp.array(np.concatenate(cuts), dtype=wp.vec4d, device=device)
+    grid.count_x, grid.count_y, grid.count_z = sizes
+    return sizes[0] * sizes[1] * sizes[2]
+
+
+def _intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np.float64]:
+    """Begin, inverse cell edge, first cell and number of cells of an axis's intervals; shape (I, 4).
+
+    Intervals between quantiles that need more than ``most`` cells of the radius get so many; between others nothing is
+    to be separated, and they become one.
+    """
+    lower, upper = float(survey.lower[axis]), float(survey.upper[axis])
+    if upper - lower <= radius * most:
+        # No interval can be longer. Without extent there is one cell, which the clamp gives to every coordinate.
+        count = max((upper - lower) // radius, 1.0)
+        return np.array([[lower, min(count / (upper - lower), MAX_INVERSE_EDGE) if upper > lower else 1.0, 0.0, count]])
+    ascending = survey.ascending[axis]
+    inner = ascending[np.arange(1, INTERVALS) * len(ascending) // INTERVALS]
+    knots = np.unique(np.concatenate([[lower, upper], inner]))
+    is_long = np.diff(knots) > radius * most
+    begins = np.concatenate([[True], is_long[1:] | is_long[:-1]])
+    width = np.diff(np.append(knots[:-1][begins], upper))
+    with np.errstate(over="ignore"):
+        counts = np.where(is_long[begins], most, np.maximum(np.floor(width / radius), 1.0))
+        inverse = np.minimum(counts / width, MAX_INVERSE_EDGE)
+    return np.stack([knots[:-1][begins], inverse, np.cumsum(counts) - counts, counts], axis=1)
+
+
+def _head(array: "wp.array", count: int) -> "wp.array":
+    """A copy of the first entries, so that the rest can be let go of."""
+    import warp as wp
+
+    head = wp.empty(count, dtype=array.dtype, device=array.device)
+    if count:
+        wp.copy(head, array, count=count)
+    return head
+
+
+def _table_shift(cell_count: int, point_count: int) -> int:
+    """Fewest low bits of a key that the table must leave to a search to stay within its size."""
+    limit = TABLE_ENTRIES_PER_POINT * point_count + TABLE_ENTRIES_MORE
+    shift = 0
+    while (cell_count >> shift) + 2 > limit:
+        shift += 1
+    return shift

@@ -1,0 +1,256 @@
+"""Points sorted by the cells of a grid: the arrays that neighbour searches read, and the kernels that fill them.
+
+Coordinates stay float64; on a GPU a float32 copy stands beside them, which searches look at first.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+from typing import Any
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+# Points read together by one call of within_mask: one bit of a 64-bit mask for each. The coordinates are padded by as
+# many entries, because vectors read past the end of the last row.
+MASK_BITS = wp.constant(64)
+
+# Table entries summed up by one item of crowding_kernel.
+CROWDING_RUN = wp.constant(64)
+
+
+@wp.struct
+class CellGrid:
+    """Points sorted by cell, and where each cell begins.
+
+    Each axis is cut into intervals of equal cells. ``cut[i]`` is where an interval begins, the inverse edge of its
+    cells, its first cell and its number of cells; ``first_cut`` and ``last_cut`` are an axis's own intervals.
+
+    A point's key is ``(z * count_y + y) * count_x + x`` of its cell. ``start[b]`` is the first sorted point whose key
+    is at least ``b << shift``; a finer boundary is searched between two entries.
+
+    On a GPU ``packed`` holds ``(coordinate - centre) * scale`` in float32, 16 bytes a point, which are one load.
+    """
+
+    x: wp.array(dtype=wp.float64)
+    y: wp.array(dtype=wp.float64)
+    z: wp.array(dtype=wp.float64)
+    packed: wp.array(dtype=wp.vec4f)
+    index: wp.array(dtype=wp.int32)
+    key: wp.array(dtype=wp.int64)
+    start: wp.array(dtype=wp.int32)
+    cut: wp.array(dtype=wp.vec4d)
+    first_cut: wp.vec3i
+    last_cut: wp.vec3i
+    lower: wp.vec3d
+    upper: wp.vec3d
+    centre: wp.vec3d
+    scale: wp.float64
+    count_x: wp.int32
+    count_y: wp.int32
+    count_z: wp.int32
+    shift: wp.int32
+
+
+@wp.func
+def cell_along(grid: CellGrid, axis: wp.int32, x: wp.float64) -> wp.int32:
+    """Cell of a coordinate on one axis, clamped to the grid.
+
+    The search, the subtraction, the product, the clamp and the truncation are all monotone, rounding included: a
+    coordinate between two others gets a cell between theirs. This is all that the exactness of a search needs from
+    the cells, whatever their sizes.
+    """
+    i = grid.first_cut[axis]
+    last = grid.last_cut[axis]
+    while i < last:
+        middle = (i + last + 1) // 2
+        if grid.cut[middle][0] <= x:
+            i = middle
+        else:
+            last = middle - 1
+    cut = grid.cut[i]
+    # Clamped as a float: an int cast of a far-away coordinate would be undefined.
+    top = cut[3] - wp.float64(1.0)
+    return wp.int32(cut[2]) + wp.int32(wp.clamp((x - cut[0]) * cut[1], wp.float64(0.0), top))
+
+
+@wp.func
+def cell_key(grid: CellGrid, x: wp.int32, y: wp.int32, z: wp.int32) -> wp.int64:
+    return (wp.int64(z) * wp.int64(grid.count_y) + wp.int64(y)) * wp.int64(grid.count_x) + wp.int64(x)
+
+
+@wp.func
+def key_of(grid: CellGrid, p: wp.vec3d) -> wp.int64:
+    return cell_key(grid, cell_along(grid, 0, p[0]), cell_along(grid, 1, p[1]), cell_along(grid, 2, p[2]))
+
+
+@wp.kernel
+def survey_kernel(
+    first: int,
+    points: wp.array(dtype=Any),
+    run_count: wp.int32,
+    out_lower: wp.array(dtype=wp.vec3d),
+    out_upper: wp.array(dtype=wp.vec3d),
+):
+    """Boxes around ``run_count`` shares of the points on a GPU, the CPU's being in bounding_box_cpu_kernels.
+
+    A share's points are ``run_count`` apart, so that threads side by side read points side by side. A box around a
+    point that is not finite is not finite.
+    """
+    i = first + wp.tid()
+    opening = points[i]
+    lower = wp.vec3d(wp.float64(opening[0]), wp.float64(opening[1]), wp.float64(opening[2]))
+    upper = lower
+    # What is not finite survives in a sum; min and max may pass over it.
+    total = lower - lower
+    for at in range(i, points.shape[0], run_count):
+        given = points[at]
+        p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+        lower = wp.min(lower, p)
+        upper = wp.max(upper, p)
+        total += p - p
+    out_lower[i] = lower + total
+    out_upper[i] = upper + total
+
+
+@wp.kernel
+def condense_kernel(
+    first: int,
+    points: wp.array(dtype=Any),
+    lower: wp.array(dtype=wp.vec3d),
+    upper: wp.array(dtype=wp.vec3d),
+    run_count: wp.int32,
+    sample_count: wp.int32,
+    out_survey: wp.array(dtype=wp.float64, ndim=2),
+):
+    """x, y and z of ``run_count`` lower corners, of as many upper corners, and of a sample of the points.
+
+    Each corner is that of the boxes ``run_count`` apart.
+    """
+    i = first + wp.tid()
+    if i < run_count:
+        low = lower[i]
+        high = upper[i]
+        total = low - low
+        for j in range(i, lower.shape[0], run_count):
+            low = wp.min(low, lower[j])
+            high = wp.max(high, upper[j])
+            total += lower[j] - lower[j]
+        for axis in range(3):
+            out_survey[axis, i] = low[axis] + total[axis]
+            out_survey[axis, run_count + i] = high[axis] + total[axis]
+    if i < sample_count:
+        taken = points[wp.int32(wp.int64(i) * wp.int64(points.shape[0]) // wp.int64(sample_count))]
+        for axis in range(3):
+            out_survey[axis, 2 * run_count + i] = wp.float64(taken[axis])
+
+
+@wp.kernel
+def key_kernel(
+    first: int,
+    points: wp.array(dtype=Any),
+    grid: CellGrid,
+    out_key: wp.array(dtype=Any),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """Cell key of each point."""
+    i = first + wp.tid()
+    given = points[i]
+    key = key_of(grid, wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2])))
+    out_key[i] = out_key.dtype(key)
+    out_index[i] = i
+
+
+@wp.kernel
+def gather_packed_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
+    """Coordinates in sorted order, on a GPU."""
+    i = first + wp.tid()
+    at = order[i]
+    given = points[at]
+    p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+    out_grid.index[i] = at
+    out_grid.x[i] = p[0]
+    out_grid.y[i] = p[1]
+    out_grid.z[i] = p[2]
+    local = (p - out_grid.centre) * out_grid.scale
+    out_grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
+
+
+@wp.kernel
+def table_kernel(
+    first: int,
+    key: wp.array(dtype=Any),
+    count: wp.int32,
+    shift: wp.int32,
+    run: wp.int32,
+    out_start: wp.array(dtype=wp.int32),
+):
+    """``run`` table entries: the first sorted point whose key is at least ``entry << shift``.
+
+    Each search starts where the one before it ended, with growing steps: most cells have few points.
+    """
+    entry = (first + wp.tid()) * run
+    # Below `at` all keys are smaller than the bound.
+    at = wp.int32(0)
+    step = count
+    for b in range(entry, wp.min(entry + run, out_start.shape[0])):
+        bound = wp.int64(b) << wp.int64(shift)
+        end = count
+        while at < count and wp.int64(key[at]) < bound and at < end:
+            probe = wp.min(at + step, count) - 1
+            if probe > at and wp.int64(key[probe]) < bound:
+                at = probe
+                step = 2 * step
+            else:
+                # The answer lies above `at` and not above `probe`.
+                low = at + 1
+                end = wp.max(probe, low)
+                while low < end:
+                    middle = low + (end - low) // 2
+                    if wp.int64(key[middle]) < bound:
+                        low = middle + 1
+                    else:
+                        end = middle
+                at = low
+        out_start[b] = at
+        step = wp.int32(8)
+
+
+@wp.kernel
+def crowding_kernel(first: int, start: wp.array(dtype=wp.int32), out_crowding: wp.array(dtype=wp.int64)):
+    """Sum of the squared numbers of points of a run of CROWDING_RUN table entries."""
+    run = first + wp.tid()
+    total = wp.int64(0)
+    for b in range(run * CROWDING_RUN, wp.min((run + 1) * CROWDING_RUN, start.shape[0] - 1)):
+        points = wp.int64(start[b + 1] - start[b])
+        total += points * points
+    out_crowding[run] = total
+
+
+@wp.kernel
+def unsort_kernel(first: int, grid: CellGrid, out_points: wp.array(dtype=wp.vec3d)):
+    """The points in the order in which they came."""
+    i = first + wp.tid()
+    out_points[grid.index[i]] = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
+
+
+@wp.kernel
+def narrow_points_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_points: wp.array(dtype=wp.vec3f)):
+    """The points as float32."""
+    i = first + wp.tid()
+    p = points[i]
+    out_points[i] = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+
+
+# Rows come as float64, on a GPU also as float32; keys are as wide as the number of cells wants. A kernel is looked up
+# here: to leave that to a launch takes longer than the launch.
+ROWS = (wp.vec3d, wp.vec3f)
+SURVEY = {r: wp.overload(survey_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+CONDENSE = {r: wp.overload(condense_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+GATHER_PACKED = {r: wp.overload(gather_packed_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+KEY = {
+    (r, k): wp.overload(key_kernel, {"points": wp.array(dtype=r), "out_key": wp.array(dtype=k)})
+    for r in ROWS
+    for k in (wp.int32, wp.int64)
+}
+TABLE = {k: wp.overload(table_kernel, {"key": wp.array(dtype=k)}) for k in (wp.int32, wp.int64)}

@@ -1,0 +1,128 @@
+"""The k nearest points of each query, exactly, on the CPU and on a GPU."""
+
+from __future__ import annotations
+
+import operator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import available_memory, launcher
+from geokit.errors import DeviceMemoryError, InputError
+from geokit.points.search.nearest_tree import blocks_in_order, build_tree, curve_order, frame_of
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["MAX_K", "KNearest", "build_tree", "nearest", "require_k"]
+
+# The longest list; beyond it radius_search is the better question.
+MAX_K = 1024
+# Items of the search, 128 queries each, worth a slice.
+GROUP_GRAIN = 8
+# int32 index and float64 distance.
+BYTES_PER_NEIGHBOR = 12
+
+
+class KNearest(NamedTuple):
+    """The k nearest points of each of Q queries, the nearest first; of equally near ones the lower index first.
+
+    Attributes:
+        distance: Their distances from the query [world], inf where there are fewer; shape (Q, k).
+        indices: Their indices among the points, -1 where there are fewer; shape (Q, k) int32.
+    """
+
+    distance: Any
+    indices: Any
+
+
+def require_k(k: Any) -> int:
+    """``k`` as an int.
+
+    Raises:
+        InputError: It is not a whole number from 1 to MAX_K.
+    """
+    try:
+        number = operator.index(k)
+    except TypeError as error:
+        raise InputError(f"k: {k!r} is not a whole number; give one from 1 to {MAX_K}") from error
+    if not 1 <= number <= MAX_K:
+        raise InputError(f"k: {number} is not from 1 to {MAX_K}; use radius_search for more neighbours")
+    return number
+
+
+def nearest(
+    tree: Any,
+    k: int,
+    queries: "wp.array | None",
+    *,
+    limit_squared: "wp.array | float" = np.inf,
+    exclude_self: bool = False,
+) -> tuple["wp.array", "wp.array"]:
+    """The k points with the smallest (squared distance, index) of each query.
+
+    Exact: the squared distance is ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once, and the
+    distance its rounded root. Held there by tests/points/search/test_nearest_property.py and
+    tests/points/search/test_nearest_envelope.py.
+
+    Args:
+        tree: What build_tree made.
+        k: From 1 to MAX_K.
+        queries: vec3d positions (Q,) [world], finite, on the tree's device; None for the tree's points.
+        limit_squared: Squared distance [world] up to which points are found, the limit included: a number, or a
+            float64 array (Q,).
+        exclude_self: Query i does not find point i.
+    Returns:
+        distance (Q, k) float64 [world], inf where there are fewer points, and indices (Q, k) int32, -1 there.
+    Raises:
+        DeviceMemoryError: The answers would not fit in memory; nothing has been allocated for them.
+    """
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as tree_kernels
+
+    device = tree.positions.device
+    count = tree.count if queries is None else len(queries)
+    _require_room(count, k, device)
+    out = tree_kernels.NearestQueries()
+    out.count, out.k, out.seeded, out.excluded = count, k, int(queries is None), int(exclude_self)
+    out.distance = wp.empty((count, k), dtype=wp.float64, device=device)
+    out.indices = wp.empty((count, k), dtype=wp.int32, device=device)
+    if count == 0 or tree.count == 0:
+        out.distance.fill_(np.inf)
+        out.indices.fill_(-1)
+        return out.distance, out.indices
+    if queries is None:
+        out.positions, out.index = tree.positions, tree.index
+    else:
+        _, order = curve_order(queries, frame_of(queries), device)
+        out.positions, out.index = blocks_in_order(queries, order, device)
+    if isinstance(limit_squared, wp.array):
+        out.limit_squared = limit_squared
+    else:
+        out.limit_squared = wp.array([limit_squared], dtype=wp.float64, device=device)
+    kernel, items = _search_kernel(k, count, device)
+    launcher.launch(kernel, items, [tree], [out], device, grain=GROUP_GRAIN)
+    return out.distance, out.indices
+
+
+def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int]:
+    """The kernel for lists of k on the device, and its items for so many queries."""
+    if device.is_cpu:
+        from geokit.points.search import nearest_cpu_kernels as wide
+        from geokit.points.search.nearest_tree_kernels import LEAF
+
+        return wide.nearest_kernel, -(-count // (int(LEAF) * int(wide.BLOCKS)))
+    from geokit.points.search import nearest_cuda_kernels as threads
+
+    table = ((8, threads.nearest_8_kernel), (16, threads.nearest_16_kernel), (32, threads.nearest_32_kernel))
+    return next((kernel for longest, kernel in table if k <= longest), threads.nearest_many_kernel), count
+
+
+def _require_room(count: int, k: int, device: Any) -> None:
+    needed, free = count * k * BYTES_PER_NEIGHBOR, available_memory.available(device)
+    if needed > free:
+        raise DeviceMemoryError(
+            f"knn: the {k} nearest points of {count} queries need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB "
+            f"free on {device.alias}; use a smaller k or fewer queries at a time"
+        )

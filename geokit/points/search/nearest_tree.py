@@ -1,0 +1,194 @@
+"""Points sorted along a Hilbert curve under a tree of boxes: what searches for the nearest points walk."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["blocks_in_order", "build_tree"]
+
+# Points that make the first frame. Those outside their box are clamped to it, about one in a thousand.
+SAMPLE_SIZE = 4096
+# Bits of a key, which a sort need not look beyond.
+KEY_BITS = 30
+# Each round makes the cells of crowded points a thousand times finer. A few settle what is met in practice; the rest
+# costs time, never neighbours.
+MAX_ROUNDS = 24
+# Blocks and boxes that are worth a slice.
+BLOCK_GRAIN = 64
+
+
+def build_tree(points: "wp.array") -> Any:
+    """The tree over vec3d points.
+
+    Args:
+        points: vec3d positions (N,) [world], finite; copied.
+    Returns:
+        A NearestTree: 32 bytes a point; up to 16 more while it is made, 64 where many points share a cell of the curve.
+    """
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    device: Any = points.device
+    count = len(points)
+    tree: Any = kernels.NearestTree()
+    tree.count = count
+    if count == 0:
+        tree.positions = wp.empty(0, dtype=wp.float64, device=device)
+        return tree
+    keys, order = curve_order(points, frame_of(points), device)
+    _refine(points, keys, order, device)
+    tree.positions, tree.index = blocks_in_order(points, order, device)
+    _add_boxes(tree, device)
+    return tree
+
+
+def frame_of(points: "wp.array") -> Any:
+    """Centre and inverse edge of a cube around almost all of the points, as a vec4d."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    taken = min(len(points), SAMPLE_SIZE)
+    sample = wp.empty(taken, dtype=wp.vec3d, device=points.device)
+    launcher.launch(kernels.sample_kernel, taken, [points, taken], [sample], points.device)
+    rows = sample.numpy()
+    lower, upper = 0.5 * rows.min(axis=0), 0.5 * rows.max(axis=0)
+    # Halves: a whole extent may overflow.
+    extent, largest = float((upper - lower).max()), float(kernels.MAX_INVERSE)
+    inverse = 0.5 / extent if extent * largest > 0.5 else largest
+    return wp.vec4d(*(lower + upper).tolist(), inverse)
+
+
+def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array", "wp.array"]:
+    """Keys of the points along the curve in ascending order, and whose they are; the first half of either is theirs."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    count = len(points)
+    # radix_sort_pairs uses the second half of both arrays as scratch space.
+    keys = wp.empty(2 * count, dtype=wp.int32, device=device)
+    order = wp.empty(2 * count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.key_kernel, count, [points, frame], [keys, order], device)
+    wp.utils.radix_sort_pairs(keys, order, count, end_bit=KEY_BITS)
+    return keys, order
+
+
+def blocks_in_order(points: "wp.array", order: "wp.array", device: Any) -> tuple["wp.array", "wp.array"]:
+    """Coordinates in blocks of as many points as a leaf has, and which points they are."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    leaf = int(kernels.LEAF)
+    blocks = -(-len(points) // leaf)
+    positions = wp.empty(blocks * 3 * leaf, dtype=wp.float64, device=device)
+    index = wp.empty(blocks * leaf, dtype=wp.int32, device=device)
+    launcher.launch(kernels.block_kernel, blocks, [points, order], [positions, index], device, grain=BLOCK_GRAIN)
+    return positions, index
+
+
+def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any) -> None:
+    """Sorts the points of crowded cells along a finer curve, cell by cell, until none is crowded.
+
+    A cell that holds more than a leaf of points would put them into leaves at random: a far point would leave all
+    others in one cell.
+    """
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    count = len(points)
+    head = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.head_kernel, count, [keys], [head], device)
+    run = wp.empty(count, dtype=wp.int32, device=device)
+    run_count = 0
+    for _ in range(MAX_ROUNDS):
+        wp.utils.array_scan(head, run, inclusive=True)
+        runs_before, run_count = run_count, int(run[count - 1 :].numpy()[0])
+        # Points that are equal stay together: a round that separates nothing is the last.
+        if run_count == runs_before:
+            return
+        start = wp.empty(run_count + 1, dtype=wp.int32, device=device)
+        launcher.launch(kernels.run_start_kernel, count, [head, run], [start], device)
+        member = _members(run, start, count, device)
+        if member is None:
+            return
+        frame = wp.empty(run_count, dtype=wp.vec4d, device=device)
+        launcher.launch(kernels.frame_kernel, run_count, [points, order, start], [frame], device)
+        _sort_members(points, order, member, run, frame, head)
+
+
+def _add_boxes(tree: Any, device: Any) -> None:
+    """The levels of boxes above the leaves, from the lowest up."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    count, width, leaf = tree.count, int(kernels.WIDTH), int(kernels.LEAF)
+    leaf_count = -(-count // leaf)
+    sizes = [leaf_count]
+    while len(sizes) == 1 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // width))
+    firsts = np.concatenate([[0, 0], np.cumsum(sizes[1:])])[: len(sizes)]
+    tree.top = len(sizes) - 1
+    tree.level_first = wp.array(firsts, dtype=wp.int32, device=device)
+    node_count = sum(sizes[1:])
+    tree.boxes = wp.empty(node_count * 6 * width, dtype=wp.float64, device=device)
+    tree.least = wp.empty(node_count * width, dtype=wp.int32, device=device)
+    boxes = [tree.boxes, tree.least]
+    given = [tree.positions, tree.index, count]
+    launcher.launch(kernels.leaf_box_kernel, sizes[1] * width, given, boxes, device, grain=BLOCK_GRAIN)
+    for level in range(1, tree.top):
+        own = [int(firsts[level]), sizes[level], int(firsts[level + 1])]
+        launcher.launch(kernels.node_box_kernel, sizes[level + 1] * width, own, boxes, device, grain=BLOCK_GRAIN)
+
+
+def _members(run: "wp.array", start: "wp.array", count: int, device: Any) -> Any:
+    """Sorted points that are in runs longer than a leaf, None if there are none."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    crowded = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.crowded_kernel, count, [run, start], [crowded], device)
+    place = wp.empty(count, dtype=wp.int32, device=device)
+    wp.utils.array_scan(crowded, place, inclusive=True)
+    total = int(place[count - 1 :].numpy()[0])
+    if total == 0:
+        return None
+    member = wp.empty(total, dtype=wp.int32, device=device)
+    launcher.launch(kernels.member_kernel, count, [crowded, place], [member], device)
+    return member
+
+
+def _sort_members(
+    points: "wp.array", order: "wp.array", member: "wp.array", run: "wp.array", frame: "wp.array", head: "wp.array"
+) -> None:
+    """Sorts the members of each run by their keys in the run's frame, and marks the runs that they form."""
+    import warp as wp
+
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    device: Any = points.device
+    total = len(member)
+    key = wp.empty(total, dtype=wp.int32, device=device)
+    sorted_key = wp.empty(2 * total, dtype=wp.int32, device=device)
+    slot = wp.empty(2 * total, dtype=wp.int32, device=device)
+    given = [points, order, member, run, frame]
+    launcher.launch(kernels.member_key_kernel, total, given, [key, sorted_key, slot], device)
+    wp.utils.radix_sort_pairs(sorted_key, slot, total, end_bit=KEY_BITS)
+    # The sort is stable: by key first and by run afterwards is by run, and by key within it.
+    launcher.launch(kernels.member_run_kernel, total, [slot, member, run], [sorted_key], device)
+    wp.utils.radix_sort_pairs(sorted_key, slot, total)
+    new_order = wp.empty(total, dtype=wp.int32, device=device)
+    launcher.launch(kernels.member_order_kernel, total, [slot, member, order, key], [new_order, head], device)
+    launcher.launch(kernels.put_back_kernel, total, [new_order, member], [order], device)

@@ -1,0 +1,385 @@
+"""A tree of boxes over points sorted along a space-filling curve: its arrays, and the kernels that fill them.
+
+Consecutive points on the curve are near each other, so that leaves are nothing but runs of the sorted points and the
+tree above them needs no pointers: node n of a level has the nodes 8 n to 8 n + 7 of the level below.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.morton_order_kernels import spread_bits
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# Points of a leaf, and queries of a block: two vectors of eight float64.
+LEAF = wp.constant(16)
+# Boxes of a node: one vector of eight float64 for each side.
+WIDTH = wp.constant(8)
+# Index of a point that is not there: above every other, so that it loses every tie.
+NONE = wp.constant(2**31 - 1)
+# Cells on an axis of the curve: three axes fill a 30-bit key.
+CURVE_CELLS = wp.constant(wp.float64(1024.0))
+# The inverse edge of a cell stays finite where points are all but equal: zero times it must remain zero.
+MAX_INVERSE = wp.constant(wp.float64(1.0e300))
+# Points of a run whose box makes the run's frame. Others are clamped to it; should they crowd there, they get a frame
+# of their own in the next round.
+FRAME_SAMPLE = wp.constant(256)
+
+
+@wp.struct
+class NearestTree:
+    """Points sorted along a curve, 16 to a leaf, and boxes over them, 8 to a node.
+
+    Leaf b has its coordinates at ``48 b``: 16 of x, then of y, then of z; what is left of the last leaf is no number.
+    ``index`` says which of the caller's points they are. Node n has the sides of its children's boxes at ``48 n``:
+    8 lower x, y, z, then 8 upper x, y, z; ``least`` has the lowest index below each child. Level 1 is that above the
+    leaves, ``level_first[l]`` the first node of level l, ``top`` the level with a single node.
+    """
+
+    positions: wp.array(dtype=wp.float64)
+    index: wp.array(dtype=wp.int32)
+    boxes: wp.array(dtype=wp.float64)
+    least: wp.array(dtype=wp.int32)
+    level_first: wp.array(dtype=wp.int32)
+    top: wp.int32
+    count: wp.int32
+
+
+@wp.struct
+class NearestQueries:
+    """Queries in blocks of 16 as the tree has its points, what they ask for, and rows (Q, k) for the answers.
+
+    ``index`` is the row of each query. ``limit_squared`` has one squared radius for all queries or one for each row.
+    With ``seeded`` block b of the queries is leaf b of the tree; with ``excluded`` a query does not find the point
+    that has its own index.
+    """
+
+    positions: wp.array(dtype=wp.float64)
+    index: wp.array(dtype=wp.int32)
+    limit_squared: wp.array(dtype=wp.float64)
+    count: wp.int32
+    k: wp.int32
+    seeded: wp.int32
+    excluded: wp.int32
+    distance: wp.array2d(dtype=wp.float64)
+    indices: wp.array2d(dtype=wp.int32)
+
+
+@wp.func
+def curve_cell(x: wp.float64, centre: wp.float64, inverse: wp.float64) -> wp.uint32:
+    # Clamped as a float: an int cast of a far-away coordinate would be undefined.
+    u = (x - centre) * inverse + wp.float64(0.5)
+    return wp.uint32(wp.clamp(u * CURVE_CELLS, wp.float64(0.0), CURVE_CELLS - wp.float64(1.0)))
+
+
+@wp.func
+def bit_mask(x: wp.uint32, bit: wp.uint32) -> wp.uint32:
+    """All ones where the bit is set, else zero."""
+    return wp.uint32(0) - ((x >> bit) & wp.uint32(1))
+
+
+@wp.func
+def hilbert_key(a: wp.uint32, b: wp.uint32, c: wp.uint32) -> wp.int32:
+    """Place on the Hilbert curve of a cell with 10-bit coordinates (Skilling 2004, without branches)."""
+    x = a
+    y = b
+    z = c
+    bit = wp.uint32(9)
+    while bit > wp.uint32(0):
+        low = (wp.uint32(1) << bit) - wp.uint32(1)
+        x = x ^ (low & bit_mask(x, bit))
+        turned = bit_mask(y, bit)
+        swap = (x ^ y) & low & ~turned
+        x = x ^ swap ^ (low & turned)
+        y = y ^ swap
+        turned = bit_mask(z, bit)
+        swap = (x ^ z) & low & ~turned
+        x = x ^ swap ^ (low & turned)
+        z = z ^ swap
+        bit = bit - wp.uint32(1)
+    y = y ^ x
+    z = z ^ y
+    flip = wp.uint32(0)
+    bit = wp.uint32(9)
+    while bit > wp.uint32(0):
+        flip = flip ^ (((wp.uint32(1) << bit) - wp.uint32(1)) & bit_mask(z, bit))
+        bit = bit - wp.uint32(1)
+    x = x ^ flip
+    y = y ^ flip
+    z = z ^ flip
+    return wp.int32((spread_bits(x) << wp.uint32(2)) | (spread_bits(y) << wp.uint32(1)) | spread_bits(z))
+
+
+@wp.func
+def key_in(frame: wp.vec4d, p: wp.vec3d) -> wp.int32:
+    """Place of p on the curve through the cube that the frame (centre, inverse edge) describes."""
+    return hilbert_key(
+        curve_cell(p[0], frame[0], frame[3]), curve_cell(p[1], frame[1], frame[3]), curve_cell(p[2], frame[2], frame[3])
+    )
+
+
+@wp.func
+def frame_around(lower: wp.vec3d, upper: wp.vec3d) -> wp.vec4d:
+    # Halves: a whole extent may overflow.
+    half = wp.float64(0.5)
+    centre = half * lower + half * upper
+    reach = half * upper - half * lower
+    extent = wp.max(wp.max(reach[0], reach[1]), reach[2])
+    inverse = MAX_INVERSE
+    if extent * MAX_INVERSE > half:
+        inverse = half / extent
+    return wp.vec4d(centre[0], centre[1], centre[2], inverse)
+
+
+@wp.kernel
+def sample_kernel(
+    first: int, points: wp.array(dtype=wp.vec3d), sample_count: wp.int32, out_sample: wp.array(dtype=wp.vec3d)
+):
+    """Some of the points, evenly over their order."""
+    i = first + wp.tid()
+    out_sample[i] = points[wp.int32(wp.int64(i) * wp.int64(points.shape[0]) // wp.int64(sample_count))]
+
+
+@wp.kernel
+def key_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    frame: wp.vec4d,
+    out_key: wp.array(dtype=wp.int32),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """Place of each point on the curve."""
+    i = first + wp.tid()
+    out_key[i] = key_in(frame, points[i])
+    out_index[i] = i
+
+
+@wp.kernel
+def head_kernel(first: int, key: wp.array(dtype=wp.int32), out_head: wp.array(dtype=wp.int32)):
+    """1 where a run of equal keys begins."""
+    i = first + wp.tid()
+    head = wp.int32(1)
+    if i > 0 and key[i] == key[i - 1]:
+        head = wp.int32(0)
+    out_head[i] = head
+
+
+@wp.kernel
+def run_start_kernel(
+    first: int, head: wp.array(dtype=wp.int32), run: wp.array(dtype=wp.int32), out_start: wp.array(dtype=wp.int32)
+):
+    """First sorted point of each run; runs are numbered from 1. The entry after the last is the number of points."""
+    i = first + wp.tid()
+    if head[i] == 1:
+        out_start[run[i] - 1] = i
+    if i == head.shape[0] - 1:
+        out_start[run[i]] = i + 1
+
+
+@wp.kernel
+def crowded_kernel(
+    first: int, run: wp.array(dtype=wp.int32), start: wp.array(dtype=wp.int32), out_crowded: wp.array(dtype=wp.int32)
+):
+    """1 for the points of runs that are longer than a leaf."""
+    i = first + wp.tid()
+    r = run[i]
+    crowded = wp.int32(0)
+    if start[r] - start[r - 1] > LEAF:
+        crowded = wp.int32(1)
+    out_crowded[i] = crowded
+
+
+@wp.kernel
+def member_kernel(
+    first: int,
+    crowded: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    out_member: wp.array(dtype=wp.int32),
+):
+    """Sorted points whose crowded flag is set, one after the other; ``place`` is the flags' inclusive sum."""
+    i = first + wp.tid()
+    if crowded[i] == 1:
+        out_member[place[i] - 1] = i
+
+
+@wp.kernel
+def frame_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=wp.int32),
+    start: wp.array(dtype=wp.int32),
+    out_frame: wp.array(dtype=wp.vec4d),
+):
+    """Frame of each run that is longer than a leaf."""
+    r = first + wp.tid()
+    begin = start[r]
+    count = start[r + 1] - begin
+    if count <= LEAF:
+        return
+    lower = points[order[begin]]
+    upper = lower
+    taken = wp.min(count, FRAME_SAMPLE)
+    for s in range(1, taken):
+        p = points[order[begin + wp.int32(wp.int64(s) * wp.int64(count) // wp.int64(taken))]]
+        lower = wp.min(lower, p)
+        upper = wp.max(upper, p)
+    out_frame[r] = frame_around(lower, upper)
+
+
+@wp.kernel
+def member_key_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=wp.int32),
+    member: wp.array(dtype=wp.int32),
+    run: wp.array(dtype=wp.int32),
+    frame: wp.array(dtype=wp.vec4d),
+    out_key: wp.array(dtype=wp.int32),
+    out_sorted_key: wp.array(dtype=wp.int32),
+    out_slot: wp.array(dtype=wp.int32),
+):
+    """Key of each member in its run's frame, twice: one copy is for sorting."""
+    i = first + wp.tid()
+    at = member[i]
+    key = key_in(frame[run[at] - 1], points[order[at]])
+    out_key[i] = key
+    out_sorted_key[i] = key
+    out_slot[i] = i
+
+
+@wp.kernel
+def member_run_kernel(
+    first: int,
+    slot: wp.array(dtype=wp.int32),
+    member: wp.array(dtype=wp.int32),
+    run: wp.array(dtype=wp.int32),
+    out_run: wp.array(dtype=wp.int32),
+):
+    i = first + wp.tid()
+    out_run[i] = run[member[slot[i]]]
+
+
+@wp.kernel
+def member_order_kernel(
+    first: int,
+    slot: wp.array(dtype=wp.int32),
+    member: wp.array(dtype=wp.int32),
+    order: wp.array(dtype=wp.int32),
+    key: wp.array(dtype=wp.int32),
+    out_order: wp.array(dtype=wp.int32),
+    out_head: wp.array(dtype=wp.int32),
+):
+    """The members' points in their new order, and where runs of equal keys begin now.
+
+    Heads of the longer runs stay: positions of members and runs are what they were, only who stands there is not.
+    """
+    i = first + wp.tid()
+    out_order[i] = order[member[slot[i]]]
+    if i > 0 and key[slot[i]] != key[slot[i - 1]]:
+        out_head[member[i]] = 1
+
+
+@wp.kernel
+def put_back_kernel(
+    first: int,
+    values: wp.array(dtype=wp.int32),
+    member: wp.array(dtype=wp.int32),
+    out_order: wp.array(dtype=wp.int32),
+):
+    i = first + wp.tid()
+    out_order[member[i]] = values[i]
+
+
+@wp.kernel
+def block_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=wp.int32),
+    out_positions: wp.array(dtype=wp.float64),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """Blocks of points, axis by axis, in the given order.
+
+    What is left of the last block is no number: no comparison with it holds, so that it is never found.
+    """
+    block = first + wp.tid()
+    for j in range(LEAF):
+        i = block * LEAF + j
+        index = NONE
+        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+        if i < points.shape[0]:
+            index = order[i]
+            p = points[index]
+        out_index[i] = index
+        for axis in range(3):
+            out_positions[(block * 3 + axis) * LEAF + j] = p[axis]
+
+
+@wp.func
+def put_box(
+    boxes: wp.array(dtype=wp.float64),
+    least: wp.array(dtype=wp.int32),
+    child: wp.int32,
+    lower: wp.vec3d,
+    upper: wp.vec3d,
+    lowest: wp.int32,
+):
+    at = child // WIDTH * 6 * WIDTH + child % WIDTH
+    for axis in range(3):
+        boxes[at + axis * WIDTH] = lower[axis]
+        boxes[at + (3 + axis) * WIDTH] = upper[axis]
+    least[child] = lowest
+
+
+@wp.func
+def nowhere() -> wp.vec3d:
+    return wp.vec3d(wp.float64(wp.inf), wp.float64(wp.inf), wp.float64(wp.inf))
+
+
+@wp.kernel
+def leaf_box_kernel(
+    first: int,
+    positions: wp.array(dtype=wp.float64),
+    index: wp.array(dtype=wp.int32),
+    count: wp.int32,
+    out_boxes: wp.array(dtype=wp.float64),
+    out_least: wp.array(dtype=wp.int32),
+):
+    """Boxes of the leaves, as children of level 1; a child that is not there is empty and infinitely far away."""
+    leaf = first + wp.tid()
+    lower = nowhere()
+    upper = -nowhere()
+    lowest = NONE
+    for j in range(wp.min(LEAF, count - leaf * LEAF)):
+        at = leaf * 3 * LEAF + j
+        p = wp.vec3d(positions[at], positions[at + LEAF], positions[at + 2 * LEAF])
+        lower = wp.min(lower, p)
+        upper = wp.max(upper, p)
+        lowest = wp.min(lowest, index[leaf * LEAF + j])
+    put_box(out_boxes, out_least, leaf, lower, upper, lowest)
+
+
+@wp.kernel
+def node_box_kernel(
+    first: int,
+    first_node: wp.int32,
+    node_count: wp.int32,
+    parents_first: wp.int32,
+    out_boxes: wp.array(dtype=wp.float64),
+    out_least: wp.array(dtype=wp.int32),
+):
+    """Boxes of a level's nodes, as children of the level above."""
+    n = first + wp.tid()
+    lower = nowhere()
+    upper = -nowhere()
+    lowest = NONE
+    if n < node_count:
+        node = first_node + n
+        for lane in range(WIDTH):
+            at = node * 6 * WIDTH + lane
+            for axis in range(3):
+                lower[axis] = wp.min(lower[axis], out_boxes[at + axis * WIDTH])
+                upper[axis] = wp.max(upper[axis], out_boxes[at + (3 + axis) * WIDTH])
+            lowest = wp.min(lowest, out_least[node * WIDTH + lane])
+    put_box(out_boxes, out_least, parents_first * WIDTH + n, lower, upper, lowest)

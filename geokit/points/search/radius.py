@@ -1,0 +1,326 @@
+"""Radius search over sorted points: queries put in order, counted, and their neighbours filled in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import available_memory, host_pool, launcher
+from geokit.errors import DeviceMemoryError
+from geokit.points.search.cells import Cells, sorted_keys
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = [
+    "Asked",
+    "blocks_of",
+    "count",
+    "crowding",
+    "fill",
+    "offsets_of",
+    "points_of",
+    "require_room",
+    "sort_by_distance",
+]
+
+# int32 index and float64 distance.
+BYTES_PER_NEIGHBOR = 12
+# One flat array holds the neighbours of all queries, and its positions are int32.
+MAX_NEIGHBORS = 2**31 - 1
+# No point has an index so far below its query's: nothing is left out.
+NOTHING_LEFT_OUT = -(2**30) * 2
+# Items of a launch are counted in int32, and there are 32 for each row.
+ROWS_AT_ONCE = 1 << 25
+# Shares worth a slice of their own: a tenth of a millisecond, which it takes to wake a thread.
+SEARCH_GRAIN = 8
+# Numbers that notes of a count may take, 48 MiB; those of a share are at least and at most so many a query. Queries
+# beyond them are searched twice, as are those with more neighbours.
+NOTED = 48 << 18
+LEAST_NOTED, MOST_NOTED = 64, 1024
+# Fewer queries are searched twice before there is room for notes.
+FEWEST_NOTED = 1 << 11
+# Radii within this factor of each other are searched in the same cells: more classes sort the points more often, fewer
+# read more of them.
+CLASS_RATIO = 4.0
+
+
+class Notes(NamedTuple):
+    """What a count found, so that the fill need not search again.
+
+    Attributes:
+        size: Numbers of a share of the queries.
+        places: For each share, as long as there is room: whether all is there, and for each query how many neighbours
+            it has and where they stand among the sorted points.
+    """
+
+    size: int
+    places: Any
+
+
+class Asked:
+    """Queries with their radii, and the cells that suit them.
+
+    Args:
+        rows: Queries on the device, vec3d (vec3f too on a GPU), shape (Q,); None for the points themselves.
+        count: Q.
+        radius: One radius for all, or an array (Q,) of float64 on the host.
+        cells_for: Cells for a radius.
+        own: True where neighbour i of query i is left out.
+        first_point: Index of the point that query 0 is; what ``own`` leaves out.
+    """
+
+    def __init__(
+        self,
+        rows: Any,
+        count: int,
+        radius: Any,
+        cells_for: Callable[[float], Cells],
+        device: "wp.Device",
+        *,
+        own: bool,
+        first_point: int = 0,
+    ) -> None:
+        import warp as wp
+
+        self.count, self.device, self.own, self.first_point = count, device, own, first_point
+        self.rows = rows
+        values = np.atleast_1d(np.asarray(radius, dtype=np.float64))
+        self.radius = wp.array(values, dtype=wp.float64, device=device)
+        # Each part: cells, and the queries that are answered in them, in an order in which they share what they read.
+        self.parts: list[tuple[Any, Any, int]] = []
+        for most, chosen in _classes(values, count):
+            grid = cells_for(most).grid
+            number = count if chosen is None else len(chosen)
+            queries = _own_queries(grid) if rows is None and chosen is None else None
+            if queries is None:
+                queries = _arranged(grid, points_of(grid) if rows is None else rows, chosen, device)
+            self.parts.append((grid, queries, number))
+        # What a count found, for each part.
+        self.notes: list[Notes | None] = [None] * len(self.parts)
+
+
+def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | None]]:
+    """The largest radius of each class of similar ones, and the queries of the class, None for all."""
+    if len(radius) != count or count == 1:
+        return [(float(radius[0]), None)] if len(radius) else []
+    largest, smallest = float(radius.max()), float(radius.min())
+    if largest <= CLASS_RATIO * smallest:
+        return [(largest, None)]
+    with np.errstate(divide="ignore"):
+        # Radii of 0 are in the class of the smallest that is not.
+        size = np.log(np.maximum(radius, radius[radius > 0.0].min())) / np.log(CLASS_RATIO)
+    number = np.floor(size - size.min()).astype(np.int64)
+    parts = (np.flatnonzero(number == value) for value in np.unique(number))
+    return [(float(radius[part].max()), part.astype(np.int32)) for part in parts]
+
+
+def _own_queries(grid: Any) -> Any:
+    from geokit.points.search.neighbors_kernels import Queries
+
+    queries: Any = Queries()
+    queries.x, queries.y, queries.z, queries.index = grid.x, grid.y, grid.z, grid.index
+    return queries
+
+
+def points_of(grid: Any) -> "wp.array":
+    """The points as vec3d in the order in which they came."""
+    import warp as wp
+
+    from geokit.points.search.cells_kernels import unsort_kernel
+
+    count, device = len(grid.index), grid.index.device
+    points = wp.empty(count, dtype=wp.vec3d, device=device)
+    launcher.launch(unsort_kernel, count, [grid], [points], device)
+    return points
+
+
+def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "wp.Device") -> Any:
+    """Queries sorted by cell; those of ``chosen`` only."""
+    import warp as wp
+
+    from geokit.points.search import radius_cuda_kernels as kernels
+    from geokit.points.search.neighbors_kernels import Queries
+
+    if chosen is not None:
+        places = wp.array(chosen, dtype=wp.int32, device=device)
+        picked = wp.empty(len(chosen), dtype=rows.dtype, device=device)
+        launcher.launch(kernels.PICK[rows.dtype], len(chosen), [rows, places], [picked], device)
+        rows = picked
+    count = len(rows)
+    if count < launcher.MINIMUM_ORDERED:
+        order = launcher.identity(device)
+    else:
+        cell_count = int(grid.count_x) * int(grid.count_y) * int(grid.count_z)
+        _, order = sorted_keys(grid, rows, cell_count)
+    queries: Any = Queries()
+    queries.x, queries.y, queries.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
+    queries.index = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.ARRANGE[rows.dtype], count, [rows, order], [queries], device)
+    if chosen is not None:
+        launcher.launch(kernels.rename_kernel, count, [places], [queries.index], device)
+    return queries
+
+
+def count(asked: Asked, *, note: bool = False) -> "wp.array":
+    """Number of neighbours of each query, int32 (Q,).
+
+    With ``note`` a CPU notes what it finds in ``asked``, for :func:`fill`.
+    """
+    import warp as wp
+
+    from geokit.points.search.radius_cpu_kernels import count_share_kernel
+    from geokit.points.search.radius_cuda_kernels import UNCOUNT, count_kernel
+
+    device = asked.device
+    counts = wp.empty(asked.count, dtype=wp.int32, device=device)
+    # A point is its own neighbour; a query that takes its place may be none of it.
+    own = int(asked.own and asked.rows is None)
+    for part, (grid, queries, number) in enumerate(asked.parts):
+        given = [queries, grid, asked.radius, own]
+        if device.is_cpu:
+            size, places = asked.notes[part] = _room_for_notes(number if note else 0, device)
+            _launch_shares(count_share_kernel, number, [*given, size], [counts, places], device)
+        else:
+            launcher.launch(count_kernel, number, given, [counts], device)
+    if asked.own and asked.rows is not None and asked.count:
+        points = points_of(asked.parts[0][0])
+        given = [points, asked.rows, asked.first_point, asked.radius]
+        launcher.launch(UNCOUNT[asked.rows.dtype], asked.count, given, [counts], device)
+    return counts
+
+
+def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
+    import warp as wp
+
+    from geokit.points.search.radius_cpu_kernels import SHARE
+
+    if queries < FEWEST_NOTED:
+        return Notes(0, wp.empty(0, dtype=wp.int32, device=device))
+    shares = -(-queries // int(SHARE))
+    size = min(max(NOTED // shares, LEAST_NOTED * int(SHARE)), MOST_NOTED * int(SHARE))
+    return Notes(size, host_pool.room(size * min(shares, NOTED // size), wp.int32, device))
+
+
+def _launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
+    """On a CPU an item is a share of the queries, which have cells in common; on a GPU it is a query."""
+    from geokit.points.search.radius_cpu_kernels import SHARE
+
+    launcher.launch(kernel, -(-queries // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
+
+
+def offsets_of(counts: "wp.array") -> "wp.array":
+    """Where each row begins, and where the last one ends: int64 (Q + 1,)."""
+    import warp as wp
+
+    from geokit.points.search.radius_cuda_kernels import offset_kernel
+
+    device: Any = counts.device
+    if device.is_cpu:
+        offsets = np.zeros(len(counts) + 1, dtype=np.int64)
+        np.cumsum(counts.numpy(), out=offsets[1:])
+        return wp.array(offsets, dtype=wp.int64, device=device, copy=False)
+    wide = wp.empty(len(counts), dtype=wp.int64, device=device)
+    room = wp.zeros(len(counts) + 1, dtype=wp.int64, device=device)
+    if len(counts):
+        launcher.launch(offset_kernel, len(counts), [counts], [wide], device)
+        wp.utils.array_scan(wide, room[1:], inclusive=True)
+    return room
+
+
+def fill(
+    asked: Asked, counts: "wp.array", refuse: Callable[[int], None], *, order: str = "index", single: bool = False
+) -> tuple[Any, Any, Any]:
+    """offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) float64 of rows as long as ``counts`` says.
+
+    ``refuse`` is called with M before there is room for so many. ``order`` is "index", or "any" for that of the cells.
+    With ``single`` a CPU gives distance in float32.
+    """
+    import warp as wp
+
+    from geokit.points.search.radius_cpu_kernels import FILL_KERNELS
+    from geokit.points.search.radius_cuda_kernels import fill_kernel
+
+    device = asked.device
+    offsets = offsets_of(counts)
+    total = int(offsets[asked.count :].numpy()[0])
+    refuse(total)
+    single = single and device.is_cpu
+    # NumPy asks for large pages: rows are written all over it.
+    indices = host_pool.room(total, wp.int32, device)
+    distance = host_pool.room(total, wp.float32 if single else wp.float64, device)
+    own = asked.first_point if asked.own else NOTHING_LEFT_OUT
+    for part, (grid, queries, number) in enumerate(asked.parts):
+        given = [queries, grid, asked.radius, own, offsets]
+        if device.is_cpu:
+            given += asked.notes[part] or _room_for_notes(0, device)
+            _launch_shares(FILL_KERNELS[order, distance.dtype], number, given, [indices, distance], device)
+        else:
+            launcher.launch(fill_kernel, number, given, [indices, distance], device)
+    if device.is_cuda and order == "index":
+        sort_by_index(offsets, indices, distance)
+    return offsets, indices, distance
+
+
+def crowding(cells: Cells) -> float:
+    """Points in a cell, averaged over the points: with how many a point shares its cell."""
+    import warp as wp
+
+    from geokit.points.search import cells_kernels as kernels
+
+    start = cells.grid.start
+    device: Any = start.device
+    points = len(cells.grid.index)
+    runs = -(-len(start) // int(kernels.CROWDING_RUN))
+    sums = wp.empty(runs, dtype=wp.int64, device=device)
+    launcher.launch(kernels.crowding_kernel, runs, [start], [sums], device)
+    return float(sums.numpy().sum()) / points if points else 0.0
+
+
+def sort_by_index(offsets: "wp.array", indices: "wp.array", distance: "wp.array") -> None:
+    """Rows in ascending order of index; on a CPU they are filled in it."""
+    from geokit.points.search.radius_cuda_kernels import sort_rows_kernel
+
+    device: Any = offsets.device
+    rows = len(offsets) - 1
+    # Threads of a warp are items side by side: blocks of rows begin at a multiple of 32.
+    for begin in range(0, rows, ROWS_AT_ONCE):
+        part = offsets[begin : min(begin + ROWS_AT_ONCE, rows) + 1]
+        launcher.launch(sort_rows_kernel, 32 * (len(part) - 1), [part], [indices, distance], device)
+
+
+def sort_by_distance(offsets: "wp.array", indices: "wp.array", distance: "wp.array") -> None:
+    """Rows in ascending order of (distance, index) instead of index."""
+    from geokit.points.search.radius_cuda_kernels import sort_by_distance_kernel
+
+    device: Any = offsets.device
+    launcher.launch(sort_by_distance_kernel, len(offsets) - 1, [offsets], [indices, distance], device)
+
+
+def require_room(total: int, query_count: int, device: "wp.Device") -> None:
+    """Refuse more neighbours than there is memory for, or than one result can hold."""
+    what = f"radius_search: {query_count} queries have {total} neighbours"
+    remedy = "use a smaller radius, fewer queries at a time, radius_search_blocks() or count()"
+    needed, free = total * BYTES_PER_NEIGHBOR, available_memory.available(device)
+    if needed > free:
+        raise DeviceMemoryError(
+            f"{what}, which need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB free on {device.alias}; {remedy}"
+        )
+    if total > MAX_NEIGHBORS:
+        raise DeviceMemoryError(f"{what}; one result holds at most {MAX_NEIGHBORS}: {remedy}")
+
+
+def blocks_of(counts: np.ndarray, budget: int) -> Iterator[tuple[int, int]]:
+    """Begin and end of blocks of consecutive rows whose neighbours take at most ``budget`` bytes, or that are one row.
+
+    A row longer than the budget is a block of its own.
+    """
+    ends = np.cumsum(counts, dtype=np.int64) * BYTES_PER_NEIGHBOR
+    most = min(budget, MAX_NEIGHBORS * BYTES_PER_NEIGHBOR)
+    begin, passed = 0, 0
+    while begin < len(counts):
+        end = max(begin + 1, int(np.searchsorted(ends, passed + most, side="right")))
+        yield begin, end
+        begin, passed = end, int(ends[end - 1])

@@ -1,0 +1,322 @@
+"""Radius search on a GPU, a thread for each query, and what rows of neighbours are made of on any device."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+from typing import Any
+
+import warp as wp
+
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
+from geokit.points.search.neighbors_kernels import (
+    Queries,
+    cells_around,
+    lowest_bit,
+    near_count,
+    near_mask,
+    nearness_of,
+    reach_of,
+    row_count,
+    row_range,
+)
+
+# Contracted multiply-adds would round the squared distance once instead of five times.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+ROW_AT = """
+    int* const key = index.data + begin;
+    double* const value = distance.data + begin;
+"""
+
+# In warp's own language each access to an array goes through its strides: the same loop takes 1.7 times as long on the
+# CPU.
+SORT_BY_INDEX = """
+    int gap = count;
+    while (gap > 1) {
+        gap = gap <= 32 ? 1 : gap / 9 * 4;
+        for (int i = gap; i < count; ++i) {
+            const int moving = key[i];
+            if (key[i - gap] <= moving)
+                continue;
+            const double moving_value = value[i];
+            int j = i;
+            do {
+                key[j] = key[j - gap];
+                value[j] = value[j - gap];
+                j -= gap;
+            } while (j >= gap && key[j - gap] > moving);
+            key[j] = moving;
+            value[j] = moving_value;
+        }
+    }
+"""
+
+
+BY_DISTANCE = """
+    auto before = [](double d, int i, double e, int j) { return d < e || (d == e && i < j); };
+    int gap = count;
+    while (gap > 1) {
+        gap = gap <= 32 ? 1 : gap / 9 * 4;
+        for (int i = gap; i < count; ++i) {
+            const int moving = key[i];
+            const double moving_value = value[i];
+            int j = i;
+            for (; j >= gap && before(moving_value, moving, value[j - gap], key[j - gap]); j -= gap) {
+                key[j] = key[j - gap];
+                value[j] = value[j - gap];
+            }
+            key[j] = moving;
+            value[j] = moving_value;
+        }
+    }
+"""
+
+
+@wp.func_native(ROW_AT + BY_DISTANCE)
+def by_distance(
+    begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
+):
+    """Sorts ``count`` entries of both arrays from ``begin`` on by ascending (distance, index), in place."""
+    ...
+
+
+# A warp of 32 threads sorts a row: each of them counts, for every entry it holds, how many are smaller. On a CPU there
+# is one thread: the first of the 32 items does it all.
+SORT_TOGETHER = """
+#if defined(__CUDA_ARCH__)
+    int* const keys = index.data + begin;
+    double* const values = distance.data + begin;
+    constexpr int held = 4;
+    int mine[held], rank[held];
+    double far[held];
+    if (count > 32 * held) {
+        if (lane == 0)
+            sort_row(keys, values, count);
+        return;
+    }
+    for (int h = 0; h < held; ++h) {
+        const int at = lane + 32 * h;
+        rank[h] = 0;
+        mine[h] = at < count ? keys[at] : 0x7fffffff;
+        far[h] = at < count ? values[at] : 0.0;
+    }
+    for (int h = 0; 32 * h < count; ++h)
+        for (int source = 0; source < 32; ++source) {
+            const int other = __shfl_sync(0xffffffffu, mine[h], source);
+            for (int own = 0; own < held; ++own)
+                rank[own] += other < mine[own];
+        }
+    // Every entry has been read before any is written.
+    __syncwarp();
+    for (int h = 0; h < held; ++h)
+        if (lane + 32 * h < count) {
+            keys[rank[h]] = mine[h];
+            values[rank[h]] = far[h];
+        }
+#else
+    if (lane == 0)
+        sort_row(index.data + begin, distance.data + begin, count);
+#endif
+"""
+SORT_TOGETHER = "    auto sort_row = [](int* key, double* value, int count) {" + SORT_BY_INDEX + "};" + SORT_TOGETHER
+
+
+@wp.func_native(SORT_TOGETHER)
+def sort_together(
+    begin: wp.int32,
+    count: wp.int32,
+    lane: wp.int32,
+    index: wp.array(dtype=wp.int32),
+    distance: wp.array(dtype=wp.float64),
+): ...
+
+
+@wp.kernel
+def sort_rows_kernel(
+    first: int,
+    offset: wp.array(dtype=wp.int64),
+    out_index: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Rows in ascending order of index, a warp for each: there are 32 items a row."""
+    i = first + wp.tid()
+    row = i // 32
+    begin = wp.int32(offset[row])
+    sort_together(begin, wp.int32(offset[row + 1]) - begin, i % 32, out_index, out_distance)
+
+
+@wp.kernel
+def count_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    self_count: wp.int32,
+    out_count: wp.array(dtype=wp.int32),
+):
+    """Number of neighbours of each query, less ``self_count``. There is one radius for all, or one for each."""
+    k = first + wp.tid()
+    i = queries.index[k]
+    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
+    r = radius[wp.min(i, radius.shape[0] - 1)]
+    box = cells_around(grid, q, reach_of(r))
+    near = nearness_of(grid, q, r)
+    found = -self_count
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        found += near_count(grid, span[0], span[1], near, q, r * r)
+    out_count[i] = found
+
+
+@wp.kernel
+def fill_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    own: wp.int32,
+    offset: wp.array(dtype=wp.int64),
+    out_index: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Neighbours of each query from its offset on, without the point whose index is the query's plus ``own``."""
+    k = first + wp.tid()
+    i = queries.index[k]
+    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
+    r = radius[wp.min(i, radius.shape[0] - 1)]
+    box = cells_around(grid, q, reach_of(r))
+    near = nearness_of(grid, q, r)
+    # Flat results have fewer than 2^31 entries: the caller sees to it.
+    at = wp.int32(offset[i])
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        for begin in range(span[0], span[1], MASK_BITS):
+            mask = near_mask(grid, begin, span[1], near, q, r * r)
+            while mask != wp.uint64(0):
+                j = begin + lowest_bit(mask)
+                mask = mask & (mask - wp.uint64(1))
+                if grid.index[j] != i + own:
+                    dx = grid.x[j] - q[0]
+                    dy = grid.y[j] - q[1]
+                    dz = grid.z[j] - q[2]
+                    out_index[at] = grid.index[j]
+                    out_distance[at] = wp.sqrt((dx * dx + dy * dy) + dz * dz)
+                    at += 1
+
+
+@wp.kernel
+def offset_kernel(first: int, count: wp.array(dtype=wp.int32), out_offset: wp.array(dtype=wp.int64)):
+    """Counts as int64, ready to be summed in place."""
+    i = first + wp.tid()
+    out_offset[i] = wp.int64(count[i])
+
+
+@wp.kernel
+def pick_kernel(first: int, rows: wp.array(dtype=Any), place: wp.array(dtype=wp.int32), out_rows: wp.array(dtype=Any)):
+    """Some of the rows."""
+    i = first + wp.tid()
+    out_rows[i] = rows[place[i]]
+
+
+@wp.kernel
+def arrange_kernel(first: int, rows: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_queries: Queries):
+    """Queries in the order in which they are answered."""
+    i = first + wp.tid()
+    p = rows[order[i]]
+    out_queries.index[i] = order[i]
+    out_queries.x[i] = wp.float64(p[0])
+    out_queries.y[i] = wp.float64(p[1])
+    out_queries.z[i] = wp.float64(p[2])
+
+
+@wp.kernel
+def uncount_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    rows: wp.array(dtype=Any),
+    first_point: wp.int32,
+    radius: wp.array(dtype=wp.float64),
+    out_count: wp.array(dtype=wp.int32),
+):
+    """One neighbour less for each query that has its own point among them."""
+    i = first + wp.tid()
+    p = points[first_point + i]
+    q = rows[i]
+    r = radius[wp.min(i, radius.shape[0] - 1)]
+    dx = p[0] - wp.float64(q[0])
+    dy = p[1] - wp.float64(q[1])
+    dz = p[2] - wp.float64(q[2])
+    if (dx * dx + dy * dy) + dz * dz <= r * r:
+        out_count[i] = out_count[i] - 1
+
+
+@wp.kernel
+def rename_kernel(first: int, place: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
+    """Rows among some as rows among all."""
+    i = first + wp.tid()
+    out_index[i] = place[out_index[i]]
+
+
+@wp.kernel
+def sort_by_distance_kernel(
+    first: int,
+    offset: wp.array(dtype=wp.int64),
+    out_index: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Each row, ascending by index so far, in ascending order of distance, then index."""
+    i = first + wp.tid()
+    begin = wp.int32(offset[i])
+    by_distance(begin, wp.int32(offset[i + 1]) - begin, out_index, out_distance)
+
+
+@wp.func
+def first_above(offset: wp.array(dtype=wp.int64), index: wp.array(dtype=wp.int32), row: wp.int32, point: wp.int32):
+    """Where in an ascending row the indices above ``point`` begin."""
+    at = wp.int32(offset[row])
+    end = wp.int32(offset[row + 1])
+    while at < end:
+        middle = at + (end - at) // 2
+        if index[middle] <= point:
+            at = middle + 1
+        else:
+            end = middle
+    return at
+
+
+@wp.kernel
+def pair_count_kernel(
+    first: int,
+    offset: wp.array(dtype=wp.int64),
+    index: wp.array(dtype=wp.int32),
+    out_count: wp.array(dtype=wp.int32),
+):
+    """Number of neighbours in each point's row whose index is above the point's own."""
+    i = first + wp.tid()
+    out_count[i] = wp.int32(offset[i + 1]) - first_above(offset, index, i, i)
+
+
+@wp.kernel
+def pair_fill_kernel(
+    first: int,
+    offset: wp.array(dtype=wp.int64),
+    index: wp.array(dtype=wp.int32),
+    distance: wp.array(dtype=wp.float64),
+    pair_offset: wp.array(dtype=wp.int64),
+    out_pair: wp.array(dtype=wp.int32, ndim=2),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """The pairs of each point with its neighbours of higher index."""
+    i = first + wp.tid()
+    begin = first_above(offset, index, i, i)
+    at = wp.int32(pair_offset[i])
+    for j in range(begin, wp.int32(offset[i + 1])):
+        out_pair[at, 0] = i
+        out_pair[at, 1] = index[j]
+        out_distance[at] = distance[j]
+        at += 1
+
+
+ROWS = (wp.vec3d, wp.vec3f)
+PICK = {r: wp.overload(pick_kernel, {"rows": wp.array(dtype=r), "out_rows": wp.array(dtype=r)}) for r in ROWS}
+ARRANGE = {r: wp.overload(arrange_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}
+UNCOUNT = {r: wp.overload(uncount_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}

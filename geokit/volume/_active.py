@@ -1,0 +1,49 @@
+"""Which points lie in active voxels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geokit.core import launcher
+from geokit.core.user_arrays import read_vectors
+from geokit.volume._model import SparseVolume
+from geokit.volume.sampling.space import query_inputs, require_space
+
+__all__ = ["active_at"]
+
+
+def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device: Any = None) -> Any:
+    """Whether the voxel nearest to each point is active.
+
+    Halves round up in index space, as for samples of order 0. A tile is active or not as a whole; outside of all nodes,
+    and beyond int32, no voxel is. Held by tests/volume/sampling/test_active.py.
+
+    Args:
+        volume: A grid of any type, index grids included.
+        points: Query points [world], shape (N, 3).
+        space: What ``points`` are in: "world", or "index", where voxel centres lie at whole numbers.
+        device: Where to compute; None for the first GPU, else the CPU.
+
+    Returns:
+        bool (N,) in the container of ``points``.
+
+    Raises:
+        InputError: points is not (N, 3) or not finite, or the space is not known.
+        FileFormatError: The buffer is not a sound grid.
+        UnsupportedGridError: The grid is of a type that geokit does not read.
+
+    Example:
+        >>> from geokit.volume import load
+        >>> active_at(load("data/samples/torus.vdb"), [[0.7, 0.0, 0.0], [9.0, 9.0, 9.0]]).tolist()
+        [True, False]
+    """
+    import warp as wp
+
+    from geokit.volume.sampling.active_kernels import active_kernel
+
+    require_space(space)
+    target = launcher.resolve_device(device)
+    batch = read_vectors(points, "points", target)
+    out = wp.empty(len(batch), dtype=wp.bool, device=target)
+    launcher.launch(active_kernel, len(batch), query_inputs(volume, batch.array, space), [out], target)
+    return batch.give(out)

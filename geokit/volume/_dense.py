@@ -1,0 +1,326 @@
+"""Dense arrays to sparse volumes and back."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory, launcher, user_arrays
+from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
+from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
+from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, layout_of
+from geokit.volume.tree.build_float import build_float_grid
+from geokit.volume.tree.dense_tiles import VOXELS_AT_A_TIME, DenseTiles, block_keys
+from geokit.volume.tree.dense_typed import DenseRule, tree_of_dense
+from geokit.volume.tree.dense_types import background_of, layout_for
+from geokit.volume.tree.typed_writer import built
+
+__all__ = ["DenseGrid", "from_dense", "to_dense"]
+
+FLOAT_TYPE = 1
+# A float leaf, its values and mask before, and its origin and place.
+BYTES_PER_LEAF = 2144 + 2112 + 96
+# Rows of voxels worth a slice of a launch.
+ROW_GRAIN = 16
+INT32 = np.iinfo(np.int32)
+
+
+class DenseGrid(NamedTuple):
+    """A box of voxels of a volume.
+
+    Attributes:
+        values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) for grids of C components.
+        origin: Index of the voxel ``values[0, 0, 0]``, shape (3,) int64.
+        transform: Index to world, shape (4, 4): voxel ``values[i, j, k]`` is centred at
+            ``transform[:3, :3] @ (origin + (i, j, k)) + transform[:3, 3]``.
+    """
+
+    values: NDArray[Any]
+    origin: NDArray[np.int64]
+    transform: NDArray[np.float64]
+
+
+def from_dense(
+    values: Any,
+    *,
+    transform: Any = None,
+    voxel_size: Any = None,
+    origin: Any = (0, 0, 0),
+    background: Any = 0,
+    tolerance: float = 0.0,
+    name: str = "",
+    grid_class: str = "unknown",
+    grid_type: str | None = None,
+) -> SparseVolume:
+    """A grid from a dense array; what equals the background takes no memory.
+
+    Voxels within ``tolerance`` of the background are inactive and take its value; leaves of 8^3 voxels without an
+    active one are not stored. In a level set the same holds for minus the background, which the inside keeps. Every
+    other value is kept, in grids of floats as the nearest that the type has, and outside the array the grid has the
+    background. So ``to_dense`` of the result differs from ``values`` by at most the tolerance and the rounding to that
+    type (none, of an array that ``to_dense`` gave, in a grid of its type). Held by tests/volume/tree/test_dense.py,
+    tests/volume/tree/test_dense_types.py and tests/volume/tree/test_dense_property.py.
+
+    Without ``grid_type`` floats of any size become "float" or "vec3f" and "vec4f", bools "bool", and whole numbers
+    their own type: "int16", "int32", "int64", "uint8", "uint32", "vec3u8", "vec3u16" or "rgba8" (int8 "int16", uint16
+    "int32"); as a level set or fog volume they become "float". What is asked for by name: "double", "vec3d", "vec4d",
+    "half" and "mask". OpenVDB's files have no int16, uint8, half, vec3u8, vec3u16 and rgba8.
+
+    Args:
+        values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) of C = 3 or 4 components: NumPy or what NumPy can
+            read, a warp array, or a DLPack exporter.
+        transform: Index to world, shape (4, 4); give this or ``voxel_size``.
+        voxel_size: Edge length of a voxel [world], or three of them; index (0, 0, 0) is then the world's origin.
+        origin: Index of the voxel ``values[0, 0, 0]``, three whole numbers.
+        background: Value of all voxels that are not stored, a number or one for each component; of a level set,
+            positive, and of a mask False.
+        tolerance: Largest difference from the background, in each component, that counts as none [value units].
+        name: Name of the grid.
+        grid_class: "level set", "fog volume", "unknown" or another class that NanoVDB has.
+        grid_type: Type of the grid, as ``GridInfo.grid_type`` names it; None for that of the array.
+    Returns:
+        SparseVolume of that type.
+    Raises:
+        InputError: values is not (X, Y, Z) or (X, Y, Z, C), is of a dtype that no grid has, or holds a number that the
+            type does not: none that is not finite, of types of whole numbers no other; the transform, origin,
+            background, tolerance, name, class or type cannot be used.
+        DeviceMemoryError: The grid needs more memory than there is.
+    Source:
+        OpenVDB's copyFromDense. Differs: both signs of a level set's background, tiles inside.
+    Example:
+        >>> import numpy as np
+        >>> cube = np.zeros((32, 32, 32))
+        >>> cube[10:12, 10:12, 10:12] = 1.0
+        >>> from_dense(cube, voxel_size=0.1).info.active_voxel_count
+        8
+        >>> from_dense(cube.astype(np.int32), voxel_size=0.1).info.grid_type
+        'int32'
+    """
+    dense = _read_dense(values)
+    layout = layout_for(dense, grid_type, grid_class)
+    matrix = _transform_of(transform, voxel_size)
+    start = _whole_numbers(origin, "origin", (3,))
+    last = start + np.array(dense.shape[:3])
+    if (start < INT32.min).any() or (last - 1 > INT32.max).any():
+        raise InputError(f"origin: {start.tolist()} puts voxels beyond int32; use a smaller one")
+    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance")
+    if tolerance < 0.0:
+        raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+    if layout.name == "float":
+        background = float(np.float32(user_arrays.require_finite_scalar(background, "background")))
+    else:
+        background = background_of(background, layout)
+    level_set = grid_class == "level set"
+    if level_set and background <= 0.0:
+        raise InputError(f"background: {background} of a level set is not positive; give its largest distance")
+    head = {"transform": matrix, "name": name, "grid_class": grid_class}
+    if layout.name != "float":
+        # Built first: it refuses what no grid can have.
+        empty = _float_grid(DenseTiles(np.empty((0, 0, 0)), start, 0.0, 0.0, False), 0.0, head)
+        return built(tree_of_dense(dense, start, DenseRule(layout, background, tolerance, level_set)), empty)
+    return _float_grid(DenseTiles(dense, start, background, tolerance, level_set), background, head)
+
+
+def _float_grid(tiles: DenseTiles, background: float, head: dict[str, Any]) -> SparseVolume:
+    leaves, inside = tiles.sort_out()
+    need, have = len(leaves) * BYTES_PER_LEAF, available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"values: {len(leaves)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger tolerance, "
+            "or parts of the array"
+        )
+    contents = tiles.contents(leaves)
+    buffer = build_float_grid(leaves.astype(np.int32), *contents, background=background, signed_fill=False, **head)
+    _mark_inside(buffer, inside, background)
+    return SparseVolume(buffer, info_of(buffer))
+
+
+def to_dense(
+    volume: SparseVolume,
+    *,
+    bounds: Any = None,
+    dtype: Any = None,
+    channel: int | str | None = None,
+    device: Any = None,
+) -> DenseGrid:
+    """All voxels of a box as a dense array, whether stored or not.
+
+    Every voxel has the tree's own value, bit for bit where ``dtype`` can hold it: its leaf's, its tile's or the
+    background. Held by tests/volume/tree/test_dense.py against a walk down the tree in plain Python.
+
+    Args:
+        volume: A grid of any scalar, vector or colour type, or an index grid with channels.
+        bounds: First and last voxel [index], shape (2, 3), both inclusive; None for the box of the active voxels.
+        dtype: Type of the result; None for the grid's own (float32 for quantised grids, bool for masks).
+        channel: Number or name of the channel of an index grid; None for its first. See from_channel.
+        device: Where the voxels are read; None for the first GPU, else the CPU. The result is on the host.
+    Returns:
+        DenseGrid with values (X, Y, Z), or (X, Y, Z, C) for grids of C components; without any voxel where bounds is
+        None and none is active.
+    Raises:
+        InputError: bounds is not (2, 3), not whole, beyond int32 or turned around; dtype cannot hold the grid's values;
+            there is no such channel.
+        FileFormatError: The buffer is not a sound grid, or a channel has fewer values than the grid has indices.
+        UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
+        DeviceMemoryError: The array needs more memory than there is.
+    Example:
+        >>> import numpy as np
+        >>> cube = np.zeros((4, 4, 4), np.float32)
+        >>> cube[1, 2, 3] = 5.0
+        >>> grid = to_dense(from_dense(cube, voxel_size=1.0, origin=(10, 0, 0)), device="cpu")
+        >>> grid.values.shape, grid.values[0, 0, 0].item(), grid.origin.tolist()
+        ((1, 1, 1), 5.0, [11, 2, 3])
+    """
+    if channel is not None or volume.info.grid_type in INDEX_LAYOUTS:
+        from geokit.volume._from_channel import from_channel
+
+        volume = from_channel(volume, 0 if channel is None else channel)
+    native, components = _native_of(volume)
+    wanted = native if dtype is None else _dtype(dtype, native)
+    box = volume.info.index_bounds if bounds is None else _whole_numbers(bounds, "bounds", (2, 3))
+    if box is None:
+        box = np.array([[0, 0, 0], [-1, -1, -1]], np.int64)
+    elif (box < INT32.min).any() or (box > INT32.max).any() or (box[0] > box[1]).any():
+        raise InputError(f"bounds: {box.tolist()} is not a box of int32 indices; give its first and its last voxel")
+    size = [int(n) for n in box[1] - box[0] + 1]
+    need = size[0] * size[1] * size[2] * components * wanted.itemsize
+    have = available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"bounds: {' x '.join(map(str, size))} voxels of {wanted} need {need >> 20} MiB of the {have >> 20} MiB "
+            "free; ask for a smaller box, or sample() the points that matter"
+        )
+    values = np.empty((*size, components), wanted)
+    _read_box(volume, box[0], values, launcher.resolve_device(device))
+    shape = tuple(size) if components == 1 else (*size, components)
+    return DenseGrid(values.reshape(shape), box[0].copy(), volume.info.transform.copy())
+
+
+def _read_box(volume: SparseVolume, origin: NDArray[np.int64], values: NDArray[Any], device: Any) -> None:
+    """Fill ``values`` (X, Y, Z, C): on the CPU in place where the types agree, else some slabs or rows at a time."""
+    import warp as wp
+
+    if not values.size:
+        return
+    size_x, size_y, size_z, components = values.shape
+    kernel, dtype = _reader_of(volume.info.grid_type, components)
+    handle = wp.uint64(volume.id(device))
+
+    def read(x: int, y: int, count_x: int, count_y: int, out: Any) -> None:
+        lower = wp.vec3i(int(origin[0]) + x, int(origin[1]) + y, int(origin[2]))
+        launcher.launch(kernel, count_x * count_y, [handle, lower, count_y, size_z], [out], device, grain=ROW_GRAIN)
+
+    if device.is_cpu and components == 1 and values.dtype == wp.dtype_to_numpy(dtype):
+        read(0, 0, size_x, size_y, wp.array(values.reshape(-1), dtype=dtype, device=device, copy=False))
+        return
+    rows = max(1, VOXELS_AT_A_TIME // size_z)
+    step_y = min(size_y, rows)
+    step_x = max(1, rows // size_y)
+    scratch = wp.empty(step_x * step_y * size_z, dtype=dtype, device=device)
+    for x in range(0, size_x, step_x):
+        for y in range(0, size_y, step_y):
+            part = values[x : x + step_x, y : y + step_y]
+            count = part.shape[0] * part.shape[1]
+            read(x, y, part.shape[0], part.shape[1], scratch)
+            np.copyto(part, scratch[: count * size_z].numpy().reshape(part.shape), casting="unsafe")
+
+
+def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
+    """The kernel that reads rows of a grid, and the type that it writes."""
+    import warp as wp
+
+    from geokit.volume.tree.dense_rows_kernels import DENSE_KERNELS, exact_kernel, float_kernel
+
+    if grid_type == "int64":
+        return exact_kernel, wp.int64
+    if grid_type == "float":
+        return float_kernel, wp.float32
+    return DENSE_KERNELS[components], {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components]
+
+
+def _mark_inside(buffer: NDArray[np.uint8], inside: NDArray[np.int64], background: float) -> None:
+    """Give the slots of the tiles inside their value; each has a lower node. The checksum leaves nodes out."""
+    if not len(inside):
+        return
+    layout, tree = layout_of(FLOAT_TYPE, "float grid"), tree_header(buffer)
+    begin, count = TREE_OFFSET + int(tree["node_offset"][1]), int(tree["node_count"][1])
+    # A node's box starts in the node, with its first active voxel or with its own first one.
+    node_keys = block_keys(np.ndarray((count, 3), "<i4", buffer, begin, (layout.lower_size, 4)).astype(np.int64))
+    order = np.argsort(node_keys, kind="stable")
+    node = order[np.searchsorted(node_keys[order], block_keys(inside))]
+    slot = inside >> 3 & 15
+    strides = (layout.lower_size, layout.table_stride)
+    tiles = np.ndarray((count, LOWER_SLOTS), "<f4", buffer, begin + layout.lower_table, strides)
+    tiles[node, slot[:, 0] << 8 | slot[:, 1] << 4 | slot[:, 2]] = -background
+
+
+def _read_dense(values: Any) -> NDArray[Any]:
+    import warp as wp
+
+    try:
+        if isinstance(values, wp.array):
+            array = values.numpy()
+        elif not isinstance(values, np.ndarray) and hasattr(values, "__dlpack__"):
+            array = wp.from_dlpack(values).numpy()
+        else:
+            array = np.asarray(values)
+    except (TypeError, ValueError, RuntimeError, AttributeError, BufferError) as error:
+        raise InputError(f"values: cannot be read as an array of numbers ({error}); pass a NumPy array") from error
+    if array.ndim not in (3, 4) or array.dtype.kind not in "fiub":
+        raise InputError(
+            f"values: {array.dtype} with shape {array.shape} is not an (X, Y, Z) or (X, Y, Z, C) array of real "
+            "numbers; give one scalar or vector for each voxel"
+        )
+    return array
+
+
+def _transform_of(transform: Any, voxel_size: Any) -> NDArray[np.float64]:
+    if (transform is None) == (voxel_size is None):
+        raise InputError("transform: give either a transform or a voxel_size")
+    try:
+        if transform is not None:
+            return np.asarray(transform, np.float64)
+        sizes = np.broadcast_to(np.asarray(voxel_size, np.float64), 3)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{'transform' if voxel_size is None else 'voxel_size'}: {error}; give numbers") from None
+    if not (np.isfinite(sizes) & (sizes > 0.0)).all():
+        raise InputError(f"voxel_size: {voxel_size} is not positive and finite; give one edge length or three")
+    return np.diag([*sizes, 1.0])
+
+
+def _whole_numbers(value: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    try:
+        numbers = np.asarray(value, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: {value!r} is no array of numbers; give whole numbers {shape}") from error
+    if numbers.shape != shape or not np.isfinite(numbers).all() or (numbers != np.floor(numbers)).any():
+        raise InputError(f"{name}: {value!r} is not an array {shape} of whole numbers; give voxel indices")
+    if (np.abs(numbers) > 2.0**53).any():
+        raise InputError(f"{name}: {value!r} is beyond int32; give voxel indices")
+    return numbers.astype(np.int64)
+
+
+def _native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
+    """How the values of a grid are stored, and how many a voxel has."""
+    layout = LAYOUTS.get(volume.info.grid_type)
+    if layout is None:
+        raise UnsupportedGridError(
+            f"volume: grid {volume.info.name!r} of type {volume.info.grid_type} stores no values of its own; convert "
+            f"it to one of {', '.join(LAYOUTS)}"
+        )
+    return layout.background.base, math.prod(layout.background.shape)
+
+
+def _dtype(dtype: Any, native: np.dtype[Any]) -> np.dtype[Any]:
+    try:
+        wanted = np.dtype(dtype)
+    except TypeError as error:
+        raise InputError(f"dtype: {dtype!r} is no NumPy type; use one that holds {native}") from error
+    if wanted.kind not in "fiub" or not np.can_cast(native, wanted, "same_kind"):
+        raise InputError(f"dtype: {wanted} does not hold the grid's {native}; use a float type or {native}")
+    return wanted

@@ -1,0 +1,118 @@
+"""How much light comes through a fog volume along rays, and how much of its own it adds."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import launcher, user_arrays
+from geokit.core.pinned import host_flags
+from geokit.errors import InputError
+from geokit.volume._model import SparseVolume
+from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Transmittance", "integrate"]
+
+
+class Transmittance(NamedTuple):
+    """transmittance (N,), from 0 to 1, and emission (N,)."""
+
+    transmittance: Any
+    emission: Any
+
+
+def integrate(
+    volume: SparseVolume,
+    origins: Any,
+    directions: Any,
+    *,
+    extinction: float = 1.0,
+    emission: SparseVolume | None = None,
+    t_min: float = 0.0,
+    max_distance: float = math.inf,
+    device: Any = None,
+) -> Transmittance:
+    """Transmittance of a fog volume along each ray, and the emission that reaches the ray's start.
+
+    The optical depth is ``extinction`` times the integral of the density over the ray's length in world units; the
+    transmittance is ``exp(-depth)``, the emission the integral of the emission's values times the transmittance up to
+    them. The density is the trilinear interpolant, that of ``sample`` of order 1; its integral is exact in each cell of
+    eight voxels and in each tile: no step, and nothing missed between steps. The depth is off by some tens of roundings
+    of 2^-53; the emission, by a quadrature with six Gauss points in each cell and for each half unit of depth, by less
+    than 1e-9 of itself. Held by tests/volume/rays/test_integrate.py and tests/volume/rays/test_rays_property.py.
+
+    A fog's borders are known to half a voxel each: transmittances are right to exp(1 / mean free path in voxels) - 1, 7
+    % at 16. Held by tests/accuracy/stability/test_envelopes.py.
+
+    Args:
+        volume: Density, a grid of one component with a background of 0. Negative values amplify.
+        origins: Where rays start [world], shape (N, 3).
+        directions: Their directions, of any length, shape (N, 3).
+        extinction: Optical depth of a density of 1 [1 / world].
+        emission: Light that is given off [1 / world], a grid with the transform of ``volume`` and a background of 0;
+            None for none.
+        t_min: Where rays begin, in units of the direction.
+        max_distance: Length of the rays [world].
+        device: Where to compute; None for the first GPU, else the CPU.
+    Returns:
+        Transmittance in the container of ``origins``: transmittance (N,) and emission (N,).
+    Raises:
+        InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, the extinction or
+            t_min is negative or not finite, max_distance is negative or not a number, a background is not 0, or the
+            transforms differ.
+        UnsupportedGridError: A grid has several components, or stores indices or points.
+    Example:
+        >>> from geokit.volume import load
+        >>> smoke = load("data/samples/smoke.vdb", grid="density")
+        >>> integrate(smoke, [[0.0, 0.0, 9.0]], [[0.0, 0.0, -1.0]], extinction=20.0, device="cpu").transmittance.shape
+        (1,)
+    """
+    import warp as wp
+
+    lowest = -math.ulp(0.0)
+    factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=lowest))
+    start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
+    reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+    target = launcher.resolve_device(device)
+    rays, heading = read_rays(origins, directions, target)
+    field = _field(volume, emission, target)
+    found = Transmittance(
+        transmittance=user_arrays.empty(len(rays), wp.float64, rays.rows),
+        emission=user_arrays.empty(len(rays), wp.float64, rays.rows),
+    )
+    bad = host_flags(1, target)
+    kernel, light = _kernel(volume, emission, target)
+    inputs = [rays.rows, heading.rows, field, *light, start, reach, factor]
+    launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
+    if bad.numpy()[0]:
+        refuse_bad_rays(rays, heading)
+    return Transmittance(*(rays.give(array) for array in found))
+
+
+def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> tuple[Any, list[Any]]:
+    import warp as wp
+
+    from geokit.volume.rays import integrate_kernels as kernels
+
+    if emission is not None:
+        return kernels.emission_kernel, [wp.uint64(emission.id(device))]
+    return kernels.depth_float_kernel if volume.info.grid_type == "float" else kernels.depth_scalar_kernel, []
+
+
+def _field(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> Any:
+    """The kernels' view of both grids: boxes and numbers are those of the two together."""
+    grids = [volume] if emission is None else [volume, emission]
+    for name, grid in zip(("volume", "emission"), grids, strict=False):
+        if isinstance(grid.info.background, (int, float)) and grid.info.background != 0:
+            raise InputError(
+                f"{name}: the background of grid {grid.info.name!r} is {grid.info.background}, which rays never leave; "
+                "give a fog volume, whose background is 0"
+            )
+    if emission is not None and not np.array_equal(volume.info.transform, emission.info.transform):
+        raise InputError("emission: its transform is not that of volume; resample it to the same voxels")
+    return ray_field(volume, device, *grids[1:])

@@ -1,0 +1,246 @@
+"""Volumes from and to files: .vdb through OpenVDB, .nvdb by geokit itself."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from geokit.core.files import extension, require_extension, require_file
+from geokit.errors import InputError, UnsupportedGridError
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb import file
+from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.codecs import CODECS
+from geokit.volume.nanovdb.grid_info import GridInfo
+from geokit.volume.nanovdb.header import grid_name, info_of, voxel_size_of
+
+__all__ = ["inspect", "load", "load_all", "save"]
+
+EXTENSIONS = (".nvdb", ".vdb")
+# NanoVDB readers are often built without zlib and Blosc: uncompressed is what all of them read, and the fastest.
+DEFAULT_NVDB_CODEC = "none"
+# A file up to this size [bytes] is read whole where no grid is named: quicker than to ask for the names first, in a
+# process of its own, and lost only where there turn out to be several.
+READ_AT_ONCE = 64 << 20
+# OpenVDB's own default; a library built without Blosc cannot be had from Debian or Ubuntu.
+DEFAULT_VDB_CODEC = "blosc"
+
+
+def load(path: str | os.PathLike[str], *, grid: str | None = None, trusted: bool = False) -> SparseVolume:
+    """One grid of a .vdb or .nvdb file.
+
+    Every offset in the grid and, where it carries one, its checksum are checked: a damaged file gives an error, not a
+    wrong volume. A .vdb file is read in a process of its own, with a limit on time and memory, unless it is trusted.
+
+    Args:
+        path: A .vdb or .nvdb file.
+        grid: The grid's name; None where the file has a single grid. Of several grids with one name, the second is
+            "name[1]", the third "name[2]".
+        trusted: The .vdb file is known to be sound: read it in this process, which saves a copy.
+
+    Returns:
+        The grid; values, transform and metadata as in the file.
+
+    Raises:
+        InputError: The extension is neither, there is no such grid, or no name was given and there are several.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged, truncated or not what its name says.
+        UnsupportedGridError: The grid is of a type or has a transform that geokit cannot represent.
+        MissingDependencyError: .vdb without the OpenVDB extension, or Blosc-compressed .nvdb without blosc.
+        DeviceMemoryError: The grid does not fit into memory.
+
+    Example:
+        >>> load("data/samples/smoke.vdb", grid="density").info.grid_class
+        'fog volume'
+    """
+    path = _known(path)
+    if extension(path) == ".nvdb":
+        index = _index_of(grid, _unique(file.names(path)), path)
+        return _from_nvdb(file.read(path, [index])[0])
+    if grid is None:
+        from geokit import native
+
+        if path.stat().st_size <= READ_AT_ONCE:
+            # A grid that cannot be read, among others, must not hide that a name is wanted.
+            with contextlib.suppress(UnsupportedGridError):
+                volumes = _read_vdb(path, None, trusted)
+                return volumes[_index_of(None, _unique([volume.info.name for volume in volumes]), path)]
+
+        names = [header["name"] for header in native.inspect_vdb(path)]
+        grid = names[_index_of(None, _unique(names), path)]
+    # Of several grids with one name OpenVDB gives all, in the file's order.
+    return _read_vdb(path, [grid], trusted)[0]
+
+
+def load_all(path: str | os.PathLike[str], *, trusted: bool = False) -> dict[str, SparseVolume]:
+    """Every grid of a .vdb or .nvdb file, by name and in the file's order.
+
+    Args:
+        path: A .vdb or .nvdb file.
+        trusted: As of :func:`load`.
+
+    Returns:
+        Volumes by name; of several grids with one name, the second is "name[1]", the third "name[2]".
+
+    Raises:
+        InputError: The extension is neither.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged, truncated or not what its name says.
+        UnsupportedGridError: A grid is of a type or has a transform that geokit cannot represent.
+        MissingDependencyError: As of :func:`load`.
+        DeviceMemoryError: A grid does not fit into memory.
+    """
+    path = _known(path)
+    if extension(path) == ".nvdb":
+        volumes = [_from_nvdb(grid) for grid in file.read(path)]
+    else:
+        volumes = _read_vdb(path, None, trusted)
+    return dict(zip(_unique([volume.info.name for volume in volumes]), volumes, strict=True))
+
+
+def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
+    """What a .vdb or .nvdb file says about its grids, without reading voxels.
+
+    Grids that cannot be loaded are listed too. What a file does not say is None: the background of index grids, and in
+    .vdb files that were written without statistics the number of active voxels; the transform of a frustum is NaN. Of
+    compressed .nvdb grids there is no metadata: it stands at their end.
+
+    Args:
+        path: A .vdb or .nvdb file.
+
+    Returns:
+        One GridInfo per grid, in the file's order; ``byte_count`` is the grid's size in memory for .nvdb and in the
+        file for .vdb.
+
+    Raises:
+        InputError: The extension is neither.
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged, truncated or not what its name says.
+        MissingDependencyError: .vdb without the OpenVDB extension, or Blosc-compressed .nvdb without blosc.
+    """
+    path = _known(path)
+    if extension(path) == ".nvdb":
+        return file.inspect(path)
+    from geokit import native
+
+    return [_info_of_vdb(header) for header in native.inspect_vdb(path)]
+
+
+def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None = None, half: bool = False) -> None:
+    """Write volumes to one .vdb or .nvdb file, which appears whole or not at all.
+
+    Values, masks, transforms, names and metadata are kept bit for bit (but for ``half``); quantised grids become float
+    in .vdb, with the same values.
+
+    Args:
+        path: Target, .vdb or .nvdb; an existing file is replaced.
+        volumes: One or more volumes.
+        codec: "none", "zip" or "blosc"; None is "blosc" for .vdb and "none", which every reader takes, for .nvdb.
+        half: Store floating-point values of a .vdb file with 16 bits.
+
+    Raises:
+        InputError: The extension, the codec or a volume cannot be used, or half was asked for with .nvdb.
+        FileAccessError: The target cannot be written.
+        UnsupportedGridError: .vdb has no such grid type.
+        MissingDependencyError: .vdb without the OpenVDB extension, or codec "blosc" without blosc.
+
+    Example:
+        >>> save("out.nvdb", load("data/samples/torus.vdb"), codec="zip")
+    """
+    kind = require_extension(path, EXTENSIONS, "volume")
+    if codec is not None and codec not in CODECS:
+        raise InputError(f"codec: {codec!r} is unknown; use one of {', '.join(CODECS)}")
+    if not volumes:
+        raise InputError(f"{Path(path)}: no volumes to save; give at least one")
+    for i, volume in enumerate(volumes):
+        if not isinstance(volume, SparseVolume):
+            raise InputError(f"volumes[{i}]: {type(volume).__name__} is not a SparseVolume; load or make one first")
+    if kind == ".nvdb":
+        if half:
+            raise InputError("half: .nvdb has no half-precision storage of float grids; save as .vdb or leave half out")
+        from geokit.volume.nanovdb.write import write
+
+        write(path, volumes, codec=codec or DEFAULT_NVDB_CODEC)
+        return
+    from geokit import native
+
+    grids = [native.VdbGrid(volume.nanovdb, {**volume.info.metadata, "name": volume.info.name}) for volume in volumes]
+    native.write_vdb(path, grids, compression=codec or DEFAULT_VDB_CODEC, half=half)
+
+
+def _known(path: str | os.PathLike[str]) -> Path:
+    require_extension(path, EXTENSIONS, "volume")
+    return require_file(path)
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    own = set(names)
+    given: dict[str, None] = {}
+    for name in names:
+        candidate, number = name, 0
+        # A grid that is really called "name[1]" keeps that name.
+        while candidate in given or (number and candidate in own):
+            number += 1
+            candidate = f"{name}[{number}]"
+        given[candidate] = None
+    return list(given)
+
+
+def _index_of(grid: str | None, names: list[str], path: Path) -> int:
+    if grid is None:
+        if len(names) != 1:
+            raise InputError(f"{path}: has {len(names)} grids ({_listed(names)}); choose one with grid=")
+        return 0
+    if grid not in names:
+        raise InputError(f"{path}: no grid named {grid!r}; the file holds {_listed(names)}")
+    return names.index(grid)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(repr(name) for name in names) or "none"
+
+
+def _from_nvdb(grid: file.NvdbGrid) -> SparseVolume:
+    # Copies on devices are kept: a buffer that changed behind them would be a second truth.
+    grid.buffer.setflags(write=False)
+    info = info_of(grid.buffer, grid.metadata, name=grid.name)
+    # A class that NanoVDB does not know for the type comes as metadata.
+    return SparseVolume(grid.buffer, replace(info, grid_class=str(grid.metadata.get("class", info.grid_class))))
+
+
+def _read_vdb(path: Path, grids: list[str] | None, trusted: bool) -> list[SparseVolume]:
+    from geokit import native
+
+    volumes = []
+    for grid in native.read_vdb(path, grids=grids, trusted=trusted):
+        check_grid(grid.nanovdb, f"{path}: grid {grid_name(grid.nanovdb)!r}")
+        info = info_of(grid.nanovdb, grid.metadata)
+        # A class that NanoVDB does not know for the type (a level set of integers) comes as metadata.
+        info = replace(info, grid_class=str(grid.metadata.get("class", info.grid_class)))
+        volumes.append(SparseVolume(grid.nanovdb, info))
+    return volumes
+
+
+def _info_of_vdb(header: Mapping[str, Any]) -> GridInfo:
+    transform = header["transform"]
+    if transform is None:  # a frustum, which has no matrix
+        transform = np.full((4, 4), np.nan)
+    return GridInfo(
+        name=header["name"],
+        grid_type=header["grid_type"],
+        grid_class=header["grid_class"],
+        transform=transform,
+        voxel_size=voxel_size_of(transform),
+        background=header["background"],
+        active_voxel_count=header["active_voxel_count"],
+        index_bounds=header["index_bounds"],
+        byte_count=header["byte_count"],
+        metadata=MappingProxyType(dict(header["metadata"])),
+    )

@@ -1,0 +1,179 @@
+"""A sparse volume: one NanoVDB grid in a host buffer, its description, and its copies on devices."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume.nanovdb.grid_info import GridInfo
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.volume._curvature import Curvatures
+    from geokit.volume._dense import DenseGrid
+    from geokit.volume._integrate import Transmittance
+    from geokit.volume._raycast import VolumeHits
+
+__all__ = ["SparseVolume"]
+
+
+@dataclass(frozen=True, eq=False)
+class SparseVolume:
+    """One NanoVDB grid.
+
+    A grid that was made on a GPU stays there; ``nanovdb`` fetches it when it is first asked for.
+
+    Args:
+        nanovdb: The grid's buffer: uint8, C-contiguous, starting at a 32-byte boundary, one grid, no file header.
+        info: Its description.
+    """
+
+    nanovdb: NDArray[np.uint8]
+    info: GridInfo
+    _uploads: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            # Only asked for what is not there: the host buffer of a grid that was made on a device.
+            if name != "nanovdb" or not self.__dict__.get("_uploads"):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            from geokit.volume.nanovdb.upload import download
+
+            object.__setattr__(self, "nanovdb", download(self))
+            return self.nanovdb
+
+    def on(self, device: Any = None) -> "wp.Volume":
+        """The grid as a ``warp.Volume`` on ``device``, uploaded once and kept while this volume lives."""
+        from geokit.volume.nanovdb.upload import upload
+
+        return upload(self, device)
+
+    def id(self, device: Any = None) -> int:
+        """Handle for the user's own kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
+        return int(self.on(device).id)
+
+    def sample(
+        self,
+        points: Any,
+        *,
+        order: int | None = None,
+        space: str = "world",
+        channel: int | str | None = None,
+        device: Any = None,
+    ) -> Any:
+        """See :func:`geokit.volume.sample`."""
+        from geokit.volume._sample import sample
+
+        return sample(self, points, order=order, space=space, channel=channel, device=device)
+
+    def gradient(
+        self,
+        points: Any,
+        *,
+        order: int | None = None,
+        space: str = "world",
+        channel: int | str | None = None,
+        device: Any = None,
+    ) -> Any:
+        """See :func:`geokit.volume.gradient`."""
+        from geokit.volume._sample import gradient
+
+        return gradient(self, points, order=order, space=space, channel=channel, device=device)
+
+    def hessian(self, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
+        """See :func:`geokit.volume.hessian`."""
+        from geokit.volume._curvature import hessian
+
+        return hessian(self, points, order=order, space=space, device=device)
+
+    def curvature(self, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
+        """See :func:`geokit.volume.curvature`."""
+        from geokit.volume._curvature import curvature
+
+        return curvature(self, points, order=order, device=device)
+
+    def active_at(self, points: Any, *, space: str = "world", device: Any = None) -> Any:
+        """See :func:`geokit.volume.active_at`."""
+        from geokit.volume._active import active_at
+
+        return active_at(self, points, space=space, device=device)
+
+    def quantize(
+        self, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
+    ) -> SparseVolume:
+        """See :func:`geokit.volume.quantize`."""
+        from geokit.volume._quantize import quantize
+
+        return quantize(self, codec, tolerance=tolerance, dither=dither)
+
+    def to_dense(
+        self, *, bounds: Any = None, dtype: Any = None, channel: int | str | None = None, device: Any = None
+    ) -> DenseGrid:
+        """See :func:`geokit.volume.to_dense`."""
+        from geokit.volume._dense import to_dense
+
+        return to_dense(self, bounds=bounds, dtype=dtype, channel=channel, device=device)
+
+    def raycast(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        isovalue: float = 0.0,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        device: Any = None,
+    ) -> VolumeHits:
+        """See :func:`geokit.volume.raycast`."""
+        from geokit.volume._raycast import raycast
+
+        limits = {"isovalue": isovalue, "t_min": t_min, "max_distance": max_distance}
+        return raycast(self, origins, directions, **limits, device=device)
+
+    def integrate(
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        extinction: float = 1.0,
+        emission: SparseVolume | None = None,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        device: Any = None,
+    ) -> Transmittance:
+        """See :func:`geokit.volume.integrate`."""
+        from geokit.volume._integrate import integrate
+
+        limits = {"t_min": t_min, "max_distance": max_distance}
+        return integrate(self, origins, directions, extinction=extinction, emission=emission, **limits, device=device)
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{s:.6g}" for s in self.info.voxel_size)
+        return (
+            f"SparseVolume({self.info.name!r}, {self.info.grid_type}, {self.info.grid_class}, "
+            f"{self.info.active_voxel_count} active voxels of {size})"
+        )
+
+
+def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
+    """A volume whose grid is on a device, as kernels of geokit have made it; its host buffer comes when asked for.
+
+    Args:
+        grid: The grid's bytes, uint8, on a GPU.
+        info: Its description.
+    """
+    import warp as wp
+
+    volume = SparseVolume.__new__(SparseVolume)
+    made: Any = wp.Volume(grid, copy=False)
+    made._geokit_source = grid  # it does not own its memory
+    uploads = {grid.device.alias: (made, grid, None)}
+    for name, value in (("info", info), ("_uploads", uploads)):
+        object.__setattr__(volume, name, value)
+    return volume

@@ -1,0 +1,238 @@
+"""Volumes on other voxels."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.user_arrays import require_finite_scalar
+from geokit.errors import InputError, UnsupportedGridError
+from geokit.volume._active import active_at
+from geokit.volume._model import SparseVolume
+from geokit.volume._sample import require_order, sample
+from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
+from geokit.volume.nanovdb.header import voxel_size_of
+from geokit.volume.nanovdb.header_options import checked_transform
+from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.sampling.resample_leaves import filled_leaves, target_leaves, way_between
+from geokit.volume.sampling.space import query_inputs
+from geokit.volume.tree.leaves import (
+    CUBE_TOLERANCE,
+    QUANTISED,
+    Leaves,
+    assemble,
+    is_cubic,
+    leaves_of,
+    require_volume,
+    uniform_voxel_size,
+    voxelized,
+)
+from geokit.volume.tree.typed_tree import VALUE_TYPES, tree_of, tree_of_leaves, voxelized_tree
+from geokit.volume.tree.typed_writer import built
+
+__all__ = ["resample"]
+
+TYPES = ("float", "double", "vec3f", "vec3d")
+# A target leaf while it is made: values and masks, their copy in OpenVDB's tree and that in the buffer.
+BYTES_PER_LEAF = 3 * 2144
+# Source voxels that a level set's band is known beyond the band of the target: the trilinear stencil's reach.
+STENCIL = 2.0
+# Widest band [source voxels] that is computed to fill a coarser target's.
+WIDEST_BAND = 512.0
+
+
+def resample(
+    volume: SparseVolume,
+    *,
+    voxel_size: float | None = None,
+    transform: Any = None,
+    order: int = 1,
+    device: Any = None,
+) -> SparseVolume:
+    """The volume on voxels of another size, or under another transform.
+
+    A voxel's value is the volume's sample at its centre (:func:`geokit.volume.sample`, in float64, rounded once); a
+    linear field is reproduced to that rounding inside the active region. A voxel is active where the nearest voxel of
+    the source is; all others get the background. Level sets keep the width of their band in voxels: their background
+    follows the voxel size, values are distances [world] as before, and where the new band is wider than the old one,
+    distances are first computed beyond the old one (:func:`geokit.volume.renormalize`), which needs cubic source
+    voxels. Held by tests/volume/sampling/test_resample.py.
+
+    Labels, masks, integers and all other types that are not interpolated take order 0: the value of the nearest voxel
+    as it is stored, halves up in index space. Held by tests/volume/sampling/test_resample_nearest.py.
+
+    Args:
+        volume: Float, double, vec3f or vec3d grid; quantised ones become float. With order 0 any that holds values.
+            The components of vectors are not turned with the voxels.
+        voxel_size: New edge length [world]; voxels become cubes, along the same axes where these are orthogonal, else
+            along the world's. The centre of voxel (0, 0, 0) stays.
+        transform: Instead: index to world, shape (4, 4).
+        order: Of interpolation, as of ``sample``.
+        device: Where to compute; None for the first GPU, else the CPU.
+    Returns:
+        Volume of the same type, class, name and metadata.
+    Raises:
+        InputError: Not exactly one of voxel_size and transform, one that no grid can have, an unknown order, or voxels
+            too many to be counted.
+        UnsupportedGridError: A grid of another type; of one that is not interpolated, and the order is not 0.
+        DeviceMemoryError: The result needs more memory than there is.
+        MissingDependencyError: geokit was built without OpenVDB, which order 0 needs for the interpolated types alone.
+    """
+    require_volume(volume, "volume")
+    order, grid_type = require_order(order), volume.info.grid_type
+    interpolated = grid_type in (*TYPES, *QUANTISED)
+    if order > 0 and not interpolated and grid_type in VALUE_TYPES:
+        raise UnsupportedGridError(
+            f"volume: grid {volume.info.name!r} is of type {grid_type}, and only {', '.join(TYPES)} grids are "
+            "interpolated; use order=0, which takes the nearest voxel"
+        )
+    require_volume(volume, "volume", VALUE_TYPES)
+    if (voxel_size is None) == (transform is None):
+        raise InputError("voxel_size, transform: give one of the two")
+    if voxel_size is not None:
+        target = _scaled(volume.info.transform, require_finite_scalar(voxel_size, "voxel_size", low=0.0))
+    else:
+        target = checked_transform(transform)
+    if not interpolated:
+        return _resampled_nearest(volume, target, device)
+    dtype = np.float64 if grid_type in ("double", "vec3d") else np.float32
+    return resampled(volume, target, order=order, dtype=dtype, device=device)
+
+
+def resampled(
+    volume: SparseVolume, transform: NDArray[np.float64], *, order: int, dtype: Any, device: Any = None
+) -> SparseVolume:
+    """:func:`resample` for checked arguments and any real value type."""
+    if volume.info.grid_class != "level set":
+        return _sampled(voxelized(volume), transform, order, dtype, volume.info.background, None, device)
+    band = _band(volume, transform)
+    source = voxelized(band.source)
+    result = _sampled(source, transform, order, dtype, band.background, band.background, device)
+    if band.missing:
+        return with_band(result, uniform_voxel_size(result, "volume"), band.half_width)
+    return result
+
+
+class _Band(NamedTuple):
+    source: SparseVolume
+    background: float
+    half_width: float
+    missing: bool
+
+
+def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
+    """A source whose band reaches as far as the target's, and the target's background."""
+    old = float(np.cbrt(np.prod(volume.info.voxel_size)))
+    new = float(np.cbrt(np.prod(voxel_size_of(transform))))
+    if not is_cubic(volume.info.transform):
+        # Distances beyond the band need cubes: what is missing is computed on the target's, if these are.
+        half_width = float(volume.info.background) / old
+        known = min(half_width * new, float(volume.info.background))
+        return _Band(volume, known, half_width, known < half_width * new and is_cubic(transform))
+    old = require_level_set(volume, "volume")
+    half_width = half_width_of(volume, old)
+    background = half_width * new
+    needed = background / old + STENCIL
+    # Also for equal voxels: at the end of the band the stencil would take the background for a distance.
+    if needed > half_width:
+        if needed > WIDEST_BAND:
+            raise InputError(
+                f"voxel_size: {new:g} is {new / old:.3g} times the old one, too much at a time; resample at "
+                f"{old * WIDEST_BAND / 2 / half_width:.2g} first"
+            )
+        volume = with_band(volume, old, needed)
+    return _Band(volume, background, half_width, False)
+
+
+def _scaled(transform: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
+    """Cubes of another size that share the centre of voxel (0, 0, 0)."""
+    target = np.array(transform)
+    axes = transform[:3, :3] / voxel_size_of(transform)
+    is_orthogonal = np.allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=CUBE_TOLERANCE)
+    target[:3, :3] = axes * voxel_size if is_orthogonal else np.eye(3) * voxel_size
+    return target
+
+
+def _sampled(
+    source: SparseVolume,
+    transform: NDArray[np.float64],
+    order: int,
+    dtype: Any,
+    background: Any,
+    band: float | None,
+    device: Any,
+) -> SparseVolume:
+    """Sample ``source`` at the voxels of another transform; of level sets only within ``band`` of the surface."""
+    from geokit.volume._active import active_at
+    from geokit.volume._sample import sample
+
+    outside = np.asarray(background, dtype)
+
+    def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        points = voxels @ transform[:3, :3].T + transform[:3, 3]
+        sampled = np.asarray(sample(source, points, order=order, device=device)).astype(dtype)
+        active = np.asarray(active_at(source, points, device=device))
+        if band is not None:
+            active &= np.abs(sampled) < outside
+            return np.where(active, sampled, np.copysign(outside, sampled)), active
+        return np.where(active.reshape(-1, *[1] * (sampled.ndim - 1)), sampled, outside), active
+
+    leaves = leaves_of(source)
+    used = leaves.origins[leaves.masks.any(axis=1)]
+    origins = target_leaves(used, source.info.transform, transform, BYTES_PER_LEAF)
+    origins, masks, values = filled_leaves(origins, np.dtype((dtype, outside.shape)), read)
+    return assemble(
+        Leaves(origins, masks),
+        values,
+        source,
+        background=background,
+        grid_class=source.info.grid_class,
+        transform=transform,
+    )
+
+
+def _resampled_nearest(volume: SparseVolume, transform: NDArray[np.float64], device: Any) -> SparseVolume:
+    """A volume of one of VALUE_TYPES under another transform: type, name, class, background and metadata stay.
+
+    Raises:
+        InputError: Indices of the result exceed int32.
+        DeviceMemoryError: The result, or the voxels in the volume's tiles, take more memory than there is.
+    """
+    tree = tree_of(volume)
+    layout, background = tree.layout, tree.background
+    leaves = voxelized_tree(tree, volume.info.name)
+    used = leaves.origins[leaves.masks.any(axis=1)]
+    per_leaf = LEAF_VOXELS * layout.background.itemsize + layout.leaf_size + 256
+    origins = target_leaves(used, volume.info.transform, transform, per_leaf)
+    linear, shift = way_between(transform, volume.info.transform)
+
+    def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        # From index to index: by way of the world what is half a voxel away would be rounded to either side.
+        points = voxels @ linear.T + shift
+        active = np.asarray(active_at(volume, points, space="index", device=device))
+        values = _values_at(volume, points, device).astype(layout.background.base)
+        values[~active] = background
+        return values, active
+
+    return built(
+        tree_of_leaves(layout, background, *filled_leaves(origins, layout.background, read)), volume, transform
+    )
+
+
+def _values_at(volume: SparseVolume, points: NDArray[np.float64], device: Any) -> NDArray[Any]:
+    """Values of the voxels nearest to index coordinates, exact."""
+    if volume.info.grid_type != "int64":
+        return np.asarray(sample(volume, points, order=0, space="index", device=device))
+    import warp as wp
+
+    from geokit.volume.sampling.nearest_int64_kernels import nearest_int64_kernel
+
+    target = launcher.resolve_device(device)
+    given = wp.array(points, dtype=wp.vec3d, device=target)
+    out = wp.empty(len(points), dtype=wp.int64, device=target)
+    inputs = [*query_inputs(volume, given, "index"), wp.int64(volume.info.background)]
+    launcher.launch(nearest_int64_kernel, len(points), inputs, [out], target)
+    return np.asarray(out.numpy())

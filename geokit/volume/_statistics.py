@@ -1,0 +1,106 @@
+"""Numbers that describe a volume's values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume._model import SparseVolume
+from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.tree.leaves import QUANTISED, is_cubic, require_volume, voxelized
+from geokit.volume.tree.openvdb_call import lift_factor, lifted
+from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_of
+
+__all__ = ["Statistics", "statistics"]
+
+# Not colours, whose length means nothing.
+TYPES = tuple(name for name in VALUE_TYPES if name != "rgba8")
+# Leaves that are turned into float64 at a time: 8 million values.
+LEAVES_AT_A_TIME = 16384
+
+
+class Statistics(NamedTuple):
+    """Statistics of the values of active voxels, of lengths for vectors; NaN where there is none.
+
+    Attributes:
+        count: Active voxels, those of tiles included.
+        minimum: Least value.
+        maximum: Greatest value.
+        mean: Average.
+        standard_deviation: Root of the mean squared difference from the mean.
+        area: Of a level set's surface [world^2]; None for other grids, and where voxels are no cubes.
+        volume: Inside a level set's surface [world^3]; None like the area.
+    """
+
+    count: int  # type: ignore[assignment]
+    minimum: float
+    maximum: float
+    mean: float
+    standard_deviation: float
+    area: float | None = None
+    volume: float | None = None
+
+
+def statistics(volume: SparseVolume) -> Statistics:
+    """Count, extrema, mean and spread of a volume's active voxels; area and volume of a level set.
+
+    Sums are float64 and exact to a few times 2^-53 of the largest; int64 values beyond 2^53 are rounded first. Area and
+    volume are integrals over the band, of second order in the voxel size: 0.1 % and 0.7 % off on a sphere of 10 voxels'
+    radius. They take closed surfaces and values that are distances. Held by tests/volume/tree/test_statistics.py.
+
+    Args:
+        volume: A grid of any scalar or vector type; quantised ones as float. True counts as 1, as do all of a mask.
+    Returns:
+        Statistics.
+    Raises:
+        InputError: volume is no SparseVolume, or a level set whose background is not positive.
+        UnsupportedGridError: A grid of colours, indices or points.
+        DeviceMemoryError: The active tiles of a quantised grid hold more voxels than there is memory for.
+        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for level sets.
+    """
+    require_volume(volume, "volume", TYPES)
+    area, inside = _measures(volume)
+    tree = tree_of(voxelized(volume) if volume.info.grid_type in QUANTISED else volume)
+    counts, sums, limits = [0], [0.0], []
+    for values, voxels in _active_values(tree):
+        counts.append(len(values) * voxels)
+        sums.append(float(values.sum()) * voxels)
+        limits += [float(values.min()), float(values.max())]
+    count = sum(counts)
+    if not count:
+        return Statistics(0, math.nan, math.nan, math.nan, math.nan, area, inside)
+    mean = math.fsum(sums) / count
+    squares = math.fsum(float(np.square(values - mean).sum()) * voxels for values, voxels in _active_values(tree))
+    return Statistics(count, min(limits), max(limits), mean, math.sqrt(squares / count), area, inside)
+
+
+def _active_values(tree: TypedTree) -> Iterator[tuple[NDArray[np.float64], int]]:
+    """Values of active voxels and tiles, or lengths of their vectors, some leaves at a time, and voxels of each."""
+    for first in range(0, len(tree.origins), LEAVES_AT_A_TIME):
+        part = slice(first, first + LEAVES_AT_A_TIME)
+        yield from _lengths(tree.values[part][bits_of(tree.masks[part])], 1)
+    for nodes, voxels in ((tree.lower, 8**3), (tree.upper, 128**3), (tree.root, 4096**3)):
+        yield from _lengths(nodes.values[nodes.active], voxels)
+
+
+def _lengths(values: NDArray[Any], voxels: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+    if len(values):
+        numbers = values.astype(np.float64)
+        yield np.linalg.norm(numbers, axis=1) if numbers.ndim == 2 else numbers, voxels
+
+
+def _measures(volume: SparseVolume) -> tuple[float | None, float | None]:
+    """Area and enclosed volume of a level set of cubic voxels."""
+    if volume.info.grid_class != "level set" or not is_cubic(volume.info.transform):
+        return None, None
+    from geokit.native import operations
+
+    voxel_size = require_level_set(volume, "volume")
+    if not volume.info.active_voxel_count:
+        return 0.0, 0.0
+    factor = lift_factor(volume.info.transform)
+    return operations.measure(lifted(volume.nanovdb, factor), voxel_size)

@@ -1,0 +1,345 @@
+"""Cells of a lattice as arrays: their keys, their corners, those near a surface, and how exact their interpolant is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._surface import Surface
+
+__all__ = ["CORNERS", "HALVES", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells"]
+
+# Bits of a coordinate in a key: three fit 63 bits. Coordinates are not negative.
+KEY_BITS = 21
+LARGEST_INDEX = (1 << KEY_BITS) - 1
+# Offsets of a cell's voxels, z fastest, and of the voxels of its eight halves.
+CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+HALVES = np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0, 1, 2], indexing="ij"), axis=-1).reshape(-1, 3)
+# Half the diagonal of a cell of size 1, and a little more than rounding takes.
+HALF_DIAGONAL = 0.5 * np.sqrt(3.0) * (1.0 + 1e-9)
+# Where the search for cells near the surface starts: few enough to be asked in no time.
+START_CELLS = 4096
+# Cells that are looked at in one go: some hundred megabytes.
+CELLS_AT_A_TIME = 1 << 18
+# The error of a cell across which the gradient changes by s is below this times s and the voxel size: a crease through
+# the middle of a cell, the worst of all, makes a quarter, and a corner of three faces little more. Cells that stay
+# below the limit by this need no closer look.
+SPREAD_SHARE = 0.35
+# Points of an edge of the mesh that are looked at: so many for the length of a cell.
+CREASE_POINTS = 8
+# Points of edges that are looked at in one go.
+POINTS_AT_A_TIME = 1 << 20
+# Cells whose error comes up to this share of the limit are looked at most closely: the error between the places of the
+# first look is up to half as large again.
+CLOSEST_LOOK = 0.6
+# Points of edges this near to a border [cells] count for both sides: an edge may cut off less of a cell than lies
+# between two of its points, and what is wrong on a border is wrong for either side.
+BORDER = 0.5 / CREASE_POINTS
+
+
+# Depths at which creases of the distance are looked at, as shares of ``within``.
+CREASE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
+# Squared sum of two normals below which an edge counts as no sharper: of faces two degrees apart.
+BLADE = 1e-3
+
+
+class _Creases(NamedTuple):
+    """Edges of a mesh, each once.
+
+    Attributes:
+        ends: Shape (E, 2, 3) [world].
+        sharpness: How much the normals of its two faces differ, 0 to 2, shape (E,); 2 where it has not two.
+        between: The way on which the distance to both faces grows by 1 for each 1, on the side where the nearer of the
+            two faces changes, shape (E, 3); 0 where it has not two.
+    """
+
+    ends: NDArray[np.float64]
+    sharpness: NDArray[np.float64]
+    between: NDArray[np.float64]
+
+
+# Of meshes, for as long as they live.
+_creases: WeakKeyDictionary[TriangleMesh, _Creases] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class CellLattice:
+    """Cells of one size: cell (i, j, k) lies between ``origin + size * (i, j, k)`` and the voxel after that.
+
+    Attributes:
+        surface: What distances are to.
+        sign: How inside is told from outside, as ``Surface.signed_distance`` takes it.
+        origin: Position of index 0 [world], shape (3,).
+        size: Edge length of a cell [world].
+        within: Distance [world] from the surface up to which errors count.
+    """
+
+    surface: Surface
+    sign: str
+    origin: NDArray[np.float64]
+    size: float
+    within: float
+
+    def halved(self) -> CellLattice:
+        """The lattice of half the size; cell i becomes cells 2 i and 2 i + 1."""
+        return CellLattice(self.surface, self.sign, self.origin, 0.5 * self.size, self.within)
+
+    def positions(self, index: NDArray[Any]) -> NDArray[np.float64]:
+        """World positions of index coordinates (N, 3)."""
+        return np.asarray(self.origin + self.size * index)
+
+    def distances(self, index: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Exact signed distances (N,) and closest points (N, 3) [world] of index coordinates (N, 3)."""
+        found = self.surface.signed_distance(self.positions(index), sign=self.sign)
+        return found.distance, found.points
+
+
+def keys_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each cell, shape (N,), in the order of x, then y, then z."""
+    return np.asarray((cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2])
+
+
+def cells_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The cells (N, 3) of keys."""
+    return np.stack([keys >> (2 * KEY_BITS), keys >> KEY_BITS & LARGEST_INDEX, keys & LARGEST_INDEX], axis=1)
+
+
+def contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the wanted keys are among ``keys``, which are sorted."""
+    if not len(keys):
+        return np.zeros(len(wanted), bool)
+    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.asarray(keys[place] == wanted)
+
+
+def near_cells(lattice: CellLattice) -> NDArray[np.int64]:
+    """Cells that may hold a point within the zone around the surface: all of those, and few others."""
+    bounds = lattice.surface.bounds
+    low = np.floor((bounds[0] - lattice.within - lattice.origin) / lattice.size).astype(np.int64) - 1
+    high = np.floor((bounds[1] + lattice.within - lattice.origin) / lattice.size).astype(np.int64) + 1
+    span = 1
+    while np.prod((high // span - low // span + 1).astype(np.float64)) > START_CELLS:
+        span *= 2
+    axes = [np.arange(a // span, b // span + 1) for a, b in zip(low, high, strict=True)]
+    cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    while True:
+        cells = cells[near(lattice, cells, span)]
+        if span == 1:
+            return cells
+        span //= 2
+        cells = (2 * cells[:, None] + CORNERS).reshape(-1, 3)
+
+
+def near(lattice: CellLattice, cells: NDArray[np.int64], span: int = 1) -> NDArray[np.bool_]:
+    """Which cells, of ``span`` times the lattice's size, may hold a point of the zone."""
+    if not len(cells):
+        return np.zeros(0, bool)
+    reach = lattice.within + HALF_DIAGONAL * span * lattice.size
+    found = lattice.surface.closest_point(lattice.positions((cells + 0.5) * span), max_distance=reach)
+    return np.asarray(found.triangle_id >= 0)
+
+
+def examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> NDArray[np.float64]:
+    """Largest error [world] of the interpolant that was found in each cell, where the cell lies in the zone.
+
+    Args:
+        lattice: What the cells are of.
+        cells: Cells near the surface, shape (N, 3).
+        limit: Cells whose error may exceed it are looked at closely.
+    """
+    errors = [
+        _examine(lattice, cells[start : start + CELLS_AT_A_TIME], limit)
+        for start in range(0, len(cells), CELLS_AT_A_TIME)
+    ]
+    return np.concatenate(errors) if errors else np.zeros(0)
+
+
+def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> NDArray[np.float64]:
+    import warp as wp
+
+    from geokit.volume.adaptive.check_kernels import examine_kernel
+
+    device = lattice.surface._device
+    voxels, corner = np.unique(keys_of((cells[:, None] + CORNERS).reshape(-1, 3)), return_inverse=True)
+    corner = corner.reshape(-1, 8)
+    exact = lattice.distances(cells_of(voxels))
+    values = _on(device, *exact)
+    middle = _on(device, *lattice.distances(cells + 0.5))
+    place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(lattice.within)]
+    error, spread = (wp.empty(len(cells), dtype=wp.float64, device=device) for _ in range(2))
+    rows = [_cells_on(device, cells), wp.array(corner.reshape(-1), dtype=wp.int32, device=device)]
+    launcher.launch(examine_kernel, len(cells), [*rows, *values, *middle, *place], [error, spread], device)
+    errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, exact[0].astype(np.float32)[corner], limit))
+    suspect = (errors <= limit) & (SPREAD_SHARE * lattice.size * spread.numpy() > limit)
+    for width, share in ((3, 0.0), (5, CLOSEST_LOOK)):
+        chosen = np.flatnonzero(suspect & (errors > share * limit) & (errors <= limit))
+        errors[chosen] = np.maximum(errors[chosen], _inspect(lattice, cells[chosen], corner[chosen], values[0], width))
+    return np.asarray(errors)
+
+
+def _inspect(
+    lattice: CellLattice, cells: NDArray[np.int64], corner: NDArray[np.int64], values: "wp.array", width: int
+) -> NDArray[np.float64]:
+    """Largest error of each cell on the segments of ``width`` cubed points in it.
+
+    Args:
+        lattice: What the cells are of.
+        cells: Cells, shape (N, 3).
+        corner: Their voxels, as rows of ``values``, shape (N, 8).
+        values: Exact distances of voxels.
+        width: Points along each axis.
+    """
+    import warp as wp
+
+    from geokit.volume.adaptive.check_kernels import inspect_kernel
+
+    device = lattice.surface._device
+    place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(lattice.within)]
+    inner = (np.stack(np.meshgrid(*[np.arange(width)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5) / width
+    errors = np.zeros(len(cells))
+    step = max(1, 8 * CELLS_AT_A_TIME // len(inner))
+    for start in range(0, len(cells), step):
+        chosen = slice(start, start + step)
+        index = (cells[chosen][:, None] + inner).reshape(-1, 3)
+        asked = _on(device, *lattice.distances(index))
+        rows = [_cells_on(device, cells[chosen]), wp.array(corner[chosen].reshape(-1), dtype=wp.int32, device=device)]
+        where = wp.array(lattice.positions(index), dtype=wp.vec3d, device=device)
+        worst = wp.empty(len(cells[chosen]), dtype=wp.float64, device=device)
+        inputs = [*rows, values, len(inner), where, *asked, *place]
+        launcher.launch(inspect_kernel, len(worst), inputs, [worst], device)
+        errors[chosen] = worst.numpy()
+    return errors
+
+
+def _crease_errors(
+    lattice: CellLattice, cells: NDArray[np.int64], values: NDArray[np.float32], limit: float
+) -> NDArray[np.float64]:
+    """Largest error of each cell where the distance has its creases: on edges of the mesh and on what halves them.
+
+    On an edge the distance is 0. Where the faces turn away from each other it has a crease inside, else outside, which
+    leaves the edge halfway between its faces.
+    """
+    errors = np.zeros(len(cells))
+    keys = keys_of(cells)
+    order = np.argsort(keys)
+    for points, between in _crease_points(lattice, limit):
+        for depth in CREASE_DEPTHS:
+            asked = points + between * (depth * lattice.within)
+            row, cell, fraction = _touched(lattice, asked, keys, order)
+            if depth > 0.0:
+                open_yet = errors[cell] <= limit
+                row, cell, fraction = row[open_yet], cell[open_yet], fraction[open_yet]
+                found, inverse = np.unique(row, return_inverse=True)
+                exact = lattice.surface.signed_distance(asked[found], sign=lattice.sign).distance[inverse]
+            else:
+                exact = np.zeros(len(row))
+            corners = values[cell].astype(np.float64)
+            for axis in range(3):
+                half = corners.shape[1] // 2
+                corners = corners[:, :half] + (corners[:, half:] - corners[:, :half]) * fraction[:, axis, None]
+            error = np.where(np.abs(exact) <= lattice.within * (1.0 + BORDER), np.abs(corners[:, 0] - exact), 0.0)
+            np.maximum.at(errors, cell, error)
+    return errors
+
+
+def _touched(
+    lattice: CellLattice, points: NDArray[np.float64], keys: NDArray[np.int64], order: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Pairs of a point and a cell that it lies in, or beyond whose border it lies by next to nothing.
+
+    Args:
+        lattice: What the cells are of.
+        points: Positions [world], shape (N, 3).
+        keys: Of the cells, in any order.
+        order: That sorts them.
+    Returns:
+        Rows of the points, rows of the cells, and where in the cell the point lies, (P, 3).
+    """
+    index = (points - lattice.origin) / lattice.size
+    border = np.abs(index - np.round(index)) < BORDER
+    below = np.where(border, np.round(index), np.floor(index))
+    pairs = []
+    for back in CORNERS:
+        some = np.flatnonzero((border | (back == 0)).all(axis=1))
+        cell = (below[some] - back).astype(np.int64)
+        wanted = keys_of(cell)
+        row = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+        there = keys[row] == wanted
+        pairs.append((some[there], row[there], (index[some] - cell)[there]))
+    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))  # type: ignore[return-value]
+
+
+def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Points of the edges of the mesh that are sharp enough to miss the limit in such cells, and all its corners.
+
+    With each goes the way from there on which the distance to both faces grows by 1 for each 1, or 0 where there are
+    not two.
+    """
+    creases = _creases_of(lattice.surface.mesh)
+    corners = np.unique(creases.ends.reshape(-1, 3), axis=0)
+    yield corners, np.zeros_like(corners)
+    sharp = SPREAD_SHARE * lattice.size * creases.sharpness > limit
+    ends, between = creases.ends[sharp], creases.between[sharp]
+    counts = (
+        np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / lattice.size * CREASE_POINTS).astype(np.int64) + 1
+    )
+    last = np.cumsum(counts)
+    start = 0
+    while start < len(counts):
+        # One edge at least, however many points it has.
+        stop = max(start + 1, int(np.searchsorted(last, last[start] - counts[start] + POINTS_AT_A_TIME, side="right")))
+        count = counts[start:stop]
+        step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        t = (step / np.repeat(np.maximum(count - 1, 1), count))[:, None]
+        a, b, way = (np.repeat(part[start:stop], count, axis=0) for part in (ends[:, 0], ends[:, 1], between))
+        yield a * (1.0 - t) + b * t, way
+        start = stop
+
+
+def _creases_of(mesh: TriangleMesh) -> _Creases:
+    if mesh not in _creases:
+        pairs = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+        edges, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        corners = mesh.vertices[mesh.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        order = np.argsort(inverse.reshape(-1), kind="stable") // 3
+        begin = np.cumsum(count) - count
+        first, second = order[begin], order[np.minimum(begin + 1, len(order) - 1)]
+        single = count != 2
+        sharpness = np.where(single, 2.0, np.linalg.norm(normals[first] - normals[second], axis=1))
+        both = normals[first] + normals[second]
+        middle = corners.mean(axis=1)
+        convex = np.einsum("ek,ek->e", middle[second] - middle[first], normals[first]) < 0.0
+        length_squared = np.einsum("ek,ek->e", both, both)
+        # Along a blade's edge that way is long, and leaves the cell in any case.
+        between = np.where(convex, -2.0, 2.0)[:, None] * both / np.maximum(length_squared, BLADE)[:, None]
+        between[single] = 0.0
+        _creases[mesh] = _Creases(mesh.vertices[edges], sharpness, between)
+    return _creases[mesh]
+
+
+def _on(device: "wp.Device", distance: NDArray[np.float64], closest: NDArray[np.float64]) -> list["wp.array"]:
+    import warp as wp
+
+    return [
+        wp.array(distance, dtype=wp.float64, device=device),
+        wp.array(np.ascontiguousarray(closest), dtype=wp.vec3d, device=device),
+    ]
+
+
+def _cells_on(device: "wp.Device", cells: NDArray[np.int64]) -> "wp.array":
+    import warp as wp
+
+    return wp.array(np.ascontiguousarray(cells, np.int32), dtype=wp.vec3i, device=device)

@@ -1,0 +1,111 @@
+"""Which cells are handed to finer ones: a tree of cells around a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory
+from geokit.errors import DeviceMemoryError
+from geokit.volume.adaptive.cells import CORNERS, CellLattice, cells_of, contains, examine, keys_of, near
+from geokit.volume.adaptive.level_placement import Placement, placed
+
+__all__ = ["Refinement"]
+
+# Bytes that a cell takes while it is looked at: its key, its halves' keys, its voxels' answers.
+CELL_BYTES = 1000
+# A crease of the sharpest kind misses the limit in cells of one and a half times its size, a spike in little smaller
+# ones. Where cells of this share of the limit miss it, the distance itself jumps: beside the border of an open mesh.
+SMALLEST_SHARE = 0.25
+
+
+@dataclass
+class Refinement:
+    """Cells of level 0 all around a surface, and those of each level that the next one answers for.
+
+    Attributes:
+        lattice: Level 0.
+        limit: Error [world] from which on a cell is handed on.
+        level_limit: Most levels there may be.
+        refined: Keys of the cells that are handed on, sorted, of each level that has any.
+        worst: Largest error [world] that was found in a cell that could not be handed on; 0 where there is none.
+        errors: Where not None, the errors that were found in the cells of each level.
+    """
+
+    lattice: CellLattice
+    limit: float
+    level_limit: int
+    refined: list[NDArray[np.int64]] = field(default_factory=list)
+    worst: float = 0.0
+    errors: list[NDArray[np.float64]] | None = None
+
+    @property
+    def level_count(self) -> int:
+        """Number of levels."""
+        return 1 + len(self.refined)
+
+    def lattice_of(self, level: int) -> CellLattice:
+        """The cells of a level."""
+        return replace(self.lattice, size=self.lattice.size / 2**level)
+
+    def explore(self, level: int, cells: NDArray[np.int64]) -> None:
+        """Look at cells of a level, hand on those that miss the limit, and go on with their halves.
+
+        Raises:
+            DeviceMemoryError: There are more than can be looked at.
+        """
+        if len(cells) * CELL_BYTES > available_memory.available_host():
+            raise DeviceMemoryError(
+                f"tolerance: {len(cells)} cells of size {self.lattice_of(level).size:g} need more memory than the "
+                f"{available_memory.available_host() / 2**20:.0f} MiB there are; use a larger tolerance"
+            )
+        errors = examine(self.lattice_of(level), cells, self.limit)
+        if self.errors is not None:
+            self.errors.extend([np.zeros(0)] * (level + 1 - len(self.errors)))
+            self.errors[level] = np.concatenate([self.errors[level], errors])
+        missed = errors > self.limit
+        if missed.any():
+            self.hand_on(level, cells[missed], float(errors.max()))
+
+    def hand_on(self, level: int, cells: NDArray[np.int64], error: float) -> None:
+        """Let the next level answer for cells of this one, whose largest error is ``error``."""
+        if level + 1 >= self.level_limit or self.lattice_of(level + 1).size < SMALLEST_SHARE * self.limit:
+            self.worst = max(self.worst, error)
+            return
+        if level == len(self.refined):
+            self.refined.append(np.zeros(0, np.int64))
+        keys = np.unique(keys_of(cells))
+        keys = keys[~contains(self.refined[level], keys)]
+        if not len(keys):
+            return
+        self.refined[level] = np.union1d(self.refined[level], keys)
+        halves = (2 * cells_of(keys)[:, None] + CORNERS).reshape(-1, 3)
+        self.explore(level + 1, halves[near(self.lattice_of(level + 1), halves)])
+
+    def correct(self, points: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
+        """Hand on the cells that answer for points whose errors were found to exceed the limit."""
+        level, cell = self.locate(points)
+        for each in np.unique(level):
+            here = level == each
+            self.hand_on(int(each), cell[here], float(errors[here].max()))
+
+    def locate(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Level (N,), and cell of that level (N, 3), that answers for each point near the surface."""
+        index = (points - self.lattice.origin) / self.lattice.size
+        cell = np.floor(index).astype(np.int64)
+        fraction = index - cell
+        level = np.zeros(len(points), np.int64)
+        rows = np.arange(len(points))
+        for depth, refined in enumerate(self.refined):
+            rows = rows[contains(refined, keys_of(cell[rows]))]
+            upper = fraction[rows] >= 0.5
+            cell[rows] = 2 * cell[rows] + upper
+            fraction[rows] = 2.0 * fraction[rows] - upper
+            level[rows] = depth + 1
+        return level, cell
+
+    def placements(self) -> list[Placement]:
+        """Where the voxels of levels 1, 2, ... go."""
+        return [placed(cells_of(keys)) for keys in self.refined]

@@ -1,0 +1,116 @@
+"""What sampling an adaptive field needs on a device: a table of leaves for each level, and which cells go on."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.errors import InputError
+from geokit.volume._model import SparseVolume
+from geokit.volume.sampling.leaf_table import SPAN, _make
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["AdaptiveTable", "adaptive_table", "shifts_of"]
+
+# Steps between levels are compared as shares of a voxel: transforms go through files as decimal or binary doubles.
+SAME = 1e-6
+# Words of 32 cells that a leaf has.
+LEAF_WORDS = 16
+LEAF = 8
+# Bytes of a leaf divided by 32: entries of neighbouring leaves differ by it.
+LEAF_ENTRIES = 67
+
+
+class AdaptiveTable(NamedTuple):
+    """Arguments of the sampling kernels, after ``first`` and in their order; ``kept`` owns what they point to."""
+
+    levels: "wp.array"
+    finer: "wp.array"
+    first_word: "wp.array"
+    first_entry: "wp.array"
+    shift: "wp.array"
+    kept: list[Any]
+
+    @property
+    def arguments(self) -> list["wp.array"]:
+        return list(self[:-1])
+
+
+def shifts_of(levels: tuple[SparseVolume, ...]) -> np.ndarray:
+    """What is added to twice the index of a cell to give that of its first half in the next level, shape (L - 1, 3).
+
+    Raises:
+        InputError: Voxel sizes do not halve from one level to the next, or their voxels do not lie on each other.
+    """
+    shifts = np.zeros((len(levels) - 1, 3), np.int64)
+    for row, (coarser, finer) in enumerate(pairwise(levels)):
+        linear = coarser.info.transform[:3, :3]
+        step = (coarser.info.transform[:3, 3] - finer.info.transform[:3, 3]) @ np.linalg.inv(
+            finer.info.transform[:3, :3]
+        ).T
+        halved = np.allclose(linear, 2.0 * finer.info.transform[:3, :3], rtol=0.0, atol=SAME * np.abs(linear).max())
+        if not halved or not (np.abs(step - np.round(step)) <= SAME * np.maximum(1.0, np.abs(step))).all():
+            raise InputError(
+                f"levels: the voxels of level {row + 1} are not halves of those of level {row}; give the grids of one "
+                "adaptive field, the coarsest first"
+            )
+        shifts[row] = np.round(step)
+    if len(shifts) and np.abs(shifts).max() > np.iinfo(np.int32).max // 4:
+        raise InputError("levels: their indices are too far apart; give the grids of one adaptive field")
+    return shifts
+
+
+def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> AdaptiveTable:
+    """The table of a field on a device.
+
+    Args:
+        levels: Float grids, the coarsest first, each with half the voxel size of the one before.
+        device: Where it is wanted.
+    """
+    import warp as wp
+
+    from geokit.volume.adaptive.table_kernels import fill_finer_kernel
+    from geokit.volume.sampling.leaf_table_kernels import LeafTable
+
+    shifts = shifts_of(levels)
+    tables = [_make(level, device, *_box(level)) for level in levels]
+    entries = [_leaves_of(table) for table in tables]
+    first_entry = np.array([found[0] if len(found) else 0 for found in entries], np.int32)
+    spans = [(int(found[-1]) - int(found[0])) // LEAF_ENTRIES + 1 if len(found) else 0 for found in entries]
+    first_word = LEAF_WORDS * np.concatenate([[0], np.cumsum(spans)])
+    finer = wp.zeros(int(first_word[-1]), dtype=wp.uint32, device=device)
+    for number, (table, next_table) in enumerate(pairwise(tables)):
+        found = wp.array(entries[number], dtype=wp.int32, device=device)
+        words = finer[int(first_word[number]) : int(first_word[number + 1])]
+        inputs = [table, next_table, wp.vec3i(*shifts[number].tolist()), found, int(first_entry[number])]
+        launcher.launch(fill_finer_kernel, LEAF_WORDS * len(found), inputs, [words], device)
+    shift: Any = np.concatenate([shifts, np.zeros((1, 3), np.int64)]).astype(np.int32)
+    return AdaptiveTable(
+        wp.array(tables, dtype=LeafTable, device=device),
+        finer,
+        wp.array(first_word[:-1], dtype=wp.int64, device=device),
+        wp.array(first_entry, dtype=wp.int32, device=device),
+        wp.array(shift, dtype=wp.vec3i, device=device),
+        [tables, *(level.on(device) for level in levels)],
+    )
+
+
+def _box(level: SparseVolume) -> tuple[np.ndarray, np.ndarray]:
+    """First voxel, a multiple of 128, and size in steps of 128 voxels, of a box around a level's active voxels."""
+    bounds = level.info.index_bounds
+    if bounds is None:
+        return np.zeros(3, np.int64), np.ones(3, np.int64)
+    # One voxel more below: a cell that only touches the active voxels is blended with what is around them. Above, the
+    # voxels behind the last leaves, which a GPU's pairs take in. Whatever lies farther out is the background.
+    first, last = (bounds[0] - 1) // SPAN, (bounds[1] // LEAF * LEAF + LEAF) // SPAN
+    return first * SPAN, last - first + 1
+
+
+def _leaves_of(table: Any) -> np.ndarray:
+    slots = table.slots.numpy()
+    return np.asarray(np.sort(slots[slots >= 0]))

@@ -1,0 +1,237 @@
+"""The voxels of a band around a surface, from its distances to the leaves of a grid, on the surface's device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.pinned import host_flags
+from geokit.core.scan import counted
+from geokit.volume.band.signs import inside_bits
+from geokit.volume.band.tiles import Lattice, Tiles, near_tiles
+from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_grid
+from geokit.volume.tree.grid_head import GridHead
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.core.host_array import HostArray
+
+__all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
+
+# Threads of a launch are counted in 31 bits; a launch for this many voxels is as long as any need be.
+VOXELS_AT_A_TIME = 1 << 28
+# Slots of a tile's nearest triangles, their numbers, and the leaf that these become.
+SLOT_BYTES = 3 * 2144
+# Where the band is so narrow that a voxel on the surface may be next to one on the band's edge, tiles without an active
+# voxel are kept: their neighbours' faces would not show on which side they are.
+SAFE_HALF_WIDTH = 1.001
+
+
+@dataclass(frozen=True)
+class BandShape:
+    """Which voxels a band holds, and what it says of them.
+
+    Attributes:
+        exterior: Background, and the width outside [world].
+        interior: Width inside [world].
+        offset: What is taken off the distances [world]: half the thickness of a shell.
+        method: How inside is told from outside, or "none" for unsigned distances.
+    """
+
+    exterior: float
+    interior: float
+    offset: float
+    method: str
+
+    @property
+    def reach(self) -> float:
+        """Greatest distance [world] of an active voxel from the surface."""
+        if self.method == "none":
+            return self.exterior + self.offset
+        return max(self.exterior, self.interior)
+
+    @property
+    def hollow(self) -> float:
+        """Distance [world] of the nearest active voxels: those of a thick shell stay away from the surface itself."""
+        return max(0.0, self.offset - self.interior)
+
+
+@dataclass(frozen=True)
+class Band:
+    """A band's voxels, before they are a grid: leaves, distances of all tiles, and bits (L, 8) of the leaves' voxels.
+
+    ``inside`` is empty where the distances are values as they are. ``slots`` are those of the nearest triangles,
+    (T, 512), where they were asked for, else empty.
+    """
+
+    lattice: Lattice
+    shape: BandShape
+    leaves: Leaves
+    distance: "wp.array"
+    slots: "wp.array"
+    inside: "wp.array"
+    active: "wp.array"
+    negative: "wp.array"
+    has_negative: HostArray
+
+    @property
+    def limits(self) -> list[Any]:
+        """Values at the band's edges, outside and inside, as kernels take them."""
+        import warp as wp
+
+        return [wp.float32(self.shape.exterior), wp.float32(-self.shape.interior)]
+
+
+def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -> Band:
+    """Distances, signs and active voxels of a band.
+
+    Raises:
+        DeviceMemoryError: The band needs more memory than there is.
+    """
+    import warp as wp
+
+    from geokit.volume.band import band_kernels as kernels
+
+    device = lattice.device
+    tiles = near_tiles(lattice, SLOT_BYTES if with_slots else 0)
+    distance, slots = _distances(lattice, tiles, shape, with_slots)
+    rows = _numbered(len(tiles.keys), device)
+    leaves = Leaves(tiles.keys, tiles.coordinates, rows, tiles.axes)
+    safe = min(shape.exterior, shape.interior) > SAFE_HALF_WIDTH * lattice.voxel_size
+    edge = shape.reach - shape.offset
+    if safe:
+        near = wp.empty(len(rows), dtype=wp.int32, device=device)
+        limits = [wp.float32(-np.inf if shape.method != "none" else -shape.interior), wp.float32(edge)]
+        launcher.launch(kernels.near_rows_kernel, len(rows), [distance, *limits], [near], device, grain=64)
+        leaves, _ = _kept(leaves, near, [])
+    uneven = safe and shape.method != "none" and shape.exterior != shape.interior
+    if not uneven:
+        leaves.nodes  # noqa: B018 - they are made while the host and the device are at the signs
+    inside = wp.empty((0, 0), dtype=wp.uint64, device=device)
+    has_negative = host_flags(1, device)
+    if shape.method != "none":
+        # Which of the voxels count is not known before their signs are: those within the wider side may.
+        wide = replace(shape, exterior=shape.reach, interior=shape.reach)
+        closed = lattice.surface.is_closed
+        # No value is negative yet: this raises no flag.
+        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, has_negative)[0]
+        inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, may_count, shape.method)
+    active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
+    if uneven:
+        some = wp.empty(len(leaves.keys), dtype=wp.int32, device=device)
+        launcher.launch(kernels.set_rows_kernel, len(some), [active], [some], device)
+        leaves, (inside, active, negative) = _kept(leaves, some, [inside, active, negative])
+        has_negative = host_flags(1, device)
+        launcher.launch(kernels.any_bits_kernel, len(leaves.keys), [negative], [has_negative], device)
+    return Band(lattice, shape, leaves, distance, slots, inside, active, negative, has_negative)
+
+
+def build_band(band: Band, head: GridHead) -> BuiltGrid:
+    """The band as a grid of floats."""
+    import warp as wp
+
+    from geokit.volume.band.band_kernels import leaf_values_kernel
+
+    count, device = len(band.leaves.keys), band.lattice.device
+
+    def write(buffer: "wp.array", begin: int) -> None:
+        inputs = [wp.int64(begin), band.leaves.rows, band.distance, band.inside, *band.limits]
+        launcher.launch(leaf_values_kernel, 8 * count, inputs, [buffer], device)
+
+    signed = band.shape.method != "none" or band.shape.offset > 0.0
+    return build_grid(band.leaves, head, write, band.negative if signed else None)
+
+
+def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
+    """The nearest triangle at each active voxel as a grid of int32; the band must have been made with its slots."""
+    import warp as wp
+
+    from geokit.volume.band.band_kernels import triangle_values_kernel
+    from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
+
+    count, device = len(band.leaves.keys), band.lattice.device
+
+    def write(buffer: "wp.array", begin: int) -> None:
+        values = wp.empty(512 * count, dtype=wp.int32, device=device)
+        inputs = [band.leaves.rows, band.slots, band.active, band.lattice.surface._tree.slot_triangle]
+        launcher.launch(triangle_values_kernel, 8 * count, inputs, [values], device)
+        inputs = [wp.int64(begin), _numbered(count, device), values, band.active.flatten()]
+        launcher.launch(copy_leaves_kernel, 8 * count, inputs, [buffer], device)
+
+    return build_grid(band.leaves, head, write)
+
+
+def _numbered(count: int, device: "wp.Device") -> "wp.array":
+    import warp as wp
+
+    from geokit.core.morton_order_kernels import identity_kernel
+
+    rows = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(identity_kernel, count, [], [rows], device)
+    return rows
+
+
+def _distances(lattice: Lattice, tiles: Tiles, shape: BandShape, with_slots: bool) -> tuple["wp.array", "wp.array"]:
+    import warp as wp
+
+    count, device = len(tiles.keys), lattice.device
+    distance = wp.empty((count, 512), dtype=wp.float32, device=device)
+    slots = wp.empty((count, 512) if with_slots else (0, 0), dtype=wp.int32, device=device)
+    where = [tiles.coordinates, *lattice.arguments, lattice.surface._tree, wp.float64(shape.reach)]
+    if device.is_cpu:
+        from geokit.volume.band.distances_cpu_kernels import tile_distance_kernel
+
+        inputs = [*where, wp.float64(shape.offset)]
+        launcher.launch(tile_distance_kernel, count, inputs, [distance, slots], device, grain=8)
+        return distance, slots
+    from geokit.volume.band.distances_cuda_kernels import brick_kernel, voxel_kernel
+
+    bricks = wp.empty(8 * count, dtype=wp.int32, device=device)
+    launcher.launch(brick_kernel, 8 * count, where, [bricks], device)
+    step = VOXELS_AT_A_TIME // 512
+    for start in range(0, count, step):
+        inputs = [*where, wp.float64(shape.offset), bricks, start]
+        launcher.launch(voxel_kernel, 512 * min(step, count - start), inputs, [distance, slots], device)
+    return distance, slots
+
+
+def _bits(
+    lattice: Lattice,
+    shape: BandShape,
+    leaves: Leaves,
+    distance: "wp.array",
+    inside: "wp.array",
+    has_negative: HostArray,
+) -> list["wp.array"]:
+    """Bits of the active voxels and of those with negative values, and whether there are any of these."""
+    import warp as wp
+
+    from geokit.volume.band.band_kernels import bits_kernel
+
+    count, device = len(leaves.keys), lattice.device
+    bits = [wp.empty((count, 8), dtype=wp.uint64, device=device) for _ in range(2)]
+    inputs = [leaves.rows, distance, inside, wp.float32(shape.exterior), wp.float32(-shape.interior)]
+    launcher.launch(bits_kernel, 8 * count, inputs, [*bits, has_negative], device)
+    return bits
+
+
+def _kept(leaves: Leaves, chosen: "wp.array", bits: list["wp.array"]) -> tuple[Leaves, list["wp.array"]]:
+    """The leaves that are chosen, and their rows of the bits."""
+    import warp as wp
+
+    from geokit.volume.band.band_kernels import keep_bits_kernel, keep_rows_kernel
+
+    device = chosen.device
+    ends, count = counted(chosen)
+    rows = wp.empty(count, dtype=wp.int32, device=device)
+    keys = wp.empty(count, dtype=wp.int64, device=device)
+    launcher.launch(keep_rows_kernel, len(chosen), [chosen, ends, leaves.rows, leaves.keys], [rows, keys], device)
+    kept = []
+    for words in bits:
+        kept.append(wp.empty((count, 8), dtype=wp.uint64, device=device))
+        launcher.launch(keep_bits_kernel, len(chosen), [chosen, ends, words], [kept[-1]], device)
+    return Leaves(keys, leaves.tiles, rows, leaves.axes), kept

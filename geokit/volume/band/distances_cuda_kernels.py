@@ -1,0 +1,85 @@
+"""Unsigned distances of a band's voxels on CUDA: a thread each, bounded by the triangle nearest to its brick."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
+from geokit.mesh.bvh.nearest_kernels import nearest_slot
+from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
+
+# Half the diagonal of the 4^3 voxel centres of a brick, rounded up [voxels].
+BRICK_RADIUS = wp.constant(wp.float64(2.5980763))
+
+
+@wp.func
+def distance_from_slot(tree: SurfaceTree, slot: int, p: wp.vec3d) -> wp.float64:
+    a = tree.corners[3 * slot]
+    b = tree.corners[3 * slot + 1]
+    c = tree.corners[3 * slot + 2]
+    return wp.length(offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c)))
+
+
+@wp.kernel
+def brick_kernel(
+    first: int,
+    tiles: wp.array(dtype=wp.vec3i),
+    translation: wp.vec3d,
+    voxel_size: wp.float64,
+    tree: SurfaceTree,
+    reach: wp.float64,
+    out_slot: wp.array(dtype=int),
+):
+    """The slot nearest to the centre of each of a tile's eight bricks of 4^3 voxels; -1 where none of them is near."""
+    i = first + wp.tid()
+    tile = tiles[i >> 3] * 2 + wp.vec3i((i >> 2) & 1, (i >> 1) & 1, i & 1)
+    half = wp.float64(1.5)
+    index = wp.vec3d(wp.float64(4 * tile[0]), wp.float64(4 * tile[1]), wp.float64(4 * tile[2]))
+    p = (index + wp.vec3d(half, half, half)) * voxel_size + translation
+    radius = reach + BRICK_RADIUS * voxel_size
+    out_slot[i] = nearest_slot(tree, p, radius * radius, -1)
+
+
+@wp.kernel
+def voxel_kernel(
+    first: int,
+    tiles: wp.array(dtype=wp.vec3i),
+    translation: wp.vec3d,
+    voxel_size: wp.float64,
+    tree: SurfaceTree,
+    reach: wp.float64,
+    offset: wp.float64,
+    bricks: wp.array(dtype=int),
+    start: int,
+    out_distance: wp.array2d(dtype=wp.float32),
+    out_slot: wp.array2d(dtype=int),
+):
+    """Distance of a voxel less ``offset``, none over ``reach``; its brick's triangle bounds the search.
+
+    ``start`` is the tile of the first item: all voxels of a band may be more than a launch can count.
+    """
+    i = first + wp.tid()
+    row = start + (i >> 9)
+    # By bricks, so that neighbouring threads walk the same nodes.
+    brick = (i >> 6) & 7
+    x = 4 * (brick >> 2) + ((i >> 4) & 3)
+    y = 4 * ((brick >> 1) & 1) + ((i >> 2) & 3)
+    z = 4 * (brick & 1) + (i & 3)
+    voxel = 64 * x + 8 * y + z
+    distance = reach
+    slot = bricks[8 * row + brick]
+    if slot >= 0:
+        tile = tiles[row]
+        index = wp.vec3d(wp.float64(8 * tile[0] + x), wp.float64(8 * tile[1] + y), wp.float64(8 * tile[2] + z))
+        p = index * voxel_size + translation
+        # The brick's triangle is found again where it is the nearest: its own distance is not beyond the radius.
+        radius = wp.min(reach, distance_from_slot(tree, slot, p) * wp.float64(1.000000000001))
+        slot = nearest_slot(tree, p, radius * radius, slot)
+        if slot >= 0:
+            distance = wp.min(reach, distance_from_slot(tree, slot, p))
+    out_distance[row, voxel] = wp.float32(distance - offset)
+    if out_slot.shape[0] > 0:
+        out_slot[row, voxel] = slot

@@ -1,0 +1,138 @@
+"""What every builder of narrow bands shares: the prepared surface, half widths, grid heads, metadata."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import user_arrays
+from geokit.errors import InputError
+from geokit.volume._model import SparseVolume, made_on_device
+from geokit.volume.band.band import BandShape
+from geokit.volume.band.tiles import Lattice
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.nanovdb.provenance import content_hash, provenance
+from geokit.volume.tree.grid_head import checked_head
+
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._surface import Surface
+    from geokit.volume.band.band import Band
+    from geokit.volume.tree.device_writer import BuiltGrid
+
+__all__ = ["as_volume", "described", "field_of", "half_widths", "head_of", "in_float32"]
+
+
+def field_of(
+    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, device: Any
+) -> tuple[Surface, str, float]:
+    """The surface, how its signs are told (or "none"), and half the thickness of a shell."""
+    from geokit.mesh._surface import Surface
+
+    if sign not in SIGNS:
+        raise InputError(f"sign: {sign!r} is not a method; use one of {', '.join(map(repr, SIGNS))}")
+    offset = 0.0
+    if thickness is not None:
+        offset = 0.5 * user_arrays.require_finite_scalar(thickness, "thickness", low=0.0)
+        sign = "none"
+    surface = mesh if isinstance(mesh, Surface) else Surface(mesh, device=device)
+    return surface, "none" if sign == "none" else surface._method(sign), offset
+
+
+def half_widths(half_width: Any) -> tuple[float, float]:
+    pair = tuple(half_width) if isinstance(half_width, (tuple, list)) else (half_width, half_width)
+    if len(pair) != 2:
+        raise InputError(f"half_width: {half_width!r} has {len(pair)} widths; give one, or a pair: outside and inside")
+    widths = [user_arrays.require_finite_scalar(width, "half_width") for width in pair]
+    if min(widths) < 1.0:
+        raise InputError(f"half_width: {min(widths)} voxels cannot hold a sign change on each side; use at least 1")
+    return widths[0], widths[1]
+
+
+def in_float32(value: float) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))
+
+
+def head_of(shape: BandShape, lattice: Lattice, name: str) -> Any:
+    level_set = shape.method != "none" or shape.offset > 0.0
+    grid_class = "level set" if level_set else "unknown"
+    inside = -shape.interior if level_set else shape.exterior
+    return checked_head("float", shape.exterior, inside, lattice.transform, name, grid_class)
+
+
+def described(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
+    """Metadata of the fields that are made from a band; may warn of the pieces of the mesh that it lost."""
+    surface, method = band.lattice.surface, band.shape.method
+    reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
+    metadata: dict[str, Any] = {
+        **_origin(surface, band.lattice),
+        "geokit:sign_method": "shell" if band.shape.offset else method,
+        "geokit:sign_reason": reason,
+    }
+    if method != "none":
+        from geokit.volume.band.thin_components import lost_components
+
+        lost = lost_components(band, *_pieces_of(surface.mesh))
+        if lost:
+            metadata["geokit:lost_components"] = " ".join(map(str, lost))
+        if lost and warn:
+            warnings.warn(
+                f"{surface.mesh.name or 'mesh'}: {len(lost)} of its pieces are too thin for voxels of "
+                f"{band.lattice.voxel_size:g} and have no inside in the grid (the first is {lost[0]}); use smaller "
+                'voxels, or thickness; metadata "geokit:lost_components" lists them',
+                UserWarning,
+                stacklevel=3,
+            )
+    return metadata
+
+
+def as_volume(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume:
+    if grid.host is None:
+        return made_on_device(grid.buffer, info_of(grid.head, metadata, byte_count=len(grid.buffer)))
+    return SparseVolume(grid.host, info_of(grid.host, metadata))
+
+
+_hashes: WeakKeyDictionary[TriangleMesh, str] = WeakKeyDictionary()
+
+
+SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
+
+
+# Of meshes, for as long as they live.
+_pieces: WeakKeyDictionary[Any, tuple[NDArray[np.int32], int]] = WeakKeyDictionary()
+
+
+def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
+    """Connected piece of each face, counted in the order of their first faces, and how many there are.
+
+    Looked up where the mesh is known.
+    """
+    if mesh not in _pieces:
+        from geokit.mesh.topology.audit import face_parts
+
+        labels = face_parts(mesh)
+        if (labels == labels[0]).all():
+            _pieces[mesh] = np.zeros(len(labels), np.int32), 1
+        else:
+            _, first_face, piece = np.unique(labels, return_index=True, return_inverse=True)
+            numbers = np.argsort(np.argsort(first_face))[piece.reshape(-1)].astype(np.int32)
+            _pieces[mesh] = numbers, len(first_face)
+    return _pieces[mesh]
+
+
+def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
+    """Metadata of where a field is from."""
+    mesh = surface.mesh
+    return provenance(mesh.name, hash_of(mesh), lattice.voxel_size)
+
+
+def hash_of(mesh: TriangleMesh) -> str:
+    # Hashing takes as long as a small band: once for each mesh.
+    if mesh not in _hashes:
+        _hashes[mesh] = content_hash(mesh.vertices, mesh.faces)
+    return _hashes[mesh]

@@ -1,0 +1,149 @@
+"""Signs of a band's voxels: a few are asked of the surface, the others follow from their distances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.device_arena import Scratch
+from geokit.core.scan import counted
+from geokit.volume.band.tiles import Lattice
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["inside_bits"]
+
+# The distances of two neighbours on either side of a wall that is square to them add up to a voxel exactly; rounded to
+# float32 they may add up to a little more, and a flood must not pass there.
+FLOOD_MARGIN = 1.00001
+# Rounds over the diagonal neighbours of voxels that have no link along an axis. They tell a third of what is left; on a
+# GPU all wait for the leaf that has most of them, and to ask for them is quicker.
+ROUNDS_CPU, ROUNDS_CUDA = 2, 0
+# Rows of eight voxels that a thread looks at; on a GPU a thread for each is more than twice as quick.
+ROWS_CPU, ROWS_CUDA = 8, 1
+
+
+def inside_bits(
+    lattice: Lattice, tiles: "wp.array", rows: "wp.array", distance: "wp.array", active: "wp.array", method: str
+) -> "wp.array":
+    """For each leaf eight words whose bits say which of its voxels lie inside.
+
+    Where the surface is closed, one voxel is asked for each of a leaf's regions that the surface separates, and those
+    that are too near to it to belong to one; where it is open, whose sign changes in free space too, every active one.
+
+    Args:
+        lattice: The voxels.
+        tiles: Coordinates of all tiles, (T,) of vec3i.
+        rows: Tile of each leaf, (L,).
+        distance: Unsigned distances of the tiles' voxels (T, 512), cut off at the lattice's reach.
+        active: Bits of the leaves' voxels that may be active (L, 8).
+        method: How the surface tells inside from outside, as ``Surface.contains`` takes it.
+    Source:
+        Flooding: OpenVDB's meshToVolume. Differs: links between voxels come from exact distances, as bits.
+    """
+    import warp as wp
+
+    from geokit.volume.band import signs_kernels as kernels
+
+    count, device = len(rows), lattice.device
+    spacing = float(np.float32(lattice.voxel_size * FLOOD_MARGIN))
+    known = wp.zeros((count, 8), dtype=wp.uint64, device=device)
+    inside = wp.zeros((count, 8), dtype=wp.uint64, device=device)
+    asked = _Asked(lattice, [tiles, rows, *lattice.arguments], distance, method)
+    if not lattice.surface.is_closed:
+        asked.listed(active, known, inside)
+    regions = kernels.REGIONS * count
+    links, seeds = Scratch(device, ((count, 24), wp.uint64), ((regions,), wp.int32)).arrays
+    launcher.launch(kernels.links_kernel, 8 * count, [rows, distance, spacing], [links], device)
+    inputs = [rows, distance, links, known, kernels.LEAST_SHARE * spacing, float(np.float32(lattice.reach))]
+    launcher.launch(kernels.regions_kernel, count, inputs, [seeds], device, grain=64)
+    rounds = ROUNDS_CPU if device.is_cpu else ROUNDS_CUDA
+    inputs = [rows, distance, links, seeds, asked.regions(seeds), spacing, rounds]
+    launcher.launch(kernels.spread_kernel, count, inputs, [known, inside], device, grain=64)
+    asked.others(known, inside)
+    return inside
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the surface says of voxels; ``where`` are tiles, rows, translation and voxel size as kernels take them."""
+
+    lattice: Lattice
+    where: list[Any]
+    distance: "wp.array"
+    method: str
+
+    def regions(self, seeds: Any) -> "wp.array":
+        """For each region whether its voxel lies inside; anything where it has none."""
+        import warp as wp
+
+        from geokit.volume.band import inside_kernels, signs_kernels
+
+        device, regions = self.lattice.device, signs_kernels.REGIONS
+        answers = wp.zeros(len(seeds), dtype=wp.bool, device=device)
+        if self.method == "parity":
+            bits, inside = (wp.zeros((len(seeds) // regions, 8), dtype=wp.uint64, device=device) for _ in range(2))
+            launcher.launch(signs_kernels.seed_bits_kernel, len(bits), [regions, seeds], [bits], device)
+            self.listed(bits, bits, inside)
+            inputs = [regions, seeds, inside]
+            launcher.launch(signs_kernels.seed_answers_kernel, len(seeds), inputs, [answers], device)
+        elif self.method == "pseudonormal":
+            inputs = [regions, *self.where, *self._distance, seeds, *self._pseudonormals]
+            launcher.launch(inside_kernels.regions_behind_kernel, len(seeds), inputs, [answers], device)
+        else:
+            inputs = [regions, *self.where, seeds, *self.lattice.surface._winding_arguments()]
+            launcher.launch(inside_kernels.regions_wound_kernel, len(seeds), inputs, [answers], device)
+        return answers
+
+    def others(self, known: "wp.array", inside: "wp.array") -> None:
+        """Sets the bits of the voxels inside among those that are not known."""
+        import warp as wp
+
+        from geokit.volume.band import inside_kernels, signs_kernels
+
+        device, count = self.lattice.device, len(known)
+        if self.method == "parity":
+            left = wp.empty_like(known)
+            launcher.launch(signs_kernels.invert_bits_kernel, count, [known], [left], device)
+            self.listed(left, known, inside)
+            return
+        span = ROWS_CPU if device.is_cpu else ROWS_CUDA
+        if self.method == "pseudonormal":
+            inputs = [span, known, *self.where, *self._distance, *self._pseudonormals]
+            kernel = inside_kernels.voxels_behind_kernel
+        else:
+            inputs = [span, known, *self.where, *self.lattice.surface._winding_arguments()]
+            kernel = inside_kernels.voxels_wound_kernel
+        launcher.launch(kernel, 64 * count // span, inputs, [inside], device)
+
+    def listed(self, bits: "wp.array", known: "wp.array", inside: "wp.array") -> None:
+        """The same for the voxels whose ``bits`` are set, all of which are listed and asked at once."""
+        import warp as wp
+
+        from geokit.volume.band import signs_kernels as kernels
+
+        device, count = self.lattice.device, len(bits)
+        counts = wp.empty(count, dtype=wp.int32, device=device)
+        launcher.launch(kernels.count_bits_kernel, count, [bits], [counts], device)
+        ends, total = counted(counts)
+        if total == 0:
+            return
+        points = wp.empty(total, dtype=wp.vec3d, device=device)
+        launcher.launch(kernels.bit_positions_kernel, count, [bits, ends, counts, *self.where], [points], device)
+        answers = self.lattice.surface.contains(points, sign=self.method)
+        inputs = [bits, ends, counts, answers]
+        launcher.launch(kernels.take_answers_kernel, count, inputs, [known, inside], device)
+
+    @property
+    def _distance(self) -> list[Any]:
+        import warp as wp
+
+        return [self.distance, wp.float64(self.lattice.reach)]
+
+    @property
+    def _pseudonormals(self) -> list[Any]:
+        return [self.lattice.surface._tree, *self.lattice.surface._pseudonormals]

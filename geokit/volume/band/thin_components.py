@@ -1,0 +1,70 @@
+"""Pieces of a mesh that a band has lost: walls so thin that no voxel centre lies within them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.scan import counted
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.volume.band.band import Band
+
+__all__ = ["lost_components"]
+
+# Leaves whose voxels' nearest triangles are looked up at a time: what that takes does not grow with the band.
+LEAVES_AT_A_TIME = 1024
+
+
+def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> list[int]:
+    """Pieces of a mesh of which no face is the nearest to a negative voxel.
+
+    Args:
+        band: The band.
+        pieces: Piece of each face, (F,), counted from 0 in the order of their first faces.
+        piece_count: How many there are.
+    """
+    import warp as wp
+
+    from geokit.volume.band import signs_kernels as kernels
+
+    device, count = band.lattice.device, len(band.leaves.keys)
+    if piece_count == 1:
+        return [] if band.has_negative.numpy()[0] else [0]
+    found = np.zeros(piece_count, np.bool_)
+    both = wp.empty((count, 8), dtype=wp.uint64, device=device)
+    launcher.launch(kernels.common_bits_kernel, count, [band.active, band.negative], [both], device)
+    # Where the band ends one voxel within, the only negative voxels of a piece may be those beyond its end.
+    for bits in (both, band.negative):
+        _mark(band, bits, pieces, found)
+        if found.all():
+            return []
+    return [int(piece) for piece in np.flatnonzero(~found)]
+
+
+def _mark(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArray[np.bool_]) -> None:
+    """Sets ``found`` for the pieces that are nearest to a voxel whose bit is set."""
+    import warp as wp
+
+    from geokit.volume.band import signs_kernels as kernels
+
+    for start in range(0, len(bits), LEAVES_AT_A_TIME):
+        stop = min(len(bits), start + LEAVES_AT_A_TIME)
+        part, rows = bits[start:stop], band.leaves.rows[start:stop]
+        counts = wp.empty(stop - start, dtype=wp.int32, device=band.lattice.device)
+        launcher.launch(kernels.count_bits_kernel, stop - start, [part], [counts], counts.device)
+        ends, total = counted(counts)
+        if total == 0:
+            continue
+        points = wp.empty(total, dtype=wp.vec3d, device=counts.device)
+        inputs = [part, ends, counts, band.leaves.tiles, rows, *band.lattice.arguments]
+        launcher.launch(kernels.bit_positions_kernel, stop - start, inputs, [points], counts.device)
+        nearest = band.lattice.surface.closest_point(points)
+        found[np.unique(pieces[nearest.triangle_id.numpy()])] = True
+        if found.all():
+            return

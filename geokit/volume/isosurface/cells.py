@@ -1,0 +1,169 @@
+"""The cells of a sparse volume that an isosurface crosses, found from its leaves and from tiles beside them.
+
+A cell counts where the interpolant of order 1 takes the value in it and one of its eight voxels is active. No voxel
+outside the leaves is made: a tile is looked at where it differs from what is next to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core.device_arena import Scratch
+from geokit.core.pinned import host_flags
+from geokit.volume._model import SparseVolume
+from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
+from geokit.volume.isosurface.nodes import Topology, topology_of
+from geokit.volume.isosurface.tile_border_cells import add_rims, rim_origins
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["CrossedCells", "crossed_cells"]
+
+# Offset of the voxels in a leaf of floats.
+FLOAT_TABLE = 96
+# Memory of a block while its cells are found: planes, neighbours, places.
+BLOCK_BYTES = 160
+# Float32 copy of a leaf of another type.
+DECODED_BYTES = 2048
+
+
+@dataclass(frozen=True)
+class CrossedCells:
+    """What the extraction kernels need to know.
+
+    Attributes:
+        cells: The kernels' :class:`Cells`; it keeps its arrays alive.
+        count: Blocks that have crossed cells: the first of ``cells.crossed``.
+        device: Where the arrays are.
+        tree: The kernels' :class:`Tree`.
+        keep: What else must outlive the kernels.
+    """
+
+    cells: Any
+    tree: Any
+    count: int
+    device: "wp.Device"
+    keep: tuple[Any, ...]
+
+
+def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> CrossedCells:
+    """Find the blocks of 8^3 cells that the surface crosses.
+
+    Args:
+        volume: A scalar grid that :meth:`SparseVolume.on` accepts.
+        isovalue: Value of the surface.
+        device: A warp device.
+
+    Returns:
+        CrossedCells.
+
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+    """
+    import warp as wp
+
+    from geokit.volume.isosurface import cells_kernels as kernels
+
+    grid = volume.on(device)
+    topology = topology_of(volume)
+    leaves = len(topology.leaves.offset)
+    require_memory(leaves * (BLOCK_BYTES + (0 if topology.is_float else DECODED_BYTES)), device)
+
+    cells: Any = kernels.Cells()
+    cells.volume = wp.uint64(grid.id)
+    cells.leaf_count = leaves
+    cells.leaf_offset, cells.origin = topology.on(device)[:2]
+    lowers = len(topology.lower.offset)
+    # In one allocation: to make an array takes a GPU's host as long as a launch.
+    sides, refs, rims, tile_inside, around, *lists = Scratch(
+        device,
+        ((8 * leaves,), wp.uint64),
+        ((8 * leaves,), wp.int32),
+        ((leaves,), wp.uint8),
+        ((64 * lowers,), wp.uint64),
+        ((27 * lowers,), wp.int32),
+        *_lists(leaves),
+    ).arrays
+    cells.sides, cells.refs = sides.warp, refs.warp
+    keep = _find_sides(cells, topology, isovalue, device)
+    tree = _tree(cells, topology, isovalue, device, tile_inside.warp, around.warp)
+    some = host_flags(1, device)
+    mixed, place, crossed, slot = lists
+    launch_even(kernels.link_kernel, leaves, [cells, tree], [rims, some, mixed], device, least=GRAIN)
+    # Few level sets have rims: without them nothing is waited for until the crossed blocks are counted.
+    found = [] if topology.has_tiles else fill_offsets([mixed], [place])
+    if not found or some.numpy()[0]:
+        add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
+        mixed, place, crossed, slot = Scratch(device, *_lists(len(cells.origin))).arrays
+        launch_even(kernels.mixed_kernel, len(mixed), [cells], [mixed], device, least=GRAIN)
+        found = fill_offsets([mixed], [place])
+    cells.crossed, cells.slot = crossed.warp, slot.warp
+    launch_even(kernels.list_kernel, len(mixed), [mixed, place], [crossed, slot], device)
+    return CrossedCells(cells, tree, found[0], device, (volume, grid, keep))
+
+
+def _lists(blocks: int) -> list[tuple[tuple[int, ...], Any]]:
+    """Of arrays about blocks: whether each has crossed cells, how many such are before, their list, places in it."""
+    import warp as wp
+
+    return [((blocks,), wp.int32)] * 4
+
+
+def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) -> Any:
+    """Fills in ``cells.sides``, and where float32 values are found; returns what must be kept."""
+    import warp as wp
+
+    from geokit.volume.isosurface import cells_kernels as kernels
+
+    count = cells.leaf_count
+    keep = None
+    if topology.is_float:
+        first_leaf = int(topology.leaves.offset[0]) if count else 0
+        cells.values = wp.uint64(int(cells.volume) + first_leaf + FLOAT_TABLE)
+        cells.stride = wp.uint64(topology.layout.leaf_size)
+        cells.isovalue = wp.float64(isovalue)
+        # Below the isovalue are the floats below the first one that is not.
+        with np.errstate(over="ignore"):
+            limit = np.float32(isovalue)
+        if float(limit) < isovalue:
+            limit = np.nextafter(limit, np.float32(np.inf))
+    else:
+        keep = wp.empty(512 * count, dtype=wp.float32, device=device)
+        launch_even(kernels.decode_kernel, 64 * count, [cells, wp.float64(isovalue)], [keep], device)
+        cells.values = wp.uint64(keep.ptr or 0)
+        cells.stride = wp.uint64(DECODED_BYTES)
+        cells.isovalue = wp.float64(0.0)
+        limit = np.float32(0.0)
+    # A GPU reads rows of eight side by side, a CPU a leaf at a time.
+    if device.is_cuda:
+        launch_even(kernels.row_sides_kernel, 64 * count, [cells, wp.float32(limit)], [], device)
+    else:
+        launch_even(kernels.leaf_sides_kernel, count, [cells, wp.float32(limit)], [], device, least=GRAIN)
+    return keep
+
+
+def _tree(
+    cells: Any, topology: Topology, isovalue: float, device: Any, tile_inside: "wp.array", around: "wp.array"
+) -> Any:
+    """The kernels' struct of nodes, and what it is to hold of the tiles in and beside them."""
+    import warp as wp
+
+    from geokit.volume.isosurface import cells_kernels as kernels
+
+    tree: Any = kernels.Tree()
+    layout = topology.layout
+    tree.leaf_begin, tree.begin = (wp.uint64(begin) for begin in topology.begins[:2])
+    tree.size = wp.uint64(layout.lower_size)
+    tree.table = wp.uint64(layout.lower_table)
+    tree.leaf_size = wp.uint64(0 if layout.leaf_bits < 0 else layout.leaf_size)
+    _, _, tree.leaf_lower, tree.leaf_slot, origin = topology.on(device)
+    count = len(origin)
+    tree.tile_inside, tree.around = tile_inside, around
+    inputs = [cells.volume, wp.float64(isovalue), tree]
+    launch_even(kernels.tile_sides_kernel, 64 * count, inputs, [tree.tile_inside], device, least=GRAIN)
+    launch_even(kernels.lower_neighbors_kernel, 27 * count, [*inputs, origin], [tree.around], device)
+    return tree

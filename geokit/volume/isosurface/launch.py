@@ -1,0 +1,112 @@
+"""Launches, offsets and memory of the steps that make a mesh of an isosurface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import available_memory, launcher
+from geokit.core.device_arena import Scratch, ScratchArray
+from geokit.core.pinned import host_arrays
+from geokit.errors import DeviceMemoryError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["GRAIN", "PLANES", "fill_offsets", "launch_even", "launch_planes", "require_memory", "used_only"]
+
+# Planes of 64 cells in a block.
+PLANES = 8
+# Vertices and faces are numbered by int32.
+LARGEST = 2**31 - 1
+# So many planes have fewer: a plane has at most 320 faces (64 cells of 5).
+SAFE_PLANES = LARGEST // 320
+# Slices of a launch per thread: a slice costs 60 us, and the work of these kernels is spread evenly.
+SLICES = 3
+# Fewest blocks worth a slice.
+GRAIN = 32
+# So much there is, or nothing else would run: to ask takes as long as two kernels of a small surface.
+UNASKED_BYTES = 1 << 24
+
+
+def launch_planes(kernel: Any, planes: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
+    """Launch a kernel whose items are planes, of eight to a block."""
+    span = 1 if device.is_cuda else PLANES
+    launch_even(kernel, planes // span, [span, *inputs], outputs, device, least=GRAIN)
+
+
+def launch_even(
+    kernel: Any, count: int, inputs: list[Any], outputs: list[Any], device: "wp.Device", least: int = 512
+) -> None:
+    grain = max(least, -(-count // (SLICES * launcher.thread_count()))) if device.is_cpu else 0
+    launcher.launch(kernel, count, inputs, outputs, device, grain=grain)
+
+
+def fill_offsets(counts: Sequence[ScratchArray], starts: Sequence[ScratchArray]) -> list[int]:
+    """Where each item's results start, and how many there are in all, of one kind of results or of two.
+
+    Args:
+        counts: For each kind the results of each item, int32; as many items of either, of one device.
+        starts: For each kind what is filled in, int32, as long.
+    Returns:
+        Number of results of each kind.
+    Raises:
+        DeviceMemoryError: More than int32 can number.
+    """
+    import warp as wp
+
+    from geokit.volume.isosurface.cells_kernels import totals_kernel
+
+    device, items = counts[0].device, len(counts[0])
+    (totals,) = host_arrays(device, ((len(counts),), np.int32))
+    totals.values.fill(0)
+    for some, start in zip(counts, starts, strict=True):
+        if items > SAFE_PLANES and int(some.numpy().sum(dtype=np.int64)) > LARGEST:
+            raise DeviceMemoryError(
+                f"volume: its surface has more than {LARGEST} vertices or faces; resample it to larger voxels"
+            )
+        wp.utils.array_scan(some.warp, start.warp, inclusive=False)
+    inputs = [counts[0], starts[0], counts[-1], starts[-1]]
+    launcher.launch(totals_kernel, len(counts) if items else 0, inputs, [totals], device)
+    found: list[int] = totals.numpy().tolist()
+    return found
+
+
+def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.array"]:
+    """Without the vertices that no face uses: those of edges between voxels that are not active.
+
+    Args:
+        vertices: (V,) of vec3d.
+        faces: Their numbers, (3 F,) of int32.
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+    """
+    import warp as wp
+
+    from geokit.volume.isosurface import compact_vertices_kernels as kernels
+
+    device = vertices.device
+    require_memory(32 * len(vertices) + 4 * len(faces), device)
+    used, place = Scratch(device, *[((len(vertices),), wp.int32)] * 2, zeroed=True).arrays
+    launch_even(kernels.mark_used_kernel, len(faces), [faces], [used], device)
+    (count,) = fill_offsets([used], [place])
+    if count == len(vertices):
+        return vertices, faces
+    kept = wp.empty(count, dtype=wp.vec3d, device=device)
+    launch_even(kernels.keep_used_kernel, len(vertices), [vertices, used, place], [kept], device)
+    renumbered = wp.empty(len(faces), dtype=wp.int32, device=device)
+    launch_even(kernels.renumber_kernel, len(faces), [faces, place], [renumbered], device)
+    return kept, renumbered
+
+
+def require_memory(need: int, device: Any) -> None:
+    if need <= UNASKED_BYTES:
+        return
+    have = min(available_memory.available(device), available_memory.available_host())
+    if need > have:
+        raise DeviceMemoryError(
+            f"volume: finding its surface needs about {need >> 20} MiB of the {have >> 20} MiB free on "
+            f"{device.alias}; resample it to larger voxels"
+        )

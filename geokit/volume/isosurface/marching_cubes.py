@@ -1,0 +1,74 @@
+"""Marching cubes of a sparse volume, on the CPU or a GPU."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+from geokit.core.device_arena import Scratch
+from geokit.core.pinned import host_flags
+from geokit.volume._model import SparseVolume
+from geokit.volume.isosurface.cells import crossed_cells
+from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
+from geokit.volume.isosurface.marching_cubes_cases import triangle_table
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["marching_cubes"]
+
+
+def marching_cubes(
+    volume: SparseVolume, isovalue: float, device: Any, *, turned: bool
+) -> tuple["wp.array", "wp.array"]:
+    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
+
+    Args:
+        volume: A scalar grid.
+        isovalue: Value of the surface.
+        device: A warp device.
+        turned: Faces that turn to decreasing values instead of increasing ones, in index space.
+
+    Returns:
+        Vertices and triangles in the order of leaves and voxels; on the device.
+
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+
+    Source:
+        Lorensen and Cline, Marching Cubes (1987). Differs: inside corners at the ends of a face's diagonal are cut off
+        one by one, on both sides of the face, and no triangle has a diagonal in a face: edges have two faces.
+    """
+    import warp as wp
+
+    from geokit.volume.isosurface import marching_cubes_kernels as kernels
+
+    found = crossed_cells(volume, isovalue, device)
+    planes = PLANES * found.count
+    start, edges = _tables(device.alias)
+    shapes = [((3 * planes,), wp.uint64), *[((planes,), wp.int32)] * 4]
+    records, vertices, triangles, base, first_triangle = Scratch(device, *shapes).arrays
+    flag = host_flags(1, device)
+    outputs = [records, vertices, triangles, flag]
+    launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
+    vertex_count, triangle_count = fill_offsets([vertices, triangles], [base, first_triangle])
+    has_dead = flag.numpy()[0]  # before there is more to wait for
+    require_memory(24 * vertex_count + 12 * triangle_count, device)
+    transform = volume.info.transform
+    linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
+    vertex = wp.empty(vertex_count, dtype=wp.vec3d, device=device)
+    inputs = [found.cells, records, base, wp.float64(isovalue), linear, offset]
+    launch_planes(kernels.vertices_kernel, planes, inputs, [vertex], device)
+    faces = wp.empty(3 * triangle_count, dtype=wp.int32, device=device)
+    inputs = [found.cells, start, edges, records, base, first_triangle, int(turned)]
+    launch_planes(kernels.triangles_kernel, planes, inputs, [faces], device)
+    return used_only(vertex, faces) if has_dead else (vertex, faces)
+
+
+@functools.lru_cache(maxsize=16)
+def _tables(device: str) -> tuple["wp.array", "wp.array"]:
+    """The triangles of all cases on a device: where those of each start, and the edges of their corners."""
+    import warp as wp
+
+    start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
+    return start, edges

@@ -1,0 +1,125 @@
+"""Surface nets of a sparse volume, on the CPU or a GPU."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+from geokit.core import launcher
+from geokit.core.device_arena import Scratch, ScratchArray
+from geokit.core.pinned import host_flags
+from geokit.volume._model import SparseVolume
+from geokit.volume.isosurface.cells import CrossedCells, crossed_cells
+from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
+from geokit.volume.isosurface.marching_cubes_cases import loop_table, sum_table
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.core.host_array import HostArray
+
+__all__ = ["surface_nets"]
+
+# Flags of the count: some cells may have to be joined, some vertices may be unused.
+HAS_PROBLEM, HAS_DEAD = 0, 1
+
+
+def surface_nets(
+    volume: SparseVolume, isovalue: float, device: Any, *, turned: bool, sharp: bool = False
+) -> tuple["wp.array", "wp.array"]:
+    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
+
+    Args:
+        volume: A scalar grid.
+        isovalue: Value of the surface.
+        device: A warp device.
+        turned: Faces that turn to decreasing values instead of increasing ones, in index space.
+
+    Returns:
+        Vertices in the order of leaves and voxels, a pair of triangles for each crossed edge; on the device.
+
+    Raises:
+        DeviceMemoryError: There is not enough memory.
+
+    Source:
+        Gibson, Constrained Elastic Surface Nets (1998). Differs: vertices stay at the mean of the crossings, and a cell
+        has one for each sheet, so that edges have two faces.
+    """
+    import warp as wp
+
+    from geokit.volume.isosurface import surface_nets_kernels as kernels
+
+    found = crossed_cells(volume, isovalue, device)
+    planes = PLANES * found.count
+    table, sums = _tables(device.alias)
+    flips, records, counts, starts, flags = _count(found, table, planes, isovalue)
+    base, first_quad = starts
+    vertex_count, quad_count = fill_offsets(counts, starts)
+    has_dead = flags.numpy()[HAS_DEAD]  # before there is more to wait for
+    require_memory(24 * (vertex_count + quad_count), device)
+    shared = [found.cells, table, flips, records, base]
+    transform = volume.info.transform
+    linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
+    vertex = wp.empty(vertex_count, dtype=wp.vec3d, device=device)
+    if sharp:
+        from geokit.volume.isosurface import dual_contouring_kernels as sharpening
+
+        inputs = [*shared, *_around(found, isovalue), linear, offset]
+        launch_planes(sharpening.sharpen_kernel, planes, inputs, [vertex], device)
+    else:
+        inputs = [found.cells, table, sums, *shared[2:], wp.float64(isovalue), linear, offset]
+        launch_planes(kernels.vertices_kernel, planes, inputs, [vertex], device)
+    faces = wp.empty(6 * quad_count, dtype=wp.int32, device=device)
+    inputs = [*shared, first_quad, int(turned), vertex]
+    launch_planes(kernels.quads_kernel, planes, inputs, [faces], device)
+    return used_only(vertex, faces) if has_dead else (vertex, faces)
+
+
+@functools.lru_cache(maxsize=16)
+def _tables(device: str) -> tuple["wp.array", "wp.array"]:
+    """The loops of all cases, and what their edges add up to, on a device."""
+    import warp as wp
+
+    loops, sums = (wp.array(table, dtype=wp.uint32, device=device) for table in (loop_table(), sum_table()))
+    return loops, sums
+
+
+def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
+    """What stands in the 27 places around each crossed block."""
+    import warp as wp
+
+    from geokit.volume.isosurface import dual_contouring_kernels as kernels
+
+    count, device = kernels.AROUND * found.count, found.device
+    leaf = wp.empty(count, dtype=wp.int32, device=device)
+    tile = wp.empty(count, dtype=wp.float64, device=device)
+    inputs = [found.cells, found.tree, wp.float64(isovalue)]
+    launcher.launch(kernels.around_kernel, count, inputs, [leaf, tile], device)
+    return [leaf, tile]
+
+
+def _count(
+    found: CrossedCells, table: "wp.array", planes: int, isovalue: float
+) -> tuple[ScratchArray, ScratchArray, list[ScratchArray], list[ScratchArray], HostArray]:
+    """Joined cells, records, the numbers of vertices and quads of each plane, room for their sums; flags of what is."""
+    import warp as wp
+
+    from geokit.volume.isosurface import surface_nets_cases_kernels as kernels
+
+    device = found.device
+    words = [((size * planes,), wp.uint64) for size in (1, 1, kernels.RECORD)]
+    problems, flips, records, *sums = Scratch(device, *words, *[((planes,), wp.int32)] * 4).arrays
+    flags = host_flags(2, device)
+    outputs = [flips, records, problems, *sums[:2], flags]
+    launch_planes(kernels.count_kernel, planes, [found.cells, table], outputs, device)
+    if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:
+        inputs = [found.cells, table, problems, wp.float64(isovalue)]
+        launch_planes(kernels.flips_kernel, planes, inputs, [flips], device)
+        inputs = [found.cells, table, flips, problems]
+        launch_planes(kernels.count_joined_kernel, planes, inputs, [records, sums[0]], device)
+    return flips, records, sums[:2], sums[2:], flags
+
+
+def _asks_for_problems(device: "wp.Device") -> bool:
+    """Whether to look for cells to be joined takes less than to wait for the flag that says that there are some."""
+    return bool(device.is_cuda)

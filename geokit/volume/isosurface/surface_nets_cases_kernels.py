@@ -1,0 +1,178 @@
+"""How many sheets of an isosurface are in each cell, and which edges of the grid they cross.
+
+Where a face has inside corners at the ends of a diagonal, and each of its two cells one sheet through both cuts of the
+face, a vertex per sheet would give an edge with four faces. There the inside corners are joined on that face, in both
+cells: each then has one sheet more.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.isosurface.cells_kernels import PLANES, RECORD, Cells, value_at
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# What a plane's count holds.
+QUADS_SHIFT = 16
+HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
+COUNT_MASK = wp.constant(0xFFF)
+
+# Names that the text expects: cells, plane, table, flips. `table` has a word for each case, and one for each case with
+# the face joined that is named in it: two bits for the loop of each edge, the number of loops, the problem face + 1.
+CASES = f"""
+    {PLANES}
+    auto word_of = [&](int code, int plane, int bit) -> unsigned {{
+        return table.data[code + (int)(flips.data[plane] >> bit & 1ull) * 256];
+    }};
+    auto loop_count = [](unsigned word) {{ return (int)(word >> 24 & 7u); }};
+    // The voxels of plane x of a block's cells.
+    auto cell_corners = [&](int block, int x, auto which, u64* out) {{
+        corners(cells.refs.data + 8ll * block, x, which, out);
+        corners(cells.refs.data + 8ll * block, x + 1, which, out + 4);
+    }};
+"""
+
+_COUNT_SNIPPET = f"""
+    {CASES}
+    const int block = cells.crossed.data[plane >> 3], x = plane & 7;
+    u64* record = records.data + {RECORD}ll * plane;
+    u64 c[8];
+    cell_corners(block, x, inside_plane, c);
+    u64 any = 0, all = ~0ull;
+    for (int n = 0; n < 8; ++n) {{ any |= c[n]; all &= c[n]; }}
+    u64 crossed = any & ~all;
+    for (int n = 0; n < {RECORD}; ++n) record[n] = 0;
+    problems.data[plane] = 0;
+    if (!crossed) return 0;
+    u64 a[8], live = 0, dead = 0;
+    cell_corners(block, x, active_plane, a);
+    for (int n = 0; n < 8; ++n) live |= a[n];
+    crossed &= live;
+    for (int step = 4; step; step >>= 1)
+        for (int n = 0; n < 8; ++n) if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
+    const int quads = (int)(count_bits((c[3] ^ c[7]) & (a[3] | a[7])) + count_bits((c[5] ^ c[7]) & (a[5] | a[7]))
+        + count_bits((c[6] ^ c[7]) & (a[6] | a[7])));
+    record[0] = crossed;
+    u64 problem = 0;
+    for (u64 rest = crossed; rest; rest &= rest - 1) {{
+        const int bit = (int)first_bit(rest);
+        const unsigned word = word_of(case_of(c, bit), plane, bit);
+        for (int n = 1; n < loop_count(word); ++n) record[n] |= 1ull << bit;
+        if (word >> 27) problem |= 1ull << bit;
+    }}
+    problems.data[plane] = problem;
+    int vertices = 0;
+    for (int n = 0; n < {RECORD}; ++n) vertices += (int)count_bits(record[n]);
+    return vertices | quads << {QUADS_SHIFT} | (dead & crossed ? 1 << 29 : 0) | (problem ? 1 << 30 : 0);
+"""
+
+_CASES_SNIPPET = f"""
+    {CASES}
+    u64 c[8];
+    cell_corners(cells.crossed.data[plane >> 3], plane & 7, inside_plane, c);
+    return case_of(c, bit);
+"""
+
+
+@wp.func_native(_COUNT_SNIPPET)
+def count_plane(
+    cells: Cells,
+    table: wp.array(dtype=wp.uint32),
+    flips: wp.array(dtype=wp.uint64),
+    plane: int,
+    records: wp.array(dtype=wp.uint64),
+    problems: wp.array(dtype=wp.uint64),
+) -> int:
+    """Vertices, quads and flags of a plane; writes which of its cells have how many sheets."""
+    ...
+
+
+@wp.func_native(_CASES_SNIPPET)
+def case_at(
+    cells: Cells, table: wp.array(dtype=wp.uint32), flips: wp.array(dtype=wp.uint64), plane: int, bit: int
+) -> int:
+    """The case of a cell; ``flips`` is not read."""
+    ...
+
+
+@wp.kernel
+def count_kernel(
+    first: int,
+    span: int,
+    cells: Cells,
+    table: wp.array(dtype=wp.uint32),
+    out_flips: wp.array(dtype=wp.uint64),
+    out_records: wp.array(dtype=wp.uint64),
+    out_problems: wp.array(dtype=wp.uint64),
+    out_vertices: wp.array(dtype=int),
+    out_quads: wp.array(dtype=int),
+    out_flags: wp.array(dtype=int),
+):
+    """Sheets and quads of planes of which no cell has a joined face."""
+    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
+        out_flips[plane] = wp.uint64(0)
+        found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
+        out_vertices[plane] = found & COUNT_MASK
+        out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
+        # Whoever writes here writes the same.
+        if (found & HAS_PROBLEM) != 0:
+            out_flags[0] = 1
+        if (found & HAS_DEAD) != 0:
+            out_flags[1] = 1
+
+
+@wp.kernel
+def count_joined_kernel(
+    first: int,
+    span: int,
+    cells: Cells,
+    table: wp.array(dtype=wp.uint32),
+    flips: wp.array(dtype=wp.uint64),
+    problems: wp.array(dtype=wp.uint64),
+    out_records: wp.array(dtype=wp.uint64),
+    out_vertices: wp.array(dtype=int),
+):
+    """As count_kernel, for planes of which some cells have a joined face: these have one more sheet."""
+    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
+        if flips[plane] != wp.uint64(0):
+            found = count_plane(cells, table, flips, plane, out_records, problems)
+            out_vertices[plane] = found & COUNT_MASK
+
+
+@wp.func
+def case_of_values(volume: wp.uint64, isovalue: wp.float64, i: int, j: int, k: int) -> int:
+    code = int(0)
+    for c in range(8):
+        if value_at(volume, i + c / 4, j + (c / 2) % 2, k + c % 2) < isovalue:
+            code = code | (1 << c)
+    return code
+
+
+@wp.kernel
+def flips_kernel(
+    first: int,
+    span: int,
+    cells: Cells,
+    table: wp.array(dtype=wp.uint32),
+    problems: wp.array(dtype=wp.uint64),
+    isovalue: wp.float64,
+    out_flips: wp.array(dtype=wp.uint64),
+):
+    """Cells that have one loop through both cuts of a face, as the cell beyond that face has."""
+    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
+        problem = problems[plane]
+        flips = wp.uint64(0)
+        if problem != wp.uint64(0):
+            corner = cells.origin[cells.crossed[plane / 8]]
+            for bit in range(64):
+                if (problem >> wp.uint64(bit)) & wp.uint64(1) != wp.uint64(0):
+                    face = int(table[case_at(cells, table, out_flips, plane, bit)] >> wp.uint32(27)) - 1
+                    step = 2 * (face % 2) - 1
+                    at = corner + wp.vec3i(plane % 8, bit / 8, bit % 8)
+                    at[face / 2] = at[face / 2] + step
+                    beyond = case_of_values(cells.volume, isovalue, at[0], at[1], at[2])
+                    # The same face has the other side there.
+                    if int(table[beyond] >> wp.uint32(27)) - 1 == face - step:
+                        flips = flips | (wp.uint64(1) << wp.uint64(bit))
+        out_flips[plane] = flips

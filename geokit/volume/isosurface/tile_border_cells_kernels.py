@@ -1,0 +1,146 @@
+"""Rims: blocks of tiles beside the leaves, or beside other tiles, of which an isosurface crosses some cells."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.isosurface.cells_kernels import (
+    ACTIVE_TILE,
+    AROUND,
+    INSIDE_TILE,
+    Cells,
+    Tree,
+    leaf_at,
+    tile_ref,
+    value_at,
+)
+from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+_TILE_RIMS_SNIPPET = f"""
+    {AROUND}
+    look_around((int*)0);
+    int rims = 0;
+    for (int e = 0; e < 8; ++e) if (is_rim(e, false, false)) rims |= 1 << e;
+    return rims;
+"""
+
+_FIND_RIM_SNIPPET = """
+    // Rims are sorted by x, then y, then z.
+    const wp::vec_t<3, int>* rims = cells.origin.data + cells.leaf_count;
+    int low = 0, high = rim_count;
+    while (low < high) {
+        const int middle = (low + high) / 2;
+        const wp::vec_t<3, int>& r = rims[middle];
+        const bool before = r[0] != i ? r[0] < i : r[1] != j ? r[1] < j : r[2] < k;
+        if (before) low = middle + 1; else high = middle;
+    }
+    const bool found = low < rim_count && rims[low][0] == i && rims[low][1] == j && rims[low][2] == k;
+    return found ? cells.leaf_count + low : -1;
+"""
+
+
+@wp.func_native(_TILE_RIMS_SNIPPET)
+def tile_rims(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
+    """As link_leaf, for the slot of an active tile: itself and the tiles below it that may have crossed cells."""
+    ...
+
+
+@wp.func_native(_FIND_RIM_SNIPPET)
+def find_rim(cells: Cells, rim_count: int, i: int, j: int, k: int) -> int:
+    """The rim that starts at a voxel, -1 for none."""
+    ...
+
+
+@wp.kernel
+def tile_rims_kernel(
+    first: int,
+    cells: Cells,
+    tree: Tree,
+    lower: wp.array(dtype=int),
+    slot: wp.array(dtype=int),
+    out_rims: wp.array(dtype=wp.uint8),
+):
+    tile = first + wp.tid()
+    out_rims[tile] = wp.uint8(tile_rims(cells, tree, lower[tile], slot[tile]))
+
+
+@wp.kernel
+def large_tile_rims_kernel(
+    first: int,
+    volume: wp.uint64,
+    isovalue: wp.float64,
+    origin: wp.array(dtype=wp.vec3i),
+    out_rims: wp.array(dtype=wp.uint8),
+):
+    """As tile_rims_kernel, for blocks of tiles that are larger than a block."""
+    item = first + wp.tid()
+    corner = origin[item]
+    kind = grid_type_of(volume)
+    rims = int(0)
+    for e in range(8):
+        low = corner - 8 * wp.vec3i(e / 4, (e / 2) % 2, e % 2)
+        some_in = int(0)
+        some_out = int(0)
+        for d in range(8):
+            at = low + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+            if is_leaf(node_of(volume, kind, at[0], at[1], at[2])):
+                if d == 0:
+                    break
+            elif value_at(volume, at[0], at[1], at[2]) < isovalue:
+                some_in = 1
+            else:
+                some_out = 1
+        if some_in + some_out == 2:
+            rims = rims | (1 << e)
+    out_rims[item] = wp.uint8(rims)
+
+
+@wp.kernel
+def rim_kernel(
+    first: int,
+    cells: Cells,
+    tree: Tree,
+    isovalue: wp.float64,
+    rim_count: int,
+    out_sides: wp.array(dtype=wp.uint64),
+    out_active: wp.array(dtype=wp.uint8),
+    out_refs: wp.array(dtype=int),
+):
+    """Planes, state and upper neighbours of a block of tiles."""
+    rim = first + wp.tid()
+    block = cells.leaf_count + rim
+    corner = cells.origin[block]
+    volume = cells.volume
+    kind = grid_type_of(volume)
+    code = -1 - tile_ref(volume, isovalue, corner[0], corner[1], corner[2])
+    word = wp.uint64(0)
+    if (code & INSIDE_TILE) != 0:
+        word = ~word
+    for x in range(8):
+        out_sides[8 * block + x] = word
+    out_active[rim] = wp.uint8(code / ACTIVE_TILE)
+    for d in range(8):
+        at = corner + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+        node = node_of(volume, kind, at[0], at[1], at[2])
+        ref = int(0)
+        if is_leaf(node):
+            ref = leaf_at(cells, tree, node)
+        else:
+            ref = find_rim(cells, rim_count, at[0], at[1], at[2])
+            if ref < 0:
+                ref = tile_ref(volume, isovalue, at[0], at[1], at[2])
+        out_refs[8 * block + d] = ref
+
+
+@wp.kernel
+def leaf_rims_kernel(first: int, cells: Cells, rim_count: int, out_refs: wp.array(dtype=int)):
+    """Where a block above a leaf is a rim, its number."""
+    item = first + wp.tid()
+    if out_refs[item] < 0:
+        d = item % 8
+        at = cells.origin[item / 8] + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+        rim = find_rim(cells, rim_count, at[0], at[1], at[2])
+        if rim >= 0:
+            out_refs[item] = rim

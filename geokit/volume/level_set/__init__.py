@@ -1,0 +1,1 @@
+"""Level sets that change: redistancing, features, neighbors of leaves, morphology."""

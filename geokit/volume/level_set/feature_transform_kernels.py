@@ -1,0 +1,276 @@
+"""Distances beyond the voxels where they are known, each from the nearest feature (``features_kernels``).
+
+Every voxel takes the feature whose foot is nearest among those of its 26 neighbours on its own side, round by round,
+until none changes; its distance is that from the feature's piece of surface.
+"""
+
+from typing import Any
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.level_set.features_kernels import Features
+from geokit.volume.level_set.leaf_neighbors_kernels import bit_of
+from geokit.volume.level_set.mask_dilation_kernels import cube_around
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
+
+
+@wp.kernel
+def reached_box_kernel(first: int, reached: wp.array(dtype=wp.uint64), out_box: wp.array2d(dtype=int)):
+    """First and last voxel of a leaf among those told by bits, 8 and -1 where there is none."""
+    t = first + wp.tid()
+    lowest = wp.vec3i(8, 8, 8)
+    highest = wp.vec3i(-1, -1, -1)
+    for n in range(512):
+        if bit_of(reached, (t << 9) + n):
+            c = wp.vec3i(n >> 6, (n >> 3) & 7, n & 7)
+            lowest = wp.min(lowest, c)
+            highest = wp.max(highest, c)
+    for e in range(3):
+        out_box[t, e] = lowest[e]
+        out_box[t, 3 + e] = highest[e]
+
+
+@wp.kernel
+def has_changed_kernel(
+    first: int,
+    changed: wp.array(dtype=wp.uint64),
+    out_has_changed: wp.array(dtype=wp.uint8),
+):
+    """Which leaves have changed voxels."""
+    t = first + wp.tid()
+    some = wp.uint64(0)
+    for x in range(8):
+        some = some | changed[8 * t + x]
+    out_has_changed[t] = wp.uint8(wp.where(some != wp.uint64(0), 1, 0))
+
+
+# As C++: the same with warp's own indexing takes twice as long. The row of a voxel is in the table of neighbours at
+# 9 (x >> 3) + 3 (y >> 3) + (z >> 3) + 13. Ways are compared by their squares, rounded to float32.
+_NEAREST_SNIPPET = """
+    const auto square = [](float way) { return way * way; };
+    const int* const rows = beside.data + 27 * t;
+    const double* const foot = (const double*)feet.data;
+    const unsigned long long* const bits = (const unsigned long long*)changed.data;
+    const auto length_of = [=](int name) {
+        const double* const s = foot + 4 * (name >> 1);
+        const double a = i - s[0], b = j - s[1], c = k - s[2];
+        const float way = (float)(a * a + b * b + c * c);
+        return s[3] > 0.0 ? square((float)s[3] + wp::sqrt(way)) : way;
+    };
+    int best = nearest.data[(t << 9) + (x << 6) + (y << 3) + z], last = best;
+    float shortest = best < 0 ? square(reach) : length_of(best);
+    // Within three voxels of the surface a second look changes nothing that matters (docs/design/operations.md).
+    if (best >= 0 && shortest < 9.0f) return best;
+    for (int u = x - 1; u <= x + 1; ++u)
+        for (int v = y - 1; v <= y + 1; ++v) {
+            const int side = 9 * (u >> 3) + 3 * (v >> 3) + 13, line = 8 * (v & 7);
+            const int middle = rows[side];
+            // Three voxels along z: whether each has changed.
+            unsigned three = middle < 0 ? 0u : (unsigned)(bits[8 * middle + (u & 7)] >> line & 255ull) << 1;
+            const int below = rows[side - 1], above = rows[side + 1];
+            if (z == 0 && below >= 0) three |= (unsigned)(bits[8 * below + (u & 7)] >> (line + 7) & 1ull);
+            if (z == 7 && above >= 0) three |= (unsigned)(bits[8 * above + (u & 7)] >> line & 1ull) << 9;
+            three = three >> z & 7u;
+            for (int w = z - 1; three != 0u; ++w, three >>= 1) {
+                if (!(three & 1u)) continue;
+                const int name = nearest.data[(rows[side + (w >> 3)] << 9) + ((u & 7) << 6) + line + (w & 7)];
+                if (name == last || name == best || (name & 1) != inner) continue;
+                last = name;
+                const float length = length_of(name);
+                if (length < shortest || (length == shortest && name < best)) {
+                    shortest = length;
+                    best = name;
+                }
+            }
+        }
+    return best;
+"""
+
+
+@wp.func_native(_NEAREST_SNIPPET)
+def nearest_of(
+    nearest: wp.array(dtype=int),
+    changed: wp.array(dtype=wp.uint64),
+    beside: wp.array2d(dtype=int),
+    feet: wp.array(dtype=wp.vec4d),
+    reach: wp.float32,
+    inner: int,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    i: wp.float64,
+    j: wp.float64,
+    k: wp.float64,
+) -> int:
+    """The feature of the shortest way to voxel (x, y, z) of row t, which is (i, j, k), and the first of several.
+
+    Of its own and those of its changed neighbours on its side; none that is not nearer than ``reach``.
+    """
+    ...
+
+
+@wp.kernel
+def spread_kernel(
+    first: int,
+    tiles: wp.array(dtype=wp.vec3i),
+    beside: wp.array2d(dtype=int),
+    inside: wp.array(dtype=wp.uint64),
+    still: wp.array(dtype=wp.uint64),
+    feet: wp.array(dtype=wp.vec4d),
+    reach: wp.float32,
+    nearest: wp.array(dtype=int),
+    changed: wp.array(dtype=wp.uint64),
+    has_changed: wp.array(dtype=wp.uint8),
+    reached: wp.array(dtype=wp.uint64),
+    out_next: wp.array(dtype=int),
+    out_changed: wp.array(dtype=wp.uint64),
+):
+    """One round for the voxels of a plane: the feature of shortest way among the neighbours', the first of several.
+
+    Only neighbours that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
+    new feature stands in ``out_next``.
+    """
+    i = first + wp.tid()
+    t = i >> 3
+    x = i & 7
+    awake = wp.uint8(0)
+    for m in range(27):
+        row = beside[t, m]
+        if row >= 0:
+            awake = awake | has_changed[row]
+    todo = wp.uint64(0)
+    if awake != wp.uint8(0):
+        todo = ~still[i] & (changed[i] | ~reached[i])
+        if todo != wp.uint64(0):
+            todo = todo & cube_around(changed, wp.uint64(0), beside, t, x)
+    word = wp.uint64(0)
+    if todo != wp.uint64(0):
+        corner = 8 * tiles[t]
+        for n in range(64):
+            bit = wp.uint64(1) << wp.uint64(n)
+            if (todo & bit) != wp.uint64(0):
+                at = (i << 6) + n
+                side = wp.where(bit_of(inside, at), 1, 0)
+                v = wp.vec3d(corner + wp.vec3i(x, n >> 3, n & 7))
+                best = nearest_of(nearest, changed, beside, feet, reach, side, t, x, n >> 3, n & 7, v[0], v[1], v[2])
+                if best != nearest[at]:
+                    word = word | bit
+                    out_next[at] = best
+    out_changed[i] = word
+
+
+@wp.kernel
+def take_kernel(
+    first: int,
+    changed: wp.array(dtype=wp.uint64),
+    next: wp.array(dtype=int),
+    out_nearest: wp.array(dtype=int),
+    out_reached: wp.array(dtype=wp.uint64),
+):
+    """The end of a round: voxels that change take their new features."""
+    i = first + wp.tid()
+    word = changed[i]
+    if word != wp.uint64(0):
+        out_reached[i] = out_reached[i] | word
+        for n in range(64):
+            if ((word >> wp.uint64(n)) & wp.uint64(1)) != wp.uint64(0):
+                out_nearest[(i << 6) + n] = next[(i << 6) + n]
+
+
+@wp.func
+def distance_from(features: Features, name: int, voxel: wp.vec3i) -> wp.float64:
+    """Distance of a voxel [voxels] from the piece of surface that a feature stands for.
+
+    The level set of the feature's voxel is taken for a piece of a sphere of the normal curvature towards the voxel.
+    """
+    f = name >> 1
+    step = voxel - features.voxel[f]
+    r = wp.vec3d(wp.float64(step[0]), wp.float64(step[1]), wp.float64(step[2]))
+    n = wp.vec3d(features.normal[f])
+    result = features.distance[f] + wp.length(r)
+    if wp.length_sq(n) > wp.float64(0.0):
+        h = wp.dot(n, r)
+        a = r - n * h
+        across = wp.length_sq(a)
+        k = wp.float64(0.0)
+        if across > wp.float64(0.0):
+            c = features.curve[f]
+            k = (
+                wp.float64(c[0]) * a[0] * a[0]
+                + wp.float64(c[1]) * a[1] * a[1]
+                + wp.float64(c[2]) * a[2] * a[2]
+                + wp.float64(2.0)
+                * (wp.float64(c[3]) * a[0] * a[1] + wp.float64(c[4]) * a[0] * a[2] + wp.float64(c[5]) * a[1] * a[2])
+            ) / across
+        u = wp.float64(1.0) + k * h
+        root = wp.sqrt(u * u + k * k * across)
+        result = features.distance[f] + (wp.float64(2.0) * h + k * (h * h + across)) / (root + wp.float64(1.0))
+    return result
+
+
+@wp.kernel
+def fill_kernel(
+    first: int,
+    tiles: wp.array(dtype=wp.vec3i),
+    inside: wp.array(dtype=wp.uint64),
+    held: wp.array(dtype=wp.uint64),
+    known: wp.array(dtype=wp.float64),
+    nearest: wp.array(dtype=int),
+    features: Features,
+    voxel_size: wp.float64,
+    background: wp.float64,
+    out_value: wp.array(dtype=Any),
+    out_active: wp.array(dtype=wp.uint64),
+    out_inside: wp.array(dtype=wp.uint64),
+):
+    """Values of a plane: what is held, else distances, where they are below the background."""
+    i = first + wp.tid()
+    active = wp.uint64(0)
+    negative = wp.uint64(0)
+    for n in range(64):
+        at = (i << 6) + n
+        bit = wp.uint64(1) << wp.uint64(n)
+        value = background
+        if bit_of(inside, at):
+            value = -background
+        if bit_of(held, at):
+            value = known[at]
+        elif nearest[at] >= 0:
+            distance = voxel_size * distance_from(
+                features, nearest[at], 8 * tiles[i >> 3] + wp.vec3i(i & 7, n >> 3, n & 7)
+            )
+            distance = wp.max(distance, wp.float64(0.0))
+            value = distance
+            if bit_of(inside, at):
+                value = -distance
+        # As it is stored: rounding may lift a value to the background.
+        stored = out_value.dtype(value)
+        if wp.abs(wp.float64(stored)) < background:
+            active = active | bit
+        elif value < wp.float64(0.0):
+            stored = out_value.dtype(-background)
+        else:
+            stored = out_value.dtype(background)
+        if stored < out_value.dtype(0.0):
+            negative = negative | bit
+        out_value[at] = stored
+    out_active[i] = active
+    out_inside[i] = negative
+
+
+FILL = {kind: wp.overload(fill_kernel, {"out_value": wp.array(dtype=kind)}) for kind in (wp.float32, wp.float64)}
+
+
+@wp.kernel
+def reached_kernel(first: int, nearest: wp.array(dtype=int), out_reached: wp.array(dtype=wp.uint64)):
+    """Bits of the voxels that have a feature."""
+    i = first + wp.tid()
+    word = wp.uint64(0)
+    for n in range(64):
+        if nearest[(i << 6) + n] >= 0:
+            word = word | (wp.uint64(1) << wp.uint64(n))
+    out_reached[i] = word

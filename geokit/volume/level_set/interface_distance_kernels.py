@@ -1,0 +1,209 @@
+"""Distances at the corners of the cells that a surface crosses, which leave the surface where it is."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.level_set.leaf_neighbors_kernels import value_at
+from geokit.volume.level_set.mask_dilation_kernels import corners_in_plane
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
+
+# A slope that is 1 up to the error of differences on a sphere of five voxels' radius: the values are distances already
+# and keep their bits.
+UNIT_SLOPE = wp.constant(wp.float64(0.01))
+# A corner of a crossed cell is no farther from the surface than a cell's diagonal.
+FARTHEST_FOOT = wp.constant(wp.float64(1.8))
+
+# Slope of the field at a point of the surface: of a linear fit to the crossed cells within two voxels where their
+# slopes are one, else their upper quartile. As C++ for an array of the thread's own, which the quartile needs.
+#   0.05: variance of the cells' positions [voxels^2] that is as good as none; along a surface it is about 1. Crossed
+#     cells of a flat surface lie in a plane: this keeps the system regular.
+#   0.02: share of the slope by which slopes scatter around a linear function where the field is smooth; at edges it is
+#     0.1.
+#   0.75: where faces meet in an edge, cells on the edge have smaller slopes than the faces'; they are a minority.
+_SLOPE_SNIPPET = """
+    const int* const rows = beside.data + 27 * t;
+    double slope[64];
+    // Sums over the cells: positions are counted from the voxel, so that nothing is lost in their squares.
+    double sum[3] = {0.0, 0.0, 0.0}, m[3][3] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+    double along[3] = {0.0, 0.0, 0.0}, mean = 0.0, square = 0.0;
+    int count = 0;
+    for (int i = -2; i < 2; ++i)
+        for (int j = -2; j < 2; ++j) {
+            const int a = x + i, b = y + j, side = 9 * (a >> 3) + 3 * (b >> 3) + 13;
+            for (int k = -2; k < 2; ++k) {
+                const int row = rows[side + ((z + k) >> 3)];
+                if (row < 0) continue;
+                const double s = slopes.data[(row << 9) + ((a & 7) << 6) + ((b & 7) << 3) + ((z + k) & 7)];
+                if (!(s >= 0.0)) continue;
+                const double d[3] = {i + 0.5, j + 0.5, k + 0.5};
+                for (int e = 0; e < 3; ++e) {
+                    for (int f = e; f < 3; ++f) m[e][f] += d[e] * d[f];
+                    sum[e] += d[e];
+                    along[e] += d[e] * s;
+                }
+                mean += s;
+                square += s * s;
+                slope[count++] = s;
+            }
+        }
+    if (count == 0) return { 1.0, 0.0, 0.0, 0.0 };
+    const double share = 1.0 / count;
+    mean *= share;
+    square = square * share - mean * mean;
+    for (int e = 0; e < 3; ++e) sum[e] *= share;
+    for (int e = 0; e < 3; ++e) {
+        for (int f = e; f < 3; ++f)
+            m[f][e] = m[e][f] = m[e][f] * share - sum[e] * sum[f] + (e == f ? 0.05 : 0.0);
+        along[e] = along[e] * share - sum[e] * mean;
+    }
+    const double xx = m[1][1] * m[2][2] - m[1][2] * m[1][2], xy = m[0][2] * m[1][2] - m[0][1] * m[2][2];
+    const double xz = m[0][1] * m[1][2] - m[0][2] * m[1][1], yy = m[0][0] * m[2][2] - m[0][2] * m[0][2];
+    const double yz = m[0][1] * m[0][2] - m[0][0] * m[1][2], zz = m[0][0] * m[1][1] - m[0][1] * m[0][1];
+    const double inverse = 1.0 / (m[0][0] * xx + m[0][1] * xy + m[0][2] * xz);
+    const double rise[3] = {
+        (xx * along[0] + xy * along[1] + xz * along[2]) * inverse,
+        (xy * along[0] + yy * along[1] + yz * along[2]) * inverse,
+        (xz * along[0] + yz * along[1] + zz * along[2]) * inverse};
+    const double explained = rise[0] * along[0] + rise[1] * along[1] + rise[2] * along[2];
+    if (square - explained < 0.02 * 0.02 * mean * mean) {
+        double fitted = mean;
+        for (int e = 0; e < 3; ++e) fitted += rise[e] * (point[e] - sum[e]);
+        return { fitted, rise[0], rise[1], rise[2] };
+    }
+    const int rank = (int)(0.75 * (count - 1) + 0.5);
+    for (int n = 1; n < count; ++n) {
+        const double s = slope[n];
+        int at = n;
+        for (; at > 0 && slope[at - 1] > s; --at) slope[at] = slope[at - 1];
+        slope[at] = s;
+    }
+    return { slope[rank], 0.0, 0.0, 0.0 };
+"""
+
+
+@wp.func_native(_SLOPE_SNIPPET)
+def slope_near(
+    slopes: wp.array(dtype=wp.float32), beside: wp.array2d(dtype=int), t: int, x: int, y: int, z: int, point: wp.vec3d
+) -> wp.vec4d:
+    """Slope of the field at ``point`` and its gradient, from the crossed cells around the voxel (x, y, z) of row t.
+
+    The point is counted from the voxel.
+    """
+    ...
+
+
+@wp.kernel
+def cell_slopes_kernel(
+    first: int,
+    values: wp.array(dtype=wp.float64),
+    inside: wp.array(dtype=wp.uint64),
+    beside: wp.array2d(dtype=int),
+    background: wp.float64,
+    isovalue: wp.float64,
+    voxel_size: wp.float64,
+    out_slopes: wp.array(dtype=wp.float32),
+    out_crossed: wp.array(dtype=wp.uint64),
+):
+    """Slopes in the cells that start at the voxels of a plane, or -1 where the surface does not cross them."""
+    i = first + wp.tid()
+    t = i >> 3
+    x = i & 7
+    outer = background - isovalue
+    inner = -background - isovalue
+    # Most leaves are crossed nowhere near most of their planes.
+    here = inside[i]
+    crossed = wp.uint64(0)
+    plain = here == wp.uint64(0) or here == ~wp.uint64(0)
+    for n in range(64):
+        y = n >> 3
+        z = n & 7
+        slope = wp.float32(-1.0)
+        open = True
+        if plain and x < 7 and y < 7 and z < 7:
+            open = inside[i + 1] != here
+        if open:
+            c0 = value_at(values, beside, outer, inner, t, x, y, z)
+            c1 = value_at(values, beside, outer, inner, t, x, y, z + 1)
+            c2 = value_at(values, beside, outer, inner, t, x, y + 1, z)
+            c3 = value_at(values, beside, outer, inner, t, x, y + 1, z + 1)
+            c4 = value_at(values, beside, outer, inner, t, x + 1, y, z)
+            c5 = value_at(values, beside, outer, inner, t, x + 1, y, z + 1)
+            c6 = value_at(values, beside, outer, inner, t, x + 1, y + 1, z)
+            c7 = value_at(values, beside, outer, inner, t, x + 1, y + 1, z + 1)
+            o = wp.float64(0.0)
+            side = c0 < o
+            same = (c1 < o) == side and (c2 < o) == side and (c3 < o) == side and (c4 < o) == side
+            if not (same and (c5 < o) == side and (c6 < o) == side and (c7 < o) == side):
+                g = wp.vec3d(
+                    c4 + c5 + c6 + c7 - c0 - c1 - c2 - c3,
+                    c2 + c3 + c6 + c7 - c0 - c1 - c4 - c5,
+                    c1 + c3 + c5 + c7 - c0 - c2 - c4 - c6,
+                )
+                slope = wp.float32(wp.float64(0.25) * wp.length(g) / voxel_size)
+                crossed = crossed | (wp.uint64(1) << wp.uint64(n))
+        out_slopes[(i << 6) + n] = slope
+    out_crossed[i] = crossed
+
+
+@wp.kernel
+def seeds_kernel(
+    first: int,
+    values: wp.array(dtype=wp.float64),
+    active: wp.array(dtype=wp.uint64),
+    slopes: wp.array(dtype=wp.float32),
+    crossed: wp.array(dtype=wp.uint64),
+    beside: wp.array2d(dtype=int),
+    background: wp.float64,
+    isovalue: wp.float64,
+    voxel_size: wp.float64,
+    out_distance: wp.array(dtype=wp.float64),
+    out_held: wp.array(dtype=wp.uint64),
+    out_rise: wp.array(dtype=wp.vec3f),
+):
+    """Distances of the active corners of crossed cells in a plane, and which voxels they are.
+
+    Both ends of an edge across the surface are divided by the slope at about the same point, so the crossing stays.
+    """
+    i = first + wp.tid()
+    t = i >> 3
+    x = i & 7
+    outer = background - isovalue
+    inner = -background - isovalue
+    held = wp.uint64(0)
+    # Inactive values are the background: no distances, where the band is narrower than a cell.
+    word = active[i]
+    if word != wp.uint64(0):
+        word = word & (corners_in_plane(crossed, beside, t, x) | corners_in_plane(crossed, beside, t, x - 1))
+    if word != wp.uint64(0):
+        for n in range(64):
+            if ((word >> wp.uint64(n)) & wp.uint64(1)) != wp.uint64(0):
+                y = n >> 3
+                z = n & 7
+                value = values[(i << 6) + n]
+                g = wp.float64(0.5) * wp.vec3d(
+                    value_at(values, beside, outer, inner, t, x + 1, y, z)
+                    - value_at(values, beside, outer, inner, t, x - 1, y, z),
+                    value_at(values, beside, outer, inner, t, x, y + 1, z)
+                    - value_at(values, beside, outer, inner, t, x, y - 1, z),
+                    value_at(values, beside, outer, inner, t, x, y, z + 1)
+                    - value_at(values, beside, outer, inner, t, x, y, z - 1),
+                )
+                step = wp.vec3d()
+                if wp.length_sq(g) > wp.float64(0.0):
+                    step = g * (value / wp.length_sq(g))
+                if wp.length(step) > FARTHEST_FOOT:
+                    step = step * (FARTHEST_FOOT / wp.length(step))
+                found = slope_near(slopes, beside, t, x, y, z, -step)
+                slope = found[0]
+                if slope > wp.float64(0.0) and wp.isfinite(slope):
+                    out_rise[(i << 6) + n] = wp.vec3f(wp.vec3d(found[1], found[2], found[3]) / slope)
+                else:
+                    slope = wp.float64(1.0)
+                    out_rise[(i << 6) + n] = wp.vec3f()
+                if wp.abs(slope - wp.float64(1.0)) < UNIT_SLOPE:
+                    slope = wp.float64(1.0)
+                out_distance[(i << 6) + n] = value / slope
+                held = held | (wp.uint64(1) << wp.uint64(n))
+    out_held[i] = held

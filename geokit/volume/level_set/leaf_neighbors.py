@@ -1,0 +1,179 @@
+"""The leaves of a level set as rows that know their neighbours, on a device; rows can be added."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory, launcher
+from geokit.errors import DeviceMemoryError, InputError
+from geokit.volume._model import SparseVolume
+from geokit.volume.tree.leaves import QUANTISED, Leaves, leaves_of, voxelized
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["LinkedLeaves"]
+
+# Bits of a leaf's coordinate in the keys by which neighbours are found.
+KEY_BITS = 21
+# Elements are counted in int32.
+MOST_LEAVES = (1 << 31) // 512 - 1
+# Of a row while distances are made: its value, distance, slope and result, its feature twice, its bits, and the grid.
+BYTES_PER_ROW = 512 * (8 + 8 + 4 + 4 + 2 * 4) + 8 * 64 + 2144
+# All 27 places around a leaf, itself in the middle.
+AROUND = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=1) - 1
+
+
+class LinkedLeaves:
+    """Rows of leaves.
+
+    Args:
+        volume: Level set of float or double values, or quantised ones.
+        isovalue: What is taken off its values [world]: the surface is where they are 0 then.
+        device: Where to keep them.
+
+    Attributes:
+        tiles: Coordinates in units of leaves, (T, 3) int32.
+        on_device: The same on the device, (T,) of vec3i.
+        beside: Row of each of the 27 places around a leaf, or OUTSIDE or INSIDE where there is none, (T, 27).
+        inside: Bits of the voxels whose value is negative, (8 T,) of uint64.
+        values: Of the first rows, (512 R,) of float64: those that were there before any was added.
+        active: Bits of the active voxels of the same rows, (8 R,) of uint64.
+    """
+
+    tiles: NDArray[np.int32]
+    on_device: "wp.array"
+    beside: "wp.array"
+    active: "wp.array"
+    inside: "wp.array"
+
+    def __init__(self, volume: SparseVolume, isovalue: float, device: "wp.Device") -> None:
+        import warp as wp
+
+        from geokit.volume.level_set import leaf_neighbors_kernels as kernels
+
+        source = voxelized(volume) if volume.info.grid_type in QUANTISED else volume
+        leaves = leaves_of(source)
+        self._begin(source, leaves, isovalue, device)
+        count = len(self.tiles)
+        values, inside = self._read()
+        open_sides = wp.zeros(27 * count, dtype=wp.uint8, device=device)
+        launcher.launch(kernels.open_sides_kernel, 27 * count, [inside, self.beside], [open_sides], device)
+        row, side = np.nonzero(open_sides.numpy().reshape(-1, 27))
+        if len(row):
+            # The surface runs along the border of a leaf to a tile: what is there counts like voxels of a leaf.
+            self.tiles = np.concatenate(
+                [self.tiles, np.unique(self.tiles[row] + AROUND[side], axis=0).astype(np.int32)]
+            )
+            self._link()
+            values, inside = self._read()
+        masks = np.zeros((len(self.tiles), 64), np.uint8)
+        masks[:count] = leaves.masks
+        self.values, self.inside = values, inside
+        self.active = wp.array(masks.reshape(-1).view(np.uint64), dtype=wp.uint64, device=device)
+
+    @classmethod
+    def bare(cls, volume: SparseVolume, leaves: Leaves, device: "wp.Device") -> LinkedLeaves:
+        """Rows of leaves on the lattice of a grid of any type, without values; nothing lies inside."""
+        import warp as wp
+
+        made = cls.__new__(cls)
+        made._begin(volume, leaves, -np.inf, device)
+        masks = np.ascontiguousarray(leaves.masks).reshape(-1).view(np.uint64)
+        made.active = wp.array(masks, dtype=wp.uint64, device=device)
+        made.inside = wp.zeros(8 * len(made.tiles), dtype=wp.uint64, device=device)
+        return made
+
+    def _begin(self, volume: SparseVolume, leaves: Leaves, isovalue: float, device: "wp.Device") -> None:
+        import warp as wp
+
+        self.device = device
+        self._volume = volume
+        self._handle = wp.uint64(volume.id(device))
+        self._isovalue = wp.float64(isovalue)
+        self.tiles = leaves.origins >> 3
+        self._link()
+
+    def add(self, tiles: NDArray[np.int32]) -> None:
+        """Rows for more leaves, none of them there yet; they take the side of the tiles in their places."""
+        import warp as wp
+
+        from geokit.volume.level_set.leaf_neighbors_kernels import tile_side_kernel
+
+        if not len(tiles):
+            return
+        start = len(self.tiles)
+        self.tiles = np.concatenate([self.tiles, tiles])
+        self._link()
+        inside = wp.empty(8 * len(self.tiles), dtype=wp.uint64, device=self.device)
+        wp.copy(inside, self.inside, count=8 * start)
+        inputs = [self._handle, self.on_device, start, self._isovalue]
+        launcher.launch(tile_side_kernel, len(tiles), inputs, [inside], self.device)
+        self.inside = inside
+
+    def extended(self, array: "wp.array", per_row: int, fill: int) -> "wp.array":
+        """The array of ``per_row`` elements a row, with rows of ``fill`` for those that it does not have yet."""
+        import warp as wp
+
+        wanted = per_row * len(self.tiles)
+        if len(array) == wanted:
+            return array
+        longer = wp.full(wanted, fill, dtype=array.dtype, device=self.device)
+        wp.copy(longer, array, count=len(array))
+        return longer
+
+    def around(self, rows: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Coordinates of neighbours that have no row yet, each once; ``sides`` number them from 0 to 26."""
+        beside = self.beside.numpy()
+        missing = beside[rows, sides] < 0
+        wanted = self.tiles[rows[missing]] + AROUND[sides[missing]]
+        return np.unique(wanted, axis=0).astype(np.int32).reshape(-1, 3)
+
+    def _read(self) -> tuple["wp.array", "wp.array"]:
+        import warp as wp
+
+        from geokit.volume.level_set.leaf_neighbors_kernels import read_rows_kernel
+
+        count = len(self.tiles)
+        values = wp.empty(512 * count, dtype=wp.float64, device=self.device)
+        inside = wp.empty(8 * count, dtype=wp.uint64, device=self.device)
+        inputs = [self._handle, self.on_device, self._isovalue]
+        launcher.launch(read_rows_kernel, 8 * count, inputs, [values, inside], self.device, grain=64)
+        return values, inside
+
+    def _link(self) -> None:
+        import warp as wp
+
+        from geokit.volume.level_set.leaf_neighbors_kernels import link_kernel
+
+        count, device = len(self.tiles), self.device
+        self._require_memory(count)
+        self.on_device = wp.array(self.tiles, dtype=wp.vec3i, device=device)
+        self.beside = wp.empty((count, 27), dtype=wp.int32, device=device)
+        if not count:
+            return
+        corner = self.tiles.min(axis=0).astype(np.int64) - 1
+        place = self.tiles.astype(np.int64) - corner
+        if place.max() >= (1 << KEY_BITS) - 1:
+            raise InputError(
+                f"volume: its leaves span {8 * int(place.max()):,} voxels, more than {8 << KEY_BITS:,}; clip it, or "
+                "use a volume per object"
+            )
+        keys = place[:, 0] << 2 * KEY_BITS | place[:, 1] << KEY_BITS | place[:, 2]
+        rows = np.argsort(keys, kind="stable")
+        table = [wp.array(keys[rows], dtype=wp.int64, device=device)]
+        table.append(wp.array(rows.astype(np.int32), dtype=wp.int32, device=device))
+        inputs: list[Any] = [self.on_device, *table, wp.vec3i(*corner.tolist()), self._handle, self._isovalue]
+        launcher.launch(link_kernel, 27 * count, inputs, [self.beside], device)
+
+    def _require_memory(self, count: int) -> None:
+        need, have = count * BYTES_PER_ROW, available_memory.available(self.device)
+        if need > have or count > MOST_LEAVES:
+            raise DeviceMemoryError(
+                f"volume: a band of {count:,} leaves needs {need >> 20} MiB of the {have >> 20} MiB free on "
+                f"{self.device.alias}, and at most {MOST_LEAVES:,} leaves can be counted; use a narrower band, or "
+                "resample the volume at a larger voxel_size"
+            )

@@ -1,0 +1,180 @@
+"""Neighbourhoods of voxels as bits: what a plane of a leaf, 64 bits of one word, has next to it.
+
+Rows, words and bits are those of ``leaf_neighbors_kernels``: bit ``8 y + z`` of word ``8 t + x``. A step along z is a
+shift by one, along y by eight, along x to another word; what is shifted out at a leaf's border comes from the leaf
+beside it.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+# The bits of a plane with z = 0, and those with z = 7.
+FIRST_Z = wp.constant(wp.uint64(0x0101010101010101))
+LAST_Z = wp.constant(wp.uint64(0x8080808080808080))
+
+
+@wp.func
+def word_of(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, side: int, x: int
+) -> wp.uint64:
+    """Word x of the leaf on a side of row t, with the bits of ``flip`` turned; 0 before that where no leaf is."""
+    word = wp.uint64(0)
+    row = beside[t, side]
+    if row >= 0:
+        word = words[8 * row + x]
+    return word ^ flip
+
+
+@wp.func
+def along_z(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
+    """Bits that are set or have a neighbour along z that is."""
+    one = wp.uint64(1)
+    seven = wp.uint64(7)
+    up = ((word << one) & ~FIRST_Z) | ((below >> seven) & FIRST_Z)
+    down = ((word >> one) & ~LAST_Z) | ((above << seven) & LAST_Z)
+    return word | up | down
+
+
+@wp.func
+def along_y(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
+    row = wp.uint64(8)
+    rest = wp.uint64(56)
+    return word | (word << row) | (below >> rest) | (word >> row) | (above << rest)
+
+
+@wp.func
+def square_around(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
+) -> wp.uint64:
+    """Bits of plane x, counted from row t, from -1 to 8, that are set or have a neighbour within the plane that is."""
+    side = 9 * (x >> 3) + 13
+    at = x & 7
+    below = along_z(
+        word_of(words, flip, beside, t, side - 4, at),
+        word_of(words, flip, beside, t, side - 3, at),
+        word_of(words, flip, beside, t, side - 2, at),
+    )
+    here = along_z(
+        word_of(words, flip, beside, t, side - 1, at),
+        word_of(words, flip, beside, t, side, at),
+        word_of(words, flip, beside, t, side + 1, at),
+    )
+    above = along_z(
+        word_of(words, flip, beside, t, side + 2, at),
+        word_of(words, flip, beside, t, side + 3, at),
+        word_of(words, flip, beside, t, side + 4, at),
+    )
+    return along_y(below, here, above)
+
+
+@wp.func
+def cube_around(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
+) -> wp.uint64:
+    """Bits of plane x of row t that are set or have one of their 26 neighbours set."""
+    return (
+        square_around(words, flip, beside, t, x - 1)
+        | square_around(words, flip, beside, t, x)
+        | square_around(words, flip, beside, t, x + 1)
+    )
+
+
+@wp.func
+def corners_in_plane(cells: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=int), t: int, x: int) -> wp.uint64:
+    """Bits of the voxels at the corners of cells, within the plane x, from -1 to 7, in which the cells begin.
+
+    The cell of a bit has its corners there and one further along y and z.
+    """
+    side = 9 * (x >> 3) + 13
+    at = x & 7
+    none = wp.uint64(0)
+    seven = wp.uint64(7)
+    here = word_of(cells, none, beside, t, side, at)
+    low = word_of(cells, none, beside, t, side - 3, at)
+    here = (
+        here
+        | ((here << wp.uint64(1)) & ~FIRST_Z)
+        | ((word_of(cells, none, beside, t, side - 1, at) >> seven) & FIRST_Z)
+    )
+    low = (
+        low | ((low << wp.uint64(1)) & ~FIRST_Z) | ((word_of(cells, none, beside, t, side - 4, at) >> seven) & FIRST_Z)
+    )
+    return here | (here << wp.uint64(8)) | (low >> wp.uint64(56))
+
+
+@wp.func
+def cross_around(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
+) -> wp.uint64:
+    """Bits of plane x, counted from row t, that are set or have a neighbour across an edge within the plane that is."""
+    side = 9 * (x >> 3) + 13
+    at = x & 7
+    here = word_of(words, flip, beside, t, side, at)
+    ways = along_z(word_of(words, flip, beside, t, side - 1, at), here, word_of(words, flip, beside, t, side + 1, at))
+    return ways | along_y(
+        word_of(words, flip, beside, t, side - 3, at), here, word_of(words, flip, beside, t, side + 3, at)
+    )
+
+
+@wp.func
+def faces_around(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
+) -> wp.uint64:
+    """Bits of plane x of row t that are set or have one of their 6 neighbours across a face set."""
+    below = word_of(words, flip, beside, t, 9 * ((x - 1) >> 3) + 13, (x - 1) & 7)
+    above = word_of(words, flip, beside, t, 9 * ((x + 1) >> 3) + 13, (x + 1) & 7)
+    return below | above | cross_around(words, flip, beside, t, x)
+
+
+@wp.func
+def edges_around(
+    words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
+) -> wp.uint64:
+    """Bits of plane x of row t that are set or have one of their 18 neighbours across a face or an edge set."""
+    return (
+        cross_around(words, flip, beside, t, x - 1)
+        | square_around(words, flip, beside, t, x)
+        | cross_around(words, flip, beside, t, x + 1)
+    )
+
+
+# With a ``flip`` of zeros a step of growing, with one of ones a step of shrinking: growing of what is not set.
+
+
+@wp.kernel
+def grow_faces_kernel(
+    first: int,
+    words: wp.array(dtype=wp.uint64),
+    flip: wp.uint64,
+    beside: wp.array2d(dtype=int),
+    out_words: wp.array(dtype=wp.uint64),
+):
+    i = first + wp.tid()
+    out_words[i] = faces_around(words, flip, beside, i >> 3, i & 7) ^ flip
+
+
+@wp.kernel
+def grow_edges_kernel(
+    first: int,
+    words: wp.array(dtype=wp.uint64),
+    flip: wp.uint64,
+    beside: wp.array2d(dtype=int),
+    out_words: wp.array(dtype=wp.uint64),
+):
+    i = first + wp.tid()
+    out_words[i] = edges_around(words, flip, beside, i >> 3, i & 7) ^ flip
+
+
+@wp.kernel
+def grow_vertices_kernel(
+    first: int,
+    words: wp.array(dtype=wp.uint64),
+    flip: wp.uint64,
+    beside: wp.array2d(dtype=int),
+    out_words: wp.array(dtype=wp.uint64),
+):
+    i = first + wp.tid()
+    out_words[i] = cube_around(words, flip, beside, i >> 3, i & 7) ^ flip

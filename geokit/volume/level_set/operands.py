@@ -1,0 +1,52 @@
+"""What operations on level sets check, and how they give their operands one lattice and one band."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from geokit.errors import InputError
+from geokit.volume._model import SparseVolume
+from geokit.volume.level_set.redistance import redistance
+from geokit.volume.tree.leaves import require_volume, uniform_voxel_size
+
+__all__ = ["half_width_of", "require_level_set", "with_band"]
+
+# Bands that differ by less are the same: a background is a float32 product of voxel size and half width.
+BAND_TOLERANCE = 1e-5
+
+
+def require_level_set(volume: Any, name: str) -> float:
+    """Voxel size of a float or double level set with cubic voxels.
+
+    Raises:
+        InputError: It is no SparseVolume, no level set, its background is not positive, or its voxels are no cubes.
+        UnsupportedGridError: Its values are not real numbers.
+    """
+    require_volume(volume, name, ("float", "double"))
+    if volume.info.grid_class != "level set":
+        raise InputError(
+            f"{name}: grid {volume.info.name!r} is of class {volume.info.grid_class}, not a level set; make one with "
+            "from_mesh, or set its class if it holds signed distances"
+        )
+    if not volume.info.background > 0.0:
+        raise InputError(
+            f"{name}: the background of grid {volume.info.name!r} is {volume.info.background}; a level set's is the "
+            "width of its band, a positive number"
+        )
+    return uniform_voxel_size(volume, name)
+
+
+def half_width_of(volume: SparseVolume, voxel_size: float) -> float:
+    """Half width of a level set's band [voxels]."""
+    width = float(volume.info.background) / voxel_size
+    nearest = round(width)
+    return float(nearest) if abs(width - nearest) < BAND_TOLERANCE * width else width
+
+
+def with_band(volume: SparseVolume, voxel_size: float, half_width: float, *, device: Any = None) -> SparseVolume:
+    """The level set with a band of another width; voxels that stay active keep their values."""
+    if np.isclose(half_width_of(volume, voxel_size), half_width, rtol=BAND_TOLERANCE, atol=0.0):
+        return volume
+    return redistance(volume, voxel_size, half_width, keeps_band=True, device=device)

@@ -1,0 +1,325 @@
+"""Signed distances in a band around a level set's surface, from the voxels next to the surface or from a held band."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.scan import counted
+from geokit.volume._model import SparseVolume, made_on_device
+from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.tree.device_leaves import _keys_of
+from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_grid
+from geokit.volume.tree.grid_head import checked_head
+from geokit.volume.tree.openvdb_call import lift_factor, lifted_transform, lowered, result_of
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["redistance"]
+
+# Voxels by which a band grows before room for more leaves is made: with one more for rounding, no farther than the
+# leaves next to those that it has reached.
+STAGE = 7.0
+# A way to a foot is longer than the distance to the surface between the feet, and counts more where the foot is less
+# certain (ONE_SIDED), by less than this in all.
+WAY_MARGIN = 0.5
+# Fewest planes of a leaf worth a thread.
+GRAIN = 64
+
+
+def redistance(
+    volume: SparseVolume,
+    voxel_size: float,
+    half_width: float,
+    *,
+    isovalue: float = 0.0,
+    keeps_band: bool = False,
+    device: Any = None,
+) -> SparseVolume:
+    """Signed distances from a level set's surface, in a band of another width.
+
+    Args:
+        volume: Float, double or quantised level set on cubic voxels.
+        voxel_size: Edge of a voxel [world].
+        half_width: Of the new band [voxels].
+        isovalue: Value of the surface [voxels]; 0 with ``keeps_band``.
+        keeps_band: Active voxels keep their values; only voxels beyond them are computed.
+        device: Where to compute; None for the first GPU, else the CPU.
+    Returns:
+        Level set of float or double values.
+    Raises:
+        DeviceMemoryError: The band needs more memory than there is.
+        InputError: Leaves too far apart.
+        MissingDependencyError: Double or quantised values, and geokit was built without OpenVDB.
+    """
+    found = launcher.resolve_device(device)
+    leaves = LinkedLeaves(volume, isovalue * voxel_size, found)
+    old_width = float(volume.info.background) / voxel_size
+    band = _Band(leaves, float(volume.info.background), voxel_size, isovalue * voxel_size)
+    if keeps_band:
+        band.hold_active()
+        start = old_width
+    else:
+        band.hold_seeds()
+        start = 0.0
+    if half_width > start:
+        band.spread(start, half_width, only_border=keeps_band)
+    return band.volume(volume, half_width * voxel_size)
+
+
+class _Band:
+    """Held voxels and what they reach."""
+
+    feet: "wp.array"
+
+    def __init__(self, leaves: LinkedLeaves, background: float, voxel_size: float, isovalue: float) -> None:
+        import warp as wp
+
+        from geokit.volume.level_set.features_kernels import Features
+
+        self.leaves, self.device = leaves, leaves.device
+        self.rows = len(leaves.tiles)
+        self.size = wp.float64(voxel_size)
+        self.field = [wp.float64(background), wp.float64(isovalue), self.size]
+        self.known = leaves.values
+        self.held = leaves.active
+        self.features = Features()
+        # Of the slope, where distances are values divided by it.
+        self.rise: wp.array | None = None
+        self.nearest: wp.array = wp.full(512 * self.rows, -1, dtype=wp.int32, device=self.device)
+
+    def hold_active(self) -> None:
+        """Every active voxel is held, as it is."""
+
+    def hold_seeds(self) -> None:
+        """Corners of crossed cells are held, with values divided by the slope."""
+        import warp as wp
+
+        from geokit.volume.level_set import interface_distance_kernels as kernels
+
+        leaves = self.leaves
+        slopes = wp.empty(512 * self.rows, dtype=wp.float32, device=self.device)
+        crossed = self._words()
+        self._launch(
+            kernels.cell_slopes_kernel, [leaves.values, leaves.inside, leaves.beside, *self.field], [slopes, crossed]
+        )
+        self.known = wp.empty(512 * self.rows, dtype=wp.float64, device=self.device)
+        self.held = self._words()
+        self.rise = wp.empty(512 * self.rows, dtype=wp.vec3f, device=self.device)
+        inputs = [leaves.values, leaves.active, slopes, crossed, leaves.beside, *self.field]
+        self._launch(kernels.seeds_kernel, inputs, [self.known, self.held, self.rise])
+
+    def spread(self, start: float, end: float, *, only_border: bool) -> None:
+        """Give voxels up to ``end`` [voxels] from the surface their nearest feature; ``start`` is where those are."""
+        enclosed, chosen = self._choose(only_border)
+        still = self._still(enclosed, chosen)
+        at = start
+        while at < end:
+            step = min(STAGE, end - at)
+            at += step
+            self._grow(math.ceil(step) + 1)
+            still = self.leaves.extended(still, 8, 0)
+            self.nearest = self.leaves.extended(self.nearest, 512, -1)
+            self._settle(still, at + WAY_MARGIN)
+
+    def _choose(self, only_border: bool) -> tuple["wp.array", "wp.array"]:
+        import warp as wp
+
+        from geokit.volume.level_set import features_kernels as kernels
+
+        leaves, beside = self.leaves, self.leaves.beside
+        enclosed, inner, outer, chosen = (self._words() for _ in range(4))
+        self._launch(
+            kernels.enclosed_kernel, [self.held, leaves.active, leaves.inside, beside], [enclosed, inner, outer]
+        )
+        border = self.held
+        if only_border:
+            border = self._words()
+            self._launch(kernels.border_kernel, [self.held, enclosed, beside], [border])
+        counts = wp.empty(8 * self.rows, dtype=wp.int32, device=self.device)
+        self._launch(kernels.chosen_kernel, [border, inner, outer, leaves.inside, self.known, beside], [chosen, counts])
+        ends, count = counted(counts)
+        made = self.features
+        for name, kind in (
+            ("voxel", wp.vec3i), ("normal", wp.vec3f), ("distance", wp.float64), ("curve", kernels.vec6f),
+        ):  # fmt: skip
+            setattr(made, name, wp.empty(count, dtype=kind, device=self.device))
+        self.feet = wp.empty(count, dtype=wp.vec4d, device=self.device)
+        inputs = [leaves.values, leaves.active, leaves.inside, beside, leaves.on_device, self.known, self.size]
+        self._launch(kernels.features_kernel, [*inputs, enclosed, chosen, ends], [made, self.feet, self.nearest])
+        if self.rise is not None:
+            self._launch(kernels.straighten_kernel, [chosen, ends, self.rise], [made, self.feet])
+        return enclosed, chosen
+
+    def _still(self, enclosed: "wp.array", chosen: "wp.array") -> "wp.array":
+        """Voxels that keep the feature they have, or none: features, and what lies behind them."""
+        from geokit.volume.level_set.features_kernels import still_kernel
+
+        still = self._words()
+        self._launch(still_kernel, [enclosed, chosen], [still])
+        return still
+
+    def _grow(self, reach: int) -> None:
+        """Room for all voxels within ``reach`` [voxels] of one that has a feature."""
+        import warp as wp
+
+        from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
+
+        count = len(self.leaves.tiles)
+        boxes = wp.empty((count, 6), dtype=wp.int32, device=self.device)
+        launcher.launch(reached_box_kernel, count, [self._reached()], [boxes], self.device, grain=GRAIN)
+        box = boxes.numpy().reshape(-1, 2, 3)
+        low, high = box[:, 0] - reach < 0, box[:, 1] + reach > 7
+        wanted = np.repeat(box[:, 1, :1] >= 0, 27, axis=1)
+        for axis in range(3):
+            wanted &= (AROUND[:, axis] >= 0) | low[:, axis, None]
+            wanted &= (AROUND[:, axis] <= 0) | high[:, axis, None]
+        self.leaves.add(self.leaves.around(*np.nonzero(wanted)))
+
+    def _reached(self) -> "wp.array":
+        """Bits of the voxels that have a feature."""
+        import warp as wp
+
+        from geokit.volume.level_set.feature_transform_kernels import reached_kernel
+
+        count = 8 * len(self.leaves.tiles)
+        reached = wp.empty(count, dtype=wp.uint64, device=self.device)
+        launcher.launch(reached_kernel, count, [self.nearest], [reached], self.device, grain=GRAIN)
+        return reached
+
+    def _settle(self, still: "wp.array", reach: float) -> None:
+        """Rounds until no voxel finds a nearer feature."""
+        import warp as wp
+
+        from geokit.volume.level_set import feature_transform_kernels as kernels
+
+        leaves, device = self.leaves, self.device
+        count = len(leaves.tiles)
+        changed = self._reached()
+        reached = wp.clone(changed)
+        changing = wp.empty_like(changed)
+        following = wp.empty_like(self.nearest)
+        has_changed = wp.empty(count, dtype=wp.uint8, device=device)
+        where = [leaves.on_device, leaves.beside, leaves.inside, still, self.feet, wp.float32(reach)]
+        while True:
+            launcher.launch(kernels.has_changed_kernel, count, [changed], [has_changed], device)
+            if not has_changed.numpy().any():
+                return
+            inputs = [*where, self.nearest, changed, has_changed, reached]
+            launcher.launch(kernels.spread_kernel, 8 * count, inputs, [following, changing], device, grain=GRAIN)
+            launcher.launch(
+                kernels.take_kernel, 8 * count, [changing, following], [self.nearest, reached], device, grain=GRAIN
+            )
+            changed, changing = changing, changed
+
+    def volume(self, like: SparseVolume, background: float) -> SparseVolume:
+        """The band as a grid, with the transform, name and metadata of another."""
+        import warp as wp
+
+        from geokit.volume.level_set import leaf_neighbors_kernels as links
+        from geokit.volume.level_set.feature_transform_kernels import FILL
+
+        leaves, device = self.leaves, self.device
+        count = len(leaves.tiles)
+        is_double = like.info.grid_type == "double"
+        if not is_double:
+            background = float(np.float32(background))
+        kind = wp.float64 if is_double else wp.float32
+        value = wp.empty(512 * count, dtype=kind, device=device)
+        active, negative = (wp.empty(8 * count, dtype=wp.uint64, device=device) for _ in range(2))
+        held = leaves.extended(self.held, 8, 0)
+        inputs = [leaves.on_device, leaves.inside, held, self.known, self.nearest, self.features, self.size]
+        launcher.launch(
+            FILL[kind], 8 * count, [*inputs, wp.float64(background)], [value, active, negative], device, grain=GRAIN
+        )
+        needed = wp.empty(count, dtype=wp.uint8, device=device)
+        launcher.launch(
+            links.needed_rows_kernel, count, [active, negative, leaves.beside], [needed], device, grain=GRAIN
+        )
+        rows = np.flatnonzero(needed.numpy())
+        if is_double:
+            return _double_volume(leaves.tiles, rows, value, active, background, like)
+        return _float_volume(leaves, rows, value, active, negative, background, like)
+
+    def _words(self) -> "wp.array":
+        import warp as wp
+
+        return wp.empty(8 * self.rows, dtype=wp.uint64, device=self.device)
+
+    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        """For each plane of the rows that were there before any was added."""
+        launcher.launch(kernel, 8 * self.rows, inputs, outputs, self.device, grain=GRAIN)
+
+
+def _float_volume(
+    leaves: LinkedLeaves,
+    rows: NDArray[np.int64],
+    value: "wp.array",
+    active: "wp.array",
+    negative: "wp.array",
+    background: float,
+    like: SparseVolume,
+) -> SparseVolume:
+    import warp as wp
+
+    from geokit.volume.level_set.leaf_neighbors_kernels import gather_rows_kernel
+    from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
+
+    device, info = leaves.device, like.info
+    head = checked_head("float", background, -background, info.transform, info.name, "level set")
+    keys, axes = _keys_of(leaves.tiles[rows])
+    order = np.argsort(keys, kind="stable")
+    in_order = wp.array(rows[order].astype(np.int32), dtype=wp.int32, device=device)
+    inside = wp.empty((len(rows), 8), dtype=wp.uint64, device=device)
+    launcher.launch(gather_rows_kernel, len(rows), [in_order, negative], [inside], device)
+
+    def write(buffer: "wp.array", begin: int) -> None:
+        inputs = [wp.int64(begin), in_order, value.view(wp.int32), active]
+        launcher.launch(copy_leaves_kernel, 8 * len(rows), inputs, [buffer], device)
+
+    where = Leaves(wp.array(keys[order], dtype=wp.int64, device=device), leaves.on_device, in_order, axes)
+    return _as_volume(build_grid(where, head, write, inside), like)
+
+
+def _double_volume(
+    tiles: NDArray[np.int32],
+    rows: NDArray[np.int64],
+    value: "wp.array",
+    active: "wp.array",
+    background: float,
+    like: SparseVolume,
+) -> SparseVolume:
+    """By way of OpenVDB: geokit's own way of building knows floats."""
+    from geokit.native import operations
+
+    factor = lift_factor(like.info.transform)
+    buffer = operations.from_leaves(
+        8 * tiles[rows],
+        value.numpy().reshape(-1, 512)[rows],
+        active.numpy().view(np.uint8).reshape(-1, 64)[rows],
+        background=background,
+        transform=lifted_transform(like.info.transform, factor),
+        name=like.info.name,
+        grid_class="level set",
+    )
+    return result_of(lowered(buffer, factor), like)
+
+
+def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
+    if grid.host is not None:
+        return result_of(grid.host, like)
+    info = info_of(grid.head, byte_count=len(grid.buffer))
+    metadata = dict(like.info.metadata)
+    # As result_of does for grids on the host.
+    metadata.pop("geokit:value_type", None)
+    if info.grid_type != like.info.grid_type:
+        metadata.pop("class", None)
+    return made_on_device(grid.buffer, replace(info, metadata=MappingProxyType(metadata)))

@@ -1,0 +1,321 @@
+"""Files of NanoVDB grids (.nvdb): segments of grids with a block of metadata each, or bare grid buffers.
+
+A segment is a 16-byte header, one 176-byte block with the grid's name per grid, then the grids, all with one codec. A
+file is any number of segments; since NanoVDB 32.6 it may also be grid buffers one after the other.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.files import require_file
+from geokit.errors import DeviceMemoryError, FileFormatError, UnsupportedGridError
+from geokit.volume.nanovdb.checks import check_grid, check_head
+from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode, full_checksum, partial_checksum
+from geokit.volume.nanovdb.codecs import BLOSC_FRAME, CODECS, decompress, decompress_head, largest_size
+from geokit.volume.nanovdb.grid_info import GridInfo
+from geokit.volume.nanovdb.header import (
+    GRID_CLASSES,
+    HEAD_SIZE,
+    MAGIC_FILE,
+    MAGIC_GRID,
+    MAGIC_OLD,
+    MAJOR_VERSION,
+    aligned_buffer,
+    decoded_name,
+    grid_header,
+    grid_name,
+    info_of,
+    version_text,
+)
+from geokit.volume.nanovdb.layout import GRID_TYPES
+from geokit.volume.nanovdb.metadata import metadata_of, without_metadata
+
+__all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read"]
+
+FILE_HEADER = np.dtype([("magic", "<u8"), ("version", "<u4"), ("grid_count", "<u2"), ("codec", "<u2")])
+FILE_METADATA = np.dtype(
+    [
+        ("grid_size", "<u8"), ("file_size", "<u8"), ("name_key", "<u8"), ("voxel_count", "<u8"),
+        ("grid_type", "<u4"), ("grid_class", "<u4"), ("world_bbox", "<f8", 6), ("index_bbox", "<i4", 6),
+        ("voxel_size", "<f8", 3), ("name_size", "<u4"), ("node_count", "<u4", 4), ("tile_count", "<u4", 3),
+        ("codec", "<u2"), ("padding", "<u2"), ("version", "<u4"),
+    ]
+)  # fmt: skip
+# The root follows the headers; 4 KiB reach its fixed part in every file seen, whatever its padding.
+INSPECTED = 4096
+REMEDY = "get the file again from its source"
+
+
+class NvdbGrid(NamedTuple):
+    """One grid of a file.
+
+    Attributes:
+        buffer: The grid, uint8, aligned, checked; its header says that it is the only one. Metadata that geokit had
+            attached to it is taken out.
+        name: Its name in the file.
+        checksum: What its checksum covered when it was read and verified: "full", "partial" or "none".
+        metadata: That metadata.
+    """
+
+    buffer: NDArray[np.uint8]
+    name: str
+    checksum: str
+    metadata: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    name: str
+    codec: str
+    grid_size: int
+    start: int
+    stored: int
+    grid_type: int
+
+    @property
+    def where(self) -> str:
+        return f"grid {self.name!r}"
+
+
+def names(path: str | os.PathLike[str]) -> list[str]:
+    """Names of the grids in a file, in its order, without reading the grids.
+
+    Raises:
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged or no .nvdb file.
+        UnsupportedGridError: The file is of another major version of NanoVDB.
+    """
+    with _opened(path) as file:
+        return [entry.name for entry in _entries(file, Path(path))]
+
+
+def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
+    """What a file says about its grids, reading and decompressing their first bytes only.
+
+    Grids of types that cannot be loaded are listed too. Metadata stands at a grid's end: it is left out where the grid
+    would have to be decompressed for it, and counts as part of the grid's size there.
+
+    Raises:
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged or no .nvdb file.
+        UnsupportedGridError: The file is of another major version of NanoVDB.
+        MissingDependencyError: A grid is Blosc-compressed and blosc is not installed.
+    """
+    path = Path(path)
+    infos = []
+    with _opened(path) as file:
+        for entry in _entries(file, path):
+            where = f"{path}: {entry.where}"
+            head = _head_of(file, entry, INSPECTED, where)
+            metadata, size = _attached(file, entry, where)
+            infos.append(info_of(head, metadata, name=entry.name, byte_count=size, where=where))
+    return infos
+
+
+def read(path: str | os.PathLike[str], indices: Sequence[int] | None = None) -> list[NvdbGrid]:
+    """Grids of a file, each in a buffer of its own, checked through and through.
+
+    Args:
+        path: A .nvdb file.
+        indices: Which grids, by their place in the file; None for all.
+
+    Returns:
+        The grids in the order asked for.
+
+    Raises:
+        FileAccessError: The file is missing or not readable.
+        FileFormatError: The file is damaged, truncated or no .nvdb file, or a checksum does not match.
+        UnsupportedGridError: A grid is of a type or version that geokit does not read.
+        MissingDependencyError: A grid is Blosc-compressed and blosc is not installed.
+        DeviceMemoryError: A grid is larger than the machine's memory.
+    """
+    path = Path(path)
+    with _opened(path) as file:
+        entries = list(_entries(file, path))
+        return [_read_grid(file, entries[i], path) for i in (range(len(entries)) if indices is None else indices)]
+
+
+def _opened(path: str | os.PathLike[str]) -> BufferedReader:
+    return open(require_file(path), "rb")
+
+
+def _entries(file: BufferedReader, path: Path) -> Iterator[_Entry]:
+    size = os.fstat(file.fileno()).st_size
+    if size == 0:
+        raise FileFormatError(f"{path}: the file is empty; {REMEDY}")
+    file.seek(0)
+    start = file.read(HEAD_SIZE)
+    if _is_raw_grid(start, size):
+        yield from _raw_entries(file, size, path)
+        return
+    at = 0
+    while at < size:
+        entries, at = _segment(file, at, size, path)
+        yield from entries
+
+
+def _is_raw_grid(start: bytes, size: int) -> bool:
+    # A file and a grid may start with the same magic number: what follows tells them apart.
+    if len(start) < HEAD_SIZE:
+        return False
+    grid = grid_header(np.frombuffer(start, np.uint8).copy())
+    if int(grid["magic"]) == MAGIC_GRID:
+        return True
+    return (
+        int(grid["magic"]) == MAGIC_OLD
+        and int(grid["version"]) >> 21 == MAJOR_VERSION
+        and int(grid["grid_index"]) < int(grid["grid_count"])
+        and HEAD_SIZE <= int(grid["grid_size"]) <= size
+        and int(grid["grid_type"]) < len(GRID_TYPES)
+        and int(grid["grid_class"]) < len(GRID_CLASSES)
+    )
+
+
+def _raw_entries(file: BufferedReader, size: int, path: Path) -> Iterator[_Entry]:
+    at = 0
+    while at < size:
+        head = np.frombuffer(os.pread(file.fileno(), HEAD_SIZE, at), np.uint8).copy()
+        if len(head) < HEAD_SIZE or int(grid_header(head)["magic"]) not in (MAGIC_OLD, MAGIC_GRID):
+            raise FileFormatError(f"{path}: no NanoVDB grid at byte {at}; {REMEDY}")
+        grid = grid_header(head)
+        length = int(grid["grid_size"])
+        if not HEAD_SIZE <= length <= size - at:
+            raise FileFormatError(f"{path}: the grid at byte {at} claims {length} of {size - at} bytes; {REMEDY}")
+        name = decoded_name(bytes(grid["name"]))
+        yield _Entry(name, "none", length, at, length, int(grid["grid_type"]))
+        at += length
+
+
+def _segment(file: BufferedReader, at: int, size: int, path: Path) -> tuple[list[_Entry], int]:
+    raw = os.pread(file.fileno(), FILE_HEADER.itemsize, at)
+    if len(raw) < FILE_HEADER.itemsize:
+        raise FileFormatError(f"{path}: {len(raw)} bytes at byte {at} are no .nvdb segment; {REMEDY}")
+    header = np.frombuffer(raw, FILE_HEADER)[0]
+    magic, version = int(header["magic"]), int(header["version"])
+    if magic not in (MAGIC_OLD, MAGIC_FILE):
+        if int.from_bytes(raw[:8], "big") in (MAGIC_OLD, MAGIC_FILE):
+            raise FileFormatError(f"{path}: the file is big-endian; write it again on a little-endian machine")
+        what = "this is no .nvdb file; check what it is" if at == 0 else f"no .nvdb segment at byte {at}; {REMEDY}"
+        raise FileFormatError(f"{path}: {what}")
+    if version >> 21 != MAJOR_VERSION:
+        raise UnsupportedGridError(
+            f"{path}: NanoVDB {version_text(version)} is not {MAJOR_VERSION}.x; convert it with nanovdb_convert"
+        )
+    if int(header["codec"]) >= len(CODECS):
+        raise FileFormatError(f"{path}: compression {int(header['codec'])} at byte {at} does not exist; {REMEDY}")
+    codec = CODECS[int(header["codec"])]
+    at += FILE_HEADER.itemsize
+    found: list[tuple[Any, str]] = []
+    for _ in range(int(header["grid_count"])):
+        block, name, at = _metadata(file, at, size, path)
+        found.append((block, name))
+    entries = []
+    for block, name in found:
+        grid_size = int(block["grid_size"])
+        stored = _stored_size(file, at, int(block["file_size"]), grid_size, codec)
+        if stored > size - at:
+            raise FileFormatError(
+                f"{path}: grid {name!r} needs {stored} bytes and the file has {size - at} left; {REMEDY}"
+            )
+        if grid_size < HEAD_SIZE or grid_size > (stored if codec == "none" else largest_size(stored)):
+            raise FileFormatError(
+                f"{path}: grid {name!r} claims {grid_size} bytes, which {stored} {codec} bytes cannot hold; {REMEDY}"
+            )
+        entries.append(_Entry(name, codec, grid_size, at, stored, int(block["grid_type"])))
+        at += stored
+    return entries, at
+
+
+def _stored_size(file: BufferedReader, at: int, declared: int, grid_size: int, codec: str) -> int:
+    """Bytes of a grid in the file; warp's writer leaves the length words of compressed blocks out of its count."""
+    if codec == "none" or grid_size > largest_size(declared):
+        return declared
+    frames = -(-grid_size // BLOSC_FRAME) if codec == "blosc" else 1
+    followed = at
+    for _ in range(frames):
+        # No further than the count that is to be tested: a damaged length must not be believed.
+        if followed - at > declared:
+            return declared
+        followed += 8 + int.from_bytes(os.pread(file.fileno(), 8, followed), "little")
+    return declared + 8 * frames if followed - at == declared + 8 * frames else declared
+
+
+def _metadata(file: BufferedReader, at: int, size: int, path: Path) -> tuple[Any, str, int]:
+    raw = os.pread(file.fileno(), FILE_METADATA.itemsize, at)
+    if len(raw) < FILE_METADATA.itemsize:
+        raise FileFormatError(f"{path}: the file ends inside the metadata at byte {at}; {REMEDY}")
+    block = np.frombuffer(raw, FILE_METADATA)[0]
+    at += FILE_METADATA.itemsize
+    length = int(block["name_size"])
+    if length > size - at:
+        raise FileFormatError(f"{path}: a name of {length} bytes at byte {at} does not fit; {REMEDY}")
+    name = decoded_name(os.pread(file.fileno(), length, at))
+    return block, name, at + length
+
+
+def _head_of(file: BufferedReader, entry: _Entry, size: int, where: str) -> NDArray[np.uint8]:
+    def fetch(start: int, count: int) -> bytes:
+        return os.pread(file.fileno(), count, entry.start + start)
+
+    return decompress_head(entry.codec, fetch, entry.stored, min(size, entry.grid_size), where)
+
+
+def _attached(file: BufferedReader, entry: _Entry, where: str) -> tuple[dict[str, Any], int]:
+    if entry.codec != "none":
+        return {}, entry.grid_size
+    return metadata_of(np.memmap(file, np.uint8, "r", entry.start, entry.grid_size), where)
+
+
+def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
+    where = f"{path}: {entry.where}"
+    # The headers are judged before memory is taken for the whole.
+    check_head(_head_of(file, entry, HEAD_SIZE, where), entry.grid_size, where)
+    buffer = _memory(entry.grid_size, where)
+    file.seek(entry.start)
+    if entry.codec == "none":
+        if file.readinto(buffer.data) != entry.grid_size:
+            raise FileFormatError(f"{where}: the file ends inside the grid; {REMEDY}")
+    else:
+        decompress(entry.codec, memoryview(file.read(entry.stored)), buffer, where)
+    check_grid(buffer, where)
+    checksum = checksum_mode(buffer)
+    if not checksum_matches(buffer):
+        raise FileFormatError(f"{where}: the {checksum} checksum does not match the content; {REMEDY}")
+    buffer, metadata = without_metadata(buffer, where)
+    _make_single(buffer, checksum)
+    return NvdbGrid(buffer, entry.name or grid_name(buffer), checksum, metadata)
+
+
+def _memory(size: int, where: str) -> NDArray[np.uint8]:
+    try:
+        present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not every system says
+        present = size
+    try:
+        if size > present:
+            raise MemoryError
+        return aligned_buffer(size)
+    except MemoryError as error:
+        raise DeviceMemoryError(
+            f"{where}: {size} bytes do not fit into memory ({present} bytes); load it on a larger machine"
+        ) from error
+
+
+def _make_single(buffer: NDArray[np.uint8], checksum: str) -> None:
+    # A grid from a buffer of several says so, and readers would look for the others behind it.
+    grid = grid_header(buffer)
+    if int(grid["grid_count"]) == 1 and int(grid["grid_index"]) == 0:
+        return
+    grid["grid_index"], grid["grid_count"] = 0, 1
+    if checksum != "none":
+        renew = full_checksum if checksum == "full" else partial_checksum
+        grid["checksum"] = renew(buffer[:HEAD_SIZE], buffer)

@@ -1,0 +1,286 @@
+"""NanoVDB 32.x as NumPy sees it: headers, and what a buffer says about itself.
+
+A buffer holds one grid and starts at a 32-byte boundary: GridData (672 bytes), TreeData (64), the root with its table,
+then all upper nodes (32^3 slots), all lower nodes (16^3), all leaves (8^3 voxels), then optional blind data.
+
+Source:
+    NanoVDB (Museth 2021), NanoVDB.h 32.4 and 32.8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError, UnsupportedGridError
+from geokit.volume.nanovdb.grid_info import GridInfo
+from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout, layout_of, type_name
+
+__all__ = [
+    "FLAG_BREADTH_FIRST",
+    "FLAG_HAS_BBOX",
+    "FLAG_HAS_MIN_MAX",
+    "FLAG_LONG_NAME",
+    "GRID_CLASSES",
+    "GRID_DATA",
+    "HEAD_SIZE",
+    "MAGIC_FILE",
+    "MAGIC_GRID",
+    "MAGIC_OLD",
+    "MAJOR_VERSION",
+    "TREE_DATA",
+    "TREE_OFFSET",
+    "aligned_buffer",
+    "decoded_name",
+    "encoded_name",
+    "grid_class_code",
+    "grid_header",
+    "grid_name",
+    "info_of",
+    "require_header",
+    "require_supported",
+    "tree_header",
+    "version_text",
+    "voxel_size_of",
+]
+
+# Cache lines are the larger of the two boundaries that a buffer should start at.
+BUFFER_ALIGNMENT = 64
+MAJOR_VERSION = 32
+
+# "NanoVDB0" marks files and grids up to 32.6, "NanoVDB1" grids and "NanoVDB2" files since 32.7 (little endian).
+MAGIC_OLD = 0x304244566F6E614E
+MAGIC_GRID = 0x314244566F6E614E
+MAGIC_FILE = 0x324244566F6E614E
+
+FLAG_LONG_NAME = 1
+FLAG_HAS_BBOX = 2
+FLAG_HAS_MIN_MAX = 4
+FLAG_BREADTH_FIRST = 32
+
+GRID_DATA = np.dtype(
+    {
+        "names": [
+            "magic", "checksum", "version", "flags", "grid_index", "grid_count", "grid_size", "name",
+            "matrix_f", "inverse_f", "vector_f", "taper_f", "matrix", "inverse", "vector", "taper",
+            "world_bbox", "voxel_size", "grid_class", "grid_type", "blind_offset", "blind_count",
+            "data_0", "data_1", "data_2",
+        ],
+        "formats": [
+            "<u8", "<u8", "<u4", "<u4", "<u4", "<u4", "<u8", "S256",
+            ("<f4", 9), ("<f4", 9), ("<f4", 3), "<f4", ("<f8", 9), ("<f8", 9), ("<f8", 3), "<f8",
+            ("<f8", 6), ("<f8", 3), "<u4", "<u4", "<i8", "<u4",
+            "<u4", "<u8", "<u8",
+        ],
+        "offsets": [
+            0, 8, 16, 20, 24, 28, 32, 40,
+            296, 332, 368, 380, 384, 456, 528, 552,
+            560, 608, 632, 636, 640, 648,
+            652, 656, 664,
+        ],
+        "itemsize": 672,
+    }
+)  # fmt: skip
+# Offsets are relative to the tree header; node and tile counts run from the leaves upwards.
+TREE_DATA = np.dtype(
+    [("node_offset", "<u8", 4), ("node_count", "<u4", 3), ("tile_count", "<u4", 3), ("voxel_count", "<u8")]
+)
+BLIND_DATA = np.dtype(
+    [
+        ("offset", "<i8"), ("value_count", "<u8"), ("value_size", "<u4"), ("semantic", "<u4"), ("data_class", "<u4"),
+        ("data_type", "<u4"), ("name", "S256"),
+    ]
+)  # fmt: skip
+BLIND_CLASS_NAME = 3
+TREE_OFFSET = GRID_DATA.itemsize
+HEAD_SIZE = GRID_DATA.itemsize + TREE_DATA.itemsize
+
+GRID_CLASSES = (
+    "unknown", "level set", "fog volume", "staggered", "point index", "point data", "topology", "voxel volume",
+    "index grid", "tensor grid",
+)  # fmt: skip
+
+# The root starts with the box of its active voxels: six int32.
+ROOT_BOUNDS = 24
+
+
+def grid_class_code(name: str) -> int:
+    """NanoVDB's number of a grid class; 0, its "unknown", for a class that NanoVDB does not have."""
+    return GRID_CLASSES.index(name) if name in GRID_CLASSES else 0
+
+
+def aligned_buffer(size: int, *, zeroed: bool = False) -> NDArray[np.uint8]:
+    """An uninitialised or zeroed uint8 array of ``size`` bytes that starts where NanoVDB allows a grid to start."""
+    make = np.zeros if zeroed else np.empty
+    memory = make(size + BUFFER_ALIGNMENT, dtype=np.uint8)
+    start = -memory.ctypes.data % BUFFER_ALIGNMENT
+    return memory[start : start + size]
+
+
+def grid_header(buffer: NDArray[np.uint8]) -> Any:
+    """GridData of a buffer, as one record that shares its memory."""
+    return buffer[:TREE_OFFSET].view(GRID_DATA)[0]
+
+
+def tree_header(buffer: NDArray[np.uint8]) -> Any:
+    """TreeData of a buffer, as one record that shares its memory."""
+    return buffer[TREE_OFFSET:HEAD_SIZE].view(TREE_DATA)[0]
+
+
+def version_text(version: int) -> str:
+    """ "32.4.2" from NanoVDB's packed version."""
+    return f"{version >> 21}.{(version >> 10) & 0x7FF}.{version & 0x3FF}"
+
+
+def require_header(head: NDArray[np.uint8], where: str) -> None:
+    """Check the header of a grid of any type: magic number, version, class and transform.
+
+    Args:
+        head: The grid, or its first 736 bytes.
+        where: File or argument, for the message.
+
+    Raises:
+        FileFormatError: This is no NanoVDB grid, or its header contradicts itself.
+        UnsupportedGridError: The grid is of another major version.
+    """
+    remedy = "get the file again from its source"
+    if len(head) < HEAD_SIZE:
+        raise FileFormatError(f"{where}: {len(head)} bytes are too few for a NanoVDB grid; {remedy}")
+    grid = grid_header(head)
+    if int(grid["magic"]) not in (MAGIC_OLD, MAGIC_GRID):
+        raise FileFormatError(f"{where}: the grid does not start with NanoVDB's magic number; {remedy}")
+    version = int(grid["version"])
+    if version >> 21 != MAJOR_VERSION:
+        raise UnsupportedGridError(
+            f"{where}: NanoVDB {version_text(version)} is not {MAJOR_VERSION}.x; convert it with nanovdb_convert"
+        )
+    if int(grid["grid_class"]) >= len(GRID_CLASSES):
+        raise FileFormatError(f"{where}: grid class {int(grid['grid_class'])} does not exist; {remedy}")
+    matrix = grid["matrix"].reshape(3, 3)
+    finite = np.isfinite(matrix).all() and np.isfinite(grid["vector"]).all() and np.isfinite(grid["inverse"]).all()
+    if not finite or _is_singular(matrix):
+        raise FileFormatError(f"{where}: the transform is not finite and invertible; {remedy}")
+
+
+def require_supported(head: NDArray[np.uint8], where: str) -> GridLayout:
+    """As :func:`require_header`, and the grid's type and node order are ones that geokit reads.
+
+    Returns:
+        The layout of the grid's type.
+
+    Raises:
+        FileFormatError: This is no NanoVDB grid, or its header contradicts itself.
+        UnsupportedGridError: The grid is of a version, type or node order that geokit does not read.
+    """
+    require_header(head, where)
+    grid = grid_header(head)
+    layout = layout_of(int(grid["grid_type"]), where)
+    if not int(grid["flags"]) & FLAG_BREADTH_FIRST:
+        raise UnsupportedGridError(f"{where}: the nodes are not in breadth-first order; write it again with NanoVDB 32")
+    return layout
+
+
+def _is_singular(matrix: NDArray[np.float64]) -> bool:
+    # Rows are scaled first: voxels of 1e-120 have a determinant that underflows though the matrix is sound.
+    scale = np.abs(matrix).max(axis=1, keepdims=True)
+    return not (scale > 0.0).all() or np.linalg.matrix_rank(matrix / scale) < 3
+
+
+def voxel_size_of(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edge lengths (3,) of a voxel under an index-to-world transform whose linear part is its first three columns."""
+    linear = transform[:3, :3]
+    # Scaled first: squares of lengths beyond 1e154 overflow though the lengths do not.
+    largest = np.abs(linear).max(axis=0)
+    return np.linalg.norm(linear / np.where(largest > 0.0, largest, 1.0), axis=0) * largest
+
+
+def info_of(
+    buffer: NDArray[np.uint8],
+    metadata: Mapping[str, Any] | None = None,
+    *,
+    name: str | None = None,
+    byte_count: int | None = None,
+    where: str = "NanoVDB buffer",
+) -> GridInfo:
+    """What a NanoVDB buffer says about its grid.
+
+    Args:
+        buffer: A grid, uint8, at least through its root's fixed part.
+        metadata: OpenVDB metadata that came with the grid; NanoVDB has no place for it.
+        name: The grid's name where it is known from elsewhere; else it is read from the buffer.
+        byte_count: Size of the grid where the buffer is only its beginning.
+        where: File or argument, for the message.
+
+    Returns:
+        GridInfo of the grid; its background is None where the type holds no values.
+
+    Raises:
+        FileFormatError: This is no NanoVDB grid.
+        UnsupportedGridError: The grid is of another major version of NanoVDB.
+    """
+    require_header(buffer, where)
+    grid, tree = grid_header(buffer), tree_header(buffer)
+    layout = LAYOUTS.get(type_name(int(grid["grid_type"])))
+    root = TREE_OFFSET + int(tree["node_offset"][3])
+    if root < HEAD_SIZE or root + (layout.root_size if layout else ROOT_BOUNDS) > len(buffer):
+        raise FileFormatError(f"{where}: the root node lies outside the grid; get the file again from its source")
+    transform = np.eye(4)
+    transform[:3, :3] = grid["matrix"].reshape(3, 3)
+    transform[:3, 3] = grid["vector"]
+    box = buffer[root : root + ROOT_BOUNDS].copy().view("<i4").reshape(2, 3).astype(np.int64)
+    bounds = box if tree["voxel_count"] and (box[0] <= box[1]).all() else None
+    voxel_size = voxel_size_of(transform)
+    for array in (transform, voxel_size, bounds):
+        if array is not None:
+            array.setflags(write=False)
+    return GridInfo(
+        name=grid_name(buffer) if name is None else name,
+        grid_type=type_name(int(grid["grid_type"])),
+        grid_class=GRID_CLASSES[int(grid["grid_class"])],
+        transform=transform,
+        voxel_size=voxel_size,
+        background=_background(buffer, root, layout) if layout else None,
+        active_voxel_count=int(tree["voxel_count"]),
+        index_bounds=bounds,
+        byte_count=len(buffer) if byte_count is None else byte_count,
+        metadata=MappingProxyType(dict(metadata or {})),
+    )
+
+
+def grid_name(buffer: NDArray[np.uint8]) -> str:
+    """A grid's name: in the header up to 255 bytes, else in a block of blind data.
+
+    Bytes that are not UTF-8 come back as surrogates, which give the same bytes again when encoded.
+    """
+    grid = grid_header(buffer)
+    offset, count = int(grid["blind_offset"]), int(grid["blind_count"])
+    if int(grid["flags"]) & FLAG_LONG_NAME and HEAD_SIZE <= offset <= len(buffer) - count * BLIND_DATA.itemsize:
+        for i, entry in enumerate(buffer[offset : offset + count * BLIND_DATA.itemsize].view(BLIND_DATA)):
+            start = offset + i * BLIND_DATA.itemsize + int(entry["offset"])
+            if int(entry["data_class"]) == BLIND_CLASS_NAME and HEAD_SIZE <= start < len(buffer):
+                text = buffer[start : start + int(entry["value_count"])].tobytes()
+                return decoded_name(text)
+    return decoded_name(bytes(grid["name"]))
+
+
+def decoded_name(text: bytes) -> str:
+    """Name from bytes that end with the first zero, if any."""
+    return text.split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
+
+
+def encoded_name(name: str) -> bytes:
+    """The bytes that :func:`decoded_name` made the name from."""
+    return name.encode("utf-8", "surrogateescape")
+
+
+def _background(buffer: NDArray[np.uint8], root: int, layout: GridLayout) -> Any:
+    start = root + layout.root_background
+    value = buffer[start : start + layout.background.itemsize].copy()
+    if layout.background == np.bool_:
+        return bool(value[0])  # a damaged byte is neither 0 nor 1
+    typed = value.view(layout.background.base)
+    return tuple(typed.tolist()) if layout.background.shape else typed[0].item()

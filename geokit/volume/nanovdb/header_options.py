@@ -1,0 +1,118 @@
+"""Headers of new grids: their options, checked, and what is written of them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import InputError
+from geokit.volume.nanovdb.header import (
+    FLAG_BREADTH_FIRST,
+    FLAG_HAS_MIN_MAX,
+    MAGIC_OLD,
+    TREE_OFFSET,
+    encoded_name,
+    grid_class_code,
+    grid_header,
+    tree_header,
+    voxel_size_of,
+)
+from geokit.volume.nanovdb.layout import GRID_TYPES, GridLayout
+
+__all__ = ["GridOptions", "checked_options", "checked_transform", "write_header", "write_transform"]
+
+# 32.4.2 is what OpenVDB 10 writes; later readers take it too.
+VERSION = 32 << 21 | 4 << 10 | 2
+LONGEST_NAME = 255
+
+
+class GridOptions(NamedTuple):
+    """Index to world (4, 4), the name's bytes, and NanoVDB's number of the class."""
+
+    transform: NDArray[np.float64]
+    name: bytes
+    grid_class: int
+
+
+def checked_options(transform: NDArray[np.float64], name: str, grid_class: str) -> GridOptions:
+    """Options of a grid, refused where no grid can have them.
+
+    Raises:
+        InputError: A name, class or transform that no grid can have.
+    """
+    encoded = encoded_name(name)
+    if len(encoded) > LONGEST_NAME or b"\0" in encoded:
+        raise InputError(f"name: {len(encoded)} bytes; use at most {LONGEST_NAME} without a zero byte")
+    matrix = checked_transform(transform)
+    code = grid_class_code(grid_class)
+    if code == 0 and grid_class != "unknown":
+        raise InputError(f"grid_class: NanoVDB has no class {grid_class!r}; use 'level set', 'fog volume' or 'unknown'")
+    return GridOptions(matrix, encoded, code)
+
+
+def checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A transform as float64 (4, 4).
+
+    Raises:
+        InputError: No grid can have it.
+    """
+    matrix = np.array(transform, np.float64)
+    if matrix.shape != (4, 4):
+        raise InputError(f"transform: shape {matrix.shape} is not (4, 4); give index to world")
+    linear = matrix[:3, :3]
+    scale = np.abs(linear).max(axis=1, keepdims=True)
+    if (
+        not np.isfinite(matrix).all()
+        or not (scale > 0.0).all()
+        or np.linalg.matrix_rank(linear / scale) < 3
+        or (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any()
+    ):
+        raise InputError(
+            "transform: not a finite, invertible affine map with the last row 0 0 0 1; give index to world"
+        )
+    return matrix
+
+
+def write_header(
+    buffer: NDArray[np.uint8],
+    layout: GridLayout,
+    options: GridOptions,
+    size: int,
+    begins: tuple[int, int, int, int],
+    counts: tuple[int, int, int],
+) -> None:
+    """Write a grid's headers, still without statistics and checksum.
+
+    Args:
+        buffer: Zeros.
+        layout: Of the grid's type, which has extrema.
+        options: Checked.
+        size: Bytes of the grid.
+        begins: Bytes at which leaves, lower nodes, upper nodes and the root begin.
+        counts: Numbers of leaves, lower and upper nodes.
+    """
+    grid = grid_header(buffer)
+    grid["magic"], grid["version"] = MAGIC_OLD, VERSION
+    grid["flags"] = FLAG_BREADTH_FIRST | FLAG_HAS_MIN_MAX
+    grid["grid_count"] = 1
+    grid["grid_size"] = grid["blind_offset"] = size
+    grid["name"] = options.name
+    write_transform(grid, options.transform)
+    grid["grid_class"], grid["grid_type"] = options.grid_class, GRID_TYPES.index(layout.name)
+    tree = tree_header(buffer)
+    tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
+    tree["node_count"] = counts
+
+
+def write_transform(grid: Any, transform: NDArray[np.float64]) -> None:
+    """Put index to world (4, 4) into a grid's header."""
+    linear, translation = transform[:3, :3], transform[:3, 3]
+    inverse = np.linalg.inv(linear)
+    grid["matrix"], grid["inverse"], grid["vector"], grid["taper"] = linear.ravel(), inverse.ravel(), translation, 1.0
+    # Beyond float32's range the single-precision map overflows to inf; geokit's kernels use the double one.
+    with np.errstate(over="ignore", under="ignore"):
+        grid["matrix_f"], grid["inverse_f"] = linear.ravel(), inverse.ravel()
+        grid["vector_f"], grid["taper_f"] = translation, 1.0
+    grid["voxel_size"] = voxel_size_of(transform)

@@ -1,0 +1,145 @@
+"""Where a volume came from and how exact it is, as metadata of its grid.
+
+The keys go through .vdb as OpenVDB metadata and through .nvdb as a channel of blind data
+(:mod:`geokit.volume.nanovdb.metadata`). A key that does not apply is absent.
+
+============================  =============================================================================
+``geokit:source``             name of what the volume was made from: a mesh, a file, a function
+``geokit:source_sha256``      SHA-256 of its content in hexadecimal, see :func:`content_hash`
+``geokit:voxel_size``         edge length of a voxel that was asked for or chosen [world]
+``geokit:tolerance``          error that was asked for [value units]
+``geokit:achieved_error``     error that was achieved, at most the tolerance [value units]
+``geokit:achieved_error_999`` its 99.9th percentile, where it was found by sampling [value units]
+``geokit:checked_within``     how far from the surface that holds [world]
+``geokit:order``              order of interpolation for which it holds
+``geokit:level``              number of a level of an adaptive field, 0 the coarsest
+``geokit:level_count``        number of its levels
+``geokit:version``            version of geokit that made the volume
+============================  =============================================================================
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = [
+    "ACHIEVED_999",
+    "ACHIEVED_ERROR",
+    "ORDER",
+    "TOLERANCE",
+    "VOXEL_SIZE",
+    "content_hash",
+    "known_number",
+    "provenance",
+    "with_error",
+    "with_more",
+]
+
+SOURCE = "geokit:source"
+SOURCE_HASH = "geokit:source_sha256"
+VOXEL_SIZE = "geokit:voxel_size"
+TOLERANCE = "geokit:tolerance"
+ACHIEVED_ERROR = "geokit:achieved_error"
+ACHIEVED_999 = "geokit:achieved_error_999"
+WITHIN = "geokit:checked_within"
+ORDER = "geokit:order"
+VERSION = "geokit:version"
+
+
+def provenance(
+    source_name: str | None = None,
+    source_hash: str | None = None,
+    voxel_size: float | None = None,
+    tolerance: float | None = None,
+    achieved_error: float | None = None,
+    achieved_error_999: float | None = None,
+    checked_within: float | None = None,
+    order: int | None = None,
+) -> dict[str, Any]:
+    """Metadata that says where a volume came from.
+
+    Args:
+        source_name: Name of what it was made from.
+        source_hash: SHA-256 of that, from :func:`content_hash`.
+        voxel_size: Edge length of a voxel [world].
+        tolerance: Error that was asked for [value units].
+        achieved_error: Error that was achieved [value units].
+        achieved_error_999: Its 99.9th percentile [value units].
+        checked_within: How far from the surface that holds [world].
+        order: Order of interpolation for which it holds.
+    Returns:
+        The keys of this module's table whose values are known, and the version of geokit.
+    """
+    import geokit
+
+    known = {
+        SOURCE: source_name,
+        SOURCE_HASH: source_hash,
+        VOXEL_SIZE: None if voxel_size is None else float(voxel_size),
+        TOLERANCE: None if tolerance is None else float(tolerance),
+        ACHIEVED_ERROR: None if achieved_error is None else float(achieved_error),
+        ACHIEVED_999: None if achieved_error_999 is None else float(achieved_error_999),
+        WITHIN: None if checked_within is None else float(checked_within),
+        ORDER: order,
+        VERSION: geokit.__version__,
+    }
+    return {key: value for key, value in known.items() if value is not None}
+
+
+def with_error(metadata: Mapping[str, Any], tolerance: float | None, achieved_error: float) -> Mapping[str, Any]:
+    """Metadata of a volume after a further step that changed its values.
+
+    Errors add up, and so do the tolerances that they are held against. Without a tolerance for this step there is none
+    for the whole.
+
+    Args:
+        metadata: Of the volume before the step.
+        tolerance: Error that was asked of the step [value units]; None where none was.
+        achieved_error: Largest change of a value in the step [value units].
+    """
+    made = {**metadata, **provenance()}
+    # What was found by sampling does not hold for other values.
+    made.pop(ACHIEVED_999, None)
+    before = known_number(made.pop(ACHIEVED_ERROR, None))
+    asked = known_number(made.pop(TOLERANCE, None))
+    made[ACHIEVED_ERROR] = (before or 0.0) + float(achieved_error)
+    if tolerance is not None and (before is None or asked is not None):
+        made[TOLERANCE] = (asked or 0.0) + float(tolerance)
+    return MappingProxyType(made)
+
+
+def with_more(volume: SparseVolume, more: Mapping[str, Any]) -> SparseVolume:
+    """A volume that was just made, with further metadata: it is changed in place, since nobody else has seen it yet."""
+    metadata = MappingProxyType({**volume.info.metadata, **more})
+    object.__setattr__(volume, "info", replace(volume.info, metadata=metadata))
+    return volume
+
+
+def content_hash(*arrays: NDArray[Any]) -> str:
+    """SHA-256 of arrays: their types, shapes and little-endian bytes, in hexadecimal.
+
+    Args:
+        arrays: What a volume was made from, such as the vertices and faces of a mesh.
+    """
+    digest = hashlib.sha256()
+    for array in arrays:
+        plain = np.ascontiguousarray(array)
+        plain = plain.astype(plain.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"{plain.dtype.str}{plain.shape}".encode("ascii"))
+        digest.update(plain.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def known_number(value: Any) -> float | None:
+    """A value of metadata as a number: it comes from files, where a key of ours may hold anything."""
+    return float(value) if isinstance(value, (int, float, np.number)) and not isinstance(value, bool) else None

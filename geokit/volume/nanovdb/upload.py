@@ -1,0 +1,111 @@
+"""Volumes on devices: one warp.Volume per device, made when first asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from geokit.core.download import download_into
+from geokit.core.launcher import resolve_device
+from geokit.errors import DeviceMemoryError
+from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, tree_header
+from geokit.volume.nanovdb.layout import ALIGNMENT
+
+if TYPE_CHECKING:
+    import numpy as np
+    import warp as wp
+    from numpy.typing import NDArray
+
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["above_leaves", "download", "upload"]
+
+
+def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
+    """The grid as a warp.Volume on a device, kept with the volume.
+
+    On the CPU it shares the host buffer's memory; on a GPU it is copied there once.
+
+    Args:
+        volume: The grid.
+        device: Alias or warp device; None for the first GPU, else the CPU.
+
+    Returns:
+        The same warp.Volume for every call with the same device.
+
+    Raises:
+        InputError: There is no such device.
+        FileFormatError: The buffer is not a sound grid.
+        UnsupportedGridError: The grid's type cannot be used.
+        DeviceMemoryError: The device has too little free memory.
+    """
+    import warp as wp
+
+    found = resolve_device(device)
+    if found.alias in volume._uploads:
+        return volume._uploads[found.alias][0]
+    buffer = volume.nanovdb
+    if not volume._uploads:
+        # A kernel follows the buffer's offsets blindly, whoever made it.
+        check_grid(buffer, f"volume {volume.info.name!r}")
+    if found.is_cuda and found.free_memory < len(buffer):
+        raise DeviceMemoryError(
+            f"volume {volume.info.name!r}: {len(buffer)} bytes do not fit into the {found.free_memory} free bytes of "
+            f"{found.alias}; use a coarser grid or another device"
+        )
+    if found.is_cpu and buffer.ctypes.data % ALIGNMENT:
+        moved = aligned_buffer(len(buffer))
+        moved[:] = buffer
+        buffer = moved
+    try:
+        array: Any = wp.array(buffer, dtype=wp.uint8, device=found, copy=not found.is_cpu)
+    except (RuntimeError, MemoryError) as error:
+        raise DeviceMemoryError(
+            f"volume {volume.info.name!r}: {len(buffer)} bytes could not be had on {found.alias}; use a coarser "
+            "grid or another device"
+        ) from error
+    try:
+        made = wp.Volume(array, copy=False)
+    except RuntimeError:
+        # Warp knows a volume by its address: a buffer that another volume shows already needs one of its own.
+        if found.is_cpu:
+            moved = aligned_buffer(len(buffer))
+            moved[:] = buffer
+            array, buffer = wp.array(moved, dtype=wp.uint8, device=found, copy=False), moved
+        else:
+            array = wp.clone(array)
+        made = wp.Volume(array, copy=False)
+    # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, also where the
+    # caller keeps nothing else.
+    made._geokit_source = (array, buffer)
+    volume._uploads[found.alias] = (made, array, buffer)
+    return made
+
+
+def download(volume: SparseVolume) -> NDArray[np.uint8]:
+    """The host buffer of a volume that :func:`made_on_device` has made."""
+    source = _source(volume)
+    return _front(source, len(source))
+
+
+def above_leaves(volume: SparseVolume) -> NDArray[np.uint8]:
+    """The buffer up to its leaves, or all of it: headers, root and inner nodes.
+
+    Of a grid that is on a device alone no more is brought to the host.
+    """
+    if "nanovdb" in volume.__dict__:
+        return volume.nanovdb
+    source = _source(volume)
+    leaves, *others = (int(offset) for offset in tree_header(_front(source, HEAD_SIZE))["node_offset"])
+    return _front(source, TREE_OFFSET + leaves) if leaves > max(others) else volume.nanovdb
+
+
+def _source(volume: SparseVolume) -> Any:
+    return next(entry[1] for entry in volume._uploads.values() if isinstance(entry, tuple))
+
+
+def _front(source: "wp.array", size: int) -> NDArray[np.uint8]:
+    """The first bytes of a grid on a device."""
+    buffer = aligned_buffer(size)
+    download_into(buffer, source)
+    return buffer

@@ -1,0 +1,164 @@
+"""Writing .nvdb files that every reader of NanoVDB 32.x takes, and that nanovdb_validate accepts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.files import atomic_path
+from geokit.errors import FileFormatError, InputError
+from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checksum import LAST_OLD_VERSION, full_checksum
+from geokit.volume.nanovdb.codecs import CODECS, compress_into
+from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
+from geokit.volume.nanovdb.header import (
+    FLAG_LONG_NAME,
+    HEAD_SIZE,
+    MAGIC_FILE,
+    MAGIC_GRID,
+    MAGIC_OLD,
+    TREE_OFFSET,
+    encoded_name,
+    grid_header,
+    tree_header,
+)
+from geokit.volume.nanovdb.metadata import body_with_metadata
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["write"]
+
+# What OpenVDB 10 writes: its own tools refuse later versions' magic numbers, later tools read this one.
+OLD_VERSION = 32 << 21 | 4 << 10 | 2
+# The last grid type and the number of grid classes that 32.4 knows with the layout that later versions have.
+LAST_OLD_TYPE = 18
+OLD_CLASSES = 9
+LONGEST_NAME = 255
+GRIDS_PER_SEGMENT = 0xFFFF
+
+
+def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, codec: str = "none") -> None:
+    """Write grids to one .nvdb file, which appears whole or not at all.
+
+    Each grid gets its volume's name, its metadata and a checksum over all its nodes; the volumes' own buffers stay as
+    they are. Grids from later versions of NanoVDB are stored as 32.4 where their type and blind data allow it.
+
+    Args:
+        path: Target; an existing file is replaced.
+        volumes: One or more grids.
+        codec: "none", "zip" or "blosc".
+
+    Raises:
+        InputError: There is no volume, the codec is unknown, a name is too long, a buffer is no sound grid, or metadata
+            has a value of no OpenVDB type.
+        FileAccessError: The target cannot be written.
+        UnsupportedGridError: A grid's type cannot be used.
+        MissingDependencyError: The codec is "blosc" and blosc is not installed.
+    """
+    if codec not in CODECS:
+        raise InputError(f"codec: {codec!r} is unknown; use one of {', '.join(CODECS)}")
+    if not volumes:
+        raise InputError(f"{path}: no volumes to save; give at least one")
+    prepared = [_prepared(volume, i) for i, volume in enumerate(volumes)]
+    with atomic_path(path) as part, open(part, "wb") as file:
+        for (magic, version), group in groupby(prepared, key=lambda grid: _file_version(grid.head)):
+            grids = list(group)
+            for first in range(0, len(grids), GRIDS_PER_SEGMENT):
+                _write_segment(file, grids[first : first + GRIDS_PER_SEGMENT], magic, version, codec)
+
+
+class _Prepared(NamedTuple):
+    """A grid as the file is to have it: its first bytes, and what follows them."""
+
+    head: NDArray[np.uint8]
+    body: list[NDArray[np.uint8]]
+    volume: SparseVolume
+
+
+def _prepared(volume: SparseVolume, index: int) -> _Prepared:
+    buffer = volume.nanovdb
+    where = f"volumes[{index}] {volume.info.name!r}"
+    try:
+        check_grid(buffer, where)
+    except FileFormatError as error:
+        raise InputError(str(error)) from None
+    head = buffer[:HEAD_SIZE].copy()
+    grid = grid_header(head)
+    grid["grid_index"], grid["grid_count"] = 0, 1
+    if (
+        int(grid["version"]) > OLD_VERSION
+        and int(grid["grid_type"]) <= LAST_OLD_TYPE
+        and int(grid["grid_class"]) < OLD_CLASSES
+        and not int(grid["blind_count"])
+    ):
+        grid["magic"], grid["version"], grid["data_2"] = MAGIC_OLD, OLD_VERSION, 0
+    name = encoded_name(volume.info.name)
+    if not int(grid["flags"]) & FLAG_LONG_NAME:
+        if len(name) > LONGEST_NAME or b"\0" in name:
+            raise InputError(f"{where}: the name has {len(name)} bytes; use at most {LONGEST_NAME} without a zero byte")
+        grid["name"] = name
+    body = body_with_metadata(head, buffer, volume.info.metadata, where)
+    if len(body) > 1 and int(grid["version"]) > LAST_OLD_VERSION:
+        # From then on the checksum covers the blind data too, in blocks that do not end where the parts do.
+        whole = np.concatenate([head, *body])
+        grid["checksum"] = full_checksum(head, whole)
+    else:
+        grid["checksum"] = full_checksum(head, buffer)
+    return _Prepared(head, body, volume)
+
+
+def _file_version(head: NDArray[np.uint8]) -> tuple[int, int]:
+    grid = grid_header(head)
+    return MAGIC_FILE if int(grid["magic"]) == MAGIC_GRID else MAGIC_OLD, int(grid["version"])
+
+
+def _write_segment(file: BinaryIO, grids: list[_Prepared], magic: int, version: int, codec: str) -> None:
+    header = np.zeros(1, FILE_HEADER)
+    header["magic"], header["version"] = magic, version
+    header["grid_count"], header["codec"] = len(grids), CODECS.index(codec)
+    blocks = [_file_metadata(grid.head, grid.volume, codec) for grid in grids]
+    names = [encoded_name(grid.volume.info.name) + b"\0" for grid in grids]
+    start = file.tell()
+    # Compressed sizes are known only afterwards: the metadata is written over its own place at the end.
+    file.seek(FILE_HEADER.itemsize + sum(FILE_METADATA.itemsize + len(name) for name in names), os.SEEK_CUR)
+    for block, grid in zip(blocks, grids, strict=True):
+        block["file_size"] = compress_into(codec, [grid.head, *grid.body], file)
+    end = file.tell()
+    file.seek(start)
+    file.write(header.tobytes())
+    for block, name in zip(blocks, names, strict=True):
+        file.write(block.tobytes())
+        file.write(name)
+    file.seek(end)
+
+
+def _file_metadata(head: NDArray[np.uint8], volume: SparseVolume, codec: str) -> Any:
+    grid, tree = grid_header(head), tree_header(head)
+    root = TREE_OFFSET + int(tree["node_offset"][3])
+    name = encoded_name(volume.info.name)
+    block = np.zeros(1, FILE_METADATA)[0]
+    block["grid_size"] = grid["grid_size"]
+    block["name_key"] = _name_key(name)
+    block["voxel_count"] = tree["voxel_count"]
+    for field in ("grid_type", "grid_class", "world_bbox", "voxel_size", "version"):
+        block[field] = grid[field]
+    block["index_bbox"] = volume.nanovdb[root : root + 24].view("<i4")
+    block["name_size"] = len(name) + 1
+    block["node_count"] = [*tree["node_count"], 1]
+    block["tile_count"] = tree["tile_count"]
+    block["codec"] = CODECS.index(codec)
+    return block
+
+
+def _name_key(name: bytes) -> int:
+    # NanoVDB's own string hash: readers compare it before the names.
+    key = 0
+    for byte in name:
+        key = (key * 67 + byte + (key >> 56)) & 0xFFFFFFFFFFFFFFFF
+    return key

@@ -1,0 +1,1 @@
+"""Rays through volumes: traversal of cells, first crossings, integrals along rays."""

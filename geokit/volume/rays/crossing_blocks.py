@@ -1,0 +1,113 @@
+"""Which blocks of a volume may hold a crossing of an isovalue, found once and kept."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.volume._model import SparseVolume
+from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["CrossingBlocks", "crossing_blocks"]
+
+# To look at a block takes about as long as a fourth of a ray: fewer rays than that go without.
+BLOCKS_PER_RAY = 4
+# Blocks that are looked at, at most: twelve bytes for each of them, 192 MiB. Wider grids go without.
+MOST_BLOCKS = 1 << 24
+# Isovalues that are remembered for each volume and device.
+REMEMBERED = 4
+# Rows of blocks worth a slice of a launch, to look at and to spread distances over.
+GRAIN = 4
+LINE_GRAIN = 128
+
+_found: weakref.WeakKeyDictionary[SparseVolume, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+class CrossingBlocks(NamedTuple):
+    """Where an isovalue may be crossed: see crossing_blocks_kernels."""
+
+    reach: "wp.array"
+    numbers: "wp.array"
+    first_block: Any
+    block_count: Any
+    blocks: "wp.array"
+
+
+def crossing_blocks(
+    volume: SparseVolume, levels: list[Any], ray_count: int, device: "wp.Device"
+) -> CrossingBlocks | None:
+    """The blocks and cells of a volume in which a ray may cross an isovalue.
+
+    Args:
+        volume: A grid of one component.
+        levels: The voxel type's numbers below and above the isovalue, or twice the isovalue.
+        ray_count: How many rays there are; for few of them nothing is looked for.
+        device: Where the rays are.
+    Returns:
+        The blocks; None where to find them would take longer than the rays without them, or too much memory.
+    """
+    remembered = _found.setdefault(volume, {})
+    key = (device.alias, *(float(level) for level in levels))
+    if key not in remembered:
+        box = stored_box(volume)
+        if box is None:
+            return None
+        anchor = anchor_of(box)
+        # Cells reach one voxel down from the first; a rim around them ends the walk.
+        first = (box[0] - 1 - anchor) // LEAF_SPAN - 1
+        count = (box[1] - anchor) // LEAF_SPAN + 2 - first
+        total = math.prod(count.tolist())
+        if total > MOST_BLOCKS or total > BLOCKS_PER_RAY * ray_count:
+            return None
+        while len(remembered) >= REMEMBERED:
+            remembered.pop(next(iter(remembered)))
+        remembered[key] = _find(volume, levels, device, anchor, first, count)
+    return remembered[key]
+
+
+def _find(
+    volume: SparseVolume,
+    levels: list[Any],
+    device: "wp.Device",
+    anchor: NDArray[np.int64],
+    first: NDArray[np.int64],
+    count: NDArray[np.int64],
+) -> CrossingBlocks:
+    import warp as wp
+
+    from geokit.volume.rays import crossing_blocks_kernels as kernels
+
+    single = volume.info.grid_type == "float"
+    mark = kernels.mark_float_blocks_kernel if single else kernels.mark_scalar_blocks_kernel
+    write = kernels.write_float_blocks_kernel if single else kernels.write_scalar_blocks_kernel
+    first_block, block_count = wp.vec3i(*first.tolist()), wp.vec3i(*count.tolist())
+    rows, total = int(count[0] * count[1]), math.prod(count.tolist())
+    busy = wp.empty(total + 1, dtype=wp.int32, device=device)
+    numbers = wp.empty(total + 1, dtype=wp.int32, device=device)
+    inputs = [wp.uint64(volume.id(device)), wp.vec3i(*anchor.tolist()), first_block, block_count, *levels]
+    launcher.launch(mark, rows, inputs, [busy], device, grain=GRAIN)
+    wp.utils.array_scan(busy, numbers, inclusive=False)
+    found = int(numbers[total:].numpy()[0])
+    blocks = wp.empty(kernels.BLOCK_WORDS * max(found, 1), dtype=wp.uint64, device=device)
+    reach = wp.empty(total, dtype=wp.int8, device=device)
+    launcher.launch(write, rows, [*inputs, numbers], [reach, blocks], device, grain=GRAIN)
+    stride = total
+    for along in count.tolist():
+        stride //= along
+        wider = wp.empty(2 * reach.size, dtype=wp.int8, device=device)
+        if device.is_cpu:
+            across = [total, stride, along, int(count[2]), reach]
+            lines = wider.size // int(count[2])
+            launcher.launch(kernels.spread_lines_kernel, lines, across, [wider], device, grain=LINE_GRAIN)
+        else:
+            launcher.launch(kernels.spread_distance_kernel, wider.size, [total, stride, along, reach], [wider], device)
+        reach = wider
+    return CrossingBlocks(reach, numbers, first_block, block_count, blocks)

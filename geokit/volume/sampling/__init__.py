@@ -1,0 +1,1 @@
+"""Values and derivatives of volumes at points: nearest, trilinear, quadratic, cubic, staggered."""

@@ -1,0 +1,147 @@
+"""A short cut to the leaves of a float grid: a 32-bit entry for each place of a leaf, instead of a walk down the tree.
+
+NanoVDB finds a voxel through the root's table and two nodes with a mask and a table of 64 bits each, of 302 and 35 kB.
+Here a dense table over the box of the active voxels has a number for each 128^3 voxels, and where there are leaves a
+block of 16^3 entries: 16 kB that stay in the cache. The voxels themselves stay in the grid's own buffer.
+
+An entry is the byte at which a leaf starts divided by 32; or, for a tile, ~(the byte of its value divided by 4).
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, is_leaf, node_of
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+# Entries of a block, and pairs of a leaf.
+BLOCK = wp.constant(4096)
+PAIRS = wp.constant(648)
+
+
+@wp.struct
+class LeafTable:
+    """Where the leaves of a float grid are.
+
+    ``top`` has for each 128^3 voxels of the box the first of their entries in ``slots``; or, where they are one tile,
+    its entry, which is negative.
+    """
+
+    # Address of the grid.
+    grid: wp.uint64
+    # First voxel of the box, a multiple of 128, and its size in steps of 128 voxels.
+    lower: wp.vec3i
+    size: wp.vec3i
+    # z fastest.
+    top: wp.array(dtype=int)
+    slots: wp.array(dtype=int)
+    # The leaves once more, on a GPU that has the memory, for cells that begin in them: (9, 8, 9) pairs of a voxel and
+    # the next along y. The entry of the first; an entry is 67 more for each leaf.
+    pairs: wp.array(dtype=wp.float32)
+    first_leaf: int
+
+
+_LEVEL_SNIPPET = """
+    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
+    const pnanovdb_coord_t ijk = { i, j, k };
+    pnanovdb_readaccessor_t accessor;
+    pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
+    unsigned level;
+    pnanovdb_readaccessor_get_value_address_and_level(
+        PNANOVDB_GRID_TYPE_FLOAT, buf, PNANOVDB_REF(accessor), PNANOVDB_REF(ijk), PNANOVDB_REF(level));
+    return (int)level;
+"""
+
+
+@wp.func_native(_LEVEL_SNIPPET)
+def level_of(volume: wp.uint64, i: int, j: int, k: int) -> int:
+    """Where the value of a voxel is: 0 a leaf, 1 a lower node, 2 an upper node, 3 and more the root."""
+    ...
+
+
+@wp.func
+def corner_of(t: int, lower: wp.vec3i, size: wp.vec3i) -> wp.vec3i:
+    """First voxel of place number t of the box."""
+    z = t % size[2]
+    y = t / size[2] % size[1]
+    x = t / (size[2] * size[1])
+    return lower + 128 * wp.vec3i(x, y, z)
+
+
+@wp.func
+def tile_entry(node: wp.uint64) -> int:
+    return -1 - int(node >> wp.uint64(2))
+
+
+@wp.kernel
+def fill_top_kernel(first: int, volume: wp.uint64, lower: wp.vec3i, size: wp.vec3i, out_top: wp.array(dtype=int)):
+    """Entries of places that are one tile, and 0 for those that hold leaves."""
+    t = first + wp.tid()
+    c = corner_of(t, lower, size)
+    entry = int(0)
+    if level_of(volume, c[0], c[1], c[2]) > 1:
+        entry = tile_entry(node_of(volume, FLOAT_TYPE, c[0], c[1], c[2]))
+    out_top[t] = entry
+
+
+@wp.kernel
+def fill_slots_kernel(
+    first: int,
+    volume: wp.uint64,
+    lower: wp.vec3i,
+    size: wp.vec3i,
+    places: wp.array(dtype=int),
+    out_slots: wp.array(dtype=int),
+):
+    t = first + wp.tid()
+    c = corner_of(places[t / BLOCK], lower, size)
+    s = t % BLOCK
+    node = node_of(volume, FLOAT_TYPE, c[0] + s / 256 * 8, c[1] + s / 16 % 16 * 8, c[2] + s % 16 * 8)
+    if is_leaf(node):
+        out_slots[t] = int(node >> wp.uint64(5))
+    else:
+        out_slots[t] = tile_entry(node)
+
+
+_VOXEL_SNIPPET = """
+    const int x = i - table.lower[0], y = j - table.lower[1], z = k - table.lower[2];
+    const int start = table.top.data[((x >> 7) * table.size[1] + (y >> 7)) * table.size[2] + (z >> 7)];
+    const int entry = start < 0 ? start
+        : table.slots.data[start + (((x >> 3) & 15) << 8 | ((y >> 3) & 15) << 4 | ((z >> 3) & 15))];
+    const long long at = entry < 0 ? (long long)~entry
+        : (long long)entry * 8 + 24 + ((x & 7) << 6 | (y & 7) << 3 | (z & 7));
+    return ((const float*)table.grid)[at];
+"""
+
+
+@wp.func_native(_VOXEL_SNIPPET)
+def table_voxel(table: LeafTable, i: int, j: int, k: int) -> wp.float32:
+    """The voxel (i, j, k), which lies in the box."""
+    ...
+
+
+@wp.kernel
+def leaf_corners_kernel(
+    first: int, table: LeafTable, places: wp.array(dtype=int), out_corner: wp.array(dtype=wp.vec3i)
+):
+    t = first + wp.tid()
+    entry = table.slots[t]
+    if entry >= 0:
+        c = corner_of(places[t / BLOCK], table.lower, table.size)
+        s = t % BLOCK
+        out_corner[(entry - table.first_leaf) / 67] = c + 8 * wp.vec3i(s / 256, s / 16 % 16, s % 16)
+
+
+@wp.kernel
+def fill_pairs_kernel(
+    first: int, table: LeafTable, corner: wp.array(dtype=wp.vec3i), out_pairs: wp.array(dtype=wp.float32)
+):
+    t = first + wp.tid()
+    c = corner[t / PAIRS]
+    n = t % PAIRS
+    i = c[0] + n / 72
+    j = c[1] + n / 9 % 8
+    k = c[2] + n % 9
+    out_pairs[2 * t] = table_voxel(table, i, j, k)
+    out_pairs[2 * t + 1] = table_voxel(table, i, j + 1, k)

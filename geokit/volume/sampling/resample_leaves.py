@@ -1,0 +1,118 @@
+"""The leaves of a volume on other voxels: which there may be, and what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory
+from geokit.errors import DeviceMemoryError, InputError
+from geokit.volume.nanovdb.layout import LEAF_VOXELS
+
+__all__ = ["filled_leaves", "target_leaves", "way_between"]
+
+# Leaves whose points are made, sampled and stored at a time: a quarter of a million points, 13 MB with their values.
+LEAVES_AT_A_TIME = 512
+# Voxel indices are int32; this much is left free for stencils at both ends.
+LARGEST_INDEX = 2**31 - 64
+REMEDY = "use larger voxels or a nearer origin"
+
+
+def way_between(
+    source: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrix (3, 3) and shift (3,) that take indices under one transform to those under another.
+
+    Exact but for one rounding of each number, so that half a voxel is half a voxel.
+
+    Raises:
+        InputError: A number exceeds float64.
+    """
+    to, of = ([[Fraction(n) for n in row] for row in matrix[:3].tolist()] for matrix in (target, source))
+    # The target's axes, and beside them what they have to make up: the source's axes, and the way between origins.
+    rows = [t[:3] + o[:3] + [o[3] - t[3]] for t, o in zip(to, of, strict=True)]
+    for k in range(3):
+        pivot = next(row for row in rows[k:] if row[k])
+        rows.remove(pivot)
+        pivot = [n / pivot[k] for n in pivot]
+        rows = [[n - row[k] * p for n, p in zip(row, pivot, strict=True)] for row in rows]
+        rows.insert(k, pivot)
+    try:
+        way = np.array([[float(n) for n in row[3:]] for row in rows])
+    except OverflowError:
+        raise InputError(f"transform: its voxels are not comparable with those of the volume; {REMEDY}") from None
+    return way[:, :3], way[:, 3]
+
+
+def target_leaves(
+    origins: NDArray[np.int32], source: NDArray[np.float64], target: NDArray[np.float64], bytes_per_leaf: int
+) -> NDArray[np.int32]:
+    """First voxels of the leaves that may hold a voxel whose nearest voxel of the source lies in one of its leaves.
+
+    Args:
+        origins: First voxels of the source's leaves, (L, 3).
+        source: Its transform.
+        target: The transform of the result.
+        bytes_per_leaf: What a leaf takes while the result is made.
+    Raises:
+        InputError: Indices of the result exceed int32.
+        DeviceMemoryError: The leaves take more memory than there is.
+    """
+    if not len(origins):
+        return np.empty((0, 3), np.int32)
+    linear, shift = way_between(source, target)
+    centre = (origins.astype(np.float64) + 3.5) @ linear.T + shift
+    # Half the extent of a leaf with half a voxel around its centres, and a little for rounding.
+    reach = 4.0 * np.abs(linear).sum(axis=1) * (1.0 + 1e-9) + 1e-6
+    lowest, highest = np.floor((centre - reach) / 8.0), np.floor((centre + reach) / 8.0)
+    if max(-lowest.min(), highest.max()) * 8.0 > LARGEST_INDEX:
+        raise InputError(f"transform: voxel indices of the result exceed int32; {REMEDY}")
+    size = highest - lowest + 1.0
+    # In floats: voxels that are far too small make more leaves than integers can count.
+    need, have = float(size.prod(axis=1).sum()) * bytes_per_leaf, available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"voxel_size: the result may need {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use voxels about "
+            f"{(need / have) ** (1.0 / 3.0):.2g} times as large"
+        )
+    size = size.astype(np.int64)
+    count = size.prod(axis=1)
+    row = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    _, high, deep = size[row].T
+    tile = lowest[row].astype(np.int64) + np.stack([step // (high * deep), step // deep % high, step % deep], axis=1)
+    return (np.unique(tile, axis=0) * 8).astype(np.int32)
+
+
+def filled_leaves(
+    origins: NDArray[np.int32],
+    kind: np.dtype[Any],
+    read: Callable[[NDArray[np.int64]], tuple[NDArray[Any], NDArray[np.bool_]]],
+) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[Any]]:
+    """Origins, masks (L, 64) and values (L, 512) or (L, 512, C) of those leaves that have an active voxel.
+
+    Args:
+        origins: First voxels of leaves.
+        kind: Type of a value, with its shape for vectors.
+        read: Gives values (N,) or (N, C) and states (N,) of voxels (N, 3).
+    """
+    origins = origins.copy()
+    values = np.empty((len(origins), LEAF_VOXELS), kind)
+    masks = np.empty((len(origins), LEAF_VOXELS // 8), np.uint8)
+    offsets = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
+    # Leaves without an active voxel are written over by the next: room that is never touched is no memory.
+    filled = 0
+    for first in range(0, len(origins), LEAVES_AT_A_TIME):
+        rows = slice(first, first + LEAVES_AT_A_TIME)
+        found, states = read((origins[rows, None, :].astype(np.int64) + offsets).reshape(-1, 3))
+        active = states.reshape(-1, LEAF_VOXELS)
+        used = active.any(axis=1)
+        place = slice(filled, filled := filled + int(used.sum()))
+        origins[place] = origins[rows][used]
+        values[place] = found.reshape(-1, *values.shape[1:])[used]
+        masks[place] = np.packbits(active[used], axis=1, bitorder="little")
+    return origins[:filled], masks[:filled], values[:filled]

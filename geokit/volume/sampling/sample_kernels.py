@@ -1,0 +1,218 @@
+"""Values and gradients of a sparse volume at world points: the nearest voxel and the trilinear interpolant.
+
+Index coordinates, weights and sums are float64; the voxel's integer coordinates are split off before weights are
+formed, so that accuracy does not depend on where in index space a grid lies.
+"""
+
+from typing import Any
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_cell, read_voxel
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels exist where every coordinate is an int32. Two less at the upper end: a cell reads one voxel further, and
+# rounding to the nearest adds a half.
+LOWEST_INDEX = wp.constant(wp.float64(-2147483647.0))
+HIGHEST_INDEX = wp.constant(wp.float64(2147483645.0))
+
+
+@wp.func
+def has_voxels(u: wp.vec3d) -> bool:
+    """Whether the cell around index coordinates has int32 corners; False for NaN."""
+    return (
+        u[0] >= LOWEST_INDEX
+        and u[0] <= HIGHEST_INDEX
+        and u[1] >= LOWEST_INDEX
+        and u[1] <= HIGHEST_INDEX
+        and u[2] >= LOWEST_INDEX
+        and u[2] <= HIGHEST_INDEX
+    )
+
+
+@wp.func
+def nearest_voxel(u: wp.vec3d) -> wp.vec3i:
+    """The voxel whose centre is nearest; halves go up."""
+    half = wp.float64(0.5)
+    return wp.vec3i(int(wp.floor(u[0] + half)), int(wp.floor(u[1] + half)), int(wp.floor(u[2] + half)))
+
+
+@wp.func
+def mix(a: Any, b: Any, t: wp.float64):
+    # This form gives a back exactly where a == b: a constant region has no rounding noise.
+    return a + (b - a) * t
+
+
+@wp.func
+def voxel_value(volume: wp.uint64, i: int, j: int, k: int, family: Any):
+    kind = grid_type_of(volume)
+    return read_voxel(volume, kind, node_of(volume, kind, i, j, k), i, j, k, family)
+
+
+@wp.func
+def nearest_value(volume: wp.uint64, u: wp.vec3d, background: Any):
+    if not has_voxels(u):
+        return background
+    v = nearest_voxel(u)
+    return voxel_value(volume, v[0], v[1], v[2], background)
+
+
+@wp.func
+def linear_value(volume: wp.uint64, u: wp.vec3d, background: Any):
+    """The trilinear interpolant at index coordinates."""
+    if not has_voxels(u):
+        return background
+    base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
+    f = u - base
+    c000, c001, c010, c011, c100, c101, c110, c111 = read_cell(
+        volume, int(base[0]), int(base[1]), int(base[2]), background
+    )
+    low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
+    high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
+    return mix(low, high, f[0])
+
+
+@wp.func
+def central_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
+    """Half the difference of the voxels on both sides of the nearest one, along each index axis."""
+    if not has_voxels(u):
+        return zero, zero, zero
+    v = nearest_voxel(u)
+    i = v[0]
+    j = v[1]
+    k = v[2]
+    half = wp.float64(0.5)
+    return (
+        (voxel_value(volume, i + 1, j, k, zero) - voxel_value(volume, i - 1, j, k, zero)) * half,
+        (voxel_value(volume, i, j + 1, k, zero) - voxel_value(volume, i, j - 1, k, zero)) * half,
+        (voxel_value(volume, i, j, k + 1, zero) - voxel_value(volume, i, j, k - 1, zero)) * half,
+    )
+
+
+@wp.func
+def linear_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
+    """Derivatives of the trilinear interpolant along each index axis; on a cell's border those of the cell above."""
+    if not has_voxels(u):
+        return zero, zero, zero
+    base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
+    f = u - base
+    c000, c001, c010, c011, c100, c101, c110, c111 = read_cell(volume, int(base[0]), int(base[1]), int(base[2]), zero)
+    # Subtracted before they are averaged: a large common value must not eat the digits of a small slope.
+    return (
+        mix(mix(c100 - c000, c101 - c001, f[2]), mix(c110 - c010, c111 - c011, f[2]), f[1]),
+        mix(mix(c010 - c000, c011 - c001, f[2]), mix(c110 - c100, c111 - c101, f[2]), f[0]),
+        mix(mix(c001 - c000, c011 - c010, f[1]), mix(c101 - c100, c111 - c110, f[1]), f[0]),
+    )
+
+
+@wp.func
+def world_derivative(along_i: Any, along_j: Any, along_k: Any, to_index: wp.mat33d, axis: int):
+    """One world derivative from those along the index axes: a row of the inverse transpose of the transform."""
+    return along_i * to_index[0, axis] + along_j * to_index[1, axis] + along_k * to_index[2, axis]
+
+
+@wp.kernel
+def sample_nearest_kernel(
+    first: int,
+    volume: wp.uint64,
+    points: wp.array(dtype=wp.vec3d),
+    origin: wp.vec3d,
+    to_index: wp.mat33d,
+    background: Any,
+    out_value: wp.array(dtype=Any),
+):
+    i = first + wp.tid()
+    out_value[i] = nearest_value(volume, to_index * (points[i] - origin), background)
+
+
+@wp.kernel
+def sample_linear_kernel(
+    first: int,
+    volume: wp.uint64,
+    points: wp.array(dtype=wp.vec3d),
+    origin: wp.vec3d,
+    to_index: wp.mat33d,
+    background: Any,
+    out_value: wp.array(dtype=Any),
+):
+    i = first + wp.tid()
+    out_value[i] = linear_value(volume, to_index * (points[i] - origin), background)
+
+
+@wp.func
+def store_column(table: wp.array3d(dtype=wp.float64), i: int, column: int, value: wp.float64):
+    table[i, 0, column] = value
+
+
+@wp.func
+def store_column(table: wp.array3d(dtype=wp.float64), i: int, column: int, value: wp.vec3d):  # noqa: F811
+    for row in range(3):
+        table[i, row, column] = value[row]
+
+
+@wp.func
+def store_column(table: wp.array3d(dtype=wp.float64), i: int, column: int, value: wp.vec4d):  # noqa: F811
+    for row in range(4):
+        table[i, row, column] = value[row]
+
+
+@wp.kernel
+def gradient_nearest_kernel(
+    first: int,
+    volume: wp.uint64,
+    points: wp.array(dtype=wp.vec3d),
+    origin: wp.vec3d,
+    to_index: wp.mat33d,
+    zero: Any,
+    out_jacobian: wp.array3d(dtype=wp.float64),
+):
+    i = first + wp.tid()
+    a, b, c = central_differences(volume, to_index * (points[i] - origin), zero)
+    for axis in range(3):
+        store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+
+
+@wp.kernel
+def gradient_linear_kernel(
+    first: int,
+    volume: wp.uint64,
+    points: wp.array(dtype=wp.vec3d),
+    origin: wp.vec3d,
+    to_index: wp.mat33d,
+    zero: Any,
+    out_jacobian: wp.array3d(dtype=wp.float64),
+):
+    i = first + wp.tid()
+    a, b, c = linear_differences(volume, to_index * (points[i] - origin), zero)
+    for axis in range(3):
+        store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+
+
+# By order of the interpolant, then by the number of a value's components.
+SAMPLE_KERNELS = {
+    0: {
+        1: wp.overload(sample_nearest_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
+        3: wp.overload(sample_nearest_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
+        4: wp.overload(sample_nearest_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
+    },
+    1: {
+        1: wp.overload(sample_linear_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
+        3: wp.overload(sample_linear_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
+        4: wp.overload(sample_linear_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
+    },
+}
+GRADIENT_KERNELS = {
+    0: {
+        1: wp.overload(gradient_nearest_kernel, {"zero": wp.float64}),
+        3: wp.overload(gradient_nearest_kernel, {"zero": wp.vec3d}),
+        4: wp.overload(gradient_nearest_kernel, {"zero": wp.vec4d}),
+    },
+    1: {
+        1: wp.overload(gradient_linear_kernel, {"zero": wp.float64}),
+        3: wp.overload(gradient_linear_kernel, {"zero": wp.vec3d}),
+        4: wp.overload(gradient_linear_kernel, {"zero": wp.vec4d}),
+    },
+}

@@ -1,0 +1,47 @@
+"""The spaces that query points can be in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.errors import InputError
+from geokit.volume._model import SparseVolume
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["require_space", "way_to_index"]
+
+SPACES = ("world", "index")
+
+
+def require_space(space: str) -> None:
+    """Refuse what is not the name of a space.
+
+    Raises:
+        InputError: It is not.
+    """
+    if space not in SPACES:
+        raise InputError(f"space: {space!r} is not known; use one of {', '.join(map(repr, SPACES))}")
+
+
+def way_to_index(volume: SparseVolume, space: str) -> tuple[Any, Any]:
+    """Index coordinates of a point are ``matrix * (point - origin)``: the origin (vec3d) and the matrix (mat33d)."""
+    import warp as wp
+
+    if space == "index":
+        return wp.vec3d(0.0, 0.0, 0.0), wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    transform = volume.info.transform
+    to_index = np.linalg.inv(transform[:3, :3])
+    return wp.vec3d(*transform[:3, 3].tolist()), wp.mat33d(*to_index.ravel().tolist())
+
+
+def query_inputs(volume: SparseVolume, points: "wp.array", space: str = "world") -> list[Any]:
+    """What kernels of volumes take first: the grid's handle, the points, and the way from their space to index."""
+    import warp as wp
+
+    return [wp.uint64(volume.id(points.device)), points, *way_to_index(volume, space)]

@@ -1,0 +1,1 @@
+"""Distance fields that keep a tolerance with the least memory."""

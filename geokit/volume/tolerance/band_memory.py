@@ -1,0 +1,95 @@
+"""Bytes of a narrow band before it is made: its nodes are counted, at least at a coarser size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geokit.volume.band.tiles import TILE_VOXELS, WORKING_BYTES, Lattice, near_tiles
+from geokit.volume.nanovdb.header import HEAD_SIZE
+from geokit.volume.nanovdb.layout import FPN_HEADER, LAYOUTS, LEAF_VOXELS
+
+if TYPE_CHECKING:
+    from geokit.mesh._surface import Surface
+
+__all__ = ["BandCounts", "BandMemory", "lattice_within"]
+
+# More tiles than these are not counted but foreseen: their number goes with the square of the resolution.
+MOST_COUNTED = 60_000
+# Voxels along an axis of a lower and of an upper node, in units of a tile's.
+LOWER_TILES, UPPER_TILES = 16, 512
+
+
+@dataclass(frozen=True)
+class BandCounts:
+    """Nodes of a band, foreseen."""
+
+    leaves: float
+    lowers: float
+    uppers: float
+
+    def bytes_of(self, codec: str, bits: float = 0.0) -> float:
+        """Bytes of the grid in a codec; ``bits`` a voxel where leaves differ ("fpn")."""
+        layout = LAYOUTS[codec]
+        leaf = FPN_HEADER + bits * LEAF_VOXELS / 8.0 if codec == "fpn" else layout.leaf_size
+        head = HEAD_SIZE + layout.root_size + self.uppers * layout.root_tile_size
+        return head + self.leaves * leaf + self.lowers * layout.lower_size + self.uppers * layout.upper_size
+
+    @property
+    def working_bytes(self) -> float:
+        """Bytes that are needed while the band is made, as floats."""
+        return self.bytes_of("float") + self.leaves * WORKING_BYTES
+
+
+@dataclass
+class BandMemory:
+    """Counts the nodes of bands around one surface.
+
+    Attributes:
+        surface: What the bands are around.
+        offset: Distance [world] of the field's surface from the mesh.
+    """
+
+    surface: Surface
+    offset: float
+    _known: dict[tuple[float, float, float | None], int] = field(default_factory=dict)
+
+    def counts(self, voxel_size: float, width: float) -> BandCounts:
+        """Nodes of a band of so many world units on either side of the field's surface."""
+        # A surface crosses about one and a half tiles for each square of a tile's side that it covers.
+        expected = 1.5 * self._area / (TILE_VOXELS * voxel_size) ** 2
+        coarser = max(1.0, expected / MOST_COUNTED) ** 0.5
+        leaves = self._counted(voxel_size * coarser, width * coarser) * coarser * coarser
+        # A node is a tile of larger voxels.
+        tile = TILE_VOXELS * voxel_size
+        lowers = min(self._counted(voxel_size * LOWER_TILES, width, tile), leaves)
+        uppers = min(self._counted(voxel_size * UPPER_TILES, width, tile), lowers)
+        return BandCounts(leaves, lowers, uppers)
+
+    def _counted(self, voxel_size: float, width: float, tile: float | None = None) -> float:
+        key = (voxel_size, width, tile)
+        if key not in self._known:
+            lattice = lattice_within(self.surface, voxel_size, width, self.offset, tile=tile)
+            self._known[key] = max(1, len(near_tiles(lattice).keys))
+        return float(self._known[key])
+
+    @cached_property
+    def _area(self) -> float:
+        scale = float(self.surface.scale)
+        return Lattice(self.surface, scale, 0.0).area() * scale * scale
+
+
+def lattice_within(
+    surface: Surface, voxel_size: float, width: float, offset: float, *, tile: float | None = None
+) -> Lattice:
+    """Voxels of a band of so many world units on either side, numbered so that it needs as few nodes as there can be.
+
+    Index 0 is where the band begins, on a whole voxel: no node is shared with what lies before it. It is a multiple of
+    ``tile`` [world], of the voxels' own tiles where None.
+    """
+    reach, tile = width + offset, tile or TILE_VOXELS * voxel_size
+    start = np.floor((surface.bounds[0] - reach) / tile) * tile
+    return Lattice(surface, voxel_size, reach, max(0.0, offset - width), translation=start)

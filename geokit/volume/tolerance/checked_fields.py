@@ -1,0 +1,131 @@
+"""Fields that keep a tolerance: settings are tried, what was made is checked at new points, and refused if it fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import DeviceMemoryError, InputError
+from geokit.volume.tolerance.search import Search, Setting, quickest
+from geokit.volume.tolerance.zone import Zone
+
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["Achieved", "Made", "checked_errors", "made_within"]
+
+# Points at which a field is checked; then so many of the worst, each moved about so often, by shares of a voxel.
+CHECKED, WORST, MOVES = 120_000, 2_000, 9
+RADII = (0.5, 0.25, 0.12, 0.06)
+# Of the worst points of each round, how many the search is told where a check has failed.
+TOLD = 100
+# Seeds that the search does not use.
+FIRST_SEED = 1_000_003
+# Times that another field is made because a check found an error that the search had not seen.
+TRIES = 10
+
+
+class Achieved(NamedTuple):
+    """Errors [world] at points that were not used to choose.
+
+    Attributes:
+        largest: The largest.
+        p999: The 99.9th percentile.
+        worst: Where the largest are [world], shape (N, 3).
+    """
+
+    largest: float
+    p999: float
+    worst: NDArray[np.float64]
+
+
+class Made(NamedTuple):
+    """A setting, the field made with it, and what the check of that found; None for both where it was too large."""
+
+    setting: Setting
+    volume: SparseVolume | None
+    achieved: Achieved | None
+
+
+def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most_leaves: float = math.inf) -> Made:
+    """The field of least memory that keeps the tolerance where it is checked.
+
+    Args:
+        search: What is wanted.
+        make: Makes the field of a setting.
+        most_leaves: A field that is foreseen to have more leaves is not made, and its setting not checked.
+    Raises:
+        InputError, DeviceMemoryError: The tolerance cannot be kept; the message says which can.
+    """
+    best = math.inf
+    for trial in range(TRIES):
+        setting = next(quickest(search.settings()), None)
+        if setting is None:
+            break
+        if setting.counts.leaves > most_leaves:
+            return Made(setting, None, None)
+        volume = make(setting)
+        achieved = checked_errors(search.zone, volume, setting, FIRST_SEED + trial)
+        if achieved.largest <= search.tolerance:
+            return Made(setting, volume, achieved)
+        best = min(best, achieved.largest)
+        search.correct(setting, achieved.largest, achieved.worst)
+    raise _refusal(search, best)
+
+
+def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int) -> Achieved:
+    """Errors of a field at new points of its zone, and around the worst of them."""
+    points, exact = zone.draw(CHECKED, seed)
+    errors = _errors(volume, points, exact, setting.option.order)
+    largest = float(errors.max())
+    p999 = float(np.quantile(errors, 0.999))
+    found = []
+    random = np.random.default_rng(seed)
+    for radius in RADII:
+        worst = np.argsort(errors)[-WORST:]
+        around = np.repeat(points[worst], MOVES, axis=0)
+        moved = zone.moved(around, radius * setting.voxel_size, random)
+        points, exact = zone.kept(np.concatenate([points[worst], moved]))
+        errors = _errors(volume, points, exact, setting.option.order)
+        largest = max(largest, float(errors.max()))
+        found.append(points[np.argsort(errors)[-TOLD:]])
+    return Achieved(largest, p999, np.concatenate(found))
+
+
+def _refusal(search: Search, best: float) -> InputError | DeviceMemoryError:
+    """What to say where no setting keeps the tolerance.
+
+    Args:
+        search: What was wanted.
+        best: Least error [world] of the fields that were made.
+    """
+    reachable = search.reachable()
+    if reachable <= search.tolerance or best < reachable:
+        # What the search believes has been made and found wrong.
+        reachable = best
+    if not math.isfinite(reachable):
+        return DeviceMemoryError(
+            f"tolerance: not even a coarse band fits into {search.most_bytes / 2**20:.0f} MiB; free some memory"
+        )
+    text = f"tolerance: {search.tolerance:g} cannot be kept"
+    if search.is_limited_by_memory and not search.is_stuck:
+        needed = search.tolerance / reachable
+        return DeviceMemoryError(
+            f"{text} within {search.most_bytes / 2**20:.0f} MiB: about {reachable:.2g} can ({1 / needed:.3g} times as "
+            "much); use that, more memory, another codec or order, or a smaller within"
+        )
+    return InputError(
+        f"{text}: errors do not fall below about {reachable:.2g}, however small the voxels; use that or more, a wider "
+        "half_width, or a smaller within (a sign that changes beside an open border is off by up to twice that)"
+    )
+
+
+def _errors(
+    volume: SparseVolume, points: NDArray[np.float64], exact: NDArray[np.float64], order: int
+) -> NDArray[np.float64]:
+    device = next(iter(volume._uploads), "cpu")
+    return np.asarray(np.abs(volume.sample(points, order=order, device=device) - exact))

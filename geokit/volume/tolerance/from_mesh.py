@@ -1,0 +1,126 @@
+"""Distance fields of meshes that keep a tolerance: what is asked, made into a search, and its outcome into a volume."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import user_arrays
+from geokit.errors import InputError
+from geokit.volume.band.band import BandShape, build_band, make_band
+from geokit.volume.band.fields import as_volume, described, field_of, half_widths, head_of, in_float32
+from geokit.volume.band.tiles import Lattice
+from geokit.volume.nanovdb.provenance import provenance, with_more
+from geokit.volume.tolerance.band_memory import BandMemory, lattice_within
+from geokit.volume.tolerance.checked_fields import made_within
+from geokit.volume.tolerance.search import CODECS, ORDERS, Search, Setting, options_of
+from geokit.volume.tolerance.zone import Zone, checked_within
+from geokit.volume.tree.leaf_codecs import LeafReader
+
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._surface import Surface
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["make_setting", "tolerance_search", "within_tolerance"]
+
+# Voxels along the longest side of the band whose leaves are looked at: some hundred leaves to a thousand.
+RANGED_VOXELS = 100.0
+
+
+def tolerance_search(
+    mesh: TriangleMesh | Surface,
+    tolerance: float,
+    *,
+    within: float | None,
+    order: int | None,
+    half_width: Any,
+    sign: str,
+    thickness: float | None,
+    codec: str | None,
+    device: Any,
+) -> Search:
+    """The search for the setting that keeps a tolerance; see :func:`from_mesh` for the arguments.
+
+    Raises:
+        InputError: As :func:`from_mesh`.
+    """
+    from geokit.mesh._sample_surface import sample_surface
+    from geokit.volume._quantize import CODECS as ALL_CODECS
+
+    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
+    if order is not None and (isinstance(order, bool) or order not in ORDERS):
+        raise InputError(f"order: {order!r} is no order of a field with a tolerance; use one of 1, 2, 3")
+    if codec is not None and codec not in ALL_CODECS:
+        raise InputError(f"codec: {codec!r} is not known; use one of {', '.join(map(repr, ALL_CODECS))}")
+    if isinstance(half_width, (tuple, list)):
+        raise InputError("half_width: a pair of widths has no meaning with tolerance; give one, or none")
+    if half_width is not None:
+        half_width = half_widths(half_width)[0]
+    surface, method, offset = field_of(mesh, sign, thickness, device)
+    within = checked_within(within, tolerance, jumps=method != "none" and not surface.is_closed)
+
+    def truth(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        if method == "none":
+            return np.asarray(surface.closest_point(points).distance) - offset
+        return np.asarray(surface.signed_distance(points, sign=method).distance)
+
+    def seeds(count: int, seed: int) -> NDArray[np.float64]:
+        return sample_surface(surface.mesh, count, seed=seed).points
+
+    zone = Zone(truth, seeds, surface.bounds, within, offset)
+    options = options_of(ORDERS if order is None else (order,), CODECS if codec is None else (codec,))
+    most_bytes = Lattice(surface, zone.longest, 0.0).free
+
+    def leaf_ranges(width: float) -> NDArray[np.float64]:
+        # Leaves are alike at every size: those of a band of voxels this large show what they hold.
+        size = zone.longest / RANGED_VOXELS
+        reach = in_float32(width * size)
+        lattice = lattice_within(surface, size, reach, offset)
+        shape = BandShape(reach, reach, offset, method)
+        grid = as_volume(build_band(make_band(lattice, shape), head_of(shape, lattice, "")), {})
+        reader = LeafReader(grid.nanovdb)
+        values = reader.values(0, reader.count)
+        return np.asarray((values.max(axis=1) - values.min(axis=1)) / (2.0 * reach), np.float64)
+
+    memory = BandMemory(surface, offset)
+    return Search(zone, memory, tolerance, options, most_bytes, leaf_ranges, half_width, sign, method)
+
+
+def make_setting(search: Search, setting: Setting, name: str | None = None) -> SparseVolume:
+    """The field of a setting."""
+    from geokit.volume._quantize import quantize
+
+    surface, size = search.memory.surface, setting.voxel_size
+    width = in_float32(setting.half_width * size)
+    shape = BandShape(width, width, search.zone.offset, search.sign_method)
+    lattice = lattice_within(surface, size, width, search.zone.offset)
+    band = make_band(lattice, shape)
+    head = head_of(shape, lattice, surface.mesh.name if name is None else name)
+    # What is too thin for voxels to be inside may well be so between them: that the tolerance is kept is what counts.
+    volume = as_volume(build_band(band, head), described(band, search.sign, warn=False))
+    if setting.option.codec == "float":
+        return volume
+    share = setting.option.share
+    return quantize(volume, setting.option.codec, tolerance=share * search.tolerance if share else None)
+
+
+def within_tolerance(
+    mesh: TriangleMesh | Surface, tolerance: float, asked: dict[str, Any], sign: str, method: str, name: str | None
+) -> SparseVolume:
+    if method != "geokit":
+        raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
+    search = tolerance_search(mesh, tolerance, sign=sign, **asked)
+    setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, name))
+    assert volume is not None
+    assert achieved is not None
+    found = provenance(
+        tolerance=search.tolerance,
+        achieved_error=achieved.largest,
+        achieved_error_999=achieved.p999,
+        checked_within=search.zone.within,
+        order=setting.option.order,
+    )
+    return with_more(volume, found)

@@ -1,0 +1,104 @@
+"""How far an interpolant of exact voxels is from the field, for any voxel size, without a grid being made."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume.tolerance.zone import Zone
+
+__all__ = ["FIXED_BITS", "REACH", "Stencils", "interpolation_errors", "quantisation_step", "stencils_of"]
+
+# First voxel of an order's stencil along an axis, counted from the one below the point, and how many there are.
+STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
+# Distance [voxels] from a point to the farthest voxel that its value is made of.
+REACH = {1: 3.0**0.5, 2: 2.0 * 3.0**0.5, 3: 2.0 * 3.0**0.5}
+FIXED_BITS = {"fp16": 16, "fp8": 8, "fp4": 4}
+
+
+class Stencils(NamedTuple):
+    """Voxels around points, each asked for once.
+
+    Attributes:
+        values: Exact distances at the voxels (V,), rounded to float32 as a grid does.
+        noise: What rounding to a code adds to each, in halves of a step, -1 to 1.
+        rows: Voxel of each place of each point's stencil, (N, 4, 4, 4) (2 along each axis where only order 1 is asked).
+        first: Place of the voxel below the point within those rows.
+        fraction: Where the point lies between that voxel and the next, (N, 3).
+        exact: The field at the points (N,).
+    """
+
+    values: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    rows: NDArray[np.int64]
+    first: int
+    fraction: NDArray[np.float64]
+    exact: NDArray[np.float64]
+
+
+def stencils_of(
+    zone: Zone,
+    points: NDArray[np.float64],
+    exact: NDArray[np.float64],
+    voxel_size: float,
+    highest_order: int,
+) -> Stencils:
+    """Exact distances at all voxels that the interpolants of points use, of a grid with a voxel at 0.
+
+    Args:
+        zone: What is right.
+        points: Where the interpolants will be asked for [world], shape (N, 3).
+        exact: The field there [world], shape (N,).
+        voxel_size: Edge length of a voxel [world].
+        highest_order: 1, 2 or 3; lower ones use some of its voxels.
+    """
+    begin, width = STENCILS[1] if highest_order == 1 else STENCILS[3]
+    index = points / voxel_size
+    below = np.floor(index)
+    lowest = below.min(axis=0) + begin
+    offsets = np.stack(np.meshgrid(*[np.arange(width)] * 3, indexing="ij"), axis=-1)
+    voxels = (below + begin - lowest).astype(np.int64)[:, None, None, None] + offsets
+    extent = voxels.reshape(-1, 3).max(axis=0) + 1
+    keys = (voxels[..., 0] * extent[1] + voxels[..., 1]) * extent[2] + voxels[..., 2]
+    kept, rows = np.unique(keys, return_inverse=True)
+    places = np.stack([kept // (extent[1] * extent[2]), kept // extent[2] % extent[1], kept % extent[2]], axis=1)
+    values = zone.truth((places + lowest) * voxel_size).astype(np.float32).astype(np.float64)
+    noise = np.random.default_rng(len(values)).uniform(-1.0, 1.0, len(values))
+    return Stencils(values, noise, rows.reshape(keys.shape), -begin, index - below, exact)
+
+
+def interpolation_errors(stencils: Stencils, order: int, limit: float, step: float = 0.0) -> NDArray[np.float64]:
+    """Errors of the interpolant of an order at the points, shape (N,).
+
+    Args:
+        stencils: Voxels around the points.
+        order: 1, 2 or 3.
+        limit: Width of the band [world]: values beyond are cut off.
+        step: Distance [world] between neighbouring codes of a quantised grid; 0 for floats.
+    """
+    begin, width = STENCILS[order]
+    values = np.clip(stencils.values + stencils.noise * (0.5 * step), -limit, limit)
+    axis = slice(stencils.first + begin, stencils.first + begin + width)
+    corners = values[stencils.rows[:, axis, axis, axis]]
+    for k in (2, 1, 0):
+        corners = np.einsum("n...i,ni->n...", corners, _weights(order, stencils.fraction[:, k]))
+    return np.abs(corners - stencils.exact)
+
+
+def quantisation_step(codec: str, half_width: float, voxel_size: float) -> float:
+    """Largest distance [world] between neighbouring codes in a leaf of a codec of fixed width; 0 for floats."""
+    return 2.0 * half_width * voxel_size / (2.0 ** FIXED_BITS[codec] - 1.0) if codec in FIXED_BITS else 0.0
+
+
+def _weights(order: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the voxels of a stencil along an axis, as ``sample`` weighs them; shape (N, width)."""
+    if order == 1:
+        return np.stack([1.0 - t, t], axis=1)
+    if order == 2:
+        return np.stack([0.5 * t * (t - 1.0), 1.0 - t * t, 0.5 * t * (t + 1.0)], axis=1)
+    u = 1.0 - t
+    return np.stack(
+        [-0.5 * t * u * u, u * (1.0 + t - 1.5 * t * t), t * (1.0 + u - 1.5 * u * u), -0.5 * u * t * t], axis=1
+    )

@@ -1,0 +1,375 @@
+"""The setting of least memory whose interpolant stays within a tolerance: voxel size, half width, order and codec.
+
+Errors are measured, not derived: at points of the zone the interpolants of all orders are made from exact voxels, for
+voxel sizes from coarse to fine. The worst points of a size are taken along to the next, moved a little, so that edges
+and thin parts, which are few of the points and most of the error, are seen at every size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
+from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantisation_step, stencils_of
+from geokit.volume.tolerance.zone import Zone
+
+__all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "quickest"]
+
+ORDERS = (1, 2, 3)
+# From the quickest to read to the slowest, as far as one is not smaller.
+CODECS = ("float", "fp16", "fp8", "fp4", "fpn")
+# Bits of a leaf's voxels in "fpn".
+LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
+# What "fpn" may change of a voxel, as shares of the tolerance: more bits, or more voxels.
+FPN_SHARES = (0.5, 0.3, 0.15)
+# Share of the tolerance that is aimed at, and what it is multiplied with whenever a field has missed the tolerance, but
+# for so many times: where a lattice suits a mesh by chance, the next best may be far.
+AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 6
+# Voxels that are asked for at a size: half a second of a CPU.
+VOXELS_ASKED = 500_000
+# The worst points of a size are one of so many, for each order; each is moved so often for the next size.
+TAKEN, MOVES = 25, 3
+# Looks at a size: at the points, then at so many around each of the worst.
+ROUNDS, AROUND = 3, 4
+# Voxels along the longest side where the search begins.
+FIRST_RESOLUTION = 4.0
+# Voxel size against that of the step before: the first where the aim is near, the other where it is far.
+STEP, LONGEST_STEP = 0.5**0.5, 0.2
+# Sizes that are looked at before the search gives up, from 4 voxels to a million.
+MOST_SIZES = 36
+# A voxel size this near to one that misses the aim is not worth another look: 7 % are 14 % of memory.
+CLOSE = 0.93
+# More looks at sizes in between than these gain nothing, and a look that cannot save this share of memory is not taken.
+MOST_LOOKS, WORTH = 12, 0.97
+# Of the best settings, how many are tried with coarser voxels: from these times the voxel size, in so many steps, to 1.
+SCANNED, SCAN = 2, (1.35, 1.0, 12)
+# Errors that fall by less than this over so much finer voxels will not fall.
+STUCK, STUCK_OVER = 0.9, 1.9
+# Settings of one memory within this share are told apart by how quickly they are read.
+SAME_MEMORY = 1.05
+
+
+class Option(NamedTuple):
+    """What can be chosen beside the voxel size; ``share`` is what "fpn" may change of a voxel, else 0."""
+
+    order: int
+    codec: str
+    share: float = 0.0
+
+
+class Setting(NamedTuple):
+    """An option at the largest voxel size that keeps the tolerance, and what it costs.
+
+    Attributes:
+        option: Order and codec.
+        voxel_size: Edge length of a voxel [world].
+        half_width: Width of the band on either side [voxels].
+        error: Largest error that was found [world].
+        counts: Nodes of the grid, foreseen.
+        bits: Bits of a voxel, for "fpn".
+    """
+
+    option: Option
+    voxel_size: float
+    half_width: float
+    error: float
+    counts: BandCounts
+    bits: float
+
+    @property
+    def byte_count(self) -> float:
+        return self.counts.bytes_of(self.option.codec, self.bits)
+
+
+@dataclass
+class _Level:
+    """Errors at one voxel size: the largest by option."""
+
+    voxel_size: float
+    errors: dict[Option, float]
+
+
+def options_of(orders: Sequence[int], codecs: Sequence[str]) -> list[Option]:
+    """All that can be chosen, the quickest to read first."""
+    options = [Option(order, codec) for order in orders for codec in codecs if codec != "fpn"]
+    if "fpn" in codecs:
+        options += [Option(order, "fpn", share) for order in orders for share in FPN_SHARES]
+    return options
+
+
+@dataclass
+class Search:
+    """Looks for the setting of least memory.
+
+    Attributes:
+        zone: What has to be right.
+        memory: Counts nodes.
+        tolerance: Largest error [world].
+        options: What may be chosen.
+        most_bytes: What may be taken while the grid is made.
+        leaf_ranges: Of a band of so many voxels on either side, what each of some leaves holds of the range of all.
+        half_width: Width of the band [voxels] where it was asked for.
+        sign: How inside was to be told from outside.
+        sign_method: How it is.
+        seed: Of the points.
+        levels: The voxel sizes that were looked at, the largest first.
+        is_limited_by_memory: Whether finer voxels were left out because they do not fit.
+    """
+
+    zone: Zone
+    memory: BandMemory
+    tolerance: float
+    options: list[Option]
+    most_bytes: float
+    leaf_ranges: Callable[[float], NDArray[np.float64]]
+    half_width: float | None = None
+    sign: str = "auto"
+    sign_method: str = "none"
+    seed: int = 0
+    levels: list[_Level] = field(default_factory=list)
+    is_limited_by_memory: bool = False
+    _missed: int = 0
+    _shares: dict[float, NDArray[np.float64]] = field(default_factory=dict)
+    _told: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    _worst: tuple[NDArray[np.float64], float] = field(default_factory=lambda: (np.empty((0, 3)), 0.0))
+
+    def width_of(self, option: Option, voxel_size: float) -> float:
+        """Half width [voxels] that the interpolant needs in the zone."""
+        return self.half_width or max(1.0, REACH[option.order] + self.zone.within / voxel_size)
+
+    def settings(self) -> list[Setting]:
+        """The options that keep the tolerance, each at its largest voxel size that is known, the least memory first.
+
+        Options that cannot compete are left out.
+        """
+        self._descend()
+        for _ in range(MOST_LOOKS):
+            found = sorted((s for o in self.options if (s := self._setting(o))), key=lambda s: s.byte_count)
+            # What might be smaller than the smallest, if the voxel size between what is known turns out to do.
+            hopes = [
+                (hope, setting.option)
+                for setting in found
+                if not self._is_close(setting)
+                and (hope := self._cost(setting.option, self._between(setting.option))) < WORTH * found[0].byte_count
+            ]
+            if not hopes:
+                break
+            _, first = min(hopes)
+            self._look(self._between(first), [option for _, option in hopes])
+        for setting in found[:SCANNED]:
+            self._scan(setting)
+        return sorted((s for o in self.options if (s := self._setting(o))), key=lambda s: s.byte_count)
+
+    @property
+    def aim(self) -> float:
+        """Error [world] that a setting may have here: other points than those of the search may be a little worse."""
+        return AIM * CAUTION ** max(0, self._missed - FREE_MISSES) * self.tolerance
+
+    def correct(self, setting: Setting, error: float, worst: NDArray[np.float64]) -> None:
+        """Take note that a closer look at a setting found a larger error, and be more careful from now on.
+
+        Args:
+            setting: What was looked at.
+            error: Its largest error [world].
+            worst: Where its errors are largest [world], shape (N, 3): all sizes are looked at there from now on.
+        """
+        self._missed += 1
+        self._told = np.concatenate([self._told, worst])
+        random = np.random.default_rng(self._missed)
+        for level in self.levels:
+            if level.voxel_size == setting.voxel_size:
+                level.errors[setting.option] = max(error, level.errors.get(setting.option, 0.0))
+            options = [option for option, known in level.errors.items() if known <= self.aim]
+            if not options:
+                continue
+            around = np.concatenate([worst, self.zone.moved(worst, 0.5 * level.voxel_size, random)])
+            found = self._errors(*self.zone.kept(around), level.voxel_size, options)
+            level.errors.update({o: max(level.errors[o], float(found[o].max(initial=0.0))) for o in options})
+
+    def _scan(self, setting: Setting) -> None:
+        """Coarser voxels that a lattice may suit by chance: faces and edges that lie on it cost nothing."""
+        option, aim = setting.option, self.aim
+        for size in setting.voxel_size * np.geomspace(*SCAN)[:-1]:
+            # Most sizes fail at the few points that failed before.
+            points, exact = self.zone.kept(self._worst[0])
+            if float(self._errors(points, exact, size, [option])[option].max()) > aim:
+                continue
+            # What suits one codec may suit a smaller one.
+            if self._look(size, [o for o in self.options if o.order == option.order]).errors[option] <= aim:
+                return
+
+    def reachable(self) -> float:
+        """Least tolerance that any option can keep with the memory there is [world]."""
+        errors = [
+            min(error for option, error in level.errors.items() if self.fits(option, level.voxel_size))
+            for level in self.levels
+            if any(self.fits(option, level.voxel_size) for option in level.errors)
+        ]
+        return min(errors, default=math.inf)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether finer voxels have stopped to help."""
+        finest = self.levels[-1]
+        coarser = [level for level in self.levels if level.voxel_size > STUCK_OVER * finest.voxel_size]
+        shared = [option for option in finest.errors if coarser and option in coarser[-1].errors]
+        return bool(shared) and all(finest.errors[o] > STUCK * coarser[-1].errors[o] for o in shared)
+
+    def _descend(self) -> None:
+        """Finer and finer voxels, until the options that are left all keep the tolerance or cannot be the best."""
+        size = self.zone.longest / FIRST_RESOLUTION
+        if self.levels:
+            size = STEP * self.levels[-1].voxel_size
+        settings = [s for option in self.options if (s := self._setting(option))]
+        best = min((setting.byte_count for setting in settings), default=math.inf)
+        kept = {setting.option for setting in settings}
+        waiting = [option for option in self.options if option not in kept]
+        for _ in range(MOST_SIZES):
+            waiting = [o for o in waiting if self._cost(o, size) < best]
+            fitting = [option for option in waiting if self.fits(option, size)]
+            self.is_limited_by_memory |= len(fitting) < len(waiting)
+            waiting = fitting
+            if not waiting:
+                return
+            errors = self._look(size, waiting).errors
+            best = min([best, *(self._cost(o, size) for o in waiting if errors[o] <= self.aim)])
+            waiting = [option for option in waiting if errors[option] > self.aim]
+            # No error falls with more than the cube of the voxel size.
+            excess = min((errors[option] for option in waiting), default=0.0) / self.aim
+            size *= min(STEP, max(LONGEST_STEP, max(excess, 1.0) ** (-1.0 / 3.0)))
+
+    def _look(self, voxel_size: float, options: list[Option]) -> _Level:
+        """Errors of options at a voxel size: at points of the zone, then around the worst of them."""
+        orders = {option.order for option in options}
+        count = VOXELS_ASKED // (8 if orders == {1} else 64)
+        points, exact = self._points(voxel_size, count)
+        errors = dict.fromkeys(options, 0.0)
+        random = np.random.default_rng(len(self.levels))
+        for _ in range(ROUNDS):
+            found = self._errors(points, exact, voxel_size, options)
+            errors = {option: max(errors[option], float(found[option].max())) for option in options}
+            taken = min(count // (TAKEN * len(orders)), len(points))
+            # Of each order its first option, that of the least noise.
+            firsts = {option.order: option for option in reversed(options)}
+            worst = np.concatenate([np.argpartition(found[o], -taken)[-taken:] for o in firsts.values()])
+            self._worst = (points[np.unique(worst)], voxel_size)
+            around = np.repeat(self._worst[0], AROUND, axis=0)
+            points, exact = self.zone.kept(self.zone.moved(around, 0.5 * voxel_size, random))
+            if len(points) == 0:
+                break
+        level = _Level(voxel_size, errors)
+        self.levels.append(level)
+        self.levels.sort(key=lambda one: -one.voxel_size)
+        return level
+
+    def _errors(
+        self,
+        points: NDArray[np.float64],
+        exact: NDArray[np.float64],
+        voxel_size: float,
+        options: list[Option],
+    ) -> dict[Option, NDArray[np.float64]]:
+        stencils = stencils_of(self.zone, points, exact, voxel_size, max(option.order for option in options))
+        return {
+            option: interpolation_errors(
+                stencils,
+                option.order,
+                self.width_of(option, voxel_size) * voxel_size,
+                self._step(option, voxel_size),
+            )
+            for option in options
+        }
+
+    def _points(self, voxel_size: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The worst of the size before, each with some around it, and new ones: about so many, and the field there."""
+        seed = self.seed + 1000 * len(self.levels)
+        worst, old_size = self._worst
+        fresh, exact = self.zone.draw(count if len(worst) == 0 else count // 2, seed)
+        if len(worst) == 0:
+            return fresh, exact
+        random = np.random.default_rng(seed)
+        moves = np.geomspace(voxel_size, old_size, MOVES)
+        old = np.concatenate([worst, *(self.zone.moved(worst, size, random) for size in moves)])[: count // 2]
+        told = [self._told, self.zone.moved(self._told, voxel_size, random)]
+        old, old_exact = self.zone.kept(np.concatenate([old, *told]))
+        return np.concatenate([old, fresh]), np.concatenate([old_exact, exact])
+
+    def _step(self, option: Option, voxel_size: float) -> float:
+        if option.codec == "fpn":
+            return 2.0 * option.share * self.tolerance
+        return quantisation_step(option.codec, self.width_of(option, voxel_size), voxel_size)
+
+    def _brackets(self, option: Option) -> tuple[_Level | None, _Level | None]:
+        """The coarsest size that keeps the aim, and the next coarser one, which does not.
+
+        Errors do not grow with every step: a lattice may suit a flat face. What suits is as good as any.
+        """
+        above = None
+        for level in self.levels:
+            if option not in level.errors:
+                continue
+            if level.errors[option] <= self.aim:
+                return above, level
+            above = level
+        return above, None
+
+    def _setting(self, option: Option) -> Setting | None:
+        _, level = self._brackets(option)
+        if level is None or not self.fits(option, level.voxel_size):
+            return None
+        size, width = level.voxel_size, self.width_of(option, level.voxel_size)
+        counts = self.memory.counts(size, width * size)
+        return Setting(option, size, width, level.errors[option], counts, self._bits(option, size))
+
+    def _is_close(self, setting: Setting) -> bool:
+        above, below = self._brackets(setting.option)
+        assert below is not None
+        return above is None or below.voxel_size > CLOSE * above.voxel_size
+
+    def _between(self, option: Option) -> float:
+        """Voxel size at which the error should be the one that is aimed at."""
+        above, below = self._brackets(option)
+        assert above is not None
+        assert below is not None
+        slope = math.log(above.errors[option] / max(below.errors[option], 1e-300))
+        share = math.log(above.errors[option] / self.aim) / max(slope, 1e-12)
+        # Never beside an end: what is known there would be asked again.
+        share = min(max(share, 0.15), 0.85)
+        return float(above.voxel_size * (below.voxel_size / above.voxel_size) ** share)
+
+    def _cost(self, option: Option, voxel_size: float) -> float:
+        counts = self.memory.counts(voxel_size, self.width_of(option, voxel_size) * voxel_size)
+        return counts.bytes_of(option.codec, self._bits(option, voxel_size))
+
+    def _bits(self, option: Option, voxel_size: float) -> float:
+        """Bits of a voxel in "fpn", in the mean over the leaves: what their ranges and the step make necessary."""
+        if option.codec != "fpn":
+            return 0.0
+        width = self.width_of(option, voxel_size)
+        # Widths differ by the zone's share of a voxel; leaves are alike over that.
+        key = float(np.ceil(4.0 * width) / 4.0)
+        if key not in self._shares:
+            self._shares[key] = self.leaf_ranges(key)
+        levels = self._shares[key] * (2.0 * width * voxel_size / self._step(option, voxel_size))
+        return float(LEAF_BITS[np.searchsorted(2.0 ** LEAF_BITS[:-1] - 1.0, levels)].mean())
+
+    def fits(self, option: Option, voxel_size: float) -> bool:
+        """Whether such a band can be made with the memory there is."""
+        counts = self.memory.counts(voxel_size, self.width_of(option, voxel_size) * voxel_size)
+        return counts.working_bytes <= self.most_bytes
+
+
+def quickest(settings: list[Setting]) -> Iterator[Setting]:
+    """The settings in the order in which they are to be tried: of equal memory the quickest to read first."""
+    rest = sorted(settings, key=lambda setting: setting.byte_count)
+    while rest:
+        equal = [s for s in rest if s.byte_count <= SAME_MEMORY * rest[0].byte_count]
+        chosen = min(equal, key=lambda s: (s.option.order, CODECS.index(s.option.codec)))
+        rest.remove(chosen)
+        yield chosen

@@ -1,0 +1,192 @@
+"""Clipping grids of any value type: tiles that the box's faces run through are taken apart, level by level."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import available_memory
+from geokit.errors import DeviceMemoryError
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, bits_of, differs, tree_of
+from geokit.volume.tree.typed_writer import built
+
+__all__ = ["clipped"]
+
+LEAVES_AT_A_TIME = 4096
+# First and last of eight steps along each axis.
+CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
+
+
+def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
+    """The voxels whose centres are in a box (2, 3) [world], for one of VALUE_TYPES; the others are background.
+
+    Raises:
+        DeviceMemoryError: The box cuts through larger tiles than there is memory for.
+    """
+    tree = tree_of(volume)
+    transform = volume.info.transform
+    kind = tree.layout.background
+    root = tree.root
+    side = _side_of(root.origins, 4096, transform, box)
+    upper = [_masked(tree.upper, 32, 128, transform, box, tree.background)]
+    # What is cut through goes on to the next level as nodes full of it.
+    upper.append(_split(root.origins, root.values, root.active, side == 0, 32, 128, transform, box, tree.background))
+    lower = [_masked(tree.lower, 16, 8, transform, box, tree.background)]
+    for nodes in upper:
+        cut = nodes.cut
+        corners = nodes.corners(32, 128)
+        _require_memory(volume, int(cut.sum()) * 4096 * (kind.itemsize + 1))
+        lower.append(
+            _split(corners, nodes.flat(), nodes.nodes.active.reshape(-1), cut, 16, 8, transform, box, tree.background)
+        )
+    origins, masks, values = [tree.origins], [tree.masks], [tree.values]
+    _require_memory(volume, sum(int(nodes.cut.sum()) for nodes in lower) * (3 * LEAF_VOXELS * kind.itemsize + 100))
+    for nodes in lower:
+        corners = nodes.corners(16, 8)[nodes.cut]
+        origins.append(corners)
+        state = nodes.nodes.active.reshape(-1)[nodes.cut]
+        masks.append(np.where(state[:, None], np.uint8(255), np.uint8(0)).repeat(LEAF_VOXELS // 8, axis=1))
+        tiles = nodes.flat()[nodes.cut]
+        shape = (len(tiles), LEAF_VOXELS, *kind.shape)
+        values.append(np.broadcast_to(tiles[:, None], shape))
+    result = replace(
+        tree,
+        origins=np.concatenate(origins),
+        masks=np.concatenate(masks),
+        values=np.concatenate(values),
+        lower=_joined(lower, tree.background),
+        upper=_joined(upper, tree.background),
+        root=root.rows(side > 0),
+    )
+    return built(_leaves_inside(result, transform, box), volume)
+
+
+class _Cut:
+    """Nodes, and which of their slots (N * slots,) the box's faces run through."""
+
+    def __init__(self, nodes: Nodes, cut: NDArray[np.bool_]) -> None:
+        self.nodes = nodes
+        self.cut = cut
+
+    def corners(self, width: int, span: int) -> NDArray[np.int32]:
+        return _slot_corners(self.nodes.origins, width, span).reshape(-1, 3)
+
+    def flat(self) -> NDArray[Any]:
+        """Values of all slots, one after the other."""
+        values = self.nodes.values
+        return values.reshape(-1, *values.shape[2:])
+
+
+def _masked(
+    nodes: Nodes, width: int, span: int, transform: NDArray[Any], box: NDArray[Any], background: NDArray[Any]
+) -> _Cut:
+    """Nodes with background in place of the tiles outside."""
+    if not len(nodes.origins):
+        return _Cut(nodes, np.zeros(0, np.bool_))
+    values, active = nodes.values.copy(), nodes.active.copy()
+    told = active | differs(values, background)
+    side = np.ones(told.shape, np.int8)
+    node, slot = np.nonzero(told)
+    corners = _slot_corners(nodes.origins, width, span)[node, slot]
+    side[node, slot] = _side_of(corners, span, transform, box)
+    outside = side < 0
+    values[outside], active[outside] = background, False
+    return _Cut(Nodes(nodes.origins, values, active), (side == 0).reshape(-1))
+
+
+def _split(
+    corners: NDArray[np.int32],
+    values: NDArray[Any],
+    active: NDArray[np.bool_],
+    cut: NDArray[np.bool_],
+    width: int,
+    span: int,
+    transform: NDArray[Any],
+    box: NDArray[Any],
+    background: NDArray[Any],
+) -> _Cut:
+    """Nodes full of the tiles that are cut through."""
+    rows = np.flatnonzero(cut)
+    shape = (len(rows), width**3)
+    full = Nodes(
+        corners[rows].reshape(-1, 3),
+        np.broadcast_to(values[rows][:, None], (*shape, *values.shape[1:])),
+        np.broadcast_to(active[rows][:, None], shape),
+    )
+    return _masked(full, width, span, transform, box, background)
+
+
+def _joined(parts: list[_Cut], background: NDArray[Any]) -> Nodes:
+    """All nodes of a level, with background in place of what has gone on to the next."""
+    found = []
+    for part in parts:
+        nodes, cut = part.nodes, part.cut.reshape(part.nodes.active.shape)
+        if not len(nodes.origins):
+            continue
+        nodes.values[cut], nodes.active[cut] = background, False
+        some = (nodes.active | differs(nodes.values, background)).any(axis=1)
+        found.append(nodes.rows(some))
+    return Nodes(*map(np.concatenate, zip(*found, strict=True))) if found else parts[0].nodes
+
+
+def _slot_corners(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int32]:
+    steps = np.stack(np.unravel_index(np.arange(width**3), 3 * (width,)), axis=1).astype(np.int32) * span
+    return np.asarray(origins[:, None] + steps)
+
+
+def _side_of(
+    corners: NDArray[np.int32], span: int, transform: NDArray[np.float64], box: NDArray[np.float64]
+) -> NDArray[np.int8]:
+    """Of cubes of voxels: 1 where all centres are in the box, -1 where none can be, else 0.
+
+    Rounded sums and products are monotonous too: what holds for the corners, as they are computed for single voxels,
+    holds for all between them.
+    """
+    worlds = _world_of(corners[:, None].astype(np.float64) + CORNERS * (span - 1), transform)
+    inside = np.ones(len(corners), np.bool_)
+    outside = np.zeros(len(corners), np.bool_)
+    for world, low, high in zip(worlds, *box, strict=True):
+        inside &= ((world >= low) & (world <= high)).all(axis=1)
+        outside |= (world < low).all(axis=1) | (world > high).all(axis=1)
+    return np.where(inside, 1, np.where(outside, -1, 0)).astype(np.int8)
+
+
+def _world_of(voxels: NDArray[np.float64], transform: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """World coordinates of voxels (..., 3), an array for each."""
+    return [m[0] * voxels[..., 0] + m[1] * voxels[..., 1] + m[2] * voxels[..., 2] + m[3] for m in transform[:3]]
+
+
+def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray[np.float64]) -> TypedTree:
+    side = _side_of(tree.origins, 8, transform, box)
+    tree = replace(tree, origins=tree.origins[side >= 0], masks=tree.masks[side >= 0], values=tree.values[side >= 0])
+    cut = np.flatnonzero(side[side >= 0] == 0)
+    steps = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
+    kept = np.ones(len(tree.origins), np.bool_)
+    for first in range(0, len(cut), LEAVES_AT_A_TIME):
+        rows = cut[first : first + LEAVES_AT_A_TIME]
+        voxels = (tree.origins[rows, None].astype(np.int64) + steps).astype(np.float64)
+        inside = np.ones(voxels.shape[:2], np.bool_)
+        for world, low, high in zip(_world_of(voxels, transform), *box, strict=True):
+            inside &= (world >= low) & (world <= high)
+        states = bits_of(tree.masks[rows]) & inside
+        values = tree.values[rows]
+        values[~inside] = tree.background
+        tree.masks[rows], tree.values[rows] = np.packbits(states, axis=1, bitorder="little"), values
+        kept[rows] = states.any(axis=1)
+        if tree.layout.name != "mask":
+            kept[rows] |= differs(values, tree.background).any(axis=1)
+    return replace(tree, origins=tree.origins[kept], masks=tree.masks[kept], values=tree.values[kept])
+
+
+def _require_memory(volume: SparseVolume, need: int) -> None:
+    have = available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"volume: the tiles of grid {volume.info.name!r} that the box cuts through need about {need >> 20} MiB, of "
+            f"{have >> 20} MiB free; use a smaller box"
+        )

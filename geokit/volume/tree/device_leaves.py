@@ -1,0 +1,120 @@
+"""The device's way of building grids, for leaves that are on the host and in any order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.errors import InputError
+from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.tree.device_writer import Leaves, build_grid
+from geokit.volume.tree.grid_head import GridHead
+
+__all__ = ["build_leaves"]
+
+# Upper nodes along an axis that a key's 12 bits tell apart.
+MOST_UPPER_NODES = 4096
+
+
+def build_leaves(
+    head: GridHead,
+    leaf_origins: NDArray[np.int32],
+    leaf_values: NDArray[Any],
+    leaf_masks: NDArray[Any],
+    *,
+    signed: bool,
+) -> NDArray[np.uint8]:
+    """A NanoVDB grid of floats or int32 from leaves in any order, built by kernels on the CPU.
+
+    The same bytes as ``_build.build_float_grid`` gives for floats (tests/volume/tree/test_device_writer.py).
+
+    Args:
+        head: What the grid is to be.
+        leaf_origins: First voxel of each leaf, multiples of 8, shape (L, 3) int32, each once.
+        leaf_values: Values of the leaves, shape (L, 512) of the grid's type, z fastest.
+        leaf_masks: Active voxels, shape (L, 512) bool in the order of the values, or packed (L, 64) uint8.
+        signed: Give empty regions that lie inside the surface ``head.inside`` (a level set).
+    Returns:
+        The grid: uint8, 32-byte aligned, with min, max and box of every node.
+    Raises:
+        InputError: Origins off the lattice, given twice or too far apart, or arrays that do not fit them.
+    """
+    import warp as wp
+
+    from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
+    from geokit.volume.tree.node_signs_kernels import negative_bits_kernel
+
+    origins = _checked_origins(leaf_origins)
+    count = len(origins)
+    values = np.ascontiguousarray(leaf_values, head.word)
+    packed = np.asarray(leaf_masks).dtype != np.bool_
+    for what, array, row in (("leaf_values", values, LEAF_VOXELS), ("leaf_masks", leaf_masks, 64 if packed else 512)):
+        if np.shape(array) != (count, row):
+            raise InputError(f"{what}: shape {np.shape(array)} is not {(count, row)}; give a row per leaf")
+    masks = np.ascontiguousarray(leaf_masks if packed else np.packbits(leaf_masks, axis=1, bitorder="little"))
+    keys, axes = _keys_of(origins >> 3)
+    order = np.argsort(keys, kind="stable")
+    twice = np.flatnonzero(keys[order][1:] == keys[order][:-1])
+    if len(twice):
+        first, second = order[twice[0]], order[twice[0] + 1]
+        raise InputError(f"leaf_origins: row {second} repeats row {first}; give each leaf once")
+
+    device = launcher.resolve_device("cpu")
+
+    def array_of(numbers: NDArray[Any], dtype: Any) -> Any:
+        return wp.array(np.ascontiguousarray(numbers), dtype=dtype, device=device, copy=False)
+
+    rows = array_of(order.astype(np.int32), wp.int32)
+    leaves = Leaves(array_of(keys[order], wp.int64), array_of(origins >> 3, wp.vec3i), rows, axes)
+    inside = None
+    if signed:
+        inside = wp.empty((count, 8), dtype=wp.uint64, device=device)
+        flat = array_of(values.reshape(-1), wp.float32)
+        launcher.launch(negative_bits_kernel, 8 * count, [wp.int64(0), rows, flat], [inside], device)
+
+    def write(buffer: Any, begin: int) -> None:
+        words = array_of(values.reshape(-1).view(np.int32), wp.int32)
+        bits = array_of(masks.reshape(-1).view(np.uint64), wp.uint64)
+        launcher.launch(copy_leaves_kernel, 8 * count, [wp.int64(begin), rows, words, bits], [buffer], device)
+
+    built = build_grid(leaves, head, write, inside)
+    assert built.host is not None  # the device is the CPU
+    return built.host
+
+
+def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:
+    origins = np.asarray(leaf_origins)
+    if origins.ndim != 2 or origins.shape[1] != 3 or not np.issubdtype(origins.dtype, np.integer):
+        raise InputError(
+            f"leaf_origins: {origins.dtype} {origins.shape} is not an integer array (L, 3); give voxel indices"
+        )
+    limits = np.iinfo(np.int32)
+    bad = np.flatnonzero(((origins & 7 != 0) | (origins < limits.min) | (origins > limits.max)).any(axis=1))
+    if len(bad):
+        row = bad[0]
+        raise InputError(f"leaf_origins: row {row} is {origins[row].tolist()}; give int32 multiples of 8")
+    return np.ascontiguousarray(origins, np.int32)
+
+
+def _keys_of(tiles: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    """Keys of leaves as ``tile_keys_kernel`` makes them, but by ranks of the upper nodes that there are."""
+    wide = tiles.astype(np.int64)
+    keys = np.zeros(len(tiles), np.int64)
+    axes = []
+    for axis in range(3):
+        # 20 bits, negative coordinates wrapped, as in NanoVDB's keys.
+        wrapped, rank = np.unique(wide[:, axis] >> 9 & 0xFFFFF, return_inverse=True)
+        if len(wrapped) > MOST_UPPER_NODES:
+            raise InputError(
+                f"leaf_origins: {len(wrapped)} nodes of 4096^3 voxels along an axis are more than {MOST_UPPER_NODES}; "
+                "use larger voxels or a volume per object"
+            )
+        keys = keys << 12 | rank.reshape(-1)
+        axes.append(np.where(wrapped >> 19, wrapped - (1 << 20), wrapped))
+    for bits, shift in ((5, 4), (4, 0)):
+        for axis in range(3):
+            keys = keys << bits | (wide[:, axis] >> shift & ((1 << bits) - 1))
+    return keys, tuple(axes)

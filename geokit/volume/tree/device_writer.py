@@ -1,0 +1,298 @@
+"""Building NanoVDB grids of floats or int32 on the device where their leaves are; only the head is made on the host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.device_arena import Scratch, ScratchArray
+from geokit.core.host_array import HostArray
+from geokit.core.pinned import PinnedArray, host_arrays
+from geokit.core.scan import summed
+from geokit.volume.nanovdb.checksum import partial_checksum
+from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer
+from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["BuiltGrid", "Leaves", "build_grid"]
+
+# Logarithms of the slots along an axis of a lower and of an upper node, and voxels along an axis.
+LOWER_BITS, LOWER_SPAN = 4, 128
+UPPER_BITS, UPPER_SPAN = 5, 4096
+# Upper nodes whose keys the host gets without a copy of its own: each spans 4096^3 voxels.
+FEW_UPPERS = 256
+# Parts of a lower node's children that threads of a GPU look at side by side; a CPU looks at all in a row.
+PARTS_CPU, PARTS_CUDA = 0, 64
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Where the leaves of a grid are, in the order of its nodes.
+
+    Attributes:
+        keys: Place of each leaf in that order, ascending, each once, (L,) of int64; see ``tiles_kernels``.
+        tiles: Coordinates in units of leaves, any number of them in any order, (T,) of vec3i.
+        rows: Row of each leaf among the tiles, (L,) of int32.
+        axes: Coordinates of upper nodes along x, y and z, in units of themselves, in the order of their ranks in keys.
+    """
+
+    keys: "wp.array"
+    tiles: "wp.array"
+    rows: "wp.array"
+    axes: tuple[NDArray[np.int64], ...]
+
+    @cached_property
+    def nodes(self) -> _Nodes:
+        """The nodes above them; who asks long before the grid is built need not wait for them then."""
+        return _Nodes(self.keys)
+
+
+@dataclass(frozen=True)
+class BuiltGrid:
+    """A grid on a device, and its first bytes (headers, root and root's table) on the host.
+
+    On the CPU ``host`` is the grid itself and ``buffer`` shares its memory.
+    """
+
+    buffer: "wp.array"
+    head: NDArray[np.uint8]
+    host: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Nodes of one kind, as many as ``count``; arrays may be longer.
+
+    Attributes:
+        keys: Of each node.
+        first_child: Of each node; one more entry ends the last.
+        first_leaf: Of each node.
+        parent: For each child the nodes up to its own.
+    """
+
+    keys: ScratchArray
+    first_child: ScratchArray
+    first_leaf: ScratchArray
+    parent: ScratchArray
+    count: int
+
+
+def build_grid(
+    leaves: Leaves,
+    head: GridHead,
+    write_leaves: Callable[["wp.array", int], None],
+    inside: "wp.array | None" = None,
+    *,
+    seal: bool = True,
+) -> BuiltGrid:
+    """A grid from leaves whose values a function writes.
+
+    Args:
+        leaves: Where they are.
+        head: What the grid is to be.
+        write_leaves: Called with the buffer and the byte where the leaves begin; writes 512 values from byte 96 of each
+            leaf on, 2144 bytes apart, and the mask of its active voxels from byte 16 on.
+        inside: Bits of the voxels that lie inside, (L, 8) of uint64: empty regions next to such voxels take
+            ``head.inside`` instead of the background.
+        seal: Write the checksum of headers and root.
+    Raises:
+        InputError: The leaves are too far apart.
+    """
+    device = leaves.keys.device
+    count = len(leaves.keys)
+    lower, upper, ranks = leaves.nodes.read()
+    uppers = np.stack(
+        [axis[ranks >> shift & 0xFFF] for axis, shift in zip(leaves.axes, (24, 12, 0), strict=True)], axis=1
+    )
+    places = places_of(head.layout, count, lower.count, uppers, fill_gaps=inside is not None)
+    buffer, host = _buffer(places.size, device)
+    states, faces = _spread_signs(inside, leaves, lower, upper)
+    _link(buffer, head, places, (leaves, lower, upper), states)
+    write_leaves(buffer, places.leaf_begin)
+    boxes, extrema, active = _statistics(buffer, head, places, leaves, lower, upper)
+    # Until here nothing of it was waited for, and for most grids nothing is before the head is written.
+    start = write_head(head, places, faces.numpy() if places.gaps else np.zeros(upper.count, np.uint8))
+    write_root(start, head, boxes.numpy().reshape(-1, 2, 3), extrema.numpy().view(head.word).reshape(-1, 2), active())
+    if seal:
+        start[8:16].view("<u8")[0] = partial_checksum(start[:HEAD_SIZE], start)
+    _put(buffer, host, start)
+    return BuiltGrid(buffer, start, host)
+
+
+def _buffer(size: int, device: "wp.Device") -> tuple["wp.array", NDArray[np.uint8] | None]:
+    import warp as wp
+
+    if device.is_cuda:
+        # Zeros also where nothing is written: the same leaves give the same bytes.
+        return wp.zeros(size, dtype=wp.uint8, device=device), None
+    # calloc's pages are zero until they are written: padding costs nothing and the leaves are touched once.
+    host = aligned_buffer(size, zeroed=True)
+    array: Any = wp.array(host, dtype=wp.uint8, device=device, copy=False)
+    return array, host
+
+
+def _put(buffer: "wp.array", host: NDArray[np.uint8] | None, start: NDArray[np.uint8]) -> None:
+    import warp as wp
+
+    if host is not None:
+        host[: len(start)] = start
+    else:
+        wp.copy(buffer, wp.array(start, dtype=wp.uint8, device="cpu", copy=False), count=len(start))
+
+
+class _Nodes:
+    """Lower and upper nodes that are being made."""
+
+    def __init__(self, keys: "wp.array") -> None:
+        import warp as wp
+
+        from geokit.volume.tree import device_writer_kernels as kernels
+
+        count, device = len(keys), keys.device
+        shifts = [3 * LOWER_BITS, 3 * (LOWER_BITS + UPPER_BITS)]
+        # There are no more nodes of either kind than leaves: how many there are is read once both are made.
+        shapes = [*[((count,), wp.int32)] * 6, *[((count + 1,), wp.int32)] * 2, *[((count,), wp.int64)] * 2]
+        arrays = Scratch(device, *shapes).arrays
+        starts, ends, (upper_of, first_leaf), (lower_first, upper_first), (lower_keys, upper_keys) = (
+            arrays[k : k + 2] for k in range(0, 10, 2)
+        )
+        launcher.launch(kernels.starts_kernel, count, [keys, *shifts], starts, device)
+        if count:
+            for some, sums in zip(starts, ends, strict=True):
+                wp.utils.array_scan(some.warp, sums.warp, inclusive=True)
+        self._few, self._counts = host_arrays(device, ((FEW_UPPERS,), np.int64), ((2,), np.int32))
+        self._counts.values.fill(0)
+        inputs = [keys, *shifts, starts[0], ends[0], starts[1], ends[1]]
+        outputs = [lower_keys, lower_first, upper_of, upper_keys, upper_first, first_leaf, self._few, self._counts]
+        launcher.launch(kernels.nodes_kernel, count, inputs, outputs, device)
+        if isinstance(self._few, PinnedArray):
+            self._few.room.close()
+        self._lower = lower_keys, lower_first, lower_first, ends[0]
+        self._upper = upper_keys, upper_first, first_leaf, upper_of
+
+    def read(self) -> tuple[_Level, _Level, NDArray[np.int64]]:
+        """Lower nodes, upper nodes, and the keys of the latter on the host."""
+        lower_count, upper_count = self._counts.numpy().tolist()
+        keys = self._few if upper_count <= FEW_UPPERS else self._upper[0]
+        lower, upper = _Level(*self._lower, lower_count), _Level(*self._upper, upper_count)
+        return lower, upper, keys.numpy()[:upper_count]
+
+
+def _spread_signs(
+    inside: "wp.array | None", leaves: Leaves, lower: _Level, upper: _Level
+) -> tuple[list[ScratchArray | None], Any]:
+    """States of the slots of lower and upper nodes, and the faces of the upper ones, for the host to read.
+
+    A narrow band keeps every sign change inside its leaves: a slot without child lies on one side, the one that the
+    touching face of any neighbour shows. One sweep each along z, y and x reaches every slot of a node with a child.
+    """
+    import warp as wp
+
+    from geokit.volume.tree import node_signs_kernels as kernels
+
+    if inside is None:
+        return [None, None], HostArray(np.zeros(upper.count, np.uint8))
+    device = inside.device
+    count = len(leaves.keys)
+    faces: Any
+    faces, of_lower = Scratch(device, ((count,), wp.uint8), ((lower.count,), wp.uint8)).arrays
+    slots = (lower.count << (3 * LOWER_BITS), upper.count << (3 * UPPER_BITS))
+    states: list[ScratchArray | None] = [*Scratch(device, *(((n,), wp.uint8) for n in slots), zeroed=True).arrays]
+    launcher.launch(kernels.leaf_faces_kernel, count, [inside], [faces], device)
+    (of_upper,) = host_arrays(device, ((upper.count,), np.uint8))
+    for keys, level, bits, state, next_faces in (
+        (leaves.keys, lower, LOWER_BITS, states[0], of_lower),
+        (lower.keys, upper, UPPER_BITS, states[1], of_upper),
+    ):
+        inputs = [keys, 3 * bits, level.parent, faces]
+        launcher.launch(kernels.place_children_kernel, count, inputs, [state], device)
+        for axis in (2, 1, 0):
+            launcher.launch(kernels.sweep_kernel, level.count << (2 * bits), [bits, axis], [state], device)
+        count, faces = level.count, next_faces
+        launcher.launch(kernels.node_faces_kernel, count, [bits, state], [faces], device)
+    return states, faces
+
+
+def _link(
+    buffer: "wp.array",
+    head: GridHead,
+    places: Places,
+    levels: tuple[Leaves, _Level, _Level],
+    states: list[ScratchArray | None],
+) -> None:
+    import warp as wp
+
+    from geokit.volume.tree.device_writer_kernels import link_kernel
+
+    leaves, lower, upper = levels
+    layout, device = head.layout, buffer.device
+    outside, inside = (wp.uint64(_word_of(value, head.word)) for value in (head.background, head.inside))
+    for children, nodes, bits, state, begin, size, table, child_begin, child_size in (
+        (lower.keys, upper, UPPER_BITS, states[1], places.upper_begin, layout.upper_size, layout.upper_table,
+         places.lower_begin, layout.lower_size),
+        (leaves.keys, lower, LOWER_BITS, states[0], places.lower_begin, layout.lower_size, layout.lower_table,
+         places.leaf_begin, layout.leaf_size),
+    ):  # fmt: skip
+        given = wp.empty(0, dtype=wp.uint8, device=device) if state is None else state
+        numbers = [wp.int64(n) for n in (begin, size, table, child_begin, child_size)]
+        inputs = [3 * bits, nodes.keys, nodes.first_child, children, *numbers, given, outside, inside]
+        launcher.launch(link_kernel, nodes.count << (3 * bits - 6), inputs, [buffer], device, grain=64)
+
+
+def _word_of(value: float, kind: np.dtype[Any]) -> int:
+    """The bits of a tile's value in its slot of eight bytes."""
+    return int(np.array([value], kind).view("<u4")[0])
+
+
+def _statistics(
+    buffer: "wp.array", head: GridHead, places: Places, leaves: Leaves, lower: _Level, upper: _Level
+) -> tuple[Any, Any, Callable[[], int]]:
+    """Boxes and extrema of all nodes, written into them.
+
+    Those of the upper ones are given, and the number of active voxels, for the host to read.
+    """
+    import warp as wp
+
+    from geokit.volume.tree import node_statistics_kernels as kernels
+
+    device, layout = buffer.device, head.layout
+    is_float = layout.name == "float"
+    of_leaf = kernels.float_leaf_kernel if is_float else kernels.int_leaf_kernel
+    of_part = kernels.float_part_kernel if is_float else kernels.int_part_kernel
+    of_node = kernels.float_node_kernel if is_float else kernels.int_node_kernel
+
+    count = len(leaves.keys)
+    # Lower nodes are few, with hundreds of children each.
+    lower_parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
+    # Boxes and extrema of leaves, parts and lower nodes.
+    items = (count, lower_parts * lower.count, lower.count)
+    shapes = [((n * k,), wp.int32) for k in items for n in (6, 2)]
+    active, *arrays = Scratch(device, ((count,), wp.int32), *shapes).arrays
+    of_leaves, of_parts, of_lowers = arrays[:2], arrays[2:4], arrays[4:]
+    of_uppers = host_arrays(device, *(((n * upper.count,), np.int32) for n in (6, 2)))
+    where = [leaves.tiles, leaves.rows]
+    found: list[Any] = of_leaves
+    begin = wp.int64(places.leaf_begin)
+    launcher.launch(of_leaf, count, [begin, *where], [buffer, *found, active], device, grain=64)
+    for level, parts, span, begin_at, size, bits, of_nodes in (
+        (lower, lower_parts, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS, of_lowers),
+        (upper, 0, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS, of_uppers),
+    ):
+        if parts:
+            inputs, found = [parts, level.first_child, *found], of_parts
+            launcher.launch(of_part, parts * level.count, inputs, found, device)
+        statistics = 32 + 2 * (1 << (3 * bits)) // 8
+        numbers = [parts, span, wp.int64(begin_at), wp.int64(size), wp.int64(statistics)]
+        inputs = [*numbers, level.first_child, level.first_leaf, *found, *where]
+        found = of_nodes
+        launcher.launch(of_node, level.count, inputs, [buffer, *found], device, grain=1)
+    boxes, extrema = of_uppers
+    return boxes, extrema, summed(active.warp)[1]

@@ -1,0 +1,250 @@
+"""Leaves of scalar floating-point grids as values, and values as leaves of float and quantised grids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.errors import InputError
+from geokit.volume.nanovdb.header import grid_header
+from geokit.volume.nanovdb.layout import LEAF_VOXELS, layout_of
+from geokit.volume.tree.quantized_leaves import BITS, HEADER, Codes, decode, unpack
+from geokit.volume.tree.retype_tree import Recoded, leaf_starts
+
+__all__ = ["LeafReader", "fewest_bits", "write_codes", "write_floats"]
+
+# Box, flags and mask: the same in every type.
+COMMON = 80
+# Flags of a leaf; the others are the width of an FpN leaf.
+FLAG_BITS = 0x1F
+FPN_TYPE = 16
+# A leaf of a float grid: as many bytes before its values as a quantised one.
+FLOAT_LEAF = HEADER + 4 * LEAF_VOXELS
+# Leaves of other types that are turned into float leaves at a time: 17 MiB.
+LEAVES_AT_A_TIME = 8192
+# Leaves that a thread turns at a time: their values in float64 take a megabyte.
+LEAVES_PER_TASK = 256
+# Leaves worth a slice of a launch: each takes some microseconds.
+LEAF_GRAIN = 64
+
+
+class FloatLeaves(NamedTuple):
+    """Leaves as those of a float grid.
+
+    Attributes:
+        first: Number of the first leaf.
+        memory: Bytes that hold the leaves.
+        starts: First byte of each leaf, shape (n,).
+        loss: Largest error of each leaf's values as float32, shape (n,).
+    """
+
+    first: int
+    memory: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    loss: NDArray[np.float64]
+
+
+class LeafReader:
+    """Values and statistics of the leaves of a float, double or quantised grid.
+
+    Args:
+        buffer: A structurally sound grid.
+    """
+
+    def __init__(self, buffer: NDArray[np.uint8]) -> None:
+        self.layout = layout_of(int(grid_header(buffer)["grid_type"]), "grid")
+        self.starts = leaf_starts(buffer)
+        self.count = len(self.starts)
+        self._buffer = buffer
+
+    def float_leaves(self) -> Iterator[FloatLeaves]:
+        """All leaves, some thousand at a time; those of float grids at once and without a copy."""
+        if self.layout.name == "float":
+            yield FloatLeaves(0, self._buffer, self.starts, np.zeros(self.count))
+            return
+        for first in range(0, self.count, LEAVES_AT_A_TIME):
+            stop = min(first + LEAVES_AT_A_TIME, self.count)
+            leaves = np.empty((stop - first, FLOAT_LEAF), np.uint8)
+            loss = np.zeros(stop - first)
+
+            def convert(begin: int, end: int, first: int = first, leaves: Any = leaves, loss: Any = loss) -> float:
+                rows = slice(begin - first, end - first)
+                exact = self.values(begin, end)
+                with np.errstate(over="ignore"):
+                    values = exact.astype("<f4", copy=False)
+                leaves[rows, :COMMON] = self.rows(begin, end, 0, COMMON)
+                leaves[rows, 88:HEADER] = self.statistics(begin, end).astype("<f4").view(np.uint8)
+                leaves[rows, HEADER:] = np.ascontiguousarray(values).view(np.uint8)
+                if exact.dtype != np.float32:
+                    loss[rows] = np.abs(values - exact).max(axis=1)
+                return 0.0
+
+            in_tasks(first, stop, convert)
+            yield FloatLeaves(first, leaves.reshape(-1), FLOAT_LEAF * np.arange(stop - first), loss)
+
+    def values(self, first: int, stop: int) -> NDArray[Any]:
+        """Values of leaves, shape (n, 512), float64 for double grids, else float32.
+
+        Raises:
+            InputError: A value is not finite.
+        """
+        name = self.layout.name
+        if name in ("float", "double"):
+            size = self.layout.background.itemsize
+            table = self.layout.leaf_size - size * LEAF_VOXELS
+            values = self.rows(first, stop, table, size * LEAF_VOXELS).view(self.layout.background)
+        else:
+            values = self._decoded(first, stop)
+        # The extrema see every value that is not a number, and cost a tenth of a pass that looks at each.
+        with np.errstate(invalid="ignore"):
+            bad = ~(np.isfinite(values.min(axis=1)) & np.isfinite(values.max(axis=1)))
+        if bad.any():
+            raise self.not_finite(first + int(np.argmax(bad)))
+        return values
+
+    def not_finite(self, leaf: int) -> InputError:
+        """What to say of a leaf with a value that is not finite."""
+        origin = self.rows(leaf, leaf + 1, 0, 12).view("<i4")[0] & ~7
+        return InputError(f"volume: the leaf at voxel {origin.tolist()} holds a value that is not finite; replace it")
+
+    def statistics(self, first: int, stop: int) -> NDArray[np.float64]:
+        """Average and deviation of the active values of leaves as they are stored, shape (n, 2)."""
+        if self.layout.name == "double":
+            return self.rows(first, stop, 96, 16).view("<f8")
+        if self.layout.name == "float":
+            return self.rows(first, stop, 88, 8).view("<f4").astype(np.float64)
+        minimum, quantum = self.rows(first, stop, 80, 8).view("<f4").astype(np.float64).T
+        codes = self.rows(first, stop, 92, 4).view("<u2")
+        return np.stack([codes[:, 0] * quantum + minimum, codes[:, 1] * quantum], axis=1)
+
+    def rows(self, first: int, stop: int, offset: int, size: int) -> NDArray[np.uint8]:
+        """A copy of ``size`` bytes of leaves from ``offset`` on, shape (n, size)."""
+        return self._copied(self.starts[first:stop] + offset, size)
+
+    def _copied(self, starts: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+        step = self.layout.leaf_size
+        if len(starts) and self.layout.leaf_bits >= 0 and starts[-1] - starts[0] == step * (len(starts) - 1):
+            return np.ndarray((len(starts), size), np.uint8, self._buffer, int(starts[0]), (step, 1)).copy()
+        out = np.empty((len(starts), size), np.uint8)
+        for row, start in enumerate(starts):
+            out[row] = self._buffer[start : start + size]
+        return out
+
+    def _decoded(self, first: int, stop: int) -> NDArray[np.float32]:
+        heads = self.rows(first, stop, 0, HEADER)
+        minimum, quantum = np.ascontiguousarray(heads[:, 80:88]).view("<f4").T
+        fixed = self.layout.leaf_bits
+        bits = np.full(len(heads), fixed) if fixed > 0 else np.array(BITS)[heads[:, 15] >> 5]
+        out = np.empty((len(heads), LEAF_VOXELS), np.float32)
+        for width in np.unique(bits):
+            rows = np.flatnonzero(bits == width)
+            codes = unpack(self._copied(self.starts[first + rows] + HEADER, 64 * int(width)), int(width))
+            out[rows] = decode(Codes(codes, minimum[rows], quantum[rows]))
+        return out
+
+
+def in_tasks(first: int, stop: int, work: Callable[[int, int], float]) -> float:
+    """The largest of ``work(begin, end)`` over blocks of leaves: NumPy lets go of the GIL in most of it."""
+    with ThreadPoolExecutor(launcher.thread_count()) as pool:
+        begins = range(first, stop, LEAVES_PER_TASK)
+        return max(pool.map(lambda begin: work(begin, min(begin + LEAVES_PER_TASK, stop)), begins), default=0.0)
+
+
+def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Fewest bits of each leaf that keep the tolerance, 16 where none does."""
+    import warp as wp
+
+    from geokit.volume.tree.quantize_kernels import bits_kernel
+
+    device = launcher.resolve_device("cpu")
+    bits = np.empty(reader.count, np.uint8)
+    for leaves in reader.float_leaves():
+        count = len(leaves.starts)
+        out = bits[leaves.first : leaves.first + count]
+        rest = _on_cpu(tolerance - leaves.loss, wp.float64)
+        inputs = [_on_cpu(leaves.memory, wp.uint8), _on_cpu(leaves.starts, wp.int64), rest]
+        inputs.append(_on_cpu(rounding, wp.float32))
+        launcher.launch(bits_kernel, count, inputs, [_on_cpu(out, wp.uint8)], device, grain=LEAF_GRAIN)
+    return bits
+
+
+def write_codes(reader: LeafReader, target: Recoded, bits: NDArray[np.uint8], rounding: NDArray[np.float32]) -> float:
+    """Write all leaves as codes, and the extrema of all nodes; returns the largest change of a value.
+
+    Args:
+        reader: The leaves of the source.
+        target: The grid to be filled.
+        bits: Width of each leaf.
+        rounding: Thresholds of the rounding, shape (512,).
+
+    Raises:
+        InputError: A value is not finite.
+    """
+    import warp as wp
+
+    from geokit.volume.tree.quantize_kernels import encode_kernel
+
+    device = launcher.resolve_device("cpu")
+    is_fpn = int(grid_header(target.buffer)["grid_type"]) == FPN_TYPE
+    flags = (np.log2(bits).astype(np.uint8) << 5) if is_fpn else np.zeros_like(bits)
+    measures = np.empty((reader.count, 3))
+    worst = 0.0
+    for leaves in reader.float_leaves():
+        rows = slice(leaves.first, leaves.first + len(leaves.starts))
+        inputs = [_on_cpu(leaves.memory, wp.uint8), _on_cpu(leaves.starts, wp.int64)]
+        inputs += [_on_cpu(array[rows], wp.uint8) for array in (bits, flags)]
+        inputs += [_on_cpu(rounding, wp.float32), _on_cpu(target.leaf_starts[rows], wp.int64)]
+        outputs = [_on_cpu(target.buffer, wp.uint8), _on_cpu(measures[rows], wp.vec3d)]
+        launcher.launch(encode_kernel, len(leaves.starts), inputs, outputs, device, grain=LEAF_GRAIN)
+        error = measures[rows, 0]
+        if (error < 0.0).any():
+            raise reader.not_finite(leaves.first + int(np.argmin(error)))
+        worst = max(worst, float((error + leaves.loss).max(initial=0.0)))
+    # Leaves whose span float32 does not hold have extrema that are no numbers; the caller refuses them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        target.write_extrema(measures[:, 1].astype(np.float32), measures[:, 2].astype(np.float32))
+    return worst
+
+
+def write_floats(reader: LeafReader, target: Recoded) -> float:
+    """Write all leaves as those of a float grid, and the extrema of all nodes; returns the largest change of a value.
+
+    Raises:
+        InputError: A value is not finite.
+    """
+    low, high = np.empty((2, reader.count), np.float32)
+    table = np.ndarray(
+        (reader.count, FLOAT_LEAF), np.uint8, target.buffer, int(target.leaf_starts[0]) if reader.count else 0
+    )
+
+    def write(first: int, stop: int) -> float:
+        exact = reader.values(first, stop)
+        with np.errstate(over="ignore"):
+            values = exact.astype("<f4", copy=False)
+        leaves = table[first:stop]
+        leaves[:, :COMMON] = reader.rows(first, stop, 0, COMMON)
+        leaves[:, 15] &= FLAG_BITS
+        active = np.unpackbits(leaves[:, 16:COMMON], axis=1, bitorder="little").view(np.bool_)
+        low[first:stop] = np.where(active, values, np.float32(np.inf)).min(axis=1)
+        high[first:stop] = np.where(active, values, np.float32(-np.inf)).max(axis=1)
+        limits = np.stack([low[first:stop], high[first:stop]], axis=1)
+        leaves[:, COMMON:88] = np.where(limits[:, :1] <= limits[:, 1:], limits, np.float32(0.0)).view(np.uint8)
+        leaves[:, 88:HEADER] = reader.statistics(first, stop).astype("<f4").view(np.uint8)
+        leaves[:, HEADER:] = np.ascontiguousarray(values).view(np.uint8)
+        return float(np.abs(values - exact).max()) if exact.dtype != np.float32 else 0.0
+
+    worst = in_tasks(0, reader.count, write)
+    target.write_extrema(low, high)
+    return worst
+
+
+def _on_cpu(array: NDArray[Any], dtype: Any) -> Any:
+    """The array's own memory as a warp array."""
+    import warp as wp
+
+    return wp.array(array, dtype=dtype, device="cpu", copy=False)

@@ -1,0 +1,96 @@
+"""Volumes to the bridge's operations and back, past OpenVDB's limit on small voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.checksum import partial_checksum
+from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header, info_of
+
+__all__ = ["lift_factor", "lifted", "lifted_transform", "lowered", "operate", "result_of"]
+
+# OpenVDB takes a transform as singular where a voxel's volume is below 3e-15: voxels of 1.4e-5.
+SMALLEST_VOXEL_VOLUME = 1e-14
+
+
+def operate(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> Any:
+    """What an operation of ``geokit.native.operations`` makes of volumes on one lattice.
+
+    Args:
+        function: Takes one buffer for each volume, gives a buffer or a list of them.
+        volumes: The operands; the first gives metadata.
+        options: Of the function.
+    Returns:
+        SparseVolume, or a list of them.
+    """
+    factor = lift_factor(volumes[0].info.transform)
+    result = function(*(lifted(volume.nanovdb, factor) for volume in volumes), **options)
+    if isinstance(result, list):
+        return [result_of(lowered(buffer, factor), volumes[0]) for buffer in result]
+    return result_of(lowered(result, factor), volumes[0])
+
+
+def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
+    """A volume from an operation's buffer, with the metadata of its first operand."""
+    buffer.setflags(write=False)
+    info = info_of(buffer)
+    metadata = dict(like.info.metadata)
+    # Results of operations are not integers.
+    metadata.pop("geokit:value_type", None)
+    # A class that NanoVDB does not have for the type travels as metadata; it says nothing about another type.
+    if info.grid_type != like.info.grid_type:
+        metadata.pop("class", None)
+    grid_class = str(metadata.get("class", info.grid_class))
+    return SparseVolume(buffer, replace(info, grid_class=grid_class, metadata=MappingProxyType(metadata)))
+
+
+def lift_factor(transform: NDArray[np.float64]) -> float:
+    """Power of two by which a transform has to be scaled for OpenVDB to take it: 1 for all but tiny voxels."""
+    volume = abs(float(np.linalg.det(transform[:3, :3])))
+    if volume >= SMALLEST_VOXEL_VOLUME:
+        return 1.0
+    return 2.0 ** -int(np.floor(np.log2(np.abs(transform[:3, :3]).max())))
+
+
+def lifted_transform(transform: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+    """The transform into a world that is ``factor`` times as large; exact."""
+    scaled = np.array(transform)
+    scaled[:3] *= factor
+    return scaled
+
+
+def lowered(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
+    """Undoes the scaling, in place."""
+    if factor != 1.0:
+        _scale(buffer, 1.0 / factor)
+    return buffer
+
+
+def lifted(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
+    """The grid in a world that is ``factor`` times as large: a copy, unless that is 1."""
+    if factor == 1.0:
+        return buffer
+    copy = aligned_buffer(len(buffer))
+    copy[:] = buffer
+    _scale(copy, factor)
+    return copy
+
+
+def _scale(buffer: NDArray[np.uint8], factor: float) -> None:
+    grid = grid_header(buffer)
+    for name, power in (("matrix", factor), ("vector", factor), ("inverse", 1.0 / factor)):
+        grid[name] *= power
+        # Beyond float32's range the single-precision map overflows; geokit's kernels use the double one.
+        with np.errstate(over="ignore", under="ignore"):
+            grid[f"{name}_f"] = grid[name]
+    grid["voxel_size"] *= factor
+    with np.errstate(over="ignore", under="ignore"):
+        grid["world_bbox"] *= factor
+    grid["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)

@@ -1,0 +1,92 @@
+"""Pruning grids of any value type: nodes whose voxels are alike become tiles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume._model import SparseVolume
+from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, differs, slot_of, tree_of
+from geokit.volume.tree.typed_writer import built
+
+__all__ = ["pruned"]
+
+ROWS_AT_A_TIME = 4096
+
+
+def pruned(volume: SparseVolume, tolerance: float) -> SparseVolume:
+    """The volume, of one of VALUE_TYPES, with tiles in place of nodes with one state and values within a tolerance."""
+    tree = tree_of(volume)
+    full, empty = (tree.masks == 255).all(axis=1), ~tree.masks.any(axis=1)
+    alike = full | empty
+    # The states of a mask are all there is.
+    if tree.layout.name != "mask":
+        alike[alike] = _alike(tree.values, np.flatnonzero(alike), tolerance)
+    tiles = RootTiles(tree.origins[alike], tree.values[alike, 0], full[alike])
+    tree = replace(tree, origins=tree.origins[~alike], masks=tree.masks[~alike], values=tree.values[~alike])
+    lower, tiles = _level(tree, tree.lower, tiles, tree.origins, 16, 8, tolerance)
+    tree = replace(tree, lower=lower)
+    upper, tiles = _level(tree, tree.upper, tiles, np.concatenate([tree.origins, lower.origins]), 32, 128, tolerance)
+    root = RootTiles(*map(np.concatenate, zip(tree.root, tiles, strict=True)))
+    told = root.active | differs(root.values, tree.background)
+    return built(replace(tree, upper=upper, root=root.rows(told)), volume)
+
+
+def _level(
+    tree: TypedTree,
+    nodes: Nodes,
+    tiles: RootTiles,
+    below: NDArray[np.int32],
+    width: int,
+    span: int,
+    tolerance: float,
+) -> tuple[Nodes, RootTiles]:
+    """Put tiles into the nodes of a level; returns those that stay, and those that have become tiles themselves.
+
+    Args:
+        tree: The tree.
+        nodes: Of the level, before.
+        tiles: Places of ``span``^3 voxels.
+        below: Corners of what the level's nodes hold beside tiles, wherever in them.
+        width: Slots along an axis.
+        span: Voxels of a slot along an axis.
+        tolerance: Largest difference of values in a tile.
+    """
+    told = tiles.active | differs(tiles.values, tree.background)
+    tiles = tiles.rows(told)
+    corner = ~np.int32(width * span - 1)
+    origins, row = np.unique(np.concatenate([nodes.origins, tiles.origins & corner]), axis=0, return_inverse=True)
+    row = row.reshape(-1)
+    count = len(nodes.origins)
+    shape = tree.layout.background.shape
+    values = np.empty((len(origins), width**3, *shape), tree.layout.background.base)
+    values[:] = tree.background
+    active = np.zeros(values.shape[:2], np.bool_)
+    values[row[:count]], active[row[:count]] = nodes.values, nodes.active
+    slot = slot_of(tiles.origins, width, span)
+    values[row[count:], slot], active[row[count:], slot] = tiles.values, tiles.active
+    occupied, number = np.unique(np.concatenate([origins, below & corner]), axis=0, return_inverse=True)
+    holds = np.zeros(len(occupied), np.bool_)
+    holds[number.reshape(-1)[len(origins) :]] = True
+    alike = ~holds[number.reshape(-1)[: len(origins)]]
+    alike &= active.all(axis=1) | ~active.any(axis=1)
+    alike[alike] = _alike(values, np.flatnonzero(alike), tolerance)
+    return (
+        Nodes(origins[~alike], values[~alike], active[~alike]),
+        RootTiles(origins[alike], values[alike, 0], active[alike, 0]),
+    )
+
+
+def _alike(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> NDArray[np.bool_]:
+    """Of some rows (R, n, ...), whether the values differ by at most the tolerance, in each component."""
+    found = np.empty(len(rows), np.bool_)
+    for first in range(0, len(rows), ROWS_AT_A_TIME):
+        part = values[rows[first : first + ROWS_AT_A_TIME]]
+        low, high = part.min(axis=1).astype(np.float64), part.max(axis=1).astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            within = high - low <= tolerance
+        found[first : first + len(part)] = within.all(axis=-1) if within.ndim > 1 else within
+    return found

@@ -1,0 +1,140 @@
+"""Boxes and extrema of the active values of leaves, tiles and nodes, for grids of any value type.
+
+Grids of bits have no extrema in NanoVDB.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.volume.nanovdb.layout import GridLayout
+from geokit.volume.tree.build_float import NO_BOX, local_boxes
+from geokit.volume.tree.typed_tree import bits_of
+
+__all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
+
+_BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
+
+
+class Items(NamedTuple):
+    """What is known of the active voxels of some leaves, tiles or nodes.
+
+    Attributes:
+        boxes: First and last active voxel, (N, 2, 3) int32, turned around where there is none.
+        low: Least active value, (N,) or (N, C); of vectors the shortest.
+        high: The greatest.
+        low_key: What the former are compared by: themselves, or the squares of their lengths.
+        high_key: The same of the latter.
+    """
+
+    boxes: NDArray[np.int32]
+    low: NDArray[Any]
+    high: NDArray[Any]
+    low_key: NDArray[Any]
+    high_key: NDArray[Any]
+
+    @classmethod
+    def empty(cls, layout: GridLayout, count: int) -> Items:
+        """Room for some."""
+        kind = layout.background
+        values = [np.zeros((count, *kind.shape), kind.base) for _ in range(2)]
+        keys = [np.zeros(count, np.float64) for _ in range(2)] if kind.shape else values
+        return cls(np.repeat(NO_BOX, count, axis=0), *values, *keys)
+
+    def some(self, part: slice = slice(None)) -> NDArray[np.bool_]:
+        """Which have an active voxel."""
+        return self.boxes[part, 0, 0] <= self.boxes[part, 1, 0]
+
+
+def items_of_leaves(
+    layout: GridLayout,
+    origins: NDArray[np.int32],
+    masks: NDArray[np.uint8],
+    values: NDArray[Any],
+    out: Items,
+    part: slice,
+) -> int:
+    """Fill a part of ``out`` from leaves; returns the number of their active voxels."""
+    local = local_boxes(masks)
+    some = local[:, 0, 0] <= local[:, 1, 0]
+    out.boxes[part] = np.where(some[:, None, None], local + origins[:, None, :], NO_BOX)
+    if layout.leaf_bits > 1:
+        active = bits_of(masks)
+        keys = _keys(layout, values)
+        rows = np.arange(len(values))
+        for column, key_column, best, worst in (
+            (out.low, out.low_key, np.argmin, _largest(keys.dtype)),
+            (out.high, out.high_key, np.argmax, _least(keys.dtype)),
+        ):
+            at = best(np.where(active, keys, worst), axis=1)
+            # Where all active values are the worst there can be, it may be an inactive one that is found.
+            at = np.where(active[rows, at], at, np.argmax(active, axis=1))
+            column[part] = values[rows, at]
+            if key_column is not column:
+                key_column[part] = keys[rows, at]
+    return int(_BITS[masks].sum(dtype=np.int64))
+
+
+def items_of_tiles(layout: GridLayout, origins: NDArray[np.int32], values: NDArray[Any], span: int) -> Items:
+    """Of active tiles of ``span``^3 voxels."""
+    boxes = np.stack([origins, origins + np.int32(span - 1)], axis=1)
+    if layout.leaf_bits <= 1:
+        values = np.zeros_like(values)
+    keys = _keys(layout, values)
+    return Items(boxes, values, values, keys, keys)
+
+
+def add_items(
+    items: Items, parent: NDArray[np.int64], more: Items, more_parent: NDArray[np.int64]
+) -> tuple[Items, NDArray[np.int64]]:
+    """Both as one, with the nodes that they are in."""
+    if not len(more_parent):
+        return items, parent
+    return Items(*map(np.concatenate, zip(items, more, strict=True))), np.concatenate([parent, more_parent])
+
+
+def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
+    """Of ``count`` nodes, from those of what is in them."""
+    kind = items.low
+    shape = (count, *kind.shape[1:])
+    low, high = np.zeros(shape, kind.dtype), np.zeros(shape, kind.dtype)
+    keys = (np.zeros(count), np.zeros(count)) if kind.ndim > 1 else (low, high)
+    out = Items(np.repeat(NO_BOX, count, axis=0), low, high, *keys)
+    used = np.flatnonzero(items.some())
+    if not len(used):
+        return out
+    for order, column, source, key_column, key in (
+        (np.lexsort((items.low_key[used], parent[used])), out.low, items.low, out.low_key, items.low_key),
+        (np.lexsort((_turned(items.high_key[used]), parent[used])), out.high, items.high, out.high_key, items.high_key),
+    ):
+        rows = used[order]
+        nodes, starts = np.unique(parent[rows], return_index=True)
+        column[nodes] = source[rows[starts]]
+        if key_column is not column:
+            key_column[nodes] = key[rows[starts]]
+        out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
+        out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
+    return out
+
+
+def _keys(layout: GridLayout, values: NDArray[Any]) -> NDArray[Any]:
+    if not layout.background.shape:
+        return values
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.square(values.astype(np.float64)).sum(axis=-1)
+
+
+def _turned(keys: NDArray[Any]) -> NDArray[Any]:
+    """Numbers in the opposite order."""
+    return ~keys if keys.dtype.kind in "iub" else -keys
+
+
+def _largest(dtype: np.dtype[Any]) -> Any:
+    return True if dtype.kind == "b" else np.inf if dtype.kind == "f" else np.iinfo(dtype).max
+
+
+def _least(dtype: np.dtype[Any]) -> Any:
+    return False if dtype.kind == "b" else -np.inf if dtype.kind == "f" else np.iinfo(dtype).min

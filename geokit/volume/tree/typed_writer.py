@@ -1,0 +1,373 @@
+"""Building NanoVDB grids of any value type from their leaves and tiles, with the head of another grid."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.launcher import thread_count
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.checksum import partial_checksum
+from geokit.volume.nanovdb.header import (
+    BLIND_CLASS_NAME,
+    BLIND_DATA,
+    FLAG_BREADTH_FIRST,
+    FLAG_HAS_BBOX,
+    FLAG_HAS_MIN_MAX,
+    FLAG_LONG_NAME,
+    HEAD_SIZE,
+    TREE_OFFSET,
+    aligned_buffer,
+    encoded_name,
+    grid_header,
+    grid_name,
+    info_of,
+    tree_header,
+)
+from geokit.volume.nanovdb.header_options import write_transform
+from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LEAF_VOXELS, GridLayout
+from geokit.volume.tree.node_places import root_keys_of, root_span
+from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, leaf_values_begin, root_tile_type, slot_of
+
+__all__ = ["built"]
+
+# Leaves that a thread works on at a time: 256 of them are half a megabyte of floats, which stays in the cache.
+LEAVES_AT_A_TIME = 256
+
+
+class _Places(NamedTuple):
+    """Which nodes there are, and where, in the grid's order.
+
+    Attributes:
+        leaf_order: Rows of the leaves given.
+        leaf_lower: Lower node of each leaf.
+        leaf_slot: Slot of each leaf in it.
+        lower_origins: First voxel of each lower node.
+        lower_upper: Upper node of each.
+        lower_slot: Slot of each in it.
+        lower_row: Row of each among the lower nodes of the tree, -1 where it has none.
+        upper_origins: First voxel of each upper node.
+        upper_row: Row of each among the upper nodes of the tree, -1 where it has none.
+    """
+
+    leaf_order: NDArray[np.int64]
+    leaf_lower: NDArray[np.int64]
+    leaf_slot: NDArray[np.int64]
+    lower_origins: NDArray[np.int32]
+    lower_upper: NDArray[np.int64]
+    lower_slot: NDArray[np.int64]
+    lower_row: NDArray[np.int64]
+    upper_origins: NDArray[np.int32]
+    upper_row: NDArray[np.int64]
+
+
+def built(tree: TypedTree, like: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
+    """A volume with given leaves and tiles, and name, class, metadata and (unless one is given) transform of another.
+
+    Nodes that the leaves need and the tree does not have are filled with the tile in whose place they come, that of the
+    root included. Every node gets its box and its extrema (of vectors by length), no averages.
+    """
+    layout = tree.layout
+    places = _places(tree)
+    keys = root_keys_of(places.upper_origins)
+    tile_keys = root_keys_of(tree.root.origins)
+    kept = np.flatnonzero(~np.isin(tile_keys, keys))
+    root_begin = HEAD_SIZE
+    upper_begin = root_begin + layout.root_size + (len(keys) + len(kept)) * layout.root_tile_size
+    lower_begin = upper_begin + len(keys) * layout.upper_size
+    leaf_begin = lower_begin + len(places.lower_upper) * layout.lower_size
+    tree_end = leaf_begin + len(tree.origins) * layout.leaf_size
+    name = _name_block(like)
+    # calloc's pages are zero until they are written: padding costs nothing.
+    buffer = aligned_buffer(-(-(tree_end + len(name)) // ALIGNMENT) * ALIGNMENT, zeroed=True)
+    buffer[tree_end : tree_end + len(name)] = name
+    begins = (leaf_begin, lower_begin, upper_begin, root_begin)
+    counts = (len(tree.origins), len(places.lower_upper), len(keys))
+    _write_heads(buffer, like, layout, begins, counts, tree_end, bool(len(name)))
+    if transform is not None:
+        write_transform(grid_header(buffer), transform)
+
+    upper = _level_of(buffer, layout, upper_begin, len(keys), True)
+    lower = _level_of(buffer, layout, lower_begin, len(places.lower_upper), False)
+    active_upper = _fill(upper, tree, tree.upper, places.upper_row, places.upper_origins)
+    active_lower = _fill(lower, tree, tree.lower, places.lower_row, places.lower_origins)
+    upper.link(places.lower_upper, places.lower_slot, lower_begin + np.arange(lower.count) * lower.size)
+    lower.link(places.leaf_lower, places.leaf_slot, leaf_begin + np.arange(len(tree.origins)) * layout.leaf_size)
+
+    items, voxels = _write_leaves(buffer, tree, places, leaf_begin)
+    tile_counts = []
+    for level, origins, parent, active in (
+        (lower, places.lower_origins, places.leaf_lower, active_lower),
+        (upper, places.upper_origins, places.lower_upper, active_upper),
+    ):
+        node, slot, values = level.active_tiles(active)
+        tile_counts.append(len(node))
+        voxels += len(node) * level.span**3
+        steps = np.stack(np.unravel_index(slot, 3 * (level.width,)), axis=1).astype(np.int32) * level.span
+        tiles = items_of_tiles(layout, origins[node] + steps, values, level.span)
+        items = reduced(*add_items(items, parent, tiles, node), level.count)
+        level.write_statistics(origins, items)
+    root = tree.root.rows(kept)
+    tile_counts.append(int(root.active.sum()))
+    voxels += tile_counts[2] * 4096**3
+    tiles = items_of_tiles(layout, root.origins[root.active], root.values[root.active], 4096)
+    items = reduced(*add_items(items, np.zeros(upper.count, np.int64), tiles, np.zeros(tile_counts[2], np.int64)), 1)
+    _write_root(buffer, tree, keys, kept, tile_keys, items, upper_begin)
+    header = tree_header(buffer)
+    header["tile_count"], header["voxel_count"] = tile_counts, voxels
+    grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
+    buffer.setflags(write=False)
+    found = info_of(buffer, name=like.info.name)
+    return SparseVolume(buffer, replace(found, grid_class=like.info.grid_class, metadata=like.info.metadata))
+
+
+def _places(tree: TypedTree) -> _Places:
+    parts = (tree.origins, tree.lower.origins, tree.upper.origins)
+    keys = [root_keys_of(part) for part in parts]
+    root, first = np.unique(np.concatenate(keys), return_index=True)
+    upper_origins = (np.concatenate(parts)[first] & ~np.int32(4095)).reshape(-1, 3)
+    rank = [np.searchsorted(root, key).astype(np.int64) for key in keys]
+    # At most 2^36 upper nodes leave 27 bits for the slots in them.
+    leaf_place = rank[0] << 27 | slot_of(parts[0], 32, 128) << 12 | slot_of(parts[0], 16, 8)
+    order = np.argsort(leaf_place, kind="stable")
+    leaf_place = leaf_place[order]
+    old_lower = rank[1] << 15 | slot_of(parts[1], 32, 128)
+    lower_place, first = np.unique(np.concatenate([leaf_place >> 12, old_lower]), return_index=True)
+    lower_origins = (np.concatenate([tree.origins[order], tree.lower.origins])[first] & ~np.int32(127)).reshape(-1, 3)
+    lower_row = np.full(len(lower_place), -1)
+    lower_row[np.searchsorted(lower_place, old_lower)] = np.arange(len(old_lower))
+    upper_row = np.full(len(root), -1)
+    upper_row[rank[2]] = np.arange(len(rank[2]))
+    return _Places(
+        leaf_order=order,
+        leaf_lower=np.searchsorted(lower_place, leaf_place >> 12),
+        leaf_slot=leaf_place & 0xFFF,
+        lower_origins=lower_origins,
+        lower_upper=lower_place >> 15,
+        lower_slot=lower_place & 0x7FFF,
+        lower_row=lower_row,
+        upper_origins=upper_origins,
+        upper_row=upper_row,
+    )
+
+
+@dataclass(frozen=True)
+class _Level:
+    """The nodes of one level in the new grid."""
+
+    buffer: NDArray[np.uint8]
+    layout: GridLayout
+    begin: int
+    count: int
+    size: int
+    table: int
+    width: int
+    span: int
+
+    @property
+    def slots(self) -> int:
+        """Of a node."""
+        return self.width**3
+
+    def column(self, dtype: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> NDArray[Any]:
+        """Something that every node has at an offset."""
+        if not self.count:
+            return np.empty((0, *shape), dtype)
+        return np.ndarray((self.count, *shape), dtype, self.buffer, self.begin + offset, (self.size, *strides))
+
+    def tiles(self) -> NDArray[Any]:
+        """Values of the slots."""
+        kind = self.layout.background
+        element = (kind.base.itemsize,) * len(kind.shape)
+        return self.column(kind.base, self.table, (self.slots, *kind.shape), (self.layout.table_stride, *element))
+
+    def link(self, node: NDArray[np.int64], slot: NDArray[np.int64], child: NDArray[np.int64]) -> None:
+        """Put children that start at the given bytes into slots."""
+        offsets = self.column("<i8", self.table, (self.slots,), (self.layout.table_stride,))
+        # A value may be longer than an offset.
+        self.tiles()[node, slot] = np.zeros(self.layout.background.shape, self.layout.background.base)
+        offsets[node, slot] = child - (self.begin + node * self.size)
+        mask = self.column(np.uint8, 32 + self.slots // 8, (self.slots // 8,), (1,))
+        np.bitwise_or.at(mask, (node, slot >> 3), (1 << (slot & 7)).astype(np.uint8))
+
+    def active_tiles(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+        """Node, slot and value of the active tiles of some nodes."""
+        masks = self.column(np.uint8, 32, (2, self.slots // 8), (self.slots // 8, 1))[rows]
+        masks[:, 0] &= ~masks[:, 1]
+        self.column(np.uint8, 32, (self.slots // 8,), (1,))[rows] = masks[:, 0]
+        node, slot = np.nonzero(np.unpackbits(masks[:, 0], axis=1, bitorder="little"))
+        return rows[node], slot, self.tiles()[rows[node], slot]
+
+    def write_statistics(self, origins: NDArray[np.int32], items: Items) -> None:
+        """Store box, flag, minimum and maximum of the nodes."""
+        some = items.some()
+        # Readers take a node's origin from its box: an empty one starts there too, and ends before it.
+        empty = np.stack([origins, np.full_like(origins, np.iinfo(np.int32).min)], axis=1)
+        self.column("<i4", 0, (2, 3), (12, 4))[:] = np.where(some[:, None, None], items.boxes, empty)
+        self.column("<u8", 24, (1,), (8,))[:, 0] = np.where(some, FLAG_HAS_BBOX, 0)
+        kind, align = self.layout.background, self.layout.align
+        at = -(-(32 + 2 * self.slots // 8) // align) * align
+        element = (kind.base.itemsize,) * len(kind.shape)
+        limits = self.column(kind.base, at, (2, *kind.shape), (kind.itemsize, *element))
+        limits[some, 0], limits[some, 1] = items.low[some], items.high[some]
+
+
+def _level_of(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: int, is_upper: bool) -> _Level:
+    if is_upper:
+        return _Level(buffer, layout, begin, count, layout.upper_size, layout.upper_table, 32, 128)
+    return _Level(buffer, layout, begin, count, layout.lower_size, layout.lower_table, 16, 8)
+
+
+def _fill(
+    level: _Level, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """Write the tiles of a level, those of the tree's own ``nodes`` and around them; returns nodes with active ones."""
+    tiles = level.tiles()
+    if tree.background.tobytes().strip(b"\0"):
+        tiles[:] = tree.background
+    active = _own(level, tiles, nodes, row)
+    fresh = np.flatnonzero(row < 0)
+    return _filled(level, tiles, tree, fresh, origins[fresh], active)
+
+
+def _filled(
+    level: _Level,
+    tiles: NDArray[Any],
+    tree: TypedTree,
+    fresh: NDArray[np.int64],
+    origins: NDArray[np.int32],
+    active: list[int],
+) -> NDArray[np.int64]:
+    """Fill nodes that the tree has not with the tile in whose place they come; returns those with active slots."""
+    if len(tree.upper.origins) or len(tree.root.origins):
+        values, states = tree.tiles_at(origins, below_root=level.span == 8)
+        masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
+        for row in np.flatnonzero(states | differs(values, tree.background)):
+            tiles[fresh[row]] = values[row]
+            masks[fresh[row]] = 255 if states[row] else 0
+        active += fresh[states].tolist()
+    return np.array(sorted(active), np.int64)
+
+
+def _own(level: _Level, tiles: NDArray[Any], nodes: Nodes, row: NDArray[np.int64]) -> list[int]:
+    """Copy the tiles of nodes that the tree has; returns those with active ones."""
+    old = np.flatnonzero(row >= 0)
+    masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
+    for node in old:
+        tiles[node] = nodes.values[row[node]]
+        masks[node] = np.packbits(nodes.active[row[node]], bitorder="little")
+    return [int(node) for node in old if nodes.active[row[node]].any()]
+
+
+def _write_leaves(buffer: NDArray[np.uint8], tree: TypedTree, places: _Places, begin: int) -> tuple[Items, int]:
+    layout, count = tree.layout, len(tree.origins)
+    items = Items.empty(layout, count)
+    if not count:
+        return items, 0
+    kind, size = layout.background, layout.leaf_size
+    rows = buffer[begin : begin + count * size].reshape(count, size)
+    at = leaf_values_begin(layout)
+    limits_at = -(-80 // layout.align) * layout.align
+
+    def write(first: int) -> int:
+        part = slice(first, min(first + LEAVES_AT_A_TIME, count))
+        order = places.leaf_order[part]
+        masks, values, origins = tree.masks[order], tree.values[order], tree.origins[order]
+        rows[part, 16:80] = masks
+        if layout.name == "bool":
+            rows[part, at : at + LEAF_VOXELS // 8] = np.packbits(values, axis=1, bitorder="little")
+        elif layout.name != "mask":
+            rows[part, at : at + LEAF_VOXELS * kind.itemsize] = (
+                np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8)
+            )
+        active = items_of_leaves(layout, origins, masks, values, items, part)
+        some = items.some(part)
+        boxes = items.boxes[part]
+        rows[part, :12] = np.ascontiguousarray(np.where(some[:, None], boxes[:, 0], origins)).view(np.uint8)
+        rows[part, 12:15] = np.where(some[:, None], boxes[:, 1] - boxes[:, 0], 0)
+        rows[part, 15] = np.where(some, FLAG_HAS_BBOX, 0)
+        if layout.leaf_bits > 1:
+            limits = np.stack([items.low[part], items.high[part]], axis=1)
+            limits[~some] = 0
+            rows[part, limits_at : limits_at + 2 * kind.itemsize] = limits.reshape(len(limits), -1).view(np.uint8)
+        return active
+
+    # NumPy lets go of the GIL in most of these passes.
+    with ThreadPoolExecutor(thread_count()) as pool:
+        return items, sum(pool.map(write, range(0, count, LEAVES_AT_A_TIME)))
+
+
+def _write_root(
+    buffer: NDArray[np.uint8],
+    tree: TypedTree,
+    keys: NDArray[np.uint64],
+    kept: NDArray[np.int64],
+    tile_keys: NDArray[np.uint64],
+    items: Items,
+    upper_begin: int,
+) -> None:
+    layout = tree.layout
+    kind = layout.background
+    root = buffer[HEAD_SIZE:]
+    root[24:28].view("<u4")[0] = len(keys) + len(kept)
+    table = root[layout.root_size :][: (len(keys) + len(kept)) * layout.root_tile_size].view(root_tile_type(layout))
+    rank = np.argsort(np.argsort(np.concatenate([keys, tile_keys[kept]])))
+    table["value"] = tree.background
+    table["key"][rank] = np.concatenate([keys, tile_keys[kept]])
+    table["child"][rank[: len(keys)]] = upper_begin - HEAD_SIZE + np.arange(len(keys)) * layout.upper_size
+    table["value"][rank[len(keys) :]] = tree.root.values[kept]
+    table["state"][rank[len(keys) :]] = tree.root.active[kept]
+    box = root[:24].view("<i4").reshape(2, 3)
+    box[0], box[1] = np.iinfo(np.int32).max, np.iinfo(np.int32).min
+    limits = np.stack([tree.background] * 3)
+    some = bool(items.some()[0])
+    if layout.leaf_bits <= 1:
+        limits[1:] = False
+    if some:
+        box[:] = items.boxes[0]
+        limits[1], limits[2] = items.low[0], items.high[0]
+    root[layout.root_background : layout.root_background + 3 * kind.itemsize] = (
+        np.ascontiguousarray(limits).reshape(-1).view(np.uint8)
+    )
+    root_span(buffer, box if some else None)
+
+
+def _write_heads(
+    buffer: NDArray[np.uint8],
+    like: SparseVolume,
+    layout: GridLayout,
+    begins: tuple[int, ...],
+    counts: tuple[int, ...],
+    tree_end: int,
+    has_name_block: bool,
+) -> None:
+    buffer[:TREE_OFFSET] = like.nanovdb[:TREE_OFFSET]
+    grid, tree = grid_header(buffer), tree_header(buffer)
+    grid["grid_type"] = GRID_TYPES.index(layout.name)
+    grid["flags"] = (
+        FLAG_BREADTH_FIRST
+        | (FLAG_HAS_MIN_MAX if layout.leaf_bits > 1 else 0)
+        | (FLAG_LONG_NAME if has_name_block else 0)
+    )
+    grid["grid_index"], grid["grid_count"], grid["grid_size"] = 0, 1, len(buffer)
+    grid["blind_offset"], grid["blind_count"] = tree_end, int(has_name_block)
+    tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
+    tree["node_count"] = counts
+
+
+def _name_block(like: SparseVolume) -> NDArray[np.uint8]:
+    """A name too long for the header as a block of blind data; that of other programs may go with the old voxels."""
+    if not int(grid_header(like.nanovdb)["flags"]) & FLAG_LONG_NAME:
+        return np.empty(0, np.uint8)
+    text = encoded_name(grid_name(like.nanovdb)) + b"\0"
+    block = np.zeros(BLIND_DATA.itemsize + len(text), np.uint8)
+    entry = block[: BLIND_DATA.itemsize].view(BLIND_DATA)[0]
+    entry["offset"], entry["value_count"], entry["value_size"] = BLIND_DATA.itemsize, len(text), 1
+    entry["data_class"], entry["name"] = BLIND_CLASS_NAME, b"grid name"
+    block[BLIND_DATA.itemsize :] = np.frombuffer(text, np.uint8)
+    return block

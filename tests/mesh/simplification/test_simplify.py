@@ -1,0 +1,288 @@
+"""simplify on small meshes: what is merged, what is kept, what comes back unchanged, and every error."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from geokit.mesh._audit import audit
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._simplify import Simplified, simplify
+from geokit.mesh._surface import Surface
+from geokit.mesh.simplification.deviation import within
+from geokit.mesh.simplification.invariants import faces_as_before, shape_of
+from geokit.mesh.simplification.quadric import decimate
+from tests.support import mesh_catalog
+from tests.support.reference import closest_point
+
+
+def flat_box(count: int = 6) -> TriangleMesh:
+    """The surface of a unit cube, count^2 squares on each side."""
+    line = np.linspace(0.0, 1.0, count + 1)
+    x, y = (grid.ravel() for grid in np.meshgrid(line, line, indexing="ij"))
+    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
+    a, b, c, d = ((i + di) * (count + 1) + j + dj for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    square = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    sides = []
+    for axis in range(3):
+        for level in (0.0, 1.0):
+            points = np.roll(np.stack([x, y, np.full_like(x, level)], axis=1), axis, axis=1)
+            sides.append(TriangleMesh(points, square if level else square[:, ::-1], name="side"))
+    return gk.mesh.merge_vertices(mesh_catalog.join(*sides))
+
+
+def test_flat_sides_become_two_triangles_each():
+    mesh = flat_box()
+    assert audit(mesh).watertight
+    found = simplify(mesh, tolerance=1e-3, device="cpu")
+    assert isinstance(found, Simplified)
+    assert len(found.mesh.faces) == 12
+    # The corners stay where they were, to the bit.
+    assert sorted(found.mesh.vertices.tolist()) == sorted(mesh_catalog.box().vertices.tolist())
+    assert found.deviation < 1e-4
+    assert audit(found.mesh).signed_volume == 1.0
+
+
+def test_a_mesh_of_which_nothing_can_go_comes_back_as_it_is():
+    for mesh in (
+        mesh_catalog.tetrahedron(),
+        mesh_catalog.box(),
+        mesh_catalog.l_profile(),
+        mesh_catalog.single_triangle(),
+    ):
+        found = simplify(mesh, tolerance=1e-3, device="cpu")
+        assert found.mesh is mesh
+        assert (found.deviation, found.deviation_p999) == (0.0, 0.0)
+
+
+def test_tolerance_below_the_rounding_of_the_coordinates_changes_nothing():
+    far = mesh_catalog.far_away(mesh_catalog.icosphere(2), 1e9)
+    assert simplify(far, tolerance=1e-8, device="cpu").mesh is far
+
+
+def test_more_tolerance_takes_more_faces():
+    mesh = mesh_catalog.icosphere(2)
+    counts = [len(simplify(mesh, tolerance=t, device="cpu").mesh.faces) for t in (0.03, 0.12, 0.4)]
+    assert 4 <= counts[2] < 0.7 * counts[1] < 0.7 * 0.7 * counts[0] < 0.7 * 0.7 * 0.7 * len(mesh.faces)
+
+
+def test_deviation_and_percentile_are_those_of_brute_force():
+    mesh = mesh_catalog.torus(32, 16)
+    found = simplify(mesh, tolerance=0.03, device="cpu")
+    distances = []
+    for one, other in ((mesh, found.mesh), (found.mesh, mesh)):
+        points = gk.mesh.sample_surface(one, 4000, seed=9).points
+        points = np.concatenate([points, one.vertices])
+        distances.append(closest_point(other.vertices, other.faces, points).distance)
+    largest = max(d.max() for d in distances)
+    assert largest <= found.deviation <= 0.03
+    assert type(found.deviation) is type(found.deviation_p999) is float
+    # Bounds are 2% of the tolerance wide; samples miss the worst place by a little.
+    assert found.deviation <= largest + 0.1 * 0.03
+    p999 = max(np.quantile(d, 0.999) for d in distances)
+    assert found.deviation_p999 == pytest.approx(p999, rel=0.1)
+    assert found.deviation_p999 <= found.deviation
+
+
+@pytest.mark.parametrize("make", [*mesh_catalog.CLOSED, *mesh_catalog.OPEN, *mesh_catalog.DEFECTIVE])
+def test_hangs_together_as_before(make):
+    mesh = make()
+    found = simplify(mesh, tolerance=0.05 * mesh.diagonal, device="cpu").mesh
+    before, after = audit(mesh), audit(found)
+    assert (after.watertight, after.manifold, after.oriented) == (before.watertight, before.manifold, before.oriented)
+    assert after.component_count == before.component_count
+    if before.manifold:
+        assert after.euler_number == before.euler_number
+    assert after.degenerate_count <= before.degenerate_count
+    assert (after.boundary_edge_count == 0) == (before.boundary_edge_count == 0)
+    if before.watertight and before.oriented:
+        assert (after.signed_volume > 0) == (before.signed_volume > 0)
+
+
+def test_boundaries_are_followed():
+    mesh = mesh_catalog.open_shell(24)
+    found = simplify(mesh, tolerance=0.02, device="cpu").mesh
+    # The square's outline, seen from above, is still the outline.
+    lower, upper = found.vertices.min(axis=0), found.vertices.max(axis=0)
+    np.testing.assert_allclose([lower[:2], upper[:2]], [[-1, -1], [1, 1]], atol=0.02)
+    a, b, c = (found.vertices[corner, :2] for corner in found.faces.T)
+    ab, ac = b - a, c - a
+    area = 0.5 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    assert (area > 0).all()
+    assert area.sum() == pytest.approx(4.0, abs=0.1)
+
+
+def test_vertices_at_one_position_are_one():
+    mesh = mesh_catalog.icosphere(2)
+    whole, soup = (simplify(m, tolerance=0.05, device="cpu").mesh for m in (mesh, mesh_catalog.soup(mesh)))
+    assert len(soup.faces) < 0.4 * len(mesh.faces)
+    assert audit(soup).watertight
+    assert audit(soup).coincident_count == 0
+    assert abs(len(whole.faces) - len(soup.faces)) < 0.25 * len(whole.faces)
+
+
+def test_unused_vertices_go_and_the_name_stays():
+    mesh = mesh_catalog.icosphere(2)
+    more = TriangleMesh(np.concatenate([[[50.0, 0, 0]], mesh.vertices]), mesh.faces + 1, name="ball")
+    found = simplify(more, tolerance=0.05, device="cpu").mesh
+    assert found.name == "ball"
+    assert audit(found).unreferenced_count == 0
+    assert found.diagonal < 4.0
+
+
+def test_input_runs_and_threads_change_nothing(monkeypatch):
+    mesh = mesh_catalog.torus(24, 12)
+    vertices, faces = mesh.vertices.copy(), mesh.faces.copy()
+    found = [simplify(mesh, tolerance=0.1, device="cpu")]
+    for threads in ("1", "2"):
+        monkeypatch.setenv("GEOKIT_THREADS", threads)
+        found.append(simplify(mesh, tolerance=0.1, device="cpu"))
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.mesh.vertices, found[0].mesh.vertices)
+        np.testing.assert_array_equal(other.mesh.faces, found[0].mesh.faces)
+        assert other[1:] == found[0][1:]
+
+
+class TestFaceCount:
+    @pytest.mark.parametrize("wanted", [640, 100, 21])
+    def test_no_more_than_asked_for(self, wanted):
+        mesh = mesh_catalog.icosphere(3)
+        found = simplify(mesh, face_count=wanted, device="cpu")
+        assert 0.9 * wanted - 2 <= len(found.mesh.faces) <= wanted
+        points = np.concatenate([mesh.vertices, gk.mesh.sample_surface(mesh, 500, seed=1).points])
+        largest = closest_point(found.mesh.vertices, found.mesh.faces, points).distance.max()
+        assert largest <= found.deviation < largest + 0.1 * mesh.diagonal
+
+    def test_as_many_as_there_are_changes_nothing(self):
+        mesh = mesh_catalog.box()
+        assert simplify(mesh, face_count=12, device="cpu") == Simplified(mesh, 0.0, 0.0)
+
+    def test_too_few_to_hang_together_says_how_many_do(self):
+        mesh = mesh_catalog.torus()
+        with pytest.raises(gk.InputError, match=r"face_count: with 4 faces torus .* ask for (\d+) or more") as caught:
+            simplify(mesh, face_count=4, device="cpu")
+        reachable = int(str(caught.value).split("ask for ")[1].split()[0])
+        assert 8 <= reachable <= 60
+        assert audit(simplify(mesh, tolerance=10.0, device="cpu").mesh).euler_number == 0
+
+
+class TestRefused:
+    def test_neither_or_both(self):
+        with pytest.raises(gk.InputError, match="neither given"):
+            simplify(mesh_catalog.box())
+        with pytest.raises(gk.InputError, match="both given"):
+            simplify(mesh_catalog.box(), tolerance=0.1, face_count=4)
+
+    @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "fine"])
+    def test_tolerance(self, value):
+        with pytest.raises(gk.InputError, match="tolerance"):
+            simplify(mesh_catalog.box(), tolerance=value)
+
+    @pytest.mark.parametrize("value", [-1, 2.5, True, "few"])
+    def test_face_count(self, value):
+        with pytest.raises(gk.InputError, match="face_count"):
+            simplify(mesh_catalog.box(), face_count=value)
+
+    def test_mesh(self):
+        with pytest.raises(gk.InputError, match="not a TriangleMesh"):
+            simplify(np.zeros((3, 3)), tolerance=1.0)
+        with pytest.raises(gk.InputError, match="no faces"):
+            simplify(TriangleMesh([[0, 0, 0]], []), tolerance=1.0)
+
+    def test_device(self):
+        with pytest.raises(gk.InputError, match="device"):
+            simplify(mesh_catalog.box(), tolerance=1.0, device="abacus")
+
+
+class TestParts:
+    """The checks by themselves: each must notice what it is there for."""
+
+    def test_within_is_decided_on_both_sides_and_between_vertices(self):
+        low = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+        high = mesh_catalog.moved(low, (0, 0, 0.5))
+        # Half of the triangle: near in one direction only.
+        half = TriangleMesh([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]], [[0, 1, 2]])
+        # Its corners are on the box, its middle is not: no vertex tells.
+        inner = TriangleMesh([[0, 0, 0], [1, 1, 0], [0, 1, 1]], [[0, 1, 2]])
+        low, high, half, inner, box = (Surface(m, device="cpu") for m in (low, high, half, inner, flat_box()))
+        assert within(low, high, 0.51)
+        assert not within(low, high, 0.49)
+        assert not within(low, half, 0.4)
+        assert not within(half, low, 0.4)
+        assert within(low, half, 0.51)
+        assert within(low, half, 0.6)
+        depth = closest_point(box.mesh.vertices, box.mesh.faces, inner.mesh.vertices.mean(axis=0)[None]).distance[0]
+        assert depth > 0.3
+        assert not within(box, inner, 0.9)
+        assert within(box, inner, 2.0)
+
+    def test_decided_where_no_vertex_is_far(self):
+        # A frame of width 1/4 and the square that fills it: every vertex of either lies on the other, and only the
+        # middle of the square is far from the frame.
+        outer = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+        k = np.arange(4)
+        after = (k + 1) % 4
+        sides = np.concatenate([np.stack([k, after, 4 + after], axis=1), np.stack([k, 4 + after, 4 + k], axis=1)])
+        frame = Surface(TriangleMesh(np.concatenate([outer, 0.75 * outer]), sides), device="cpu")
+        square = Surface(TriangleMesh(outer, [[0, 1, 2], [0, 2, 3]]), device="cpu")
+        for one, other in ((frame, square), (square, frame)):
+            assert not within(one, other, 0.74)
+            assert within(one, other, 0.76)
+
+    def test_turned_faces_are_noticed(self):
+        mesh = mesh_catalog.icosphere(2)
+        original = Surface(mesh, device="cpu")
+        assert faces_as_before(mesh, original, 0.05)
+        faces = mesh.faces.copy()
+        faces[7] = faces[7][::-1]
+        assert not faces_as_before(TriangleMesh(mesh.vertices, faces), original, 0.05)
+
+    def test_thin_walls_are_no_turned_faces(self):
+        plate = mesh_catalog.box((0, 0, 0), (1, 1, 0.01))
+        moved = mesh_catalog.moved(plate, (0, 0, -0.008))
+        # The upper side now lies next to the lower side of the original.
+        assert faces_as_before(moved, Surface(plate, device="cpu"), 0.02)
+        assert not faces_as_before(moved, Surface(plate, device="cpu"), 0.001)
+
+    @pytest.mark.parametrize(
+        "other",
+        [
+            mesh_catalog.holed_sphere,
+            mesh_catalog.torus,
+            mesh_catalog.flipped_faces,
+            mesh_catalog.overlapping_spheres,
+            lambda: mesh_catalog.with_fins(mesh_catalog.icosphere()),
+            lambda: mesh_catalog.with_duplicates(mesh_catalog.icosphere()),
+        ],
+    )
+    def test_another_shape_is_noticed(self, other):
+        sphere = shape_of(mesh_catalog.icosphere())
+        assert sphere.is_kept_by(shape_of(mesh_catalog.icosphere(1)))
+        assert not sphere.is_kept_by(shape_of(other()))
+
+    def test_boundary_loops_are_counted(self):
+        assert shape_of(mesh_catalog.icosphere()).boundary_loop_count == 0
+        assert shape_of(mesh_catalog.open_shell()).boundary_loop_count == 1
+        sphere = mesh_catalog.icosphere()
+        centres = sphere.vertices[sphere.faces].mean(axis=1)
+        keep = np.abs(centres[:, 2]) < 0.8
+        assert shape_of(TriangleMesh(sphere.vertices, sphere.faces[keep])).boundary_loop_count == 2
+
+    def test_unmoved_vertices_keep_float64(self):
+        mesh = flat_box()
+        shaken = TriangleMesh(mesh.vertices * (1.0 + 1e-9), mesh.faces)
+        found = decimate(shaken, 12)
+        assert len(found.faces) == 12
+        assert set(map(tuple, found.vertices.tolist())) <= set(map(tuple, shaken.vertices.tolist()))
+
+
+def test_vtk_is_imported_only_when_used():
+    code = "import sys, geokit.mesh.simplify; print([m for m in sys.modules if m.startswith(('vtk', 'warp'))])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

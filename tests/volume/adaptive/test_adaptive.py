@@ -1,0 +1,385 @@
+"""Adaptive distance fields: which level answers, what it says, files, and what is refused."""
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+import warp as wp
+
+from geokit.core import launcher
+from geokit.errors import DeviceMemoryError, FileFormatError, InputError
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._surface import Surface
+from geokit.volume import from_mesh, load, save
+from geokit.volume._adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
+from geokit.volume._model import SparseVolume
+from geokit.volume.adaptive import refine
+from geokit.volume.adaptive import sample_kernels as kernels
+from geokit.volume.adaptive.level_sizes import common_step
+from geokit.volume.adaptive.table import adaptive_table
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.sampling.leaf_table import add_pairs
+from geokit.volume.sampling.leaf_table_kernels import LeafTable
+from geokit.volume.sampling.space import way_to_index
+from geokit.volume.tree.build_float import build_float_grid
+from tests.support import mesh_catalog, reference
+
+SIZE = 0.4
+TOLERANCE = 0.01
+
+
+def _grid(values, start, size, translation, background=9.0):
+    """A float grid whose active voxels are those of a dict from index to value; ``start`` is taken off the indices."""
+    leaves = {}
+    for index, value in values.items():
+        place = np.array(index) - start
+        leaf = leaves.setdefault(
+            tuple(place & ~7), (np.full((8, 8, 8), background, np.float32), np.zeros((8, 8, 8), bool))
+        )
+        leaf[0][tuple(place & 7)], leaf[1][tuple(place & 7)] = value, True
+    transform = np.diag([size, size, size, 1.0])
+    transform[:3, 3] = np.array(translation) + size * np.array(start)
+    buffer = build_float_grid(
+        np.array(list(leaves), np.int32),
+        np.stack([leaf[0].reshape(-1) for leaf in leaves.values()]),
+        np.stack([leaf[1].reshape(-1) for leaf in leaves.values()]),
+        background=background, transform=transform, name="g", grid_class="unknown", signed_fill=False,
+    )  # fmt: skip
+    return SparseVolume(buffer, info_of(buffer, {}))
+
+
+def _random_levels(seed=5):
+    """Three levels of random voxels: level 1 has the halves of some cells, level 2 those of some of level 1."""
+    rng = np.random.default_rng(seed)
+    origin = np.array([0.3, -0.2, 0.1])
+    values = [{index: rng.normal() for index in np.ndindex(12, 12, 12)}, {}, {}]
+    cells = [(3, 3, 3), (3, 3, 4), (7, 7, 7), (5, 2, 9)]
+    for level in (1, 2):
+        for cell in cells:
+            for offset in np.ndindex(3, 3, 3):
+                values[level].setdefault(tuple(2 * np.array(cell) + offset), rng.normal())
+        cells = [(6, 6, 6), (7, 7, 9), (15, 14, 15)]
+    # One voxel of a cell's halves is missing: the cell is answered by its own level.
+    del values[1][10, 4, 18]
+    starts = [np.array([0, 0, 0]), np.array([-3, 2, 1]), np.array([11, -8, 5])]
+    return (
+        values,
+        tuple(
+            _grid(v, start, SIZE / 2**level, origin)
+            for level, (v, start) in enumerate(zip(values, starts, strict=True))
+        ),
+        origin,
+    )
+
+
+def _by_hand(values, origin, point):
+    """The interpolant and its gradient by the rule, through dicts: level, value, gradient."""
+    for level in (2, 1, 0):
+        size = SIZE / 2**level
+        u = (point - origin) / size
+        cell = np.floor(u).astype(int)
+        if level:
+            parent = cell // 2
+            if not all(tuple(2 * parent + o) in values[level] for o in np.ndindex(3, 3, 3)):
+                continue
+        corners = np.array([values[level].get(tuple(cell + o), 9.0) for o in np.ndindex(2, 2, 2)]).reshape(2, 2, 2)
+        corners = corners.astype(np.float32).astype(float)
+        return (
+            level,
+            reference.trilinear(corners, (u - cell)[None])[0],
+            reference.trilinear_gradient(corners, (u - cell)[None])[0] / size,
+        )
+    raise AssertionError
+
+
+def test_the_finest_level_that_has_the_cell_answers():
+    values, levels, origin = _random_levels()
+    field = AdaptiveSDF(levels)
+    rng = np.random.default_rng(1)
+    points = origin + SIZE * rng.uniform(2.0, 10.0, (800, 3))
+    # All of the few cells that are handed on have their share.
+    for cell in [(3, 3, 3), (3, 3, 4), (7, 7, 7), (5, 2, 9)]:
+        points = np.concatenate([points, origin + SIZE * (np.array(cell) + rng.uniform(size=(100, 3)))])
+    expected = [_by_hand(values, origin, point) for point in points]
+    assert [sum(e[0] == level for e in expected) > 25 for level in (0, 1, 2)] == [True] * 3
+    np.testing.assert_allclose(field.sample(points, device="cpu"), [e[1] for e in expected], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(field.gradient(points, device="cpu"), [e[2] for e in expected], rtol=0, atol=1e-10)
+
+
+def test_a_cell_that_lacks_one_voxel_of_its_halves_stays_with_its_level():
+    values, levels, origin = _random_levels()
+    point = origin + SIZE * np.array([[5.4, 2.3, 9.7]])
+    alone = AdaptiveSDF(levels[:1]).sample(point, device="cpu")
+    assert AdaptiveSDF(levels).sample(point, device="cpu") == alone
+    values[1][10, 4, 18] = 1.0
+    whole = (levels[0], _grid(values[1], np.array([-3, 2, 1]), SIZE / 2, origin))
+    assert AdaptiveSDF(whole).sample(point, device="cpu") != alone
+
+
+@pytest.mark.parametrize("pairs", [False, True])
+def test_one_by_one_as_on_a_gpu_gives_the_same_bits(pairs):
+    _, levels, origin = _random_levels()
+    field = AdaptiveSDF(levels)
+    points = origin + SIZE * np.random.default_rng(2).uniform(-2.0, 14.0, (5000, 3))
+    device = launcher.resolve_device("cpu")
+    table = adaptive_table(levels, device)
+    if pairs:
+        for each in table.kept[0]:
+            places = np.flatnonzero(each.top.numpy() >= 0).astype(np.int32)
+            add_pairs(each, wp.array(places, dtype=wp.int32, device=device), 1 << 30)
+            assert each.pairs
+        table = table._replace(levels=wp.array(table.kept[0], dtype=LeafTable, device=device))
+    rows = wp.array(points, dtype=wp.vec3d, device=device)
+    way = way_to_index(levels[0], "world")
+    for kernel, dtype, outside, grouped in (
+        (kernels.SAMPLE_SINGLES[False], wp.float64, wp.float64(9.0), field.sample(points, device="cpu")),
+        (kernels.GRADIENT_SINGLES[False], wp.vec3d, wp.vec3d(0.0, 0.0, 0.0), field.gradient(points, device="cpu")),
+    ):
+        out, bad = wp.empty(len(points), dtype=dtype, device=device), wp.zeros(1, dtype=wp.int32, device=device)
+        launcher.launch(kernel, len(points), [*table.arguments, rows, *way, outside], [out, bad], device)
+        np.testing.assert_array_equal(out.numpy(), grouped)
+
+
+def test_a_field_of_one_level_is_the_volume():
+    volume = from_mesh(mesh_catalog.torus(), 0.08, device="cpu")
+    points = np.random.default_rng(3).uniform(-2.5, 2.5, (20_000, 3))
+    points = np.concatenate([points, [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1e9, 0.0, 0.0], [-1e300, 1e300, 0.0]]])
+    field = AdaptiveSDF((volume,))
+    np.testing.assert_array_equal(field.sample(points, device="cpu"), volume.sample(points, order=1, device="cpu"))
+    np.testing.assert_array_equal(field.gradient(points, device="cpu"), volume.gradient(points, order=1, device="cpu"))
+
+
+@pytest.fixture(scope="module")
+def profile():
+    mesh = mesh_catalog.l_profile()
+    turn = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
+    turned = TriangleMesh(mesh.vertices @ (turn * np.sign(np.linalg.det(turn))).T, mesh.faces, name="profile")
+    return turned, adaptive_from_mesh(turned, TOLERANCE, device="cpu")
+
+
+def test_error_against_brute_force(profile):
+    mesh, field = profile
+    rng = np.random.default_rng(9)
+    corners = mesh.vertices[mesh.faces]
+    weights = rng.dirichlet([1.0, 1.0, 1.0], (400, len(corners)))
+    points = np.einsum("nfk,fkd->nfd", weights, corners).reshape(-1, 3)
+    # On the edges too, where interpolants are worst.
+    t = rng.uniform(size=(400, len(corners), 1))
+    points = np.concatenate([points, (corners[:, 0] * t + corners[:, 1] * (1 - t)).reshape(-1, 3)])
+    points = points + rng.normal(size=points.shape) * (0.3 * TOLERANCE)
+    exact = reference.signed_distance(mesh.vertices, mesh.faces, points)
+    zone = np.abs(exact) <= TOLERANCE
+    assert zone.sum() > 8000
+    errors = np.abs(field.sample(points, device="cpu") - exact)[zone]
+    assert errors.max() <= TOLERANCE
+    # The promise is made use of: it could not be kept with much less.
+    assert field.achieved_error > 0.7 * TOLERANCE
+
+
+def test_it_has_levels_and_says_so(profile):
+    _, field = profile
+    assert field.level_count == len(field.levels) >= 3
+    np.testing.assert_allclose(np.array(field.voxel_sizes[:-1]) / field.voxel_sizes[1:], 2.0)
+    assert field.byte_count == sum(len(level.nanovdb) for level in field.levels)
+    assert field.achieved_error_999 <= field.achieved_error <= field.tolerance == TOLERANCE
+    for number, level in enumerate(field.levels):
+        metadata = level.info.metadata
+        assert (metadata[LEVEL], metadata[LEVEL_COUNT]) == (number, field.level_count)
+        assert metadata["geokit:checked_within"] == TOLERANCE
+        assert metadata["geokit:source"] == "profile"
+        assert metadata["geokit:order"] == 1
+    assert field.levels[0].info.grid_class == "level set"
+    assert "profile" in repr(field)
+
+
+def test_voxels_are_exact(profile):
+    mesh, field = profile
+    for level in field.levels[1:]:
+        dense = level.to_dense(device="cpu")
+        index = np.argwhere(dense.values != np.float32(level.info.background))[::7]
+        points = dense.transform[:3, :3] @ (index + dense.origin).T + dense.transform[:3, 3:]
+        exact = reference.signed_distance(mesh.vertices, mesh.faces, points.T)
+        np.testing.assert_allclose(dense.values[tuple(index.T)], exact, rtol=1e-6, atol=1e-7)
+
+
+def test_less_memory_than_one_voxel_size(profile):
+    mesh, field = profile
+    uniform = from_mesh(mesh, field.voxel_sizes[-1], half_width=np.sqrt(3.0) + 1.0 / 3.0, device="cpu")
+    assert 2 * field.byte_count < uniform.info.byte_count
+
+
+def test_far_away_it_is_the_band_s_edge(profile):
+    mesh, field = profile
+    background = field.levels[0].info.background
+    middle = mesh.vertices[mesh.faces].reshape(-1, 3).mean(axis=0)
+    assert field.sample([[1e6, 0.0, 0.0], [-30.0, 2.0, 1e5]], device="cpu").tolist() == [background] * 2
+    assert field.gradient([[1e6, 0.0, 0.0]], device="cpu").tolist() == [[0.0, 0.0, 0.0]]
+    solid = adaptive_from_mesh(mesh_catalog.box(), 0.01, device="cpu")
+    assert solid.sample([[0.5, 0.5, 0.5]], device="cpu")[0] == -solid.levels[0].info.background
+    assert np.isfinite(field.sample(middle[None], device="cpu")).all()
+
+
+def test_a_part_drawn_on_a_lattice_keeps_its_straight_edges_for_nothing():
+    mesh = TriangleMesh(mesh_catalog.l_profile().vertices * [1.0, 1.0, 1.0], mesh_catalog.l_profile().faces)
+    aligned = adaptive_from_mesh(mesh, TOLERANCE, device="cpu")
+    turned = adaptive_from_mesh(TriangleMesh(mesh.vertices @ _turn().T, mesh.faces), TOLERANCE, device="cpu")
+    assert 2 * aligned.byte_count < turned.byte_count
+
+
+def _turn():
+    a, b = np.cos(0.6), np.sin(0.6)
+    return np.array([[a, -b, 0], [b, a, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
+
+
+def test_common_step():
+    lower = (0.1, 0.2, 0.3)
+    assert common_step(mesh_catalog.box(lower, (2.1, 1.2, 3.3))) == pytest.approx(1.0)
+    assert common_step(mesh_catalog.box(lower, (2.1, 0.7, 1.05))) == pytest.approx(0.25)
+    # An edge of pi has no step in common with one of 1.
+    assert common_step(mesh_catalog.box((0, 0, 0), (1, 1, np.pi))) is None
+    assert common_step(mesh_catalog.icosphere()) is None
+
+
+@pytest.mark.parametrize("ending", [".nvdb", ".vdb"])
+def test_files(profile, tmp_path, ending):
+    _, field = profile
+    path = tmp_path / f"field{ending}"
+    field.save(path)
+    back = load_adaptive(path)
+    assert back.byte_count == field.byte_count
+    assert (back.tolerance, back.achieved_error) == (field.tolerance, field.achieved_error)
+    points = np.random.default_rng(4).uniform(-3.0, 3.0, (5000, 3))
+    np.testing.assert_array_equal(back.sample(points, device="cpu"), field.sample(points, device="cpu"))
+    # Any reader of volumes takes level 0.
+    assert load(path, grid="profile").info.grid_class == "level set"
+
+
+def test_files_with_other_grids_or_of_other_kinds(profile, tmp_path):
+    _, field = profile
+    other = from_mesh(mesh_catalog.box(), 0.2, name="other", device="cpu")
+    save(tmp_path / "more.nvdb", other, *field.levels[::-1])
+    assert load_adaptive(tmp_path / "more.nvdb").voxel_sizes == field.voxel_sizes
+    save(tmp_path / "none.nvdb", other)
+    with pytest.raises(FileFormatError, match="no grid has 'geokit:level'"):
+        load_adaptive(tmp_path / "none.nvdb")
+    for name, levels in {
+        "gap": field.levels[::2],
+        "short": field.levels[:-1],
+        "twice": (*field.levels, field.levels[0]),
+    }.items():
+        save(tmp_path / f"{name}.nvdb", *levels)
+        with pytest.raises(FileFormatError, match="not those of one adaptive field"):
+            load_adaptive(tmp_path / f"{name}.nvdb")
+    forged = MappingProxyType({**other.info.metadata, LEVEL: 1, LEVEL_COUNT: 2})
+    first = MappingProxyType({**field.levels[0].info.metadata, LEVEL_COUNT: 2})
+    save(
+        tmp_path / "mixed.nvdb",
+        SparseVolume(field.levels[0].nanovdb, replace(field.levels[0].info, metadata=first)),
+        SparseVolume(other.nanovdb, replace(other.info, metadata=forged)),
+    )
+    with pytest.raises(FileFormatError, match="not halves"):
+        load_adaptive(tmp_path / "mixed.nvdb")
+    with pytest.raises(InputError, match="volume"):
+        field.save(tmp_path / "field.obj")
+
+
+def test_containers_and_precision(profile):
+    _, field = profile
+    points = np.random.default_rng(6).uniform(-1.0, 2.0, (500, 3))
+    wide = field.sample(points, device="cpu")
+    single = field.sample(points.astype(np.float32), device="cpu")
+    assert (wide.dtype, single.dtype) == (np.float64, np.float32)
+    np.testing.assert_array_equal(
+        single, field.sample(points.astype(np.float32).astype(float), device="cpu").astype(np.float32)
+    )
+    assert field.gradient(points.astype(np.float32), device="cpu").dtype == np.float32
+    given = field.sample(wp.array(points, dtype=wp.vec3d, device="cpu"), device="cpu")
+    np.testing.assert_array_equal(given.numpy(), wide)
+    assert field.sample(np.zeros((0, 3)), device="cpu").shape == (0,)
+    assert field.gradient(np.zeros((0, 3)), device="cpu").shape == (0, 3)
+
+
+def test_points_that_are_refused(profile):
+    _, field = profile
+    for answer in (field.sample, field.gradient):
+        with pytest.raises(InputError, match="row 1 is not finite"):
+            answer([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]], device="cpu")
+        with pytest.raises(InputError, match="points"):
+            answer([[0.0, 0.0]], device="cpu")
+
+
+def test_the_same_bytes_for_any_number_of_threads(profile, monkeypatch):
+    mesh, field = profile
+    monkeypatch.setenv("GEOKIT_THREADS", "1")
+    again = adaptive_from_mesh(Surface(mesh, device="cpu"), TOLERANCE)
+    assert [level.nanovdb.tobytes() for level in again.levels] == [level.nanovdb.tobytes() for level in field.levels]
+
+
+def test_an_open_mesh_keeps_it_within_a_quarter():
+    field = adaptive_from_mesh(mesh_catalog.half_shell(mesh_catalog.icosphere()), 0.05, device="cpu")
+    assert field.levels[0].info.metadata["geokit:checked_within"] == 0.0125
+    assert field.achieved_error <= 0.05
+
+
+def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
+    mesh, field = profile
+    two = adaptive_from_mesh(mesh, TOLERANCE, max_levels=2, device="cpu")
+    assert two.level_count <= 2
+    assert two.achieved_error <= TOLERANCE
+    assert two.byte_count > field.byte_count
+
+
+def test_a_tolerance_out_of_reach_is_refused():
+    # Beside the border of an open mesh the sign jumps: twice the distance is more than the tolerance there.
+    with pytest.raises(InputError, match=r"tolerance: 0.05 is out of reach: .* use at least that, a smaller within"):
+        adaptive_from_mesh(mesh_catalog.half_shell(mesh_catalog.icosphere()), 0.05, within=0.1, device="cpu")
+
+
+def test_too_many_cells_are_refused(monkeypatch):
+    monkeypatch.setattr(refine._memory, "available_host", lambda: 1 << 20)
+    with pytest.raises(DeviceMemoryError, match="use a larger tolerance"):
+        adaptive_from_mesh(mesh_catalog.torus(), 1e-4, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"tolerance": 0.0}, "tolerance"),
+        ({"tolerance": -1.0}, "tolerance"),
+        ({"tolerance": np.nan}, "tolerance"),
+        ({"tolerance": "much"}, "tolerance"),
+        ({"within": -0.1}, "within: -0.1 is negative"),
+        ({"within": np.inf}, "within"),
+        ({"max_levels": 0}, "max_levels: 0"),
+        ({"max_levels": True}, "max_levels: True"),
+        ({"max_levels": 2.5}, "max_levels: 2.5"),
+        ({"sign": "none"}, "sign: 'none'"),
+        ({"sign": "guess"}, "sign: 'guess'"),
+    ],
+)
+def test_arguments_that_are_refused(options, match):
+    with pytest.raises(InputError, match=match):
+        adaptive_from_mesh(mesh_catalog.box(), **{"tolerance": 0.1, **options}, device="cpu")
+
+
+def test_meshes_that_are_refused():
+    with pytest.raises(InputError, match="no faces"):
+        adaptive_from_mesh(TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), int)), 0.1, device="cpu")
+
+
+def test_levels_that_are_refused(profile):
+    _, levels, origin = _random_levels()
+    values = _random_levels()[0]
+    with pytest.raises(InputError, match="levels: none given"):
+        AdaptiveSDF(())
+    with pytest.raises(InputError, match=r"levels\[1\]: str is not a SparseVolume"):
+        AdaptiveSDF((levels[0], "more"))
+    with pytest.raises(InputError, match=r"levels\[0\]: a grid of type fp8"):
+        AdaptiveSDF((profile[1].levels[0].quantize("fp8"),))
+    with pytest.raises(InputError, match="level 1 are not halves of those of level 0"):
+        AdaptiveSDF(levels[::2])
+    with pytest.raises(InputError, match="level 1 are not halves"):
+        AdaptiveSDF((levels[0], _grid(values[1], np.zeros(3, int), SIZE / 2, origin + 0.01)))
+    with pytest.raises(InputError, match="too far apart"):
+        AdaptiveSDF((levels[0], _grid({(0, 0, 0): 1.0}, np.zeros(3, int), SIZE / 2, origin + SIZE * 2.0**30)))
