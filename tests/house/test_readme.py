@@ -27,7 +27,10 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_python(folder: Path) -> None:
-    (code,) = blocks("python")
+    # The example of the first screen (py) and the tour (python).
+    first, tour = blocks("py"), blocks("python")
+    assert (len(first), len(tour)) == (1, 1)
+    code = "\n".join(first + tour)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines() == ["True"]

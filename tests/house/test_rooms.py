@@ -179,7 +179,7 @@ def quoted_order() -> str:
 
 @pytest.mark.parametrize("document", ["CONTRIBUTING.md", "docs/design/house.md"])
 def test_documents_quote_the_order(document):
-    text = re.sub(r"[`\s]+", " ", (ROOT / document).read_text())
+    text = re.sub(r"[`>\s]+", " ", (ROOT / document).read_text())
     assert quoted_order() in text, f"{document} must quote: {quoted_order()}"
 
 
