@@ -193,7 +193,7 @@ def sparse_volume(values: NDArray[np.float32], name: str, grid_class: str, voxel
     """
     import warp as wp
 
-    from geokit.volume._nanovdb import (
+    from geokit.volume.nanovdb.header import (
         MAGIC_OLD,
         TREE_OFFSET,
         aligned_buffer,
