@@ -1,0 +1,72 @@
+"""What a user's type checker sees: every public name of the lazy packages, and the types of answers."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import geokit
+
+PACKAGES = ("mesh", "volume", "points", "render", "threads", "accuracy", "errors")
+ANSWERS = {
+    "gk.mesh.load('a.ply')": "TriangleMesh",
+    "gk.mesh.Surface(mesh).sign_method": "str",
+    "gk.mesh.Surface(mesh).closest_point(rows)": "ClosestPoints",
+    "gk.volume.from_mesh(mesh, 0.1).info": "GridInfo",
+    "gk.points.NeighborGrid(rows, 0.1).knn(rows, 3)": "KNearest",
+}
+
+pytestmark = pytest.mark.slow
+
+
+def script() -> str:
+    lines = ["import numpy as np", "import geokit as gk", "rows = np.zeros((4, 3))", "mesh = gk.mesh.load('a.ply')"]
+    lines += [f"print(gk.{package}.{name})" for package in PACKAGES for name in getattr(geokit, package).__all__]
+    lines += [f"print(gk.{name})" for name in geokit.__all__]
+    lines += [f"reveal_type({call})" for call in ANSWERS]
+    return "\n".join(lines) + "\n"
+
+
+def check(checker: str, code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    file = folder / "user.py"
+    file.write_text(code)
+    command = {
+        "mypy": [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(folder / "cache")],
+        "pyright": [sys.executable, "-m", "pyright", "--pythonpath", sys.executable],
+    }[checker]
+    # Outside the checkout, as a user's: its settings must not help.
+    return subprocess.run([*command, str(file)], capture_output=True, text=True, cwd=folder, timeout=600)
+
+
+@pytest.fixture(scope="module", params=["mypy", "pyright"])
+def checker(request):
+    pytest.importorskip(request.param)
+    if request.param == "pyright":
+        # The package brings a starter; the checker itself comes from npm with its first run.
+        found = subprocess.run([sys.executable, "-m", "pyright", "--version"], capture_output=True, text=True)
+        if found.returncode:
+            pytest.skip(f"pyright does not start: {found.stderr.strip()[-200:]}")
+    return request.param
+
+
+def test_public_names_and_their_types_are_seen(checker, tmp_path):
+    run = check(checker, script(), tmp_path)
+    assert run.returncode == 0, run.stdout + run.stderr
+    for call, kind in ANSWERS.items():
+        line = script().splitlines().index(f"reveal_type({call})") + 1
+        (seen,) = [row for row in run.stdout.splitlines() if f"user.py:{line}:" in row]
+        assert kind in seen
+
+
+def test_a_name_that_is_not_there_is_an_error(checker, tmp_path):
+    run = check(checker, "import geokit as gk\nprint(gk.mesh.Surfaces)\nprint(gk.volumes)\n", tmp_path)
+    assert run.returncode == 1
+    assert "Surfaces" in run.stdout
+    assert "volumes" in run.stdout
+
+
+def test_the_marker_of_typed_packages_ships():
+    assert (Path(geokit.__file__).parent / "py.typed").is_file()
