@@ -277,13 +277,13 @@ def test_results_do_not_depend_on_threads():
 
 @pytest.mark.parametrize(("block", "most"), [(64, 1 << 20), (64, 200), (1, 1)])
 def test_small_blocks_bound_what_waits(block, most, monkeypatch):
-    module = importlib.import_module("geokit.mesh._hausdorff")
+    module = importlib.import_module("geokit.mesh.queries.hausdorff")
     monkeypatch.setattr(module, "BLOCK", block)
     monkeypatch.setattr(module, "MOST_WAITING", most)
     waiting = []
-    undecided = module._Search._undecided
+    undecided = module.DistanceSearch._undecided
     monkeypatch.setattr(
-        module._Search, "_undecided", lambda self, pieces: waiting.append(len(pieces.upper)) or undecided(self, pieces)
+        module.DistanceSearch, "_undecided", lambda self, pieces: waiting.append(len(pieces.upper)) or undecided(self, pieces)
     )
     a, b = mesh_catalog.icosphere(1), turned(mesh_catalog.icosphere(1), 5)
     found = hausdorff(a, b, tolerance=1e-3, samples=10, device="cpu")

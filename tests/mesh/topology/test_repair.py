@@ -142,7 +142,7 @@ def test_nested_pieces_turn_with_the_outermost(ways, backwards):
     found = orient(mesh)
     assert np.array_equal(found.flipped, flipped)
     # With a surface at hand it is asked, and answers the same.
-    assert np.array_equal(orient_faces(mesh, Surface(mesh, device="cpu")).flipped, flipped)
+    assert np.array_equal(orient_faces(mesh, Surface, surface=Surface(mesh, device="cpu")).flipped, flipped)
     # Nowhere does the mesh wind a negative number of times.
     points = np.linspace(0.5, 10, 20)[:, None] + np.array([0.0, 0.03, 0.07])
     assert (_signed_passages(found.mesh, points) >= 0).all()
@@ -222,7 +222,7 @@ def test_copies_of_faces_turn_along():
     # Of a face alone, given twice, once and again.
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     assert not orient(TriangleMesh(corners, [[0, 1, 2], [0, 1, 2]])).flipped.any()
-    assert not orient_faces(TriangleMesh(corners, [[0, 1, 2], [0, 1, 2]])).closed
+    assert not orient_faces(TriangleMesh(corners, [[0, 1, 2], [0, 1, 2]]), Surface).closed
     assert not orient(TriangleMesh(corners, [[0, 1, 2], [2, 1, 0]])).flipped.any()
 
 

@@ -141,6 +141,6 @@ class TestRefusals:
         from geokit.volume.tree import leaves
 
         tiles = prune(field(lambda p: np.full(len(p), 2.0)))
-        monkeypatch.setattr(leaves._memory, "available_host", lambda: 1000)
+        monkeypatch.setattr(leaves.available_memory, "available_host", lambda: 1000)
         with pytest.raises(DeviceMemoryError, match="active tiles"):
             gradient_field(tiles)

@@ -264,7 +264,7 @@ def test_nanovdb_validate_accepts_results(tmp_path, grid_type):
 def test_clipping_beyond_memory(monkeypatch):
     from geokit.volume.tree import clip as typed_clip
 
-    monkeypatch.setattr(typed_clip._memory, "available_host", lambda: 1000)
+    monkeypatch.setattr(typed_clip.available_memory, "available_host", lambda: 1000)
     with pytest.raises(DeviceMemoryError, match="the tiles of grid 'test' that the box cuts through"):
         clip(TypedGrid("uint32").volume, [[0.0] * 3, [5000.0, 100.0, 100.0]])
 
