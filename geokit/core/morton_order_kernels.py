@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False})
 
 # Queries between one that is answered and one that is asked for; 2 to 16 are alike.
@@ -52,16 +54,8 @@ def identity_kernel(first: int, out_index: wp.array(dtype=int)):
     out_index[i] = i
 
 
-@wp.func_native(f"""
-#if !defined(__CUDA_ARCH__)
-    if (at + {AHEAD} < points.shape[0]) {{
-        const char* row = (const char*)(points.data + order.data[at + {AHEAD}]);
-        __builtin_prefetch(row);
-        __builtin_prefetch(row + sizeof(wp::vec3d) - 1);
-    }}
-#endif
-""")
-def ask_ahead(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
+@wp.func_native(cpp("core/prefetch_query_cpu.inl", AHEAD=AHEAD))
+def prefetch_query(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
     """On a CPU has a query brought to the cache whose turn comes soon after the one at this place of the order.
 
     Queries that are answered one after the other lie anywhere: to wait for each took a fifth of the time of a closest

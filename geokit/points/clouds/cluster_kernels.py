@@ -8,6 +8,7 @@ Positions are those of the sorted points, so that a point's neighbours are near 
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     cells_around,
@@ -20,48 +21,8 @@ from geokit.points.search.neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# warp's own atomics are plain reads and writes on a CPU, where geokit runs a launch in several threads.
-UNITE = """
-#if defined(__CUDA_ARCH__)
-    auto load = [](int* at) { return *(volatile int*)at; };
-    auto store = [](int* at, int value) { *(volatile int*)at = value; };
-    auto swapped = [](int* at, int old, int value) { return atomicCAS(at, old, value) == old; };
-#else
-    auto load = [](int* at) { return __atomic_load_n(at, __ATOMIC_RELAXED); };
-    auto store = [](int* at, int value) { __atomic_store_n(at, value, __ATOMIC_RELAXED); };
-    auto swapped = [](int* at, int old, int value) {
-        return __atomic_compare_exchange_n(at, &old, value, false, __ATOMIC_RELAXED, __ATOMIC_RELAXED);
-    };
-#endif
-    int* const up = parent.data;
-    auto root = [&](int x) {
-        for (;;) {
-            const int above = load(up + x);
-            if (above == x)
-                return x;
-            const int next = load(up + above);
-            if (next != above)
-                store(up + x, next);
-            x = next;
-        }
-    };
-    for (;;) {
-        a = root(a);
-        b = root(b);
-        if (a == b)
-            return;
-        if (a < b) {
-            const int c = a;
-            a = b;
-            b = c;
-        }
-        if (swapped(up + a, a, b))
-            return;
-    }
-"""
 
-
-@wp.func_native(UNITE)
+@wp.func_native(cpp("points/clouds/unite_sets.inl"))
 def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
     """Joins the sets of a and b; the lower root becomes the root of both, whoever comes first.
 

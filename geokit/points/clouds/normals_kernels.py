@@ -8,6 +8,7 @@ nor the scale of the points costs digits.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     cells_around,
@@ -20,7 +21,7 @@ from geokit.points.search.neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/layers.md.
+# Of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
 # Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
@@ -184,29 +185,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     return plane
 
 
-# Warp's own access to an array goes through its strides, which takes longer here than the sums.
-ROW_SUMS = """
-    const int* const row = neighbor.data + (int64_t)i * neighbor.shape[1];
-    const double px = points.data[i][0], py = points.data[i][1], pz = points.data[i][2];
-    double sx = 0.0, sy = 0.0, sz = 0.0, xx = 0.0, xy = 0.0, xz = 0.0, yy = 0.0, yz = 0.0, zz = 0.0;
-    for (int k = 0; k < count; ++k) {
-        const double* const q = (const double*)(points.data + row[k]);
-        const double x = (q[0] - px) * scale, y = (q[1] - py) * scale, z = (q[2] - pz) * scale;
-        sx += x;
-        sy += y;
-        sz += z;
-        xx += x * x;
-        xy += x * y;
-        xz += x * z;
-        yy += y * y;
-        yz += y * z;
-        zz += z * z;
-    }
-    return wp::mat_t<3, 3, double>(sx, sy, sz, xx, xy, xz, yy, yz, zz);
-"""
-
-
-@wp.func_native(ROW_SUMS)
+@wp.func_native(cpp("points/clouds/row_sums.inl"))
 def row_sums(
     points: wp.array(dtype=wp.vec3d),
     neighbor: wp.array(dtype=wp.int32, ndim=2),

@@ -14,6 +14,7 @@ and for all.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to
+from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -22,27 +23,8 @@ NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 # Below it, a component is what rounding left of 0, and its sign says nothing.
 NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
 
-# Every link read is that of some ancestor with its parity, before or after another thread has shortened it.
-FLATTEN = """
-#if defined(__CUDA_ARCH__)
-    auto load = [](int64_t* at) { return (int64_t)*(volatile long long*)at; };
-    auto store = [](int64_t* at, int64_t value) { *(volatile long long*)at = value; };
-#else
-    auto load = [](int64_t* at) { return __atomic_load_n(at, __ATOMIC_RELAXED); };
-    auto store = [](int64_t* at, int64_t value) { __atomic_store_n(at, value, __ATOMIC_RELAXED); };
-#endif
-    int64_t own = load(link.data + i);
-    for (;;) {
-        const int64_t above = load(link.data + (own >> 1));
-        if ((above >> 1) == (own >> 1))
-            return;
-        own = above ^ (own & 1);
-        store(link.data + i, own);
-    }
-"""
 
-
-@wp.func_native(FLATTEN)
+@wp.func_native(cpp("points/clouds/flatten_link.inl"))
 def flatten(link: wp.array(dtype=wp.int64), i: wp.int32):
     """Points the link of i to its root."""
     ...
@@ -71,20 +53,7 @@ def add_one(values: wp.array(dtype=wp.int32), at: wp.int32) -> wp.int32:
     ...
 
 
-@wp.func_native("""
-    int64_t* const row = values.data + begin;
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int64_t moving = row[i];
-            int j = i;
-            for (; j >= gap && row[j - gap] > moving; j -= gap)
-                row[j] = row[j - gap];
-            row[j] = moving;
-        }
-    }
-""")
+@wp.func_native(cpp("points/clouds/sort_edges.inl"))
 def sort_row(begin: wp.int32, count: wp.int32, values: wp.array(dtype=wp.int64)):
     """Sorts ``count`` values from ``begin`` on, in place (Shell 1959, gaps of Tokuda 1992)."""
     ...
@@ -109,18 +78,7 @@ def start_kernel(
     out_link[i] = wp.int64(i) << wp.int64(1)
 
 
-@wp.func_native("""
-    const int width = neighbor.shape[1];
-    if (j < 0 || j == i)
-        return false;
-    if (i < j)
-        return true;
-    const int* const row = neighbor.data + (int64_t)j * width;
-    bool mutual = false;
-    for (int k = 0; k < width; ++k)
-        mutual |= row[k] == i;
-    return !mutual;
-""")
+@wp.func_native(cpp("points/clouds/owns_edge.inl"))
 def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether i, which has j for a neighbour, is the one to list their edge: where both do, the lower does.
 

@@ -8,6 +8,7 @@ one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere els
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key
 
 # Fused multiply-adds would round the squared distance once instead of five times: points at exactly the radius would
@@ -82,38 +83,7 @@ def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
     return wp.vec2i(begin, end)
 
 
-# warp has no vectors of eight doubles and no way from a comparison of them to a bit mask: on the CPU this reads eight
-# points at a time. Both branches round alike, lane by lane.
-WITHIN_MASK = """
-    uint64_t mask = 0;
-#if defined(__CUDA_ARCH__)
-    for (int k = 0; k < count; ++k) {
-        const double dx = x.data[begin + k] - qx;
-        const double dy = y.data[begin + k] - qy;
-        const double dz = z.data[begin + k] - qz;
-        const double d = (dx * dx + dy * dy) + dz * dz;
-        mask |= uint64_t(d <= radius_squared) << k;
-    }
-#else
-    typedef double lanes __attribute__((ext_vector_type(8), aligned(8)));
-    typedef bool flags __attribute__((ext_vector_type(8)));
-    const lanes limit = (lanes)(radius_squared);
-    for (int k = 0; k < count; k += 8) {
-        const lanes dx = *(const lanes*)(x.data + begin + k) - (lanes)(qx);
-        const lanes dy = *(const lanes*)(y.data + begin + k) - (lanes)(qy);
-        const lanes dz = *(const lanes*)(z.data + begin + k) - (lanes)(qz);
-        const lanes d = (dx * dx + dy * dy) + dz * dz;
-        const flags inside = __builtin_convertvector(d <= limit, flags);
-        mask |= uint64_t(__builtin_bit_cast(unsigned char, inside)) << k;
-    }
-    if (count < 64)
-        mask &= (uint64_t(1) << count) - 1;
-#endif
-    return mask;
-"""
-
-
-@wp.func_native(WITHIN_MASK)
+@wp.func_native(cpp("core/simd.inl", "points/search/within_mask.inl"))
 def within_mask_of(
     x: wp.array(dtype=wp.float64),
     y: wp.array(dtype=wp.float64),
@@ -207,71 +177,7 @@ def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
     return near
 
 
-# The formula, its roundings term by term.
-DECIDE = """
-    auto decides = [&](int j) -> bool {
-        const double dx = exact_x.data[j] - ex;
-        const double dy = exact_y.data[j] - ey;
-        const double dz = exact_z.data[j] - ez;
-        return (dx * dx + dy * dy) + dz * dz <= radius_squared;
-    };
-"""
-
-# A load of 16 bytes for each point, and arithmetic that may be contracted: its error is allowed for.
-TESTED = """
-    auto squared = [&](int j) -> float {
-#if defined(__CUDA_ARCH__)
-        const float4 p = __ldg((const float4*)packed.data + j);
-        const float dx = p.x - qx, dy = p.y - qy, dz = p.z - qz;
-        return fmaf(dx, dx, fmaf(dy, dy, dz * dz));
-#else
-        const auto& p = packed.data[j];
-        const float dx = p[0] - qx, dy = p[1] - qy, dz = p[2] - qz;
-        return dx * dx + dy * dy + dz * dz;
-#endif
-    };
-"""
-
-COUNT = (
-    DECIDE
-    + TESTED
-    + """
-    int inside = 0, outside = 0;
-    #pragma unroll 4
-    for (int j = begin; j < end; ++j) {
-        const float d = squared(j);
-        inside += d <= surely;
-        outside += d > possibly;
-    }
-    if (inside + outside != end - begin) {
-        inside = 0;
-        for (int j = begin; j < end; ++j)
-            inside += decides(j);
-    }
-    return inside;
-"""
-)
-
-MASK = (
-    DECIDE
-    + TESTED
-    + """
-    uint64_t inside = 0, doubt = 0;
-    const int count = end - begin < 64 ? end - begin : 64;
-    for (int k = 0; k < count; ++k) {
-        const float d = squared(begin + k);
-        inside |= uint64_t(d <= surely) << k;
-        doubt |= uint64_t(!(d <= surely || d > possibly)) << k;
-    }
-    for (int k = 0; doubt; ++k, doubt >>= 1)
-        if (doubt & 1)
-            inside |= uint64_t(decides(begin + k)) << k;
-    return inside;
-"""
-)
-
-
-@wp.func_native(COUNT)
+@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_count.inl"))
 def near_count_of(
     packed: wp.array(dtype=wp.vec4f),
     exact_x: wp.array(dtype=wp.float64),
@@ -291,7 +197,7 @@ def near_count_of(
 ) -> wp.int32: ...
 
 
-@wp.func_native(MASK)
+@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_mask.inl"))
 def near_mask_of(
     packed: wp.array(dtype=wp.vec4f),
     exact_x: wp.array(dtype=wp.float64),

@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     Queries,
@@ -22,56 +23,8 @@ from geokit.points.search.neighbors_kernels import (
 # Contracted multiply-adds would round the squared distance once instead of five times.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-ROW_AT = """
-    int* const key = index.data + begin;
-    double* const value = distance.data + begin;
-"""
 
-# In warp's own language each access to an array goes through its strides: the same loop takes 1.7 times as long on the
-# CPU.
-SORT_BY_INDEX = """
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int moving = key[i];
-            if (key[i - gap] <= moving)
-                continue;
-            const double moving_value = value[i];
-            int j = i;
-            do {
-                key[j] = key[j - gap];
-                value[j] = value[j - gap];
-                j -= gap;
-            } while (j >= gap && key[j - gap] > moving);
-            key[j] = moving;
-            value[j] = moving_value;
-        }
-    }
-"""
-
-
-BY_DISTANCE = """
-    auto before = [](double d, int i, double e, int j) { return d < e || (d == e && i < j); };
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int moving = key[i];
-            const double moving_value = value[i];
-            int j = i;
-            for (; j >= gap && before(moving_value, moving, value[j - gap], key[j - gap]); j -= gap) {
-                key[j] = key[j - gap];
-                value[j] = value[j - gap];
-            }
-            key[j] = moving;
-            value[j] = moving_value;
-        }
-    }
-"""
-
-
-@wp.func_native(ROW_AT + BY_DISTANCE)
+@wp.func_native(cpp("points/search/sort_by_distance.inl"))
 def by_distance(
     begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
 ):
@@ -79,48 +32,7 @@ def by_distance(
     ...
 
 
-# A warp of 32 threads sorts a row: each of them counts, for every entry it holds, how many are smaller. On a CPU there
-# is one thread: the first of the 32 items does it all.
-SORT_TOGETHER = """
-#if defined(__CUDA_ARCH__)
-    int* const keys = index.data + begin;
-    double* const values = distance.data + begin;
-    constexpr int held = 4;
-    int mine[held], rank[held];
-    double far[held];
-    if (count > 32 * held) {
-        if (lane == 0)
-            sort_row(keys, values, count);
-        return;
-    }
-    for (int h = 0; h < held; ++h) {
-        const int at = lane + 32 * h;
-        rank[h] = 0;
-        mine[h] = at < count ? keys[at] : 0x7fffffff;
-        far[h] = at < count ? values[at] : 0.0;
-    }
-    for (int h = 0; 32 * h < count; ++h)
-        for (int source = 0; source < 32; ++source) {
-            const int other = __shfl_sync(0xffffffffu, mine[h], source);
-            for (int own = 0; own < held; ++own)
-                rank[own] += other < mine[own];
-        }
-    // Every entry has been read before any is written.
-    __syncwarp();
-    for (int h = 0; h < held; ++h)
-        if (lane + 32 * h < count) {
-            keys[rank[h]] = mine[h];
-            values[rank[h]] = far[h];
-        }
-#else
-    if (lane == 0)
-        sort_row(index.data + begin, distance.data + begin, count);
-#endif
-"""
-SORT_TOGETHER = "    auto sort_row = [](int* key, double* value, int count) {" + SORT_BY_INDEX + "};" + SORT_TOGETHER
-
-
-@wp.func_native(SORT_TOGETHER)
+@wp.func_native(cpp("points/search/sort_by_index.inl", "points/search/sort_rows_together.inl"))
 def sort_together(
     begin: wp.int32,
     count: wp.int32,
