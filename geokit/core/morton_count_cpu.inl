@@ -10,8 +10,8 @@ const int count = points.shape[0], end = begin + share < count ? begin + share :
 const double* rows = (const double*)points.data;
 unsigned* const keys = out_key.data;
 int* const counts = out_counts.data + begin / share * BUCKETS;
-d4 origin[6];
-u8 shift[3];
+alignas(32) d4 origin[6];
+alignas(32) u8 shift[3];
 for (int e = 0; e < 24; ++e) {
     origin[e / 4][e % 4] = lower[e % 3];
     shift[e / 8][e % 8] = e % 3;

@@ -1,4 +1,4 @@
-"""Morton keys: queries that are near each other in space are answered near each other in time."""
+"""Morton keys: queries that are near each other in space are answered one soon after the other."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -8,13 +8,13 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False})
 
-# Queries between one that is answered and one that is asked for; 2 to 16 are alike.
+# Queries between the one that is answered and the one that is prefetched; 2 to 16 make no difference.
 AHEAD = 4
 
 
 @wp.func
 def spread_bits(x: wp.uint32) -> wp.uint32:
-    """The low 10 bits of x with two zeros between neighbours."""
+    """The low 10 bits of x with two zeros between neighbors."""
     v = x & wp.uint32(0x3FF)
     v = (v | (v << wp.uint32(16))) & wp.uint32(0x030000FF)
     v = (v | (v << wp.uint32(8))) & wp.uint32(0x0300F00F)
@@ -56,9 +56,9 @@ def identity_kernel(first: int, out_index: wp.array(dtype=int)):
 
 @wp.func_native(cpp("core/prefetch_query_cpu.inl", AHEAD=AHEAD))
 def prefetch_query(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
-    """On a CPU has a query brought to the cache whose turn comes soon after the one at this place of the order.
+    """On a CPU prefetches the query AHEAD places after the one at this place of the order; on a GPU does nothing.
 
-    Queries that are answered one after the other lie anywhere: to wait for each took a fifth of the time of a closest
+    Consecutive queries of the order lie anywhere in memory: waiting for each took a fifth of the time of a closest
     point near the surface.
     """
     ...

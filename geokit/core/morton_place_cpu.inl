@@ -1,4 +1,4 @@
-// Puts what is left of each key of a share, and the number of its point, into its bucket: a counting sort's last step.
+// Puts the low bits of each key of a share, and the number of its point, into its bucket: a counting sort's last step.
 //
 // Expects begin, share, keys, places, out_pairs, BUCKETS, LOW_BITS. Moves the places on.
 

@@ -1,4 +1,4 @@
-"""What a kernel sees of its team: which items are its own, and how it waits for the other threads."""
+"""The team as a kernel sees it: the items of its share, and a barrier."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -42,8 +42,9 @@ def item(share: Share, k: int):
 
 @wp.func_native(cpp("threads/barrier_cpu.inl"))
 def barrier(share: Share):
-    """In a kernel: wait until all threads of the team are here; what any of them has written, all see.
+    """In a kernel: wait until all threads of the team are here; all then see what any of them has written.
 
-    Every thread has to pass it equally often. On a GPU it does nothing: there, what has to wait is a launch of its own.
+    Every thread has to pass it equally often. On a GPU it does nothing: work that has to wait needs a launch of its
+    own.
     """
     ...

@@ -1,10 +1,10 @@
-// Greedy farthest point sampling: what the two ways have in common.
+// Greedy farthest point sampling: the common part of both devices.
 //
 // Expects cloud, start. Defines the arrays of the cloud by name, current (the point to be taken next) and keep_better.
 //
-// Both ways take the same point: the largest squared distance, of equal ones the lowest index. A leaf whose box is no
-// nearer to the new point than the leaf's farthest point is to one taken does not change: no minimum in it would, bit
-// for bit. Leaves have 64 points, groups 64 leaves.
+// Both devices take the same point: the largest squared distance, of equal ones the lowest index. A leaf whose box is
+// no nearer to the new point than the leaf's farthest point is to one taken does not change: no minimum in it would,
+// bit for bit. Leaves have 64 points, groups 64 leaves.
 
 const double* const x = cloud.x.data;
 const double* const y = cloud.y.data;

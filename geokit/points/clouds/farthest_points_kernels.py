@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 LEAF_POINTS = wp.constant(64)
 GROUP_LEAVES = wp.constant(64)
 GROUP_POINTS = wp.constant(4096)
-NOBODY = wp.constant(2147483647)
+NO_POINT = wp.constant(2147483647)
 
 
 @wp.struct
@@ -70,7 +70,7 @@ def gather_kernel(
     i = first + wp.tid()
     p = wp.vec3d()
     squared = wp.float64(-1.0)
-    index = NOBODY
+    index = NO_POINT
     if i < points.shape[0]:
         index = order[i]
         p = points[index] * scale

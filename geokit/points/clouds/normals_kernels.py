@@ -1,4 +1,4 @@
-"""Planes through neighbourhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
+"""Planes through neighborhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
 
 Sums are taken about the point itself, whose differences to near points are exact in float64, so that neither an offset
 nor the scale of the points costs digits.
@@ -21,15 +21,15 @@ from geokit.points.search.neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
 # Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
 MAX_SWEEPS = wp.constant(8)
 # Off-diagonals below this share of the trace turn no eigenvector by more than the roundings before them did.
 NEGLIGIBLE = wp.constant(wp.float64(2.0**-60))
-# Neighbourhoods whose width, squared, is this share of their squared length are lines: eigenvalues are good to a few
-# 2^-53 of the largest, and the direction of what is left would be their rounding.
+# Neighborhoods whose width, squared, is this share of their squared length are lines: eigenvalues are accurate to a
+# few 2^-53 of the largest, so a normal would be determined by their rounding.
 LINE_RELATIVE = wp.constant(wp.float64(2.0**-46))
 # So are those narrower than a few roundings of their coordinates, of half a step each.
 LINE_ROUNDINGS = wp.constant(wp.float64(4.0 * 2.0**-53))
@@ -65,7 +65,7 @@ def rotation_of(pp: wp.float64, qq: wp.float64, pq: wp.float64, least: wp.float6
 def eigen_of(m: wp.mat33d) -> Eigen:
     """Eigenvalues and eigenvectors of a symmetric matrix, in no order.
 
-    Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are good to about 1e-15 of the
+    Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are accurate to 1e-15 of the
     largest, eigenvectors orthonormal to 1e-15, each off by about 1e-15 of the largest over the gap to the others.
     """
     a = m[0, 0]
@@ -150,7 +150,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     """Normal and surface variation of ``count`` points from the sums of their differences and of the products of these:
     (x, y, z), (xx, xy, xz), (yy, yz, zz).
 
-    ``rounding`` bounds what the coordinates were rounded by, in the units of the differences.
+    ``rounding`` bounds the rounding of the coordinates, in the units of the differences.
     """
     plane = Plane()
     if count < 3:
@@ -193,7 +193,7 @@ def row_sums(
     count: wp.int32,
     scale: wp.float64,
 ) -> wp.mat33d:
-    """Sums, as plane_of takes them, over the first ``count`` neighbours in row i of their differences to point i."""
+    """Sums, as plane_of takes them, over the first ``count`` neighbors in row i of their differences to point i."""
     ...
 
 
@@ -242,7 +242,7 @@ def place_neighbors_kernel(
     neighbor: wp.array(dtype=wp.int32, ndim=2),
     out_neighbor: wp.array(dtype=wp.int32, ndim=2),
 ):
-    """Rows of neighbours in the order, as places in it."""
+    """Rows of neighbors in the order, as places in it."""
     i = first + wp.tid()
     place_row(place, neighbor, order[i], i, out_neighbor)
 
@@ -257,7 +257,7 @@ def nearest_plane_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_curvature: wp.array(dtype=wp.float64),
 ):
-    """Plane of each row of neighbours, the nearest first. Points and neighbours are in the order, distances not."""
+    """Plane of each row of neighbors, the nearest first. Points and neighbors are in the order, distances not."""
     i = first + wp.tid()
     p = points[i]
     row = order[i]

@@ -4,7 +4,7 @@ A link is an ancestor and a parity, ``ancestor << 1 | parity``: whether a normal
 along the tree. The tree itself is never stored. Both halves of a link change together, in one store of 64 bits.
 
 An edge is a weight and a number, ``weight << 32 | number``, both of 32 bits: edges compare by weight, and no two are
-equal. The number, ``row << bits | column``, says where in the table of neighbours the edge stands. Each point has a row
+equal. The number, ``row << bits | column``, says where in the table of neighbors the edge stands. Each point has a row
 of all its edges, the least first; those at its beginning that have become edges within a component are passed over once
 and for all.
 """
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # Above every edge and every index.
 NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-# Below it, a component is what rounding left of 0, and its sign says nothing.
+# Smaller components are 0 but for rounding, and their signs carry no information.
 NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
 
 
@@ -49,7 +49,7 @@ def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
 #endif
 """)
 def add_one(values: wp.array(dtype=wp.int32), at: wp.int32) -> wp.int32:
-    """Adds 1 to ``values[at]``, also in several threads of a CPU, and returns what it was."""
+    """Adds 1 to ``values[at]``, also in several threads of a CPU, and returns its old value."""
     ...
 
 
@@ -80,7 +80,7 @@ def start_kernel(
 
 @wp.func_native(cpp("points/clouds/owns_edge.inl"))
 def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether i, which has j for a neighbour, is the one to list their edge: where both do, the lower does.
+    """Whether i, which has j for a neighbor, is the one to list their edge: where both do, the lower does.
 
     In C++, where the loop over a row is one of vectors.
     """
@@ -185,7 +185,7 @@ def hook_kernel(
     out_hook: wp.array(dtype=wp.int64),
     out_hooked: wp.array(dtype=wp.int32),
 ):
-    """What each root is to be linked to across its best edge; -1 for none."""
+    """The link that each root gets across its best edge; -1 for none."""
     r = first + wp.tid()
     out_hook[r] = wp.int64(-1)
     if best[r] == NONE:
@@ -233,7 +233,7 @@ def depth_key(z: wp.float64) -> wp.int64:
 
 @wp.func
 def points_down(n: wp.vec3d) -> wp.bool:
-    """Whether z is negative; where it is nothing but rounding, y; then x."""
+    """Whether z is negative; if z is 0 but for rounding, y decides, then x."""
     deciding = n[0]
     if wp.abs(n[1]) > NO_COMPONENT:
         deciding = n[1]
@@ -297,7 +297,7 @@ def turn_kernel(
     turn: wp.array(dtype=wp.int64),
     out_normal: wp.array(dtype=wp.vec3d),
 ):
-    """Gives each normal the sign that its root asks for."""
+    """Turns the normals whose parity to their root, and the turn of the root, require it."""
     i = first + wp.tid()
     if ((turn[wp.int32(link[i] >> wp.int64(1))] ^ link[i]) & wp.int64(1)) == wp.int64(1):
         out_normal[order[i]] = -out_normal[order[i]]

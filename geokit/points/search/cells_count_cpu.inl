@@ -18,7 +18,7 @@ for (int axis = 0; axis < 3; ++axis)
 int point = begin;
 if (even) {
     // Eight points in a row are three vectors of eight numbers, and number e of vector v is always of one axis.
-    d8 origin[3], inverse[3], top[3];
+    alignas(64) d8 origin[3], inverse[3], top[3];
     for (int v = 0; v < 3; ++v)
         for (int e = 0; e < 8; ++e) {
             const auto& cut = grid.cut.data[grid.first_cut[(8 * v + e) % 3]];

@@ -1,8 +1,8 @@
-"""Points sorted by cell on a CPU, by counting: each thread counts a share of them, then says where each point goes.
+"""Points sorted by cell on a CPU: a counting sort, in which each thread counts and then places a share of the points.
 
-Counting needs no comparison and no second copy of the keys: where there are not many more cells than points, and few
-threads, it is several times as quick as a sort. What is scattered is four bytes a point; coordinates are then gathered
-in order, since a processor reads what lies apart sooner than it writes it.
+A counting sort needs no comparison and no second copy of the keys: with few threads, and not many more cells than
+points, it is several times as fast as a comparison sort. Only four bytes a point are scattered; coordinates are then
+gathered in order, since scattered reads are faster than scattered writes.
 """
 
 # mypy: ignore-errors

@@ -14,12 +14,12 @@ from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, Nearest
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Blocks of 32 queries of an item: what one group of eight finds is the next one's first guess.
+# Blocks of queries of an item: the result of one group of eight is the first guess for the next.
 BLOCKS = wp.constant(8)
 # Open nodes of a walk: each of at most nine levels leaves seven behind.
 STACK = 80
-# Nodes that a shared walk may open before it must have been of use to someone, and then for each use. Queries that
-# are far apart, or of which one reaches much farther than the others, are better off alone.
+# Nodes that a shared walk may open without scanning a leaf for any query, and further ones for each leaf scanned.
+# Queries that are far apart, or of which one reaches much farther than the others, are faster alone.
 FREE_VISITS = 96
 VISITS_PER_USE = 2
 # Candidates that a query may have at a time, for lists of 1024.
@@ -27,9 +27,9 @@ CAPACITY = 1024 + 256 + 4 * int(LEAF)
 # A first guess of the squared distance of the k-th, as a share of the farthest of the group before: a larger one finds
 # more than k and has them sorted, a smaller one finds fewer and looks again.
 GUESS = 1.1
-# For the roundings of a bound by the triangle inequality. One that is too small all the same is a guess like another.
+# Allows for the roundings of a bound by the triangle inequality. A bound that is too small is only a wrong guess.
 SLACK = 1.0 + 1e-12
-# What a guess that was too small is multiplied with, so many times.
+# Factor for a guess that was too small, and how often it is applied before the search has no limit but the caller's.
 WIDER = 4.0
 GUESSES = 3
 
@@ -53,7 +53,7 @@ def _exchanges(pairs: list[tuple[int, int]]) -> str:
     return " ".join(f"exchange(s[{a}], m[{a}], s[{b}], m[{b}]);" for a, b in pairs)
 
 
-# Kernels for CUDA are others: vectors of doubles are not for its compiler.
+# CUDA has a kernel of its own, nearest_cuda_kernels: its compiler knows no vectors of doubles.
 @wp.func_native(
     cpp(
         "core/simd.inl",

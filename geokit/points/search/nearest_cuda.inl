@@ -9,7 +9,7 @@ auto scan = [&](int leaf) {
     for (int i = 0; i < LEAF; ++i) {
         const double dx = at[i] - x, dy = at[LEAF + i] - y, dz = at[2 * LEAF + i] - z;
         const double given = (dx * dx + dy * dy) + dz * dz;
-        // What fills up the last leaf is no number, and no comparison with it holds.
+        // The rest of the last leaf is NaN, and no comparison with it holds.
         if (given <= bound && index[i] != self && before(given, index[i], bound, bound_index))
             offer(given, index[i]);
     }

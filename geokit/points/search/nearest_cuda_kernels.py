@@ -1,6 +1,6 @@
 """The k nearest points on a GPU: a thread for each query, with its list in registers or as a heap in the result.
 
-Neighbouring threads answer neighbouring queries and open much the same nodes. The comparisons are those of
+Neighboring threads answer neighboring queries and open mostly the same nodes. The comparisons are those of
 nearest_cpu_kernels, and so are the answers, bit for bit; the text is plain C++ and runs on a CPU too, which tests use.
 """
 
@@ -14,7 +14,7 @@ from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, Nearest
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
 

@@ -79,7 +79,7 @@ auto sort = [&](int n, auto exchange) {
         }
     }
 };
-// Sorts the candidates in lanes, tightens the bounds and drops what is beyond the k-th.
+// Sorts the candidates in lanes, tightens the bounds and drops those beyond the k-th.
 auto settle = [&]() {
     int most = 0;
     for (int j = 0; j < 8; ++j) most = size[j] > most ? size[j] : most;

@@ -1,4 +1,4 @@
-"""The neighbours of a query, read from x-rows of cells.
+"""The neighbors of a query, read from x-rows of cells.
 
 Every comparison is made on the caller's float64 coordinates with the roundings written down, so that the answer is the
 one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere else.
@@ -12,11 +12,11 @@ from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key
 
 # Fused multiply-adds would round the squared distance once instead of five times: points at exactly the radius would
-# be in or out by the compiler's mood.
+# be in or out depending on the compiler.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-# A neighbour's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
+# A neighbor's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
 # still not exceed the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
 REACH_RELATIVE = wp.constant(wp.float64(1.0e-15))
 # Squares below 4.9e-324 round to 0: coordinates up to 2.3e-162 apart count as equal for every radius.
@@ -74,7 +74,7 @@ def row_count(box: CellBox) -> wp.int32:
 
 @wp.func
 def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
-    """Begin and end of the sorted points in one x-row of the box: neighbours in x are neighbours in memory."""
+    """Begin and end of the sorted points in one x-row of the box: neighbors in x are neighbors in memory."""
     width = box.upper[1] - box.lower[1] + 1
     y = box.lower[1] + row % width
     z = box.lower[2] + row // width
@@ -145,17 +145,17 @@ ROUNDING = wp.constant(wp.float64(2.0**-24))
 OUTWARDS = wp.constant(wp.float64(2.0**-22))
 # Local coordinates and radii beyond it leave nothing to float32, whose squares end at 3.4e38.
 LARGEST_LOCAL = wp.constant(wp.float64(1.0e15))
-# Squares in float32 vanish near 1e-38: what is smaller than this decides nothing.
+# Squares in float32 vanish near 1e-38: smaller ones decide nothing.
 SMALLEST_SQUARE = wp.constant(wp.float64(1.0e-30))
 NO_LIMIT = wp.constant(wp.float32(wp.inf))
 
 
 @wp.func
 def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
-    """What float32 can decide about the neighbours of q.
+    """Which distances from q float32 can decide.
 
-    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of what is
-    within the radius of it, and its square, the sum and their roundings by 8 u of the result at most.
+    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of the
+    points within its radius, and its square, the sum and their roundings by 8 u of the result at most.
     """
     local = (q - grid.centre) * grid.scale
     reach = radius * grid.scale
@@ -232,7 +232,7 @@ def near_count(
 def near_mask(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.uint64:
-    """As :func:`within_mask`, but float64 is asked only about points that float32 leaves in doubt."""
+    """As :func:`within_mask`, but float64 decides only about points that float32 leaves in doubt."""
     return near_mask_of(
         grid.packed, grid.x, grid.y, grid.z, begin, end,
         near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
@@ -241,5 +241,5 @@ def near_mask(
 
 @wp.func
 def reach_of(radius: wp.float64) -> wp.float64:
-    """Half edge of the cube that holds every neighbour, rounding included."""
+    """Half edge of the cube that holds every neighbor, rounding included."""
     return radius * (wp.float64(1.0) + REACH_RELATIVE) + REACH_ABSOLUTE

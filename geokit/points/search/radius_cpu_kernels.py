@@ -117,9 +117,9 @@ def count_share_kernel(
     out_count: wp.array(dtype=wp.int32),
     out_note: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours of SHARE queries each, less ``self_count``.
+    """Number of neighbors of SHARE queries each, less ``self_count``.
 
-    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as long as there are some.
+    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as far as there is room.
     """
     share = first + wp.tid()
     begin = share * SHARE
@@ -140,7 +140,7 @@ def fill_by_index_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbours of SHARE queries, each from its offset on, by ascending index."""
+    """Neighbors of SHARE queries, each from its offset on, by ascending index."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
@@ -160,7 +160,7 @@ def fill_as_found_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbours of SHARE queries, each from its offset on, in the order of the cells."""
+    """Neighbors of SHARE queries, each from its offset on, in the order of the cells."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])

@@ -1,4 +1,4 @@
-"""Radius search on a GPU, a thread for each query, and what rows of neighbours are made of on any device."""
+"""Radius search on a GPU, a thread for each query, and operations on rows of neighbors on any device."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -49,7 +49,7 @@ def sort_rows_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Rows in ascending order of index, a warp for each: there are 32 items a row."""
+    """Rows in ascending order of index, one CUDA warp for each: there are 32 items a row."""
     i = first + wp.tid()
     row = i // 32
     begin = wp.int32(offset[row])
@@ -65,7 +65,7 @@ def count_kernel(
     self_count: wp.int32,
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours of each query, less ``self_count``. There is one radius for all, or one for each."""
+    """Number of neighbors of each query, less ``self_count``. There is one radius for all, or one for each."""
     k = first + wp.tid()
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
@@ -90,7 +90,7 @@ def fill_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Neighbours of each query from its offset on, without the point whose index is the query's plus ``own``."""
+    """Neighbors of each query from its offset on, without the point whose index is the query's plus ``own``."""
     k = first + wp.tid()
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
@@ -149,7 +149,7 @@ def uncount_kernel(
     radius: wp.array(dtype=wp.float64),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """One neighbour less for each query that has its own point among them."""
+    """One neighbor less for each query that has its own point among them."""
     i = first + wp.tid()
     p = points[first_point + i]
     q = rows[i]
@@ -202,7 +202,7 @@ def pair_count_kernel(
     index: wp.array(dtype=wp.int32),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours in each point's row whose index is above the point's own."""
+    """Number of neighbors in each point's row whose index is above the point's own."""
     i = first + wp.tid()
     out_count[i] = wp.int32(offset[i + 1]) - first_above(offset, index, i, i)
 
@@ -217,7 +217,7 @@ def pair_fill_kernel(
     out_pair: wp.array(dtype=wp.int32, ndim=2),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """The pairs of each point with its neighbours of higher index."""
+    """The pairs of each point with its neighbors of higher index."""
     i = first + wp.tid()
     begin = first_above(offset, index, i, i)
     at = wp.int32(pair_offset[i])

@@ -9,7 +9,7 @@
 alignas(64) int found[room + 32], key[room + 32], rank[RANKED + 32];
 alignas(64) double distance[room + 32];
 int written[SHARE_SIZE];
-// Rows lie in the caller's order, all over the memory: what is needed soon is prefetched.
+// Rows lie in the caller's order, all over the memory: rows that come soon are prefetched.
 for (int k = first_query; k < last_query; ++k) {
     written[k - first_query] = 0;
     __builtin_prefetch(offset.data + queries.index.data[k]);

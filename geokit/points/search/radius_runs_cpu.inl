@@ -80,7 +80,7 @@ auto each_run = [&](auto&& use) {
     for (run = first_query; run < last_query;) {
         const double at[3] = {queries.x.data[run], queries.y.data[run], queries.z.data[run]};
         const int cell[3] = {cell_along(0, at[0]), cell_along(1, at[1]), cell_along(2, at[2])};
-        // Float32 sees the run from its first query, in units of about its radius: what it cannot decide is rare,
+        // Float32 sees the run from its first query, in units of about its radius: undecided cases are rare,
         // however far the points reach. A power of two rounds nothing.
         const int first_row = queries.index.data[run];
         const double unit = radius.data[first_row < radius.shape[0] ? first_row : radius.shape[0] - 1];
@@ -144,7 +144,7 @@ auto each_run = [&](auto&& use) {
                 const int row_end = first_at_or_above(row + to[0] + 1);
                 while (p < row_end) {
                     const int taken = row_end - p < room - filled ? row_end - p : room - filled;
-                    // Whole vectors: what they read or write too much is padding or written again.
+                    // Whole vectors: entries beyond `taken` are padding or are overwritten.
                     for (int o = 0; o < taken; o += 16) {
                         store(bx + filled + o, grid.x.data + p + o, at[0], scale);
                         store(by + filled + o, grid.y.data + p + o, at[1], scale);

@@ -1,8 +1,8 @@
-"""Which voxels lie inside an isosurface, which cells it crosses, and where these find their neighbours.
+"""Which voxels lie inside an isosurface, which cells it crosses, and where these find their neighbors.
 
 A cell has its number from its lowest voxel and belongs to the block of 8^3 cells that starts where the leaf of that
 voxel does. Signs travel as bits: plane x of a block is a word of 64 voxels whose bit ``8 y + z`` says "inside", so that
-shifted words compare the voxels of 64 cells at once. Only what reads values depends on their type.
+shifted words compare the voxels of 64 cells at once. Only functions that read values depend on their type.
 """
 
 # mypy: ignore-errors
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # Words of a plane's record: cells with at least 1, 2, 3 and 4 sheets of the surface.
 RECORD = 4
-# What stands for a leaf that does not exist: -1 - (inside + 2 * active).
+# A reference to a leaf that does not exist: -1 - (inside + 2 * active).
 INSIDE_TILE, ACTIVE_TILE = wp.constant(1), wp.constant(2)
 
 # Files of C++ for the planes of a block, and for the blocks around one.
@@ -31,7 +31,7 @@ class Cells:
     volume: wp.uint64  # address of the grid
     values: wp.uint64  # address of the first leaf's values, float32
     stride: wp.uint64  # bytes from a leaf's values to the next one's
-    isovalue: wp.float64  # what the float32 values are compared with
+    isovalue: wp.float64  # the float32 values are compared with it
     leaf_count: int
     leaf_offset: wp.array(dtype=wp.uint64)  # of each leaf from the grid's start
     origin: wp.array(dtype=wp.vec3i)  # first voxel of each block
@@ -44,7 +44,7 @@ class Cells:
 
 @wp.struct
 class Tree:
-    """Lower nodes with what stands beside them, for walks from leaf to leaf without the root."""
+    """Lower nodes and their neighbors, for walks from leaf to leaf without the root."""
 
     begin: wp.uint64  # of the lower nodes from the grid's start
     size: wp.uint64  # bytes of a lower node
@@ -124,7 +124,7 @@ def value_at(volume: wp.uint64, i: int, j: int, k: int) -> wp.float64:
 
 @wp.func
 def tile_ref(volume: wp.uint64, isovalue: wp.float64, i: int, j: int, k: int) -> int:
-    """What stands for a tile: by its value and state."""
+    """The reference to a tile, by its value and state."""
     code = 0
     if value_at(volume, i, j, k) < isovalue:
         code += INSIDE_TILE
@@ -168,7 +168,7 @@ def tile_sides_kernel(
     at = tree.begin + tree.size * wp.uint64(word / 64) + tree.table + wp.uint64((word % 64) * 512)
     bits = wp.uint64(0)
     for n in range(64):
-        # Slots that lead to a leaf give bits that nobody asks for.
+        # The bits of slots that lead to a leaf are never read.
         if read_voxel(volume, kind, at + wp.uint64(8 * n), 0, 0, 0, wp.float64(0.0)) < isovalue:
             bits = bits | (wp.uint64(1) << wp.uint64(n))
     out_inside[word] = bits
@@ -207,7 +207,7 @@ def link_kernel(
 ):
     """Blocks above each leaf, and the tiles below it that may have crossed cells; whether any leaf has some.
 
-    Without these, out_mixed is what mixed_kernel says.
+    Without these, out_mixed is as of mixed_kernel.
     """
     leaf = first + wp.tid()
     rims = link_leaf(cells, tree, leaf)

@@ -23,7 +23,7 @@ AROUND = wp.constant(27)
 # strongest direction: the two faces of an edge of 160 degrees give 0.03, a smooth surface with a radius of 10 voxels
 # gives 0.003.
 FLAT = 0.02
-# Sweeps of Jacobi's method: each squares what is left off the diagonal; after four, a 3 x 3 matrix is done to 1e-15.
+# Sweeps of Jacobi's method: each squares the off-diagonal rest; after four, a 3 x 3 matrix is done to 1e-15.
 SWEEPS = 4
 # Where the interpolant puts the surface more than this many voxels away from the place where the planes meet, they are
 # not to be trusted: it rounds off a cube's edges by up to 0.5 voxel, its corners by up to 0.6.

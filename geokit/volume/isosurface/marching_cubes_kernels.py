@@ -3,7 +3,7 @@
 An item is ``span`` planes of 64 cells of the blocks that the surface crosses: on a GPU one, on a CPU, where an item has
 its price, a block of eight. A cell owns the edges that start at its lowest
 corner: all vertices of its triangles belong to cells of its own block or above. Edges without an active voxel at either
-end have no vertex, and what would have used it is left out.
+end have no vertex, and triangles that would need it are left out.
 """
 
 # mypy: ignore-errors
@@ -107,7 +107,7 @@ def count_kernel(
         found = count_plane(cells, start, edges, plane, records)
         out_vertices[plane] = found & COUNT_MASK
         out_triangles[plane] = (found >> TRIANGLES_SHIFT) & COUNT_MASK
-        # Whoever writes here writes the same.
+        # All threads that write here write the same.
         if (found & HAS_DEAD) != 0:
             out_flag[0] = 1
 

@@ -18,7 +18,7 @@ auto to_world = [&](const int* at, const float* local, wp::vec_t<3, double>& out
     }
 };
 // Puts the vertices of a cell, whose corners have the values f relative to the isovalue. `sums` packs the crossed
-// edges and what they add up to where they do not vary: x, y, z and their number, four bits each, then the edges.
+// edges and the sums of their constant coordinates: x, y, z and their number, four bits each, then the edges.
 auto place = [&](unsigned word, unsigned sums, const float* f, const int* at, wp::vec_t<3, double>* out) {
     #ifndef __CUDA_ARCH__
     if (loop_count(word) == 1) {

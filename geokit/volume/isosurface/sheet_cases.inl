@@ -2,7 +2,7 @@
 //
 // Expects block_planes.inl, cells, table, flips. Defines word_of, loop_count and cell_corners.
 //
-// `table` has a word for each case, and one for each case with the face joined that is named in it: two bits for the
+// `table` has a word for each case, and one for each case with the face joined that the word names: two bits for the
 // loop of each edge, the number of loops, the problem face + 1.
 
 auto word_of = [&](int code, int plane, int bit) -> unsigned {

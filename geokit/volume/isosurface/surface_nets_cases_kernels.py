@@ -14,7 +14,7 @@ from geokit.volume.isosurface.cells_kernels import PLANES, RECORD, Cells, value_
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# What a plane's count holds.
+# Fields of a plane's count.
 QUADS_SHIFT = 16
 HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
 COUNT_MASK = wp.constant(0xFFF)
@@ -63,7 +63,7 @@ def count_kernel(
         found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
         out_vertices[plane] = found & COUNT_MASK
         out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
-        # Whoever writes here writes the same.
+        # All threads that write here write the same.
         if (found & HAS_PROBLEM) != 0:
             out_flags[0] = 1
         if (found & HAS_DEAD) != 0:

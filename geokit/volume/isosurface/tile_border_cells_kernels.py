@@ -87,7 +87,7 @@ def rim_kernel(
     out_active: wp.array(dtype=wp.uint8),
     out_refs: wp.array(dtype=int),
 ):
-    """Planes, state and upper neighbours of a block of tiles."""
+    """Planes, state and upper neighbors of a block of tiles."""
     rim = first + wp.tid()
     block = cells.leaf_count + rim
     corner = cells.origin[block]

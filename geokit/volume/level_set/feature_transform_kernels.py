@@ -1,6 +1,6 @@
 """Distances beyond the voxels where they are known, each from the nearest feature (``features_kernels``).
 
-Every voxel takes the feature whose foot is nearest among those of its 26 neighbours on its own side, round by round,
+Every voxel takes the feature whose foot is nearest among those of its 26 neighbors on its own side, round by round,
 until none changes; its distance is that from the feature's piece of surface.
 """
 
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 @wp.kernel
 def reached_box_kernel(first: int, reached: wp.array(dtype=wp.uint64), out_box: wp.array2d(dtype=int)):
-    """First and last voxel of a leaf among those told by bits, 8 and -1 where there is none."""
+    """First and last voxel of a leaf among those whose bits are set, 8 and -1 where there is none."""
     t = first + wp.tid()
     lowest = wp.vec3i(8, 8, 8)
     highest = wp.vec3i(-1, -1, -1)
@@ -66,7 +66,7 @@ def nearest_of(
 ) -> int:
     """The feature of the shortest way to voxel (x, y, z) of row t, which is (i, j, k), and the first of several.
 
-    Of its own and those of its changed neighbours on its side; none that is not nearer than ``reach``.
+    Of its own and those of its changed neighbors on its side; none that is not nearer than ``reach``.
     """
     ...
 
@@ -87,9 +87,9 @@ def spread_kernel(
     out_next: wp.array(dtype=int),
     out_changed: wp.array(dtype=wp.uint64),
 ):
-    """One round for the voxels of a plane: the feature of shortest way among the neighbours', the first of several.
+    """One round for the voxels of a plane: the feature of shortest way among the neighbors', the first of several.
 
-    Only neighbours that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
+    Only neighbors that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
     new feature stands in ``out_next``.
     """
     i = first + wp.tid()
@@ -185,7 +185,7 @@ def fill_kernel(
     out_active: wp.array(dtype=wp.uint64),
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """Values of a plane: what is held, else distances, where they are below the background."""
+    """Values of a plane: held values, else distances, where they are below the background."""
     i = first + wp.tid()
     active = wp.uint64(0)
     negative = wp.uint64(0)

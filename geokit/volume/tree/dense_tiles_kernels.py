@@ -75,7 +75,7 @@ def tile_state_kernel(
     if active > 0:
         state = int(LEAF)
     elif level_set != 0 and negative > 0:
-        # What has both signs can be no tile: it is a leaf, if without active voxels.
+        # A block with both signs cannot be a tile: it is a leaf without active voxels.
         state = int(LEAF)
         if negative == 512:
             state = int(INSIDE)
