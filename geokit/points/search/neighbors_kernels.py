@@ -178,65 +178,19 @@ def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
 
 
 @wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_count.inl"))
-def near_count_of(
-    packed: wp.array(dtype=wp.vec4f),
-    exact_x: wp.array(dtype=wp.float64),
-    exact_y: wp.array(dtype=wp.float64),
-    exact_z: wp.array(dtype=wp.float64),
-    begin: wp.int32,
-    end: wp.int32,
-    qx: wp.float32,
-    qy: wp.float32,
-    qz: wp.float32,
-    surely: wp.float32,
-    possibly: wp.float32,
-    ex: wp.float64,
-    ey: wp.float64,
-    ez: wp.float64,
-    radius_squared: wp.float64,
-) -> wp.int32: ...
-
-
-@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_mask.inl"))
-def near_mask_of(
-    packed: wp.array(dtype=wp.vec4f),
-    exact_x: wp.array(dtype=wp.float64),
-    exact_y: wp.array(dtype=wp.float64),
-    exact_z: wp.array(dtype=wp.float64),
-    begin: wp.int32,
-    end: wp.int32,
-    qx: wp.float32,
-    qy: wp.float32,
-    qz: wp.float32,
-    surely: wp.float32,
-    possibly: wp.float32,
-    ex: wp.float64,
-    ey: wp.float64,
-    ez: wp.float64,
-    radius_squared: wp.float64,
-) -> wp.uint64: ...
-
-
-@wp.func
 def near_count(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.int32:
     """Number of the sorted points ``begin .. end - 1`` whose squared distance from q is at most ``limit``."""
-    return near_count_of(
-        grid.packed, grid.x, grid.y, grid.z, begin, end,
-        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
-    )  # fmt: skip
+    ...
 
 
-@wp.func
+@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_mask.inl"))
 def near_mask(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.uint64:
     """As :func:`within_mask`, but float64 decides only about points that float32 leaves in doubt."""
-    return near_mask_of(
-        grid.packed, grid.x, grid.y, grid.z, begin, end,
-        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
-    )  # fmt: skip
+    ...
 
 
 @wp.func
