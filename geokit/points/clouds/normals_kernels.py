@@ -62,6 +62,33 @@ def rotation_of(pp: wp.float64, qq: wp.float64, pq: wp.float64, least: wp.float6
 
 
 @wp.func
+def rotated(
+    pp: wp.float64,
+    qq: wp.float64,
+    pq: wp.float64,
+    pr: wp.float64,
+    qr: wp.float64,
+    p: wp.vec3d,
+    q: wp.vec3d,
+    least: wp.float64,
+):
+    """One rotation: the entries of rows p and q of a symmetric matrix of three, and the eigenvectors p and q."""
+    r = rotation_of(pp, qq, pq, least)
+    off = pq
+    if wp.abs(pq) > least:
+        off = wp.float64(0.0)
+    return (
+        pp - r[2] * pq,
+        qq + r[2] * pq,
+        off,
+        r[0] * pr - r[1] * qr,
+        r[1] * pr + r[0] * qr,
+        r[0] * p - r[1] * q,
+        r[1] * p + r[0] * q,
+    )
+
+
+@wp.func
 def eigen_of(m: wp.mat33d) -> Eigen:
     """Eigenvalues and eigenvectors of a symmetric matrix, in no order.
 
@@ -83,41 +110,9 @@ def eigen_of(m: wp.mat33d) -> Eigen:
     sweep = wp.int32(0)
     while sweep < MAX_SWEEPS and wp.abs(ab) + wp.abs(ac) + wp.abs(bc) > limit:
         sweep += 1
-        r = rotation_of(a, b, ab, least)
-        a -= r[2] * ab
-        b += r[2] * ab
-        if wp.abs(ab) > least:
-            ab = wp.float64(0.0)
-        old = ac
-        ac = r[0] * old - r[1] * bc
-        bc = r[1] * old + r[0] * bc
-        v = x
-        x = r[0] * v - r[1] * y
-        y = r[1] * v + r[0] * y
-
-        r = rotation_of(a, c, ac, least)
-        a -= r[2] * ac
-        c += r[2] * ac
-        if wp.abs(ac) > least:
-            ac = wp.float64(0.0)
-        old = ab
-        ab = r[0] * old - r[1] * bc
-        bc = r[1] * old + r[0] * bc
-        v = x
-        x = r[0] * v - r[1] * z
-        z = r[1] * v + r[0] * z
-
-        r = rotation_of(b, c, bc, least)
-        b -= r[2] * bc
-        c += r[2] * bc
-        if wp.abs(bc) > least:
-            bc = wp.float64(0.0)
-        old = ab
-        ab = r[0] * old - r[1] * ac
-        ac = r[1] * old + r[0] * ac
-        v = y
-        y = r[0] * v - r[1] * z
-        z = r[1] * v + r[0] * z
+        a, b, ab, ac, bc, x, y = rotated(a, b, ab, ac, bc, x, y, least)
+        a, c, ac, ab, bc, x, z = rotated(a, c, ac, ab, bc, x, z, least)
+        b, c, bc, ab, ac, y, z = rotated(b, c, bc, ab, ac, y, z, least)
     found = Eigen()
     found.values = wp.vec3d(a, b, c)
     found.x = x
