@@ -8,7 +8,6 @@ end have no vertex, and triangles that would need it are left out.
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
-import numpy as np
 import warp as wp
 
 from geokit.core.cpp import cpp
@@ -43,7 +42,7 @@ def count_plane(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertices.inl", END=np.float32(END)))
+@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertices.inl", END=END))
 def place_vertices(
     cells: Cells,
     plane: int,
@@ -57,7 +56,7 @@ def place_vertices(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertex.inl", END=np.float32(END)))
+@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertex.inl", END=END))
 def place_vertex(
     cells: Cells,
     plane: int,

@@ -4,10 +4,11 @@
 //
 // Sums are made in the same order with vectors and without, so that a CPU and a GPU give the same bits.
 
+constexpr float least_place = (float)END, most_place = 1.f - least_place;
 auto clamped = [](float t) -> float {
     // Written so that NaN gives a number too.
-    const float end = t > END ? t : END;
-    return end < 1.f - END ? end : 1.f - END;
+    const float end = t > least_place ? t : least_place;
+    return end < most_place ? end : most_place;
 };
 auto to_world = [&](const int* at, const float* local, wp::vec_t<3, double>& out) {
     double index[3];
@@ -27,7 +28,7 @@ auto place = [&](unsigned word, unsigned sums, const float* f, const int* at, wp
         const v16 high = __builtin_shufflevector(all, all, 4, 5, 6, 7, 2, 3, 6, 7, 1, 3, 5, 7, 0, 0, 0, 0);
         const i16 lane = { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 };
         const v16 t = low / (low - high);
-        const v16 least = END, most = 1.f - END, none = 0.f;
+        const v16 least = least_place, most = most_place, none = 0.f;
         const v16 end = t > least ? t : least;
         const v16 inner = end < most ? end : most;
         const v16 one = ((i16)(int)(sums >> 16) >> lane & 1) != 0 ? inner : none;

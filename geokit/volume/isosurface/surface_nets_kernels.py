@@ -8,7 +8,6 @@ edge ends at, so that its four cells lie in the cell's own block or above.
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
-import numpy as np
 import warp as wp
 
 from geokit.core.cpp import cpp
@@ -28,7 +27,7 @@ END = 1.0e-6
 VERTEX = (*CASES, "volume/isosurface/net_vertex.inl")
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertices.inl", RECORD=RECORD, END=np.float32(END)))
+@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertices.inl", RECORD=RECORD, END=END))
 def place_vertices(
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
@@ -45,7 +44,7 @@ def place_vertices(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertex.inl", RECORD=RECORD, END=np.float32(END)))
+@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertex.inl", RECORD=RECORD, END=END))
 def place_vertex(
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
