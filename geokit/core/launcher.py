@@ -312,7 +312,7 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
 
     from geokit.core import host_pool
     from geokit.core import morton_order_cpu_kernels as kernels
-    from geokit.core.counting_sort_kernels import sum_kernel
+    from geokit.core.counting_sort_cpu_kernels import sum_kernel
     from geokit.core.host_array import HostArray
 
     count = len(points)

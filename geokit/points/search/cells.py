@@ -233,7 +233,7 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
     import warp as wp
 
-    from geokit.core.counting_sort_kernels import sum_kernel
+    from geokit.core.counting_sort_cpu_kernels import sum_kernel
     from geokit.points.search import cells_cpu_kernels as kernels
 
     device: Any = points.device
