@@ -312,20 +312,20 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
 
     from geokit.core import host_pool
     from geokit.core import morton_order_cpu_kernels as kernels
-    from geokit.core.counting_sort_kernels import sum_kernel
+    from geokit.core.counting_sort_cpu_kernels import sum_kernel
     from geokit.core.host_array import HostArray
 
     count = len(points)
     rows = min(thread_count(), -(-count // ORDER_SHARE))
     share = -(-count // rows)
-    tally = HostArray(np.zeros(rows * kernels.BUCKETS, np.int32))
+    counts = HostArray(np.zeros(rows * kernels.BUCKETS, np.int32))
     start = HostArray(np.empty(kernels.BUCKETS + 1, np.int32))
     keys = HostArray(host_pool.empty((count,), np.uint32))
     pairs, spare = (HostArray(host_pool.empty((count,), np.uint64)) for _ in range(2))
     order = host_pool.room(count, _warp().int32, device)
-    launch(kernels.tally_kernel, rows, [share, points, *frame], [keys, tally], device, grain=1)
-    launch(sum_kernel, 1, [rows, kernels.BUCKETS], [tally, start], device)
-    launch(kernels.place_kernel, rows, [share, keys, tally], [pairs], device, grain=1)
+    launch(kernels.count_kernel, rows, [share, points, *frame], [keys, counts], device, grain=1)
+    launch(sum_kernel, 1, [rows, kernels.BUCKETS], [counts, start], device)
+    launch(kernels.place_kernel, rows, [share, keys, counts], [pairs], device, grain=1)
     grain = BUCKET_GRAIN if rows > 1 else kernels.BUCKETS
     launch(kernels.sort_kernel, kernels.BUCKETS, [start, pairs, spare], [order], device, grain=grain)
     return order

@@ -1,18 +1,20 @@
-"""Morton keys: queries that are near each other in space are answered near each other in time."""
+"""Morton keys: queries that are near each other in space are answered one soon after the other."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False})
 
-# Queries between one that is answered and one that is asked for; 2 to 16 are alike.
+# Queries between the one that is answered and the one that is prefetched; 2 to 16 make no difference.
 AHEAD = 4
 
 
 @wp.func
 def spread_bits(x: wp.uint32) -> wp.uint32:
-    """The low 10 bits of x with two zeros between neighbours."""
+    """The low 10 bits of x with two zeros between neighbors."""
     v = x & wp.uint32(0x3FF)
     v = (v | (v << wp.uint32(16))) & wp.uint32(0x030000FF)
     v = (v | (v << wp.uint32(8))) & wp.uint32(0x0300F00F)
@@ -52,19 +54,11 @@ def identity_kernel(first: int, out_index: wp.array(dtype=int)):
     out_index[i] = i
 
 
-@wp.func_native(f"""
-#if !defined(__CUDA_ARCH__)
-    if (at + {AHEAD} < points.shape[0]) {{
-        const char* row = (const char*)(points.data + order.data[at + {AHEAD}]);
-        __builtin_prefetch(row);
-        __builtin_prefetch(row + sizeof(wp::vec3d) - 1);
-    }}
-#endif
-""")
-def ask_ahead(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
-    """On a CPU has a query brought to the cache whose turn comes soon after the one at this place of the order.
+@wp.func_native(cpp("core/prefetch_query_cpu.inl", AHEAD=AHEAD))
+def prefetch_query(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
+    """On a CPU prefetches the query AHEAD places after the one at this place of the order; on a GPU does nothing.
 
-    Queries that are answered one after the other lie anywhere: to wait for each took a fifth of the time of a closest
+    Consecutive queries of the order lie anywhere in memory: waiting for each took a fifth of the time of a closest
     point near the surface.
     """
     ...

@@ -27,3 +27,10 @@ auto mask_of_four = [](auto lanes) {
     return (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b4)) & 15u;
 };
 #endif
+#if !defined(__CUDA_ARCH__)
+// Sixteen lanes.
+typedef float v16 __attribute__((ext_vector_type(16), aligned(4)));
+typedef double d16 __attribute__((ext_vector_type(16), aligned(8)));
+typedef int i16 __attribute__((ext_vector_type(16), aligned(4)));
+typedef bool b16 __attribute__((ext_vector_type(16)));
+#endif

@@ -1,42 +1,13 @@
-"""What a kernel sees of its team: which items are its own, and how it waits for the other threads."""
+"""The team as a kernel sees it: the items of its share, and a barrier."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from geokit.core.cpp import cpp
 
-# Warp has no barrier between threads of a CPU, since it has no such threads. The last to arrive opens the next round,
-# which the others wait for; counter and round lie in cache lines of their own. Who has waited in vain for long, since
-# there are more threads than processors, lets others run. A kernel's text cannot include headers: sched_yield, which
-# is POSIX, is declared by its name in the library.
-BARRIER = """
-#if !defined(__CUDA_ARCH__)
-    if (share.threads > 1) {
-        extern int geokit_yield() __asm__("sched_yield");
-        int* const arrived = share.meeting.data;
-        int* const round = share.meeting.data + 32;
-        const int now = __atomic_load_n(round, __ATOMIC_RELAXED);
-        if (__atomic_add_fetch(arrived, 1, __ATOMIC_ACQ_REL) == share.threads) {
-            __atomic_store_n(arrived, 0, __ATOMIC_RELAXED);
-            __atomic_store_n(round, now + 1, __ATOMIC_RELEASE);
-        } else {
-            for (int looks = 0; __atomic_load_n(round, __ATOMIC_ACQUIRE) == now; ++looks) {
-                if (looks >= 50) {
-                    geokit_yield();
-                } else {
-#if defined(__x86_64__)
-                    __builtin_ia32_pause();
-#elif defined(__aarch64__)
-                    __asm__ __volatile__("yield");
-#endif
-                }
-            }
-        }
-    }
-#endif
-"""
+wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
@@ -69,10 +40,11 @@ def item(share: Share, k: int):
     return (k // share.block * share.threads + share.thread) * share.block + k % share.block
 
 
-@wp.func_native(snippet=BARRIER)
+@wp.func_native(cpp("threads/barrier_cpu.inl"))
 def barrier(share: Share):
-    """In a kernel: wait until all threads of the team are here; what any of them has written, all see.
+    """In a kernel: wait until all threads of the team are here; all then see what any of them has written.
 
-    Every thread has to pass it equally often. On a GPU it does nothing: there, what has to wait is a launch of its own.
+    Every thread has to pass it equally often. On a GPU it does nothing: work that has to wait needs a launch of its
+    own.
     """
     ...

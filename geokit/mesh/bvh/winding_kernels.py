@@ -8,7 +8,7 @@ multipole moments, triangles nearby by their solid angles. On CUDA warp's tree o
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.morton_order_kernels import ask_ahead
+from geokit.core.morton_order_kernels import prefetch_query
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS
 from geokit.mesh.bvh.bvh8_moments_kernels import MOMENT_ROWS
@@ -245,7 +245,7 @@ def winding_number_kernel(
     out_bad: wp.array(dtype=int),
 ):
     """A query that is not finite has no number, and raises ``out_bad`` for the host to see which row it is."""
-    ask_ahead(points, order, first + wp.tid())
+    prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     p = points[i]
     if wp.isfinite(p):
@@ -266,7 +266,7 @@ def sign_kernel(
     out_distance: wp.array(dtype=wp.float64),
 ):
     """Turns the distance of inside points negative, in place."""
-    ask_ahead(points, order, first + wp.tid())
+    prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     if is_inside(tree, winding, empty, points[i]):
         out_distance[i] = -out_distance[i]

@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.morton_order_kernels import ask_ahead
+from geokit.core.morton_order_kernels import prefetch_query
 from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
@@ -37,7 +37,7 @@ def closest_point_kernel(
     begin = (first + wp.tid()) * group
     slot = int(-1)
     for k in range(begin, wp.min(begin + group, points.shape[0])):
-        ask_ahead(points, order, k)
+        prefetch_query(points, order, k)
         i = order[k]
         p = points[i]
         if wp.isfinite(p):

@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.morton_order_kernels import ask_ahead
+from geokit.core.morton_order_kernels import prefetch_query
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
@@ -103,7 +103,7 @@ def furthest_point_kernel(
     out_distance: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
 ):
-    ask_ahead(points, order, first + wp.tid())
+    prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     corner = furthest_corner(tree, points[i])
     found = tree.corners[corner]

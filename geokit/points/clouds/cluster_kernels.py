@@ -1,6 +1,6 @@
 """Density-based clusters: core points joined in a union-find while the rows of cells around them are read.
 
-Positions are those of the sorted points, so that a point's neighbours are near it in memory too.
+Positions are those of the sorted points, so that a point's neighbors are near it in memory too.
 """
 
 # mypy: ignore-errors
@@ -8,6 +8,7 @@ Positions are those of the sorted points, so that a point's neighbours are near 
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     cells_around,
@@ -20,50 +21,10 @@ from geokit.points.search.neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# warp's own atomics are plain reads and writes on a CPU, where geokit runs a launch in several threads.
-UNITE = """
-#if defined(__CUDA_ARCH__)
-    auto load = [](int* at) { return *(volatile int*)at; };
-    auto store = [](int* at, int value) { *(volatile int*)at = value; };
-    auto swapped = [](int* at, int old, int value) { return atomicCAS(at, old, value) == old; };
-#else
-    auto load = [](int* at) { return __atomic_load_n(at, __ATOMIC_RELAXED); };
-    auto store = [](int* at, int value) { __atomic_store_n(at, value, __ATOMIC_RELAXED); };
-    auto swapped = [](int* at, int old, int value) {
-        return __atomic_compare_exchange_n(at, &old, value, false, __ATOMIC_RELAXED, __ATOMIC_RELAXED);
-    };
-#endif
-    int* const up = parent.data;
-    auto root = [&](int x) {
-        for (;;) {
-            const int above = load(up + x);
-            if (above == x)
-                return x;
-            const int next = load(up + above);
-            if (next != above)
-                store(up + x, next);
-            x = next;
-        }
-    };
-    for (;;) {
-        a = root(a);
-        b = root(b);
-        if (a == b)
-            return;
-        if (a < b) {
-            const int c = a;
-            a = b;
-            b = c;
-        }
-        if (swapped(up + a, a, b))
-            return;
-    }
-"""
 
-
-@wp.func_native(UNITE)
+@wp.func_native(cpp("points/clouds/unite_sets.inl"))
 def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
-    """Joins the sets of a and b; the lower root becomes the root of both, whoever comes first.
+    """Joins the sets of a and b; the lower root becomes the root of both, in whatever order threads arrive.
 
     Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
     replaced only while it still is one; everything else may be overwritten with an ancestor at any time.
@@ -112,14 +73,14 @@ def join_kernel(
     box = cells_around(grid, q, reach_of(radius))
     for row in range(row_count(box)):
         span = row_range(grid, box, row)
-        # Being neighbours is mutual: half of the pairs will do.
+        # Being neighbors is mutual: half of the pairs will do.
         end = wp.min(span[1], s)
         for begin in range(span[0], end, MASK_BITS):
             mask = within_mask(grid, begin, end, q, radius * radius)
             while mask != wp.uint64(0):
                 j = begin + lowest_bit(mask)
                 mask = mask & (mask - wp.uint64(1))
-                # Most neighbours are in the same set already, and most of those have the same parent.
+                # Most neighbors are in the same set already, and most of those have the same parent.
                 if core[j] != wp.uint8(0) and out_parent[j] != out_parent[s]:
                     unite(out_parent, s, j)
 

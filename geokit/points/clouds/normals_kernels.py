@@ -1,4 +1,4 @@
-"""Planes through neighbourhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
+"""Planes through neighborhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
 
 Sums are taken about the point itself, whose differences to near points are exact in float64, so that neither an offset
 nor the scale of the points costs digits.
@@ -8,6 +8,7 @@ nor the scale of the points costs digits.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     cells_around,
@@ -20,15 +21,15 @@ from geokit.points.search.neighbors_kernels import (
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/layers.md.
+# Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
 # Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
 MAX_SWEEPS = wp.constant(8)
 # Off-diagonals below this share of the trace turn no eigenvector by more than the roundings before them did.
 NEGLIGIBLE = wp.constant(wp.float64(2.0**-60))
-# Neighbourhoods whose width, squared, is this share of their squared length are lines: eigenvalues are good to a few
-# 2^-53 of the largest, and the direction of what is left would be their rounding.
+# Neighborhoods whose width, squared, is this share of their squared length are lines: eigenvalues are accurate to a
+# few 2^-53 of the largest, so a normal would be determined by their rounding.
 LINE_RELATIVE = wp.constant(wp.float64(2.0**-46))
 # So are those narrower than a few roundings of their coordinates, of half a step each.
 LINE_ROUNDINGS = wp.constant(wp.float64(4.0 * 2.0**-53))
@@ -61,10 +62,37 @@ def rotation_of(pp: wp.float64, qq: wp.float64, pq: wp.float64, least: wp.float6
 
 
 @wp.func
+def rotated(
+    pp: wp.float64,
+    qq: wp.float64,
+    pq: wp.float64,
+    pr: wp.float64,
+    qr: wp.float64,
+    p: wp.vec3d,
+    q: wp.vec3d,
+    least: wp.float64,
+):
+    """One rotation: the entries of rows p and q of a symmetric matrix of three, and the eigenvectors p and q."""
+    r = rotation_of(pp, qq, pq, least)
+    off = pq
+    if wp.abs(pq) > least:
+        off = wp.float64(0.0)
+    return (
+        pp - r[2] * pq,
+        qq + r[2] * pq,
+        off,
+        r[0] * pr - r[1] * qr,
+        r[1] * pr + r[0] * qr,
+        r[0] * p - r[1] * q,
+        r[1] * p + r[0] * q,
+    )
+
+
+@wp.func
 def eigen_of(m: wp.mat33d) -> Eigen:
     """Eigenvalues and eigenvectors of a symmetric matrix, in no order.
 
-    Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are good to about 1e-15 of the
+    Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are accurate to 1e-15 of the
     largest, eigenvectors orthonormal to 1e-15, each off by about 1e-15 of the largest over the gap to the others.
     """
     a = m[0, 0]
@@ -82,41 +110,9 @@ def eigen_of(m: wp.mat33d) -> Eigen:
     sweep = wp.int32(0)
     while sweep < MAX_SWEEPS and wp.abs(ab) + wp.abs(ac) + wp.abs(bc) > limit:
         sweep += 1
-        r = rotation_of(a, b, ab, least)
-        a -= r[2] * ab
-        b += r[2] * ab
-        if wp.abs(ab) > least:
-            ab = wp.float64(0.0)
-        old = ac
-        ac = r[0] * old - r[1] * bc
-        bc = r[1] * old + r[0] * bc
-        v = x
-        x = r[0] * v - r[1] * y
-        y = r[1] * v + r[0] * y
-
-        r = rotation_of(a, c, ac, least)
-        a -= r[2] * ac
-        c += r[2] * ac
-        if wp.abs(ac) > least:
-            ac = wp.float64(0.0)
-        old = ab
-        ab = r[0] * old - r[1] * bc
-        bc = r[1] * old + r[0] * bc
-        v = x
-        x = r[0] * v - r[1] * z
-        z = r[1] * v + r[0] * z
-
-        r = rotation_of(b, c, bc, least)
-        b -= r[2] * bc
-        c += r[2] * bc
-        if wp.abs(bc) > least:
-            bc = wp.float64(0.0)
-        old = ab
-        ab = r[0] * old - r[1] * ac
-        ac = r[1] * old + r[0] * ac
-        v = y
-        y = r[0] * v - r[1] * z
-        z = r[1] * v + r[0] * z
+        a, b, ab, ac, bc, x, y = rotated(a, b, ab, ac, bc, x, y, least)
+        a, c, ac, ab, bc, x, z = rotated(a, c, ac, ab, bc, x, z, least)
+        b, c, bc, ab, ac, y, z = rotated(b, c, bc, ab, ac, y, z, least)
     found = Eigen()
     found.values = wp.vec3d(a, b, c)
     found.x = x
@@ -149,7 +145,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     """Normal and surface variation of ``count`` points from the sums of their differences and of the products of these:
     (x, y, z), (xx, xy, xz), (yy, yz, zz).
 
-    ``rounding`` bounds what the coordinates were rounded by, in the units of the differences.
+    ``rounding`` bounds the rounding of the coordinates, in the units of the differences.
     """
     plane = Plane()
     if count < 3:
@@ -184,29 +180,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     return plane
 
 
-# Warp's own access to an array goes through its strides, which takes longer here than the sums.
-ROW_SUMS = """
-    const int* const row = neighbor.data + (int64_t)i * neighbor.shape[1];
-    const double px = points.data[i][0], py = points.data[i][1], pz = points.data[i][2];
-    double sx = 0.0, sy = 0.0, sz = 0.0, xx = 0.0, xy = 0.0, xz = 0.0, yy = 0.0, yz = 0.0, zz = 0.0;
-    for (int k = 0; k < count; ++k) {
-        const double* const q = (const double*)(points.data + row[k]);
-        const double x = (q[0] - px) * scale, y = (q[1] - py) * scale, z = (q[2] - pz) * scale;
-        sx += x;
-        sy += y;
-        sz += z;
-        xx += x * x;
-        xy += x * y;
-        xz += x * z;
-        yy += y * y;
-        yz += y * z;
-        zz += z * z;
-    }
-    return wp::mat_t<3, 3, double>(sx, sy, sz, xx, xy, xz, yy, yz, zz);
-"""
-
-
-@wp.func_native(ROW_SUMS)
+@wp.func_native(cpp("points/clouds/row_sums.inl"))
 def row_sums(
     points: wp.array(dtype=wp.vec3d),
     neighbor: wp.array(dtype=wp.int32, ndim=2),
@@ -214,7 +188,7 @@ def row_sums(
     count: wp.int32,
     scale: wp.float64,
 ) -> wp.mat33d:
-    """Sums, as plane_of takes them, over the first ``count`` neighbours in row i of their differences to point i."""
+    """Sums, as plane_of takes them, over the first ``count`` neighbors in row i of their differences to point i."""
     ...
 
 
@@ -263,7 +237,7 @@ def place_neighbors_kernel(
     neighbor: wp.array(dtype=wp.int32, ndim=2),
     out_neighbor: wp.array(dtype=wp.int32, ndim=2),
 ):
-    """Rows of neighbours in the order, as places in it."""
+    """Rows of neighbors in the order, as places in it."""
     i = first + wp.tid()
     place_row(place, neighbor, order[i], i, out_neighbor)
 
@@ -278,7 +252,7 @@ def nearest_plane_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_curvature: wp.array(dtype=wp.float64),
 ):
-    """Plane of each row of neighbours, the nearest first. Points and neighbours are in the order, distances not."""
+    """Plane of each row of neighbors, the nearest first. Points and neighbors are in the order, distances not."""
     i = first + wp.tid()
     p = points[i]
     row = order[i]

@@ -4,7 +4,7 @@ A link is an ancestor and a parity, ``ancestor << 1 | parity``: whether a normal
 along the tree. The tree itself is never stored. Both halves of a link change together, in one store of 64 bits.
 
 An edge is a weight and a number, ``weight << 32 | number``, both of 32 bits: edges compare by weight, and no two are
-equal. The number, ``row << bits | column``, says where in the table of neighbours the edge stands. Each point has a row
+equal. The number, ``row << bits | column``, says where in the table of neighbors the edge stands. Each point has a row
 of all its edges, the least first; those at its beginning that have become edges within a component are passed over once
 and for all.
 """
@@ -14,35 +14,17 @@ and for all.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to
+from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 # Above every edge and every index.
 NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-# Below it, a component is what rounding left of 0, and its sign says nothing.
+# Smaller components are 0 but for rounding, and their signs carry no information.
 NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
 
-# Every link read is that of some ancestor with its parity, before or after another thread has shortened it.
-FLATTEN = """
-#if defined(__CUDA_ARCH__)
-    auto load = [](int64_t* at) { return (int64_t)*(volatile long long*)at; };
-    auto store = [](int64_t* at, int64_t value) { *(volatile long long*)at = value; };
-#else
-    auto load = [](int64_t* at) { return __atomic_load_n(at, __ATOMIC_RELAXED); };
-    auto store = [](int64_t* at, int64_t value) { __atomic_store_n(at, value, __ATOMIC_RELAXED); };
-#endif
-    int64_t own = load(link.data + i);
-    for (;;) {
-        const int64_t above = load(link.data + (own >> 1));
-        if ((above >> 1) == (own >> 1))
-            return;
-        own = above ^ (own & 1);
-        store(link.data + i, own);
-    }
-"""
 
-
-@wp.func_native(FLATTEN)
+@wp.func_native(cpp("points/clouds/flatten_link.inl"))
 def flatten(link: wp.array(dtype=wp.int64), i: wp.int32):
     """Points the link of i to its root."""
     ...
@@ -67,24 +49,11 @@ def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
 #endif
 """)
 def add_one(values: wp.array(dtype=wp.int32), at: wp.int32) -> wp.int32:
-    """Adds 1 to ``values[at]``, also in several threads of a CPU, and returns what it was."""
+    """Adds 1 to ``values[at]``, also in several threads of a CPU, and returns its old value."""
     ...
 
 
-@wp.func_native("""
-    int64_t* const row = values.data + begin;
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int64_t moving = row[i];
-            int j = i;
-            for (; j >= gap && row[j - gap] > moving; j -= gap)
-                row[j] = row[j - gap];
-            row[j] = moving;
-        }
-    }
-""")
+@wp.func_native(cpp("points/clouds/sort_edges.inl"))
 def sort_row(begin: wp.int32, count: wp.int32, values: wp.array(dtype=wp.int64)):
     """Sorts ``count`` values from ``begin`` on, in place (Shell 1959, gaps of Tokuda 1992)."""
     ...
@@ -109,20 +78,9 @@ def start_kernel(
     out_link[i] = wp.int64(i) << wp.int64(1)
 
 
-@wp.func_native("""
-    const int width = neighbor.shape[1];
-    if (j < 0 || j == i)
-        return false;
-    if (i < j)
-        return true;
-    const int* const row = neighbor.data + (int64_t)j * width;
-    bool mutual = false;
-    for (int k = 0; k < width; ++k)
-        mutual |= row[k] == i;
-    return !mutual;
-""")
+@wp.func_native(cpp("points/clouds/owns_edge.inl"))
 def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether i, which has j for a neighbour, is the one to list their edge: where both do, the lower does.
+    """Whether i, which has j for a neighbor, is the one to list their edge: where both do, the lower does.
 
     In C++, where the loop over a row is one of vectors.
     """
@@ -227,7 +185,7 @@ def hook_kernel(
     out_hook: wp.array(dtype=wp.int64),
     out_hooked: wp.array(dtype=wp.int32),
 ):
-    """What each root is to be linked to across its best edge; -1 for none."""
+    """The link that each root gets across its best edge; -1 for none."""
     r = first + wp.tid()
     out_hook[r] = wp.int64(-1)
     if best[r] == NONE:
@@ -275,7 +233,7 @@ def depth_key(z: wp.float64) -> wp.int64:
 
 @wp.func
 def points_down(n: wp.vec3d) -> wp.bool:
-    """Whether z is negative; where it is nothing but rounding, y; then x."""
+    """Whether z is negative; if z is 0 but for rounding, y decides, then x."""
     deciding = n[0]
     if wp.abs(n[1]) > NO_COMPONENT:
         deciding = n[1]
@@ -339,7 +297,7 @@ def turn_kernel(
     turn: wp.array(dtype=wp.int64),
     out_normal: wp.array(dtype=wp.vec3d),
 ):
-    """Gives each normal the sign that its root asks for."""
+    """Turns the normals whose parity to their root, and the turn of the root, require it."""
     i = first + wp.tid()
     if ((turn[wp.int32(link[i] >> wp.int64(1))] ^ link[i]) & wp.int64(1)) == wp.int64(1):
         out_normal[order[i]] = -out_normal[order[i]]

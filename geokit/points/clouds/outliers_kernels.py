@@ -1,4 +1,4 @@
-"""Mean distances to neighbours, and which of them are too long."""
+"""Mean distances to neighbors, and which of them are too long."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.

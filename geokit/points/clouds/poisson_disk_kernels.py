@@ -1,4 +1,4 @@
-"""Rounds of a greedy maximal independent set: points that come first among their undecided neighbours are taken.
+"""Rounds of a greedy maximal independent set: points that come first among their undecided neighbors are taken.
 
 The undecided points are those of a CellGrid, numbered in the order in which they are tried. A state is written by
 several threads only with the same value, and no kernel reads what it writes but for that.
@@ -33,10 +33,10 @@ def comes_before(
 
 @wp.func
 def is_first(i: wp.int32, grid: CellGrid, reach: wp.float64, limit: wp.float64) -> wp.bool:
-    """Whether no neighbour of the sorted point i is tried before it."""
+    """Whether no neighbor of the sorted point i is tried before it."""
     q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
     number = grid.index[i]
-    # Those of its own cell that are tried first: where there are many neighbours this settles it.
+    # Those of its own cell that are tried first: where there are many neighbors this settles it.
     own = row_range(grid, cells_around(grid, q, wp.float64(0.0)), 0)
     if comes_before(grid, own[0], own[1], q, limit, number):
         return False
@@ -51,7 +51,7 @@ def is_first(i: wp.int32, grid: CellGrid, reach: wp.float64, limit: wp.float64) 
 
 @wp.kernel
 def take_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
-    """Takes the points that are tried before all their neighbours."""
+    """Takes the points that are tried before all their neighbors."""
     i = first + wp.tid()
     if is_first(i, grid, reach, limit):
         out_state[i] = TAKEN
@@ -59,7 +59,7 @@ def take_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64
 
 @wp.kernel
 def refuse_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
-    """Refuses the neighbours of the points that have been taken, of which none is another's neighbour."""
+    """Refuses the neighbors of the points that have been taken, of which none is another's neighbor."""
     i = first + wp.tid()
     if out_state[i] == TAKEN:
         q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])

@@ -21,11 +21,11 @@ MOST_VOXELS_FROM_ORIGIN = 2.0**52
 MOST_KEYS = 2**62
 # Counting by voxel takes a count of each voxel for each thread: where these would be many more than the points, a sort
 # is as quick and smaller. Places are int32.
-TALLIES_PER_POINT = 8
-TALLIES_MORE = 1 << 16
-MOST_TALLIES = 2**31 - 1
+COUNTS_PER_POINT = 8
+COUNTS_MORE = 1 << 16
+MOST_COUNTS = 2**31 - 1
 # Fewer points than this are one thread's: to wake another takes longer.
-TALLY_SHARE = 1 << 18
+COUNTED_SHARE = 1 << 18
 
 
 class VoxelOrder(NamedTuple):
@@ -111,8 +111,8 @@ def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> 
     lows = [int(a) for a in lower]
     if voxel_count > MOST_KEYS:
         return _sorted_by(points, *_layer_keys(points, voxel_size, lows, sizes))
-    shares = min(launcher.thread_count(), -(-count // TALLY_SHARE))
-    if points.device.is_cpu and shares * voxel_count <= min(TALLIES_PER_POINT * count + TALLIES_MORE, MOST_TALLIES):
+    shares = min(launcher.thread_count(), -(-count // COUNTED_SHARE))
+    if points.device.is_cpu and shares * voxel_count <= min(COUNTS_PER_POINT * count + COUNTS_MORE, MOST_COUNTS):
         return _counted(points, voxel_size, lows, sizes, shares)
     return _sorted_by(points, _voxel_keys(points, voxel_size, lows, sizes), voxel_count)
 
@@ -121,32 +121,32 @@ def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list
     """Each thread of a CPU counts a share of the points by voxel, then puts it where it belongs."""
     import warp as wp
 
-    from geokit.points.clouds.voxel_centroids_kernels import scatter_kernel, tally_kernel
+    from geokit.points.clouds.voxel_centroids_kernels import count_kernel, scatter_kernel
 
     device: Any = points.device
     count, voxel_count = len(points), sizes[0] * sizes[1] * sizes[2]
     length = -(-count // shares)
     keys = wp.empty(count, dtype=wp.int32, device=device)
-    tally = np.zeros((shares, voxel_count), np.int32)
+    counts = np.zeros((shares, voxel_count), np.int32)
     given = [points, wp.float64(voxel_size), *map(wp.int64, lows), *map(wp.int64, sizes[:2]), length, voxel_count]
-    out_tally = wp.array(tally.ravel(), dtype=wp.int32, device=device, copy=False)
-    launcher.launch(tally_kernel, shares, given, [keys, out_tally], device, grain=1)
-    total = tally.sum(axis=0, dtype=np.int32) if shares > 1 else tally[0]
+    out_counts = wp.array(counts.ravel(), dtype=wp.int32, device=device, copy=False)
+    launcher.launch(count_kernel, shares, given, [keys, out_counts], device, grain=1)
+    total = counts.sum(axis=0, dtype=np.int32) if shares > 1 else counts[0]
     occupied = np.flatnonzero(total)
     begin = np.zeros(len(occupied) + 1, np.int32)
     np.cumsum(total[occupied], out=begin[1:])
     # The places of a voxel go to the shares in turn: its points stay in the order in which they came.
     place = begin[:-1].copy()
-    for share in tally:
-        counts = share[occupied]
+    for share in counts:
+        own_counts = share[occupied]
         share[occupied] = place
-        place += counts
+        place += own_counts
     order = VoxelOrder(
         wp.empty(count, dtype=wp.vec3d, device=device),
         wp.empty(count, dtype=wp.int32, device=device),
         wp.array(begin, dtype=wp.int32, device=device),
     )
-    given = [points, keys, length, voxel_count, out_tally]
+    given = [points, keys, length, voxel_count, out_counts]
     launcher.launch(scatter_kernel, shares, given, [order.points, order.index], device, grain=1)
     return order
 

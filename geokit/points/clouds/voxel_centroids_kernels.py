@@ -51,7 +51,7 @@ def key_kernel(
 
 
 @wp.kernel
-def tally_kernel(
+def count_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
     voxel_size: wp.float64,
@@ -63,7 +63,7 @@ def tally_kernel(
     length: wp.int32,
     voxel_count: wp.int32,
     out_key: wp.array(dtype=wp.int32),
-    out_tally: wp.array(dtype=wp.int32),
+    out_counts: wp.array(dtype=wp.int32),
 ):
     """Number of the voxel of each point of a share of them, and how many of the share each voxel has."""
     share = first + wp.tid()
@@ -71,7 +71,7 @@ def tally_kernel(
     for i in range(share * length, wp.min((share + 1) * length, points.shape[0])):
         key = wp.int32(voxel_number(points[i], voxel_size, low_x, low_y, low_z, count_x, count_y))
         out_key[i] = key
-        out_tally[row + key] = out_tally[row + key] + 1
+        out_counts[row + key] = out_counts[row + key] + 1
 
 
 @wp.kernel

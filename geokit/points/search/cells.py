@@ -49,10 +49,10 @@ CONDENSED = 1024
 FEW_CELLS = 2.0
 MOST_STRETCH = 1.5
 # Counting by cell takes a row of counts for each thread: so many numbers a point at most, and TABLE_ENTRIES_MORE.
-TALLY_PER_POINT = 8
+COUNTS_PER_POINT = 8
 # Points that are worth another thread: fewer are sorted by one in the time that threads take to wake and to pass each
 # other the lines that both write to.
-TALLY_SHARE = 1 << 18
+COUNTED_SHARE = 1 << 18
 # Powers of two that a float64 holds: the scale of the float32 frame stays within them.
 LARGEST_EXPONENT = 1000
 
@@ -175,9 +175,9 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
     cell_count = _cut_axes(grid, survey, count, _edge(survey, count, radius), device)
     grid.shift = _table_shift(cell_count, count)
     _make_room(grid, count, device)
-    # Places in the tally are int32, and it is not to be much larger than the points are.
-    most = min(TALLY_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
-    rows = min(launcher.thread_count(), -(-count // TALLY_SHARE), most)
+    # Places in the counts are int32, and these are not to be much larger than the points are.
+    most = min(COUNTS_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
+    rows = min(launcher.thread_count(), -(-count // COUNTED_SHARE), most)
     if device.is_cpu and grid.shift == 0 and rows:
         _place_by_count(grid, points, cell_count, rows)
     else:
@@ -233,21 +233,21 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
     import warp as wp
 
-    from geokit.core.counting_sort_kernels import sum_kernel
+    from geokit.core.counting_sort_cpu_kernels import sum_kernel
     from geokit.points.search import cells_cpu_kernels as kernels
 
     device: Any = points.device
     count = len(points)
     share = -(-count // rows)
     keys = host_pool.room(count, wp.int32, device)
-    tally = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
+    counts = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
     given = [points, grid, share, cell_count]
-    launcher.launch(kernels.TALLY_OF[points.dtype], rows, given, [keys, tally], device, grain=1)
+    launcher.launch(kernels.COUNT_OF[points.dtype], rows, given, [keys, counts], device, grain=1)
     grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
-    launcher.launch(sum_kernel, 1, [rows, cell_count], [tally, grid.start], device)
+    launcher.launch(sum_kernel, 1, [rows, cell_count], [counts, grid.start], device)
     grid.key = wp.empty(0, dtype=wp.int64, device=device)
     grid.index = host_pool.room(count, wp.int32, device)
-    launcher.launch(kernels.place_kernel, rows, [keys, share, cell_count, tally], [grid], device, grain=1)
+    launcher.launch(kernels.place_kernel, rows, [keys, share, cell_count, counts], [grid], device, grain=1)
     _gather(grid, points, grid.index)
 
 
@@ -257,7 +257,7 @@ def _gather(grid: Any, points: "wp.array", order: "wp.array") -> None:
 
     items = -(-len(points) // int(GATHERED))
     # All items take as long as each other.
-    grain = max(TALLY_SHARE // int(GATHERED), -(-items // (2 * launcher.thread_count())))
+    grain = max(COUNTED_SHARE // int(GATHERED), -(-items // (2 * launcher.thread_count())))
     launcher.launch(GATHER_OF[points.dtype], items, [points, order], [grid], points.device, grain=grain)
 
 

@@ -1,4 +1,4 @@
-"""Points sorted by the cells of a grid: the arrays that neighbour searches read, and the kernels that fill them.
+"""Points sorted by the cells of a grid: the arrays that neighbor searches read, and the kernels that fill them.
 
 Coordinates stay float64; on a GPU a float32 copy stands beside them, which searches look at first.
 """

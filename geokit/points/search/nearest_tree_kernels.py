@@ -31,7 +31,7 @@ FRAME_SAMPLE = wp.constant(256)
 class NearestTree:
     """Points sorted along a curve, 16 to a leaf, and boxes over them, 8 to a node.
 
-    Leaf b has its coordinates at ``48 b``: 16 of x, then of y, then of z; what is left of the last leaf is no number.
+    Leaf b has its coordinates at ``48 b``: 16 of x, then of y, then of z; the rest of the last leaf is NaN.
     ``index`` says which of the caller's points they are. Node n has the sides of its children's boxes at ``48 n``:
     8 lower x, y, z, then 8 upper x, y, z; ``least`` has the lowest index below each child. Level 1 is that above the
     leaves, ``level_first[l]`` the first node of level l, ``top`` the level with a single node.
@@ -48,7 +48,7 @@ class NearestTree:
 
 @wp.struct
 class NearestQueries:
-    """Queries in blocks of 16 as the tree has its points, what they ask for, and rows (Q, k) for the answers.
+    """Queries in blocks of 16 as the tree has its points, their options, and rows (Q, k) for the answers.
 
     ``index`` is the row of each query. ``limit_squared`` has one squared radius for all queries or one for each row.
     With ``seeded`` block b of the queries is leaf b of the tree; with ``excluded`` a query does not find the point
@@ -272,7 +272,7 @@ def member_order_kernel(
 ):
     """The members' points in their new order, and where runs of equal keys begin now.
 
-    Heads of the longer runs stay: positions of members and runs are what they were, only who stands there is not.
+    Heads of the longer runs stay: members and runs keep their positions, only the points at these positions change.
     """
     i = first + wp.tid()
     out_order[i] = order[member[slot[i]]]
@@ -301,7 +301,7 @@ def block_kernel(
 ):
     """Blocks of points, axis by axis, in the given order.
 
-    What is left of the last block is no number: no comparison with it holds, so that it is never found.
+    The rest of the last block is NaN: no comparison with it holds, so it is never found.
     """
     block = first + wp.tid()
     for j in range(LEAF):

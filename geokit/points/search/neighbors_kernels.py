@@ -1,4 +1,4 @@
-"""The neighbours of a query, read from x-rows of cells.
+"""The neighbors of a query, read from x-rows of cells.
 
 Every comparison is made on the caller's float64 coordinates with the roundings written down, so that the answer is the
 one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere else.
@@ -8,14 +8,15 @@ one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere els
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key
 
 # Fused multiply-adds would round the squared distance once instead of five times: points at exactly the radius would
-# be in or out by the compiler's mood.
+# be in or out depending on the compiler.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-# A neighbour's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
+# A neighbor's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
 # still not exceed the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
 REACH_RELATIVE = wp.constant(wp.float64(1.0e-15))
 # Squares below 4.9e-324 round to 0: coordinates up to 2.3e-162 apart count as equal for every radius.
@@ -73,7 +74,7 @@ def row_count(box: CellBox) -> wp.int32:
 
 @wp.func
 def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
-    """Begin and end of the sorted points in one x-row of the box: neighbours in x are neighbours in memory."""
+    """Begin and end of the sorted points in one x-row of the box: neighbors in x are neighbors in memory."""
     width = box.upper[1] - box.lower[1] + 1
     y = box.lower[1] + row % width
     z = box.lower[2] + row // width
@@ -82,38 +83,7 @@ def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
     return wp.vec2i(begin, end)
 
 
-# warp has no vectors of eight doubles and no way from a comparison of them to a bit mask: on the CPU this reads eight
-# points at a time. Both branches round alike, lane by lane.
-WITHIN_MASK = """
-    uint64_t mask = 0;
-#if defined(__CUDA_ARCH__)
-    for (int k = 0; k < count; ++k) {
-        const double dx = x.data[begin + k] - qx;
-        const double dy = y.data[begin + k] - qy;
-        const double dz = z.data[begin + k] - qz;
-        const double d = (dx * dx + dy * dy) + dz * dz;
-        mask |= uint64_t(d <= radius_squared) << k;
-    }
-#else
-    typedef double lanes __attribute__((ext_vector_type(8), aligned(8)));
-    typedef bool flags __attribute__((ext_vector_type(8)));
-    const lanes limit = (lanes)(radius_squared);
-    for (int k = 0; k < count; k += 8) {
-        const lanes dx = *(const lanes*)(x.data + begin + k) - (lanes)(qx);
-        const lanes dy = *(const lanes*)(y.data + begin + k) - (lanes)(qy);
-        const lanes dz = *(const lanes*)(z.data + begin + k) - (lanes)(qz);
-        const lanes d = (dx * dx + dy * dy) + dz * dz;
-        const flags inside = __builtin_convertvector(d <= limit, flags);
-        mask |= uint64_t(__builtin_bit_cast(unsigned char, inside)) << k;
-    }
-    if (count < 64)
-        mask &= (uint64_t(1) << count) - 1;
-#endif
-    return mask;
-"""
-
-
-@wp.func_native(WITHIN_MASK)
+@wp.func_native(cpp("core/simd.inl", "points/search/within_mask.inl"))
 def within_mask_of(
     x: wp.array(dtype=wp.float64),
     y: wp.array(dtype=wp.float64),
@@ -175,17 +145,17 @@ ROUNDING = wp.constant(wp.float64(2.0**-24))
 OUTWARDS = wp.constant(wp.float64(2.0**-22))
 # Local coordinates and radii beyond it leave nothing to float32, whose squares end at 3.4e38.
 LARGEST_LOCAL = wp.constant(wp.float64(1.0e15))
-# Squares in float32 vanish near 1e-38: what is smaller than this decides nothing.
+# Squares in float32 vanish near 1e-38: smaller ones decide nothing.
 SMALLEST_SQUARE = wp.constant(wp.float64(1.0e-30))
 NO_LIMIT = wp.constant(wp.float32(wp.inf))
 
 
 @wp.func
 def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
-    """What float32 can decide about the neighbours of q.
+    """Which distances from q float32 can decide.
 
-    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of what is
-    within the radius of it, and its square, the sum and their roundings by 8 u of the result at most.
+    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of the
+    points within its radius, and its square, the sum and their roundings by 8 u of the result at most.
     """
     local = (q - grid.centre) * grid.scale
     reach = radius * grid.scale
@@ -207,133 +177,23 @@ def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
     return near
 
 
-# The formula, its roundings term by term.
-DECIDE = """
-    auto decides = [&](int j) -> bool {
-        const double dx = exact_x.data[j] - ex;
-        const double dy = exact_y.data[j] - ey;
-        const double dz = exact_z.data[j] - ez;
-        return (dx * dx + dy * dy) + dz * dz <= radius_squared;
-    };
-"""
-
-# A load of 16 bytes for each point, and arithmetic that may be contracted: its error is allowed for.
-TESTED = """
-    auto squared = [&](int j) -> float {
-#if defined(__CUDA_ARCH__)
-        const float4 p = __ldg((const float4*)packed.data + j);
-        const float dx = p.x - qx, dy = p.y - qy, dz = p.z - qz;
-        return fmaf(dx, dx, fmaf(dy, dy, dz * dz));
-#else
-        const auto& p = packed.data[j];
-        const float dx = p[0] - qx, dy = p[1] - qy, dz = p[2] - qz;
-        return dx * dx + dy * dy + dz * dz;
-#endif
-    };
-"""
-
-COUNT = (
-    DECIDE
-    + TESTED
-    + """
-    int inside = 0, outside = 0;
-    #pragma unroll 4
-    for (int j = begin; j < end; ++j) {
-        const float d = squared(j);
-        inside += d <= surely;
-        outside += d > possibly;
-    }
-    if (inside + outside != end - begin) {
-        inside = 0;
-        for (int j = begin; j < end; ++j)
-            inside += decides(j);
-    }
-    return inside;
-"""
-)
-
-MASK = (
-    DECIDE
-    + TESTED
-    + """
-    uint64_t inside = 0, doubt = 0;
-    const int count = end - begin < 64 ? end - begin : 64;
-    for (int k = 0; k < count; ++k) {
-        const float d = squared(begin + k);
-        inside |= uint64_t(d <= surely) << k;
-        doubt |= uint64_t(!(d <= surely || d > possibly)) << k;
-    }
-    for (int k = 0; doubt; ++k, doubt >>= 1)
-        if (doubt & 1)
-            inside |= uint64_t(decides(begin + k)) << k;
-    return inside;
-"""
-)
-
-
-@wp.func_native(COUNT)
-def near_count_of(
-    packed: wp.array(dtype=wp.vec4f),
-    exact_x: wp.array(dtype=wp.float64),
-    exact_y: wp.array(dtype=wp.float64),
-    exact_z: wp.array(dtype=wp.float64),
-    begin: wp.int32,
-    end: wp.int32,
-    qx: wp.float32,
-    qy: wp.float32,
-    qz: wp.float32,
-    surely: wp.float32,
-    possibly: wp.float32,
-    ex: wp.float64,
-    ey: wp.float64,
-    ez: wp.float64,
-    radius_squared: wp.float64,
-) -> wp.int32: ...
-
-
-@wp.func_native(MASK)
-def near_mask_of(
-    packed: wp.array(dtype=wp.vec4f),
-    exact_x: wp.array(dtype=wp.float64),
-    exact_y: wp.array(dtype=wp.float64),
-    exact_z: wp.array(dtype=wp.float64),
-    begin: wp.int32,
-    end: wp.int32,
-    qx: wp.float32,
-    qy: wp.float32,
-    qz: wp.float32,
-    surely: wp.float32,
-    possibly: wp.float32,
-    ex: wp.float64,
-    ey: wp.float64,
-    ez: wp.float64,
-    radius_squared: wp.float64,
-) -> wp.uint64: ...
-
-
-@wp.func
+@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_count.inl"))
 def near_count(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.int32:
     """Number of the sorted points ``begin .. end - 1`` whose squared distance from q is at most ``limit``."""
-    return near_count_of(
-        grid.packed, grid.x, grid.y, grid.z, begin, end,
-        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
-    )  # fmt: skip
+    ...
 
 
-@wp.func
+@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_mask.inl"))
 def near_mask(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.uint64:
-    """As :func:`within_mask`, but float64 is asked only about points that float32 leaves in doubt."""
-    return near_mask_of(
-        grid.packed, grid.x, grid.y, grid.z, begin, end,
-        near.x, near.y, near.z, near.surely, near.possibly, q[0], q[1], q[2], limit,
-    )  # fmt: skip
+    """As :func:`within_mask`, but float64 decides only about points that float32 leaves in doubt."""
+    ...
 
 
 @wp.func
 def reach_of(radius: wp.float64) -> wp.float64:
-    """Half edge of the cube that holds every neighbour, rounding included."""
+    """Half edge of the cube that holds every neighbor, rounding included."""
     return radius * (wp.float64(1.0) + REACH_RELATIVE) + REACH_ABSOLUTE

@@ -11,197 +11,53 @@ from typing import Any
 
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import CellGrid
-from geokit.points.search.neighbors_kernels import Queries
-from geokit.points.search.radius_cuda_kernels import SORT_BY_INDEX
-from geokit.points.search.radius_runs_cpu_kernels import NUMBERS, RUNS, SHARE
+from geokit.points.search.neighbors_kernels import (
+    LARGEST_LOCAL,
+    OUTWARDS,
+    REACH_ABSOLUTE,
+    REACH_RELATIVE,
+    ROUNDING,
+    SMALLEST_SQUARE,
+    Queries,
+)
 
 # Contracted multiply-adds would round the squared distance once instead of five times.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Sixteen entries of the buffer of which some are kept: `inside` has a bit for each.
-KEEP = """
-#if !defined(__CUDA_ARCH__)
-    typedef int stored __attribute__((__vector_size__(64)));
-    auto keep = [&](int* to, int at, unsigned inside) -> int {
-#if defined(__AVX512F__)
-        __builtin_ia32_compressstoresi512_mask((stored*)to, *(const stored*)(place + at), inside);
-        return __builtin_popcount(inside);
-#else
-        int kept = 0;
-        for (; inside; inside &= inside - 1)
-            to[kept++] = place[at + __builtin_ctz(inside)];
-        return kept;
-#endif
-    };
-#endif
-"""
+# Queries answered by one item: runs of one cell are cut at its ends, so it is many times a cell's usual share.
+SHARE = wp.constant(256)
 
-# What is found is noted for the fill, where there is room for notes: for each query how many there are and where they
-# stand among the sorted points. Before them stands 1 if those of all queries of the share are there.
-COUNT = (
-    "int run = first_query;"
-    + RUNS
-    + KEEP
-    + """
-#if !defined(__CUDA_ARCH__)
-    const int64_t begin = (int64_t)(share) * note_size;
-    bool whole = begin < out_note.shape[0];
-    int *to = out_note.data + begin + 1, next = first_query;
-    const int* const end = to - 1 + note_size;
-    for (int k = first_query; k < last_query; ++k)
-        out_count.data[queries.index.data[k]] = -self_count;
-    // Queries come in turn. Those that nothing is near to are left out; of a crowd all come again, which is not noted.
-    each_run([&](int k, int length) {
-        whole = whole && k >= next && to + (k - next) + 1 + length <= end;
-        int inside = 0;
-        if (whole) {
-            for (; next < k; ++next)
-                *to++ = 0;
-            int* const found = to + 1;
-            for (int at = 0; at < length; at += 16)
-                inside += keep(found + inside, at, within(k, at));
-            *to = inside;
-            to = found + inside;
-            ++next;
-        } else
-            for (int at = 0; at < length; at += 16)
-                inside += __builtin_popcount(within(k, at));
-        out_count.data[queries.index.data[k]] += inside;
-    });
-    if (begin < out_note.shape[0]) {
-        whole = whole && to + (last_query - next) <= end;
-        for (; whole && next < last_query; ++next)
-            *to++ = 0;
-        out_note.data[begin] = whole;
-    }
-#endif
-"""
+# The searches on a GPU have the same ones; their meaning is explained there.
+NUMBERS = {
+    "ROUNDING": float(ROUNDING),
+    "OUTWARDS": float(OUTWARDS),
+    "LARGEST_LOCAL": float(LARGEST_LOCAL),
+    "SMALLEST_SQUARE": float(SMALLEST_SQUARE),
+    "REACH_RELATIVE": float(REACH_RELATIVE),
+    "REACH_ABSOLUTE": float(REACH_ABSOLUTE),
+    "SHARE_SIZE": int(SHARE),
+    # Squares of radii beyond these vanish or overflow in float64 already: float64 decides everything.
+    "LEAST_UNIT": 1e-140,
+    "LARGEST_UNIT": 1e140,
+    # Longer rows are sorted step by step: counting takes the square of their length.
+    "RANKED": 128,
+    # Queries between the prefetch of a row and its writing, and the most entries of the row that are prefetched.
+    "AHEAD": 4,
+    "PREFETCHED": 64,
+}
+
+RUNS = (
+    "core/simd.inl",
+    "points/search/cell_along_cpu.inl",
+    "points/search/radius_runs_cpu.inl",
+    "points/search/radius_keep_cpu.inl",
 )
-
-FILL = (
-    "int run = first_query;"
-    + RUNS
-    + KEEP
-    + """
-#if !defined(__CUDA_ARCH__)
-    typedef double doubles __attribute__((ext_vector_type(8), aligned(8)));
-    // Neighbours found in one filling of the buffer: where they stand among the sorted points, whose they are, how far.
-    alignas(64) int found[room + 32], key[room + 32], rank[RANKED + 32];
-    alignas(64) double distance[room + 32];
-    int written[SHARE_SIZE];
-    // Rows lie in the caller's order, all over the memory: what is needed soon is asked for early.
-    for (int k = first_query; k < last_query; ++k) {
-        written[k - first_query] = 0;
-        __builtin_prefetch(offset.data + queries.index.data[k]);
-    }
-    auto put = [&](int k, const int* found, int count) {
-        const int row = queries.index.data[k], without = row + own;
-        if (k + AHEAD < last_query) {
-            // All lines of a row: it seldom begins with one.
-            const int next = queries.index.data[k + AHEAD];
-            const int64_t row_begin = offset.data[next], length = offset.data[next + 1] - row_begin;
-            const int64_t most = length < PREFETCHED ? length : PREFETCHED;
-            auto ask = [&](const auto* first) {
-                const char* const end = (const char*)(first + most) + 63;
-                for (const char* line = (const char*)(first); line < end; line += 64)
-                    __builtin_prefetch(line, 1);
-            };
-            ask(out_index.data + row_begin);
-            ask(out_distance.data + row_begin);
-        }
-        const double x = queries.x.data[k], y = queries.y.data[k], z = queries.z.data[k];
-        // The compiler's own vectors would gather here and scatter below. Processors with a mended gather take ten
-        // times as long for the one, and none is quicker with the other.
-        #pragma clang loop vectorize(disable)
-        for (int i = 0; i < count; ++i) {
-            const int p = found[i];
-            const double dx = grid.x.data[p] - x, dy = grid.y.data[p] - y, dz = grid.z.data[p] - z;
-            key[i] = grid.index.data[p];
-            distance[i] = (dx * dx + dy * dy) + dz * dz;
-        }
-        int kept = count;
-        if (own >= 0) {
-            kept = 0;
-            for (int i = 0; i < count; ++i)
-                if (key[i] != without) {
-                    key[kept] = key[i];
-                    distance[kept++] = distance[i];
-                }
-        }
-        for (int i = 0; i < kept; i += 8)
-            *(doubles*)(distance + i) = __builtin_elementwise_sqrt(*(const doubles*)(distance + i));
-        int& so_far = written[k - first_query];
-        int* const keys = out_index.data + offset.data[row];
-        auto* const values = out_distance.data + offset.data[row];
-{PUT}        so_far += kept;
-    };
-    const int64_t begin = (int64_t)(share) * note_size;
-    const int* at = note.data + begin;
-    if (begin < note.shape[0] && *at++)
-        for (int k = first_query; k < last_query; ++k) {
-            const int count = *at++;
-            if (count)
-                put(k, at, count);
-            at += count;
-        }
-    else
-        each_run([&](int k, int length) {
-            int count = 0;
-            for (int at = 0; at < length; at += 16)
-                count += keep(found + count, at, within(k, at));
-            put(k, found, count);
-        });
-#endif
-"""
-)
-
-# A row is put in order of index when it is written, or left in the order of the cells.
-BY_INDEX = """
-        auto sort_row = [](int* key, auto* value, int count) {SORT};
-        if (so_far == 0 && kept <= RANKED) {
-            // A short row is sorted by counting for each entry how many are smaller, sixteen entries at a time: no
-            // branch depends on the data.
-            *(places*)(key + kept) = (places)(0x7fffffff);
-            for (int at = 0; at < kept; at += 32) {
-                const places low = *(const places*)(key + at), high = *(const places*)(key + at + 16);
-                places low_rank = 0, high_rank = 0;
-                for (int j = 0; j < kept; ++j) {
-                    low_rank -= low > (places)(key[j]);
-                    high_rank -= high > (places)(key[j]);
-                }
-                *(places*)(rank + at) = low_rank;
-                *(places*)(rank + at + 16) = high_rank;
-            }
-            #pragma clang loop vectorize(disable)
-            for (int i = 0; i < kept; ++i) {
-                keys[rank[i]] = key[i];
-                values[rank[i]] = distance[i];
-            }
-        } else {
-            for (int i = 0; i < kept; ++i) {
-                keys[so_far + i] = key[i];
-                values[so_far + i] = distance[i];
-            }
-            sort_row(keys, values, so_far + kept);
-        }
-"""
-
-AS_FOUND = """
-        for (int i = 0; i < kept; ++i) {
-            keys[so_far + i] = key[i];
-            values[so_far + i] = distance[i];
-        }
-"""
+FILL = (*RUNS, "points/search/sort_by_index.inl", "points/search/radius_fill_cpu.inl")
 
 
-def _numbered(text: str) -> str:
-    for name, number in NUMBERS.items():
-        text = text.replace(name, repr(number))
-    return text
-
-
-@wp.func_native(_numbered(COUNT))
+@wp.func_native(cpp(*RUNS, "points/search/radius_count_cpu.inl", **NUMBERS))
 def count_share(
     queries: Queries,
     grid: CellGrid,
@@ -216,7 +72,7 @@ def count_share(
 ): ...
 
 
-@wp.func_native(_numbered(FILL.replace("{PUT}", BY_INDEX.replace("{SORT}", "{" + SORT_BY_INDEX + "}"))))
+@wp.func_native(cpp(*FILL, **NUMBERS, BY_INDEX=True))
 def fill_by_index(
     queries: Queries,
     grid: CellGrid,
@@ -233,7 +89,7 @@ def fill_by_index(
 ): ...
 
 
-@wp.func_native(_numbered(FILL.replace("{PUT}", AS_FOUND)))
+@wp.func_native(cpp(*FILL, **NUMBERS, BY_INDEX=False))
 def fill_as_found(
     queries: Queries,
     grid: CellGrid,
@@ -261,9 +117,9 @@ def count_share_kernel(
     out_count: wp.array(dtype=wp.int32),
     out_note: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours of SHARE queries each, less ``self_count``.
+    """Number of neighbors of SHARE queries each, less ``self_count``.
 
-    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as long as there are some.
+    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as far as there is room.
     """
     share = first + wp.tid()
     begin = share * SHARE
@@ -284,7 +140,7 @@ def fill_by_index_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbours of SHARE queries, each from its offset on, by ascending index."""
+    """Neighbors of SHARE queries, each from its offset on, by ascending index."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
@@ -304,7 +160,7 @@ def fill_as_found_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbours of SHARE queries, each from its offset on, in the order of the cells."""
+    """Neighbors of SHARE queries, each from its offset on, in the order of the cells."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])

@@ -1,4 +1,4 @@
-"""Radius search on a GPU, a thread for each query, and what rows of neighbours are made of on any device."""
+"""Radius search on a GPU, a thread for each query, and operations on rows of neighbors on any device."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     Queries,
@@ -22,56 +23,8 @@ from geokit.points.search.neighbors_kernels import (
 # Contracted multiply-adds would round the squared distance once instead of five times.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-ROW_AT = """
-    int* const key = index.data + begin;
-    double* const value = distance.data + begin;
-"""
 
-# In warp's own language each access to an array goes through its strides: the same loop takes 1.7 times as long on the
-# CPU.
-SORT_BY_INDEX = """
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int moving = key[i];
-            if (key[i - gap] <= moving)
-                continue;
-            const double moving_value = value[i];
-            int j = i;
-            do {
-                key[j] = key[j - gap];
-                value[j] = value[j - gap];
-                j -= gap;
-            } while (j >= gap && key[j - gap] > moving);
-            key[j] = moving;
-            value[j] = moving_value;
-        }
-    }
-"""
-
-
-BY_DISTANCE = """
-    auto before = [](double d, int i, double e, int j) { return d < e || (d == e && i < j); };
-    int gap = count;
-    while (gap > 1) {
-        gap = gap <= 32 ? 1 : gap / 9 * 4;
-        for (int i = gap; i < count; ++i) {
-            const int moving = key[i];
-            const double moving_value = value[i];
-            int j = i;
-            for (; j >= gap && before(moving_value, moving, value[j - gap], key[j - gap]); j -= gap) {
-                key[j] = key[j - gap];
-                value[j] = value[j - gap];
-            }
-            key[j] = moving;
-            value[j] = moving_value;
-        }
-    }
-"""
-
-
-@wp.func_native(ROW_AT + BY_DISTANCE)
+@wp.func_native(cpp("points/search/sort_by_distance.inl"))
 def by_distance(
     begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
 ):
@@ -79,48 +32,7 @@ def by_distance(
     ...
 
 
-# A warp of 32 threads sorts a row: each of them counts, for every entry it holds, how many are smaller. On a CPU there
-# is one thread: the first of the 32 items does it all.
-SORT_TOGETHER = """
-#if defined(__CUDA_ARCH__)
-    int* const keys = index.data + begin;
-    double* const values = distance.data + begin;
-    constexpr int held = 4;
-    int mine[held], rank[held];
-    double far[held];
-    if (count > 32 * held) {
-        if (lane == 0)
-            sort_row(keys, values, count);
-        return;
-    }
-    for (int h = 0; h < held; ++h) {
-        const int at = lane + 32 * h;
-        rank[h] = 0;
-        mine[h] = at < count ? keys[at] : 0x7fffffff;
-        far[h] = at < count ? values[at] : 0.0;
-    }
-    for (int h = 0; 32 * h < count; ++h)
-        for (int source = 0; source < 32; ++source) {
-            const int other = __shfl_sync(0xffffffffu, mine[h], source);
-            for (int own = 0; own < held; ++own)
-                rank[own] += other < mine[own];
-        }
-    // Every entry has been read before any is written.
-    __syncwarp();
-    for (int h = 0; h < held; ++h)
-        if (lane + 32 * h < count) {
-            keys[rank[h]] = mine[h];
-            values[rank[h]] = far[h];
-        }
-#else
-    if (lane == 0)
-        sort_row(index.data + begin, distance.data + begin, count);
-#endif
-"""
-SORT_TOGETHER = "    auto sort_row = [](int* key, double* value, int count) {" + SORT_BY_INDEX + "};" + SORT_TOGETHER
-
-
-@wp.func_native(SORT_TOGETHER)
+@wp.func_native(cpp("points/search/sort_by_index.inl", "points/search/sort_rows_together.inl"))
 def sort_together(
     begin: wp.int32,
     count: wp.int32,
@@ -137,7 +49,7 @@ def sort_rows_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Rows in ascending order of index, a warp for each: there are 32 items a row."""
+    """Rows in ascending order of index, one CUDA warp for each: there are 32 items a row."""
     i = first + wp.tid()
     row = i // 32
     begin = wp.int32(offset[row])
@@ -153,7 +65,7 @@ def count_kernel(
     self_count: wp.int32,
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours of each query, less ``self_count``. There is one radius for all, or one for each."""
+    """Number of neighbors of each query, less ``self_count``. There is one radius for all, or one for each."""
     k = first + wp.tid()
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
@@ -178,7 +90,7 @@ def fill_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Neighbours of each query from its offset on, without the point whose index is the query's plus ``own``."""
+    """Neighbors of each query from its offset on, without the point whose index is the query's plus ``own``."""
     k = first + wp.tid()
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
@@ -237,7 +149,7 @@ def uncount_kernel(
     radius: wp.array(dtype=wp.float64),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """One neighbour less for each query that has its own point among them."""
+    """One neighbor less for each query that has its own point among them."""
     i = first + wp.tid()
     p = points[first_point + i]
     q = rows[i]
@@ -290,7 +202,7 @@ def pair_count_kernel(
     index: wp.array(dtype=wp.int32),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbours in each point's row whose index is above the point's own."""
+    """Number of neighbors in each point's row whose index is above the point's own."""
     i = first + wp.tid()
     out_count[i] = wp.int32(offset[i + 1]) - first_above(offset, index, i, i)
 
@@ -305,7 +217,7 @@ def pair_fill_kernel(
     out_pair: wp.array(dtype=wp.int32, ndim=2),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """The pairs of each point with its neighbours of higher index."""
+    """The pairs of each point with its neighbors of higher index."""
     i = first + wp.tid()
     begin = first_above(offset, index, i, i)
     at = wp.int32(pair_offset[i])

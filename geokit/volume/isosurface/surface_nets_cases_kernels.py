@@ -9,73 +9,21 @@ cells: each then has one sheet more.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.isosurface.cells_kernels import PLANES, RECORD, Cells, value_at
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# What a plane's count holds.
+# Fields of a plane's count.
 QUADS_SHIFT = 16
 HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
 COUNT_MASK = wp.constant(0xFFF)
 
-# Names that the text expects: cells, plane, table, flips. `table` has a word for each case, and one for each case with
-# the face joined that is named in it: two bits for the loop of each edge, the number of loops, the problem face + 1.
-CASES = f"""
-    {PLANES}
-    auto word_of = [&](int code, int plane, int bit) -> unsigned {{
-        return table.data[code + (int)(flips.data[plane] >> bit & 1ull) * 256];
-    }};
-    auto loop_count = [](unsigned word) {{ return (int)(word >> 24 & 7u); }};
-    // The voxels of plane x of a block's cells.
-    auto cell_corners = [&](int block, int x, auto which, u64* out) {{
-        corners(cells.refs.data + 8ll * block, x, which, out);
-        corners(cells.refs.data + 8ll * block, x + 1, which, out + 4);
-    }};
-"""
-
-_COUNT_SNIPPET = f"""
-    {CASES}
-    const int block = cells.crossed.data[plane >> 3], x = plane & 7;
-    u64* record = records.data + {RECORD}ll * plane;
-    u64 c[8];
-    cell_corners(block, x, inside_plane, c);
-    u64 any = 0, all = ~0ull;
-    for (int n = 0; n < 8; ++n) {{ any |= c[n]; all &= c[n]; }}
-    u64 crossed = any & ~all;
-    for (int n = 0; n < {RECORD}; ++n) record[n] = 0;
-    problems.data[plane] = 0;
-    if (!crossed) return 0;
-    u64 a[8], live = 0, dead = 0;
-    cell_corners(block, x, active_plane, a);
-    for (int n = 0; n < 8; ++n) live |= a[n];
-    crossed &= live;
-    for (int step = 4; step; step >>= 1)
-        for (int n = 0; n < 8; ++n) if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
-    const int quads = (int)(count_bits((c[3] ^ c[7]) & (a[3] | a[7])) + count_bits((c[5] ^ c[7]) & (a[5] | a[7]))
-        + count_bits((c[6] ^ c[7]) & (a[6] | a[7])));
-    record[0] = crossed;
-    u64 problem = 0;
-    for (u64 rest = crossed; rest; rest &= rest - 1) {{
-        const int bit = (int)first_bit(rest);
-        const unsigned word = word_of(case_of(c, bit), plane, bit);
-        for (int n = 1; n < loop_count(word); ++n) record[n] |= 1ull << bit;
-        if (word >> 27) problem |= 1ull << bit;
-    }}
-    problems.data[plane] = problem;
-    int vertices = 0;
-    for (int n = 0; n < {RECORD}; ++n) vertices += (int)count_bits(record[n]);
-    return vertices | quads << {QUADS_SHIFT} | (dead & crossed ? 1 << 29 : 0) | (problem ? 1 << 30 : 0);
-"""
-
-_CASES_SNIPPET = f"""
-    {CASES}
-    u64 c[8];
-    cell_corners(cells.crossed.data[plane >> 3], plane & 7, inside_plane, c);
-    return case_of(c, bit);
-"""
+# Files of C++ for the sheets in a cell.
+CASES = (*PLANES, "volume/isosurface/sheet_cases.inl")
 
 
-@wp.func_native(_COUNT_SNIPPET)
+@wp.func_native(cpp(*CASES, "volume/isosurface/count_sheets.inl", RECORD=RECORD, QUADS_SHIFT=QUADS_SHIFT))
 def count_plane(
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
@@ -88,7 +36,7 @@ def count_plane(
     ...
 
 
-@wp.func_native(_CASES_SNIPPET)
+@wp.func_native(cpp(*CASES, "volume/isosurface/case_at.inl"))
 def case_at(
     cells: Cells, table: wp.array(dtype=wp.uint32), flips: wp.array(dtype=wp.uint64), plane: int, bit: int
 ) -> int:
@@ -115,7 +63,7 @@ def count_kernel(
         found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
         out_vertices[plane] = found & COUNT_MASK
         out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
-        # Whoever writes here writes the same.
+        # All threads that write here write the same.
         if (found & HAS_PROBLEM) != 0:
             out_flags[0] = 1
         if (found & HAS_DEAD) != 0:

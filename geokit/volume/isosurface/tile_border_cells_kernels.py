@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.isosurface.cells_kernels import (
     ACTIVE_TILE,
     AROUND,
@@ -18,36 +19,14 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-_TILE_RIMS_SNIPPET = f"""
-    {AROUND}
-    look_around((int*)0);
-    int rims = 0;
-    for (int e = 0; e < 8; ++e) if (is_rim(e, false, false)) rims |= 1 << e;
-    return rims;
-"""
 
-_FIND_RIM_SNIPPET = """
-    // Rims are sorted by x, then y, then z.
-    const wp::vec_t<3, int>* rims = cells.origin.data + cells.leaf_count;
-    int low = 0, high = rim_count;
-    while (low < high) {
-        const int middle = (low + high) / 2;
-        const wp::vec_t<3, int>& r = rims[middle];
-        const bool before = r[0] != i ? r[0] < i : r[1] != j ? r[1] < j : r[2] < k;
-        if (before) low = middle + 1; else high = middle;
-    }
-    const bool found = low < rim_count && rims[low][0] == i && rims[low][1] == j && rims[low][2] == k;
-    return found ? cells.leaf_count + low : -1;
-"""
-
-
-@wp.func_native(_TILE_RIMS_SNIPPET)
+@wp.func_native(cpp(*AROUND, "volume/isosurface/border_of_tile.inl"))
 def tile_rims(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
     """As link_leaf, for the slot of an active tile: itself and the tiles below it that may have crossed cells."""
     ...
 
 
-@wp.func_native(_FIND_RIM_SNIPPET)
+@wp.func_native(cpp("volume/isosurface/find_border_block.inl"))
 def find_rim(cells: Cells, rim_count: int, i: int, j: int, k: int) -> int:
     """The rim that starts at a voxel, -1 for none."""
     ...
@@ -108,7 +87,7 @@ def rim_kernel(
     out_active: wp.array(dtype=wp.uint8),
     out_refs: wp.array(dtype=int),
 ):
-    """Planes, state and upper neighbours of a block of tiles."""
+    """Planes, state and upper neighbors of a block of tiles."""
     rim = first + wp.tid()
     block = cells.leaf_count + rim
     corner = cells.origin[block]

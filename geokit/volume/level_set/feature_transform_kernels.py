@@ -1,6 +1,6 @@
 """Distances beyond the voxels where they are known, each from the nearest feature (``features_kernels``).
 
-Every voxel takes the feature whose foot is nearest among those of its 26 neighbours on its own side, round by round,
+Every voxel takes the feature whose foot is nearest among those of its 26 neighbors on its own side, round by round,
 until none changes; its distance is that from the feature's piece of surface.
 """
 
@@ -10,6 +10,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.level_set.features_kernels import Features
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of
 from geokit.volume.level_set.mask_dilation_kernels import cube_around
@@ -19,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 @wp.kernel
 def reached_box_kernel(first: int, reached: wp.array(dtype=wp.uint64), out_box: wp.array2d(dtype=int)):
-    """First and last voxel of a leaf among those told by bits, 8 and -1 where there is none."""
+    """First and last voxel of a leaf among those whose bits are set, 8 and -1 where there is none."""
     t = first + wp.tid()
     lowest = wp.vec3i(8, 8, 8)
     highest = wp.vec3i(-1, -1, -1)
@@ -47,50 +48,7 @@ def has_changed_kernel(
     out_has_changed[t] = wp.uint8(wp.where(some != wp.uint64(0), 1, 0))
 
 
-# As C++: the same with warp's own indexing takes twice as long. The row of a voxel is in the table of neighbours at
-# 9 (x >> 3) + 3 (y >> 3) + (z >> 3) + 13. Ways are compared by their squares, rounded to float32.
-_NEAREST_SNIPPET = """
-    const auto square = [](float way) { return way * way; };
-    const int* const rows = beside.data + 27 * t;
-    const double* const foot = (const double*)feet.data;
-    const unsigned long long* const bits = (const unsigned long long*)changed.data;
-    const auto length_of = [=](int name) {
-        const double* const s = foot + 4 * (name >> 1);
-        const double a = i - s[0], b = j - s[1], c = k - s[2];
-        const float way = (float)(a * a + b * b + c * c);
-        return s[3] > 0.0 ? square((float)s[3] + wp::sqrt(way)) : way;
-    };
-    int best = nearest.data[(t << 9) + (x << 6) + (y << 3) + z], last = best;
-    float shortest = best < 0 ? square(reach) : length_of(best);
-    // Within three voxels of the surface a second look changes nothing that matters (docs/design/operations.md).
-    if (best >= 0 && shortest < 9.0f) return best;
-    for (int u = x - 1; u <= x + 1; ++u)
-        for (int v = y - 1; v <= y + 1; ++v) {
-            const int side = 9 * (u >> 3) + 3 * (v >> 3) + 13, line = 8 * (v & 7);
-            const int middle = rows[side];
-            // Three voxels along z: whether each has changed.
-            unsigned three = middle < 0 ? 0u : (unsigned)(bits[8 * middle + (u & 7)] >> line & 255ull) << 1;
-            const int below = rows[side - 1], above = rows[side + 1];
-            if (z == 0 && below >= 0) three |= (unsigned)(bits[8 * below + (u & 7)] >> (line + 7) & 1ull);
-            if (z == 7 && above >= 0) three |= (unsigned)(bits[8 * above + (u & 7)] >> line & 1ull) << 9;
-            three = three >> z & 7u;
-            for (int w = z - 1; three != 0u; ++w, three >>= 1) {
-                if (!(three & 1u)) continue;
-                const int name = nearest.data[(rows[side + (w >> 3)] << 9) + ((u & 7) << 6) + line + (w & 7)];
-                if (name == last || name == best || (name & 1) != inner) continue;
-                last = name;
-                const float length = length_of(name);
-                if (length < shortest || (length == shortest && name < best)) {
-                    shortest = length;
-                    best = name;
-                }
-            }
-        }
-    return best;
-"""
-
-
-@wp.func_native(_NEAREST_SNIPPET)
+@wp.func_native(cpp("volume/level_set/nearest_feature.inl"))
 def nearest_of(
     nearest: wp.array(dtype=int),
     changed: wp.array(dtype=wp.uint64),
@@ -108,7 +66,7 @@ def nearest_of(
 ) -> int:
     """The feature of the shortest way to voxel (x, y, z) of row t, which is (i, j, k), and the first of several.
 
-    Of its own and those of its changed neighbours on its side; none that is not nearer than ``reach``.
+    Of its own and those of its changed neighbors on its side; none that is not nearer than ``reach``.
     """
     ...
 
@@ -129,9 +87,9 @@ def spread_kernel(
     out_next: wp.array(dtype=int),
     out_changed: wp.array(dtype=wp.uint64),
 ):
-    """One round for the voxels of a plane: the feature of shortest way among the neighbours', the first of several.
+    """One round for the voxels of a plane: the feature of shortest way among the neighbors', the first of several.
 
-    Only neighbours that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
+    Only neighbors that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
     new feature stands in ``out_next``.
     """
     i = first + wp.tid()
@@ -227,7 +185,7 @@ def fill_kernel(
     out_active: wp.array(dtype=wp.uint64),
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """Values of a plane: what is held, else distances, where they are below the background."""
+    """Values of a plane: held values, else distances, where they are below the background."""
     i = first + wp.tid()
     active = wp.uint64(0)
     negative = wp.uint64(0)

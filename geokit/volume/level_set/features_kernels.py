@@ -18,13 +18,13 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 # Share of the upwind slope below which the central one tells that surfaces from two directions meet: 1 where the field
 # is smooth, 0.71 or less where the directions differ by 90 degrees.
 KINK = wp.constant(wp.float64(0.8))
-# What the way to a foot counts more [voxels] where neighbours are known on one side only: a feature with a better
+# Added to the length of the way to a foot [voxels] where neighbors are known on one side only: a feature with a better
 # direction that lies to the side of the way by a voxel gives a better distance.
 ONE_SIDED = wp.constant(wp.float64(0.2))
 # The same where no direction is known: distances from there are right straight on and too long to the sides.
 LAST_RESORT = wp.constant(wp.float64(1.5))
 
-# Of the sums of squares of neighbours' steps, which are 1 and more.
+# Of the sums of squares of neighbors' steps, which are 1 and more.
 RIDGE = wp.constant(wp.float64(1e-3))
 
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
@@ -36,7 +36,7 @@ class Features:
     """Lengths in voxels. The distance grows along ``normal`` on either side of the surface."""
 
     voxel: wp.array(dtype=wp.vec3i)
-    # Zero where no foot could be told.
+    # Zero where no foot was found.
     normal: wp.array(dtype=wp.vec3f)
     distance: wp.array(dtype=wp.float64)
     # Second derivatives xx, yy, zz, xy, xz, yz, divided by the slope.
@@ -54,7 +54,7 @@ def enclosed_kernel(
     out_inner: wp.array(dtype=wp.uint64),
     out_outer: wp.array(dtype=wp.uint64),
 ):
-    """Held voxels whose neighbours are all active, for central differences there: all, and those of each side."""
+    """Held voxels whose neighbors are all active, for central differences there: all, and those of each side."""
     i = first + wp.tid()
     word = held[i]
     if word != wp.uint64(0):
@@ -92,7 +92,7 @@ def chosen_kernel(
     out_chosen: wp.array(dtype=wp.uint64),
     out_count: wp.array(dtype=int),
 ):
-    """Which voxels become features: enclosed ones, and any other without one among its neighbours on its side."""
+    """Which voxels become features: enclosed ones, and any other without one among its neighbors on its side."""
     i = first + wp.tid()
     word = border[i]
     if word != wp.uint64(0):
@@ -162,7 +162,7 @@ def central_derivatives(
     c: wp.vec3i,
     side: wp.float64,
 ) -> Derivatives:
-    """From the differences of neighbours, all of which are active."""
+    """From the differences of neighbors, all of which are active."""
     h = outward(values, active, beside, t, c, 0, 0, 0, side)
     x0 = outward(values, active, beside, t, c, -1, 0, 0, side)
     x1 = outward(values, active, beside, t, c, 1, 0, 0, side)
@@ -208,7 +208,7 @@ def fitted_derivatives(
     c: wp.vec3i,
     side: wp.float64,
 ) -> Derivatives:
-    """Least squares over the neighbours that are active: a gradient, then a gradient and one curvature across it."""
+    """Least squares over the neighbors that are active: a gradient, then a gradient and one curvature across it."""
     h = outward(values, active, beside, t, c, 0, 0, 0, side)
     across = wp.vec3d()
     g = wp.vec4d()

@@ -1,4 +1,4 @@
-"""Leaves of a volume that know their 26 neighbours, and reading voxels across their borders.
+"""Leaves of a volume that know their 26 neighbors, and reading voxels across their borders.
 
 A volume's leaves are rows: voxel (x, y, z) of row t is element ``512 t + 64 x + 8 y + z`` of an array of values, and
 bit ``8 y + z`` of word ``8 t + x`` of an array of bits.
@@ -12,7 +12,7 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# What stands in the table of neighbours for a leaf that is not there.
+# Entries in the table of neighbors for a leaf that does not exist.
 OUTSIDE = wp.constant(-1)
 INSIDE = wp.constant(-2)
 
@@ -76,7 +76,7 @@ def link_kernel(
     isovalue: wp.float64,
     out_beside: wp.array2d(dtype=int),
 ):
-    """Row of each neighbour, or on which side of the surface the tile in its place is."""
+    """Row of each neighbor, or on which side of the surface the tile in its place is."""
     i = first + wp.tid()
     t = i / 27
     n = i % 27
@@ -138,7 +138,7 @@ def tile_side_kernel(
 def touches_other_side(
     inside: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=int), t: int, n: int, is_inside: bool
 ) -> bool:
-    """Whether a voxel of row t next to neighbour n is on another side than told."""
+    """Whether a voxel of row t next to neighbor n is on the other side than ``is_inside`` says."""
     a = n / 9 - 1
     b = n / 3 % 3 - 1
     c = n % 3 - 1
@@ -158,7 +158,7 @@ def open_sides_kernel(
     beside: wp.array2d(dtype=int),
     out_open: wp.array(dtype=wp.uint8),
 ):
-    """Whether the surface runs between a leaf and a neighbour that is not there."""
+    """Whether the surface runs between a leaf and a neighbor that is not there."""
     i = first + wp.tid()
     t = i / 27
     n = i % 27
@@ -202,7 +202,7 @@ def needed_rows_kernel(
 ):
     """Which leaves a grid needs: those with active voxels, and those that the surface runs through or along.
 
-    From the latter alone shows on which side their neighbours are.
+    From the latter alone shows on which side their neighbors are.
     """
     t = first + wp.tid()
     some = wp.uint64(0)

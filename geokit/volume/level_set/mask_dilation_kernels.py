@@ -1,7 +1,7 @@
-"""Neighbourhoods of voxels as bits: what a plane of a leaf, 64 bits of one word, has next to it.
+"""Dilation of bit masks: which voxels of a plane of a leaf, 64 bits of one word, have set neighbors.
 
 Rows, words and bits are those of ``leaf_neighbors_kernels``: bit ``8 y + z`` of word ``8 t + x``. A step along z is a
-shift by one, along y by eight, along x to another word; what is shifted out at a leaf's border comes from the leaf
+shift by one, along y by eight, along x to another word; bits shifted in at a leaf's border come from the leaf
 beside it.
 """
 
@@ -30,7 +30,7 @@ def word_of(
 
 @wp.func
 def along_z(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
-    """Bits that are set or have a neighbour along z that is."""
+    """Bits that are set or have a neighbor along z that is."""
     one = wp.uint64(1)
     seven = wp.uint64(7)
     up = ((word << one) & ~FIRST_Z) | ((below >> seven) & FIRST_Z)
@@ -49,7 +49,7 @@ def along_y(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
 def square_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x, counted from row t, from -1 to 8, that are set or have a neighbour within the plane that is."""
+    """Bits of plane x, counted from row t, from -1 to 8, that are set or have a neighbor within the plane that is."""
     side = 9 * (x >> 3) + 13
     at = x & 7
     below = along_z(
@@ -74,7 +74,7 @@ def square_around(
 def cube_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 26 neighbours set."""
+    """Bits of plane x of row t that are set or have one of their 26 neighbors set."""
     return (
         square_around(words, flip, beside, t, x - 1)
         | square_around(words, flip, beside, t, x)
@@ -109,7 +109,7 @@ def corners_in_plane(cells: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=
 def cross_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x, counted from row t, that are set or have a neighbour across an edge within the plane that is."""
+    """Bits of plane x, counted from row t, that are set or have a neighbor across an edge within the plane that is."""
     side = 9 * (x >> 3) + 13
     at = x & 7
     here = word_of(words, flip, beside, t, side, at)
@@ -123,7 +123,7 @@ def cross_around(
 def faces_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 6 neighbours across a face set."""
+    """Bits of plane x of row t that are set or have one of their 6 neighbors across a face set."""
     below = word_of(words, flip, beside, t, 9 * ((x - 1) >> 3) + 13, (x - 1) & 7)
     above = word_of(words, flip, beside, t, 9 * ((x + 1) >> 3) + 13, (x + 1) & 7)
     return below | above | cross_around(words, flip, beside, t, x)
@@ -133,7 +133,7 @@ def faces_around(
 def edges_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 18 neighbours across a face or an edge set."""
+    """Bits of plane x of row t that are set or have one of their 18 neighbors across a face or an edge set."""
     return (
         cross_around(words, flip, beside, t, x - 1)
         | square_around(words, flip, beside, t, x)
@@ -141,7 +141,7 @@ def edges_around(
     )
 
 
-# With a ``flip`` of zeros a step of growing, with one of ones a step of shrinking: growing of what is not set.
+# With a ``flip`` of zeros a step of growing, with one of ones a step of shrinking: growing the voxels that are not set.
 
 
 @wp.kernel

@@ -6,43 +6,13 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# The readers for every type give float64, which rounds integers beyond 2^53: those of 64 bits have one of their own.
-_INT64_SNIPPET = """
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_address_t at = { node & ~1ull };
-    const pnanovdb_leaf_handle_t leaf = { at };
-    const pnanovdb_coord_t ijk = { i, j, k };
-    const unsigned n = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk));
-    if ((node & 1u) == 0u) return pnanovdb_read_int64(buf, at);
-    return pnanovdb_read_int64(buf, pnanovdb_leaf_get_table_address(PNANOVDB_GRID_TYPE_INT64, buf, leaf, n));
-"""
 
-
-# Rows of a float leaf lie as they do in the array.
-_FLOAT_RUN_SNIPPET = """
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_address_t at = { node & ~1ull };
-    const pnanovdb_leaf_handle_t leaf = { at };
-    const pnanovdb_coord_t ijk = { i, j, k };
-    float* target = out_values.data + to;
-    if ((node & 1u) == 0u) {
-        const float value = pnanovdb_read_float(buf, at);
-        for (int n = 0; n < count; ++n) target[n] = value;
-        return;
-    }
-    const unsigned first_voxel = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk));
-    for (int n = 0; n < count; ++n) {
-        target[n] = pnanovdb_read_float(
-            buf, pnanovdb_leaf_get_table_address(PNANOVDB_GRID_TYPE_FLOAT, buf, leaf, first_voxel + (unsigned)n));
-    }
-"""
-
-
-@wp.func_native(_FLOAT_RUN_SNIPPET)
+@wp.func_native(cpp("volume/tree/copy_float_run.inl"))
 def copy_float_run(
     volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int, count: int, out_values: wp.array(dtype=wp.float32),
     to: wp.int64,
@@ -51,7 +21,7 @@ def copy_float_run(
     ...
 
 
-@wp.func_native(_INT64_SNIPPET)
+@wp.func_native(cpp("volume/tree/read_int64.inl"))
 def read_int64(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> wp.int64:
     """The value of a voxel of an int64 grid, by the node that node_of found for it."""
     ...

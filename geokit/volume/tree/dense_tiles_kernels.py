@@ -9,6 +9,8 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # States of a tile.
@@ -27,32 +29,14 @@ def is_active(value: wp.float32, background: wp.float32, tolerance: wp.float64, 
     return wp.abs(wp.float64(level) - wp.float64(background)) > tolerance
 
 
-# A row of up to eight voxels, contiguous in memory. In C++, where the compiler makes vectors of it: the result counts
-# active voxels, negative ones from bit 8, and numbers that float32 does not hold from bit 16.
-_ROW_SNIPPET = """
-    const TYPE* row = (const TYPE*)((const char*)dense.data + i * (size_t)dense.strides[0]
-                                    + j * (size_t)dense.strides[1]) + k;
-    int active = 0, negative = 0, bad = 0;
-    for (int n = 0; n < count; ++n) {
-        const float value = (float)row[n];
-        const float level = level_set ? ::fabsf(value) : value;
-        active += ::fabs((double)level - (double)background) > tolerance;
-        negative += value < 0.0f;
-        // A number that is none compares with nothing.
-        bad += !(::fabsf(value) <= 3.402823466e38f);
-    }
-    return active | negative << 8 | bad << 16;
-"""
-
-
-@wp.func_native(_ROW_SNIPPET.replace("TYPE", "float"))
+@wp.func_native(cpp("volume/tree/row_counts.inl", defines={"TYPE": "float"}))
 def row_counts(
     dense: wp.array3d(dtype=wp.float32), i: int, j: int, k: int, count: int, background: wp.float32,
     tolerance: wp.float64, level_set: int,
 ) -> int: ...  # fmt: skip
 
 
-@wp.func_native(_ROW_SNIPPET.replace("TYPE", "double"))
+@wp.func_native(cpp("volume/tree/row_counts.inl", defines={"TYPE": "double"}))
 def row_counts(  # noqa: F811
     dense: wp.array3d(dtype=wp.float64), i: int, j: int, k: int, count: int, background: wp.float32,
     tolerance: wp.float64, level_set: int,
@@ -91,7 +75,7 @@ def tile_state_kernel(
     if active > 0:
         state = int(LEAF)
     elif level_set != 0 and negative > 0:
-        # What has both signs can be no tile: it is a leaf, if without active voxels.
+        # A block with both signs cannot be a tile: it is a leaf without active voxels.
         state = int(LEAF)
         if negative == 512:
             state = int(INSIDE)

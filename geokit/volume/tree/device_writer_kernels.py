@@ -8,6 +8,8 @@ writer: no atomics, and the same bytes on every device.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
@@ -74,35 +76,7 @@ def nodes_kernel(
         out_count[1] = upper
 
 
-_LINK = """
-    const int words = 1 << (bits - 6);
-    const int node = item / words, word = item % words;
-    const long long key = parent_keys.data[node] << bits | (long long)word << 6;
-    int low = first_child.data[node], high = first_child.data[node + 1];
-    const int end = high;
-    while (low < high) {
-        const int middle = low + (high - low) / 2;
-        if (child_keys.data[middle] < key) low = middle + 1; else high = middle;
-    }
-    const long long at = begin + node * size;
-    unsigned char* out = out_buffer.data + at;
-    unsigned long long mask = 0;
-    for (int slot = 0; slot < 64; ++slot) {
-        unsigned long long value = 0;
-        if (low < end && child_keys.data[low] == key + slot) {
-            mask |= 1ull << slot;
-            value = (unsigned long long)(child_begin + low * child_size - at);
-            ++low;
-        } else {
-            value = state.data && state.data[((long long)item << 6) + slot] == 2 ? inside : outside;
-        }
-        *(unsigned long long*)(out + table + 8ll * (64 * word + slot)) = value;
-    }
-    *(unsigned long long*)(out + 32 + 8ll * words + 8ll * word) = mask;
-"""
-
-
-@wp.func_native(_LINK)
+@wp.func_native(cpp("volume/tree/link_word.inl"))
 def link_word(
     item: int,
     bits: int,

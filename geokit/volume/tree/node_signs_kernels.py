@@ -45,7 +45,7 @@ def place_children_kernel(
 
 @wp.func
 def seen_from(state: wp.uint8, face: int) -> wp.uint8:
-    """What a slot shows through one of its faces: outside, inside, or unknown."""
+    """The side that a slot shows through one of its faces: outside, inside, or unknown."""
     seen = state
     if (state & CHILD) != wp.uint8(0):
         seen = OUTSIDE
@@ -79,7 +79,7 @@ def sweep_kernel(first: int, bits: int, axis: int, out_state: wp.array(dtype=wp.
 
 @wp.kernel
 def node_faces_kernel(first: int, bits: int, state: wp.array(dtype=wp.uint8), out_faces: wp.array(dtype=wp.uint8)):
-    """As :func:`leaf_faces_kernel`, of nodes: what the slot in the middle of each face shows."""
+    """As :func:`leaf_faces_kernel`, of nodes: the side that the slot in the middle of each face shows."""
     i = first + wp.tid()
     width = 1 << bits
     middle = width / 2

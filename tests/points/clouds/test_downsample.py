@@ -88,7 +88,7 @@ def test_pieces_of_large_voxels_give_the_same_bits(sizes):
 def test_sorted_and_counted_voxels_are_the_same(voxel_size, monkeypatch):
     points = np.random.default_rng(4).normal(size=(5000, 3))
     counted = downsample(points, voxel_size=voxel_size, device="cpu")
-    for limit in ("MOST_TALLIES", "MOST_KEYS"):
+    for limit in ("MOST_COUNTS", "MOST_KEYS"):
         # First no table of counts, then no key for the whole box either.
         monkeypatch.setattr(voxel_centroids, limit, 0)
         other = downsample(points, voxel_size=voxel_size, device="cpu")

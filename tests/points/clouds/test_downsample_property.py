@@ -127,7 +127,7 @@ def test_farthest_points_are_ever_nearer_and_cover(cloud):
 
 @pytest.mark.parametrize("choice", [{"voxel_size": 0.05}, {"count": 700}, {"radius": 0.04}])
 def test_threads_change_nothing(choice, monkeypatch):
-    monkeypatch.setattr(voxel_centroids, "TALLY_SHARE", 3000)
+    monkeypatch.setattr(voxel_centroids, "COUNTED_SHARE", 3000)
     points = np.random.default_rng(0).random((20_000, 3))
     found = []
     for threads in ("1", "2", "3"):

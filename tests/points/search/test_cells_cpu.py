@@ -44,9 +44,9 @@ def test_float32_points_are_sorted_as_their_float64_ones(name, count):
 def test_counting_is_a_stable_sort(monkeypatch, name, dtype, threads):
     points = CLOUDS[name](np.random.default_rng(3), 4001).astype(dtype)
     monkeypatch.setenv("GEOKIT_THREADS", threads)
-    monkeypatch.setattr(_cells, "TALLY_SHARE", 700)
+    monkeypatch.setattr(_cells, "COUNTED_SHARE", 700)
     # Room for the table of each thread, and a table that is direct.
-    monkeypatch.setattr(_cells, "TALLY_PER_POINT", 10**5)
+    monkeypatch.setattr(_cells, "COUNTS_PER_POINT", 10**5)
     monkeypatch.setattr(_cells, "TABLE_ENTRIES_PER_POINT", 10**5)
     counted = []
     by_count = _cells._place_by_count
@@ -55,7 +55,7 @@ def test_counting_is_a_stable_sort(monkeypatch, name, dtype, threads):
     if not counted:
         pytest.fail("these points were not counted")
     assert counted == [int(threads)]
-    monkeypatch.setattr(_cells, "TALLY_PER_POINT", 0)
+    monkeypatch.setattr(_cells, "COUNTS_PER_POINT", 0)
     monkeypatch.setattr(_cells, "TABLE_ENTRIES_MORE", 0)
     assert_same(grid, NeighborGrid(points, 0.1, device="cpu"))
     assert len(counted) == 1

@@ -303,7 +303,7 @@ def test_the_count_notes_what_the_fill_reads(grid, monkeypatch):
 
 def test_threads_do_not_matter(grid, monkeypatch):
     whole = grid.radius_search()
-    monkeypatch.setattr(_cells, "TALLY_SHARE", 100)
+    monkeypatch.setattr(_cells, "COUNTED_SHARE", 100)
     for threads in ("1", "3", "24"):
         monkeypatch.setenv("GEOKIT_THREADS", threads)
         other = NeighborGrid(POINTS, RADIUS, device="cpu").radius_search()

@@ -1,0 +1,17 @@
+// The cell of a coordinate along an axis, as cell_along of cells_kernels: both must find the same cell.
+//
+// Expects grid. Defines cell_along(axis, at).
+
+auto cell_along = [&](int axis, double at) -> int {
+    int i = grid.first_cut[axis];
+    for (int last = grid.last_cut[axis]; i < last;) {
+        const int middle = (i + last + 1) / 2;
+        if (grid.cut.data[middle][0] <= at)
+            i = middle;
+        else
+            last = middle - 1;
+    }
+    const auto& cut = grid.cut.data[i];
+    const double top = cut[3] - 1.0, cell = (at - cut[0]) * cut[1];
+    return (int)(cut[2]) + (int)(cell > 0.0 ? (cell < top ? cell : top) : 0.0);
+};

@@ -1,0 +1,11 @@
+// Counting sort, last step: the points of a share, each to the next free place of its cell.
+//
+// Expects key, share, begin, end, cell_count, next_place, grid.
+//
+// Only four bytes a point are scattered.
+
+#if !defined(__CUDA_ARCH__)
+int* const next = next_place.data + (int64_t)(share) * cell_count;
+for (int point = begin; point < end; ++point)
+    grid.index.data[next[key.data[point]]++] = point;
+#endif

@@ -1,0 +1,45 @@
+// The 27 blocks around a block: numbers of leaves, or tiles as negative numbers.
+//
+// Expects leaf_index.inl, cells, tree, lower, slot. Defines u64, look_around(refs), which writes the eight blocks above
+// if refs is not null, and is_rim.
+
+// A lower node's masks: of active tiles after its box and flags, of children after that.
+constexpr int LOWER_MASK = 32, LOWER_CHILDREN = 544;
+typedef unsigned long long u64;
+// Of the 27 blocks around: tiles inside and outside. Block (dx, dy, dz) is number 13 + 9 dx + 3 dy + dz.
+unsigned in_tiles = 0u, out_tiles = 0u;
+auto look_around = [&](int* refs) {
+    const int place[3] = { slot >> 8, slot >> 4 & 15, slot & 15 };
+    for (int dx = -1, number = 0; dx <= 1; ++dx)
+    for (int dy = -1; dy <= 1; ++dy)
+    for (int dz = -1; dz <= 1; ++dz, ++number) {
+        const int x = place[0] + dx, y = place[1] + dy, z = place[2] + dz;
+        const int node = tree.around.data[27ll * lower + 9 * ((x >> 4) + 1) + 3 * ((y >> 4) + 1) + (z >> 4) + 1];
+        const int at = (x & 15) << 8 | (y & 15) << 4 | (z & 15);
+        const bool above = refs && dx >= 0 && dy >= 0 && dz >= 0;
+        int ref = node;
+        if (node >= 0) {
+            const u64 start = tree.begin + tree.size * (u64)node;
+            const u64 bytes = cells.volume + start;
+            if (((const unsigned char*)bytes)[LOWER_CHILDREN + (at >> 3)] >> (at & 7) & 1) {
+                ref = above ? leaf_index(start + *(const u64*)(bytes + tree.table + 8 * at)) : 0;
+            } else {
+                const int inside = (int)(tree.tile_inside.data[64ll * node + (at >> 6)] >> (at & 63) & 1u);
+                const int active = ((const unsigned char*)bytes)[LOWER_MASK + (at >> 3)] >> (at & 7) & 1;
+                ref = -1 - (inside | active << 1);
+            }
+        }
+        if (ref < 0) ((-1 - ref) & 1 ? in_tiles : out_tiles) |= 1u << number;
+        if (above) refs[4 * dx + 2 * dy + dz] = ref;
+    }
+};
+// Whether the block 13 - 9 ex - 3 ey - ez is a tile of which some cell may be crossed. Such a cell has two corners
+// that differ, so that among the 8 blocks that it may reach, tiles differ from each other or from voxels of a leaf;
+// each leaf looks at its own voxels only.
+auto is_rim = [&](int e, bool some_in, bool some_out) -> bool {
+    const int block = 13 - 9 * (e >> 2) - 3 * (e >> 1 & 1) - (e & 1);
+    // The block itself and the seven above it.
+    const unsigned reached = 0x361bu << block;
+    return ((in_tiles | out_tiles) >> block & 1u) && (some_in || in_tiles & reached)
+        && (some_out || out_tiles & reached);
+};
