@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Queries between one that is answered and one that is asked for; 2 to 16 are alike.
+# Queries between one that is answered and one that is prefetched; 2 to 16 are alike.
 AHEAD = 4
 
 
@@ -61,10 +61,10 @@ def identity_kernel(first: int, out_index: wp.array(dtype=int)):
     }}
 #endif
 """)
-def ask_ahead(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
-    """On a CPU has a query brought to the cache whose turn comes soon after the one at this place of the order.
+def prefetch_query(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
+    """Prefetches, on a CPU, the query whose turn comes soon after the one at this place of the order.
 
-    Queries that are answered one after the other lie anywhere: to wait for each took a fifth of the time of a closest
+    Consecutive queries of an order lie anywhere in memory: waiting for each took a fifth of the time of a closest
     point near the surface.
     """
     ...

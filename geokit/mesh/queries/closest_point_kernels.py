@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.morton_order_kernels import ask_ahead
+from geokit.core.morton_order_kernels import prefetch_query
 from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
@@ -12,7 +12,7 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Of a thread on a GPU; see docs/design/layers.md.
+# Of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 80
 
 
@@ -37,7 +37,7 @@ def closest_point_kernel(
     begin = (first + wp.tid()) * group
     slot = int(-1)
     for k in range(begin, wp.min(begin + group, points.shape[0])):
-        ask_ahead(points, order, k)
+        prefetch_query(points, order, k)
         i = order[k]
         p = points[i]
         if wp.isfinite(p):

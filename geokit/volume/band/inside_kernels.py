@@ -1,4 +1,4 @@
-"""Voxels of a band that are asked whether they lie inside, where they are: by pseudonormal or by winding number."""
+"""Which of a band's voxels lie inside: tested at each voxel, by pseudonormal or by winding number."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -14,7 +14,7 @@ from geokit.volume.band.signs_kernels import set_in_row, unset_in_row, voxel_pos
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# A tile's centre is at most 6.07 voxels farther from the surface than the band reaches, and so are its voxels from it.
+# A tile's center is at most 6.07 voxels farther from the surface than the band reaches, and so are its voxels from it.
 WITHIN_TILE = wp.constant(wp.float64(12.2))
 # The radius of a search for what is known to be at that distance, which float32 has rounded.
 ROUNDED = wp.constant(wp.float64(1.000001))
@@ -30,7 +30,7 @@ def search_radius(distance: wp.float32, reach: wp.float64, voxel_size: wp.float6
 
 
 @wp.func
-def is_behind(
+def is_inside_by_pseudonormal(
     tree: SurfaceTree,
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=int),
@@ -57,7 +57,7 @@ def is_behind(
 
 
 @wp.kernel
-def regions_behind_kernel(
+def regions_by_pseudonormal_kernel(
     first: int,
     regions: int,
     tiles: wp.array(dtype=wp.vec3i),
@@ -76,18 +76,20 @@ def regions_behind_kernel(
     vertex_normals: wp.array(dtype=wp.vec3d),
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Asks the pseudonormal at the voxel of each region, where there is one."""
+    """Tests by pseudonormal the voxel of each region, where there is one."""
     i = first + wp.tid()
     seed = seeds[i]
     if seed >= 0:
         row = rows[i / regions]
         p = voxel_position(tiles[row], seed, translation, voxel_size)
         radius = search_radius(distance[row, seed], reach, voxel_size)
-        out_inside[i] = is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius)
+        out_inside[i] = is_inside_by_pseudonormal(
+            tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius
+        )
 
 
 @wp.kernel
-def voxels_behind_kernel(
+def voxels_by_pseudonormal_kernel(
     first: int,
     span: int,
     known: wp.array2d(dtype=wp.uint64),
@@ -106,7 +108,7 @@ def voxels_behind_kernel(
     vertex_normals: wp.array(dtype=wp.vec3d),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the pseudonormal at the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests by pseudonormal the voxels of ``span`` rows of eight whose sides are not known."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)
@@ -118,13 +120,15 @@ def voxels_behind_kernel(
                     voxel = 8 * (item & 63) + b
                     p = voxel_position(tiles[row], voxel, translation, voxel_size)
                     radius = search_radius(distance[row, voxel], reach, voxel_size)
-                    if is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius):
+                    if is_inside_by_pseudonormal(
+                        tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius
+                    ):
                         found = found | (1 << b)
             set_in_row(out_inside, leaf, item & 63, found)
 
 
 @wp.kernel
-def regions_wound_kernel(
+def regions_by_winding_kernel(
     first: int,
     regions: int,
     tiles: wp.array(dtype=wp.vec3i),
@@ -137,7 +141,7 @@ def regions_wound_kernel(
     empty: wp.float64,
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Asks the winding number at the voxel of each region, where there is one."""
+    """Tests by winding number the voxel of each region, where there is one."""
     i = first + wp.tid()
     if seeds[i] >= 0:
         p = voxel_position(tiles[rows[i / regions]], seeds[i], translation, voxel_size)
@@ -145,7 +149,7 @@ def regions_wound_kernel(
 
 
 @wp.kernel
-def voxels_wound_kernel(
+def voxels_by_winding_kernel(
     first: int,
     span: int,
     known: wp.array2d(dtype=wp.uint64),
@@ -158,7 +162,7 @@ def voxels_wound_kernel(
     empty: wp.float64,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the winding number at the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests by winding number the voxels of ``span`` rows of eight whose sides are not known."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)

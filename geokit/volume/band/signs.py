@@ -93,10 +93,10 @@ class _Asked:
             launcher.launch(signs_kernels.seed_answers_kernel, len(seeds), inputs, [answers], device)
         elif self.method == "pseudonormal":
             inputs = [regions, *self.where, *self._distance, seeds, *self._pseudonormals]
-            launcher.launch(inside_kernels.regions_behind_kernel, len(seeds), inputs, [answers], device)
+            launcher.launch(inside_kernels.regions_by_pseudonormal_kernel, len(seeds), inputs, [answers], device)
         else:
             inputs = [regions, *self.where, seeds, *self.lattice.surface._winding_arguments()]
-            launcher.launch(inside_kernels.regions_wound_kernel, len(seeds), inputs, [answers], device)
+            launcher.launch(inside_kernels.regions_by_winding_kernel, len(seeds), inputs, [answers], device)
         return answers
 
     def others(self, known: "wp.array", inside: "wp.array") -> None:
@@ -114,10 +114,10 @@ class _Asked:
         span = ROWS_CPU if device.is_cpu else ROWS_CUDA
         if self.method == "pseudonormal":
             inputs = [span, known, *self.where, *self._distance, *self._pseudonormals]
-            kernel = inside_kernels.voxels_behind_kernel
+            kernel = inside_kernels.voxels_by_pseudonormal_kernel
         else:
             inputs = [span, known, *self.where, *self.lattice.surface._winding_arguments()]
-            kernel = inside_kernels.voxels_wound_kernel
+            kernel = inside_kernels.voxels_by_winding_kernel
         launcher.launch(kernel, 64 * count // span, inputs, [inside], device)
 
     def listed(self, bits: "wp.array", known: "wp.array", inside: "wp.array") -> None:
