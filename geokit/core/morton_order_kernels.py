@@ -12,7 +12,7 @@ AHEAD = 4
 
 @wp.func
 def spread_bits(x: wp.uint32) -> wp.uint32:
-    """The low 10 bits of x with two zeros between neighbours."""
+    """The low 10 bits of x with two zeros between neighbors."""
     v = x & wp.uint32(0x3FF)
     v = (v | (v << wp.uint32(16))) & wp.uint32(0x030000FF)
     v = (v | (v << wp.uint32(8))) & wp.uint32(0x0300F00F)

@@ -10,7 +10,7 @@ the others.
 import warp as wp
 
 from geokit.core.cpp import cpp
-from geokit.mesh.bvh.ray_walk import RAY_CONSTANTS, SHORTEST_DIRECTION
+from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS, SHORTEST_DIRECTION, is_usable, length_in_t
 from geokit.mesh.bvh.tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
@@ -51,25 +51,6 @@ def first_hit(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ): ...
-
-
-@wp.func_native(
-    """
-    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
-    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
-"""
-)
-def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
-    """Whether all is finite (a number minus itself is zero, unless it is infinite or NaN) and the ray has a length."""
-    ...
-
-
-@wp.func
-def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
-    t_max = max_distance
-    if wp.isfinite(max_distance):
-        t_max = max_distance / wp.length(direction)
-    return t_max
 
 
 @wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)

@@ -25,7 +25,7 @@ auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, 
     squared = squared_at(ap, ab, ac, 1.0 - on_bc, on_bc);
     if (squared < least) { least = squared; v = 1.0 - on_bc; w = on_bc; }
     // The inside, by cross products, and once more for what is left over: the first solution of a thin system
-    // is good to few digits, its correction gives the rest.
+    // has few right digits, its correction gives the rest.
     const point n = wp::cross(ab, ac);
     const double nn = wp::dot(n, n);
     if (nn > 0.0) {

@@ -8,7 +8,7 @@
 // depends on what a ray meets. No processor predicts those branches: mispredicted, they took as long as the tests.
 //
 // Leaves are packed by pack_ray_leaf_bvh8_cpu.inl. The test projects corners along the ray (its largest component is z,
-// x and y are sheared) and asks whether the ray's place is within the triangle, either way around. A ray that hits the
+// x and y are sheared) and tests whether the ray's place is within the triangle, either way around. A ray that hits the
 // true triangle at weights u, v, w is as far from the point of those weights in the rounded triangle as the corners and
 // the ray itself were moved, d at most; then no edge function, from the ray, is further on the wrong side than d times
 // the length of that edge. That is the margin: no hit is missed, for slivers and triangles without area as for others.

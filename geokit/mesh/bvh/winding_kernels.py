@@ -112,9 +112,9 @@ def winding_number_kernel(
     winding: WindingTree,
     empty: wp.float64,
     out_winding: wp.array(dtype=wp.float64),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
-    """A query that is not finite has no number, and raises ``out_bad`` for the host to see which row it is."""
+    """A query that is not finite has no number, and raises ``out_nonfinite`` for the host to see which row it is."""
     prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     p = points[i]
@@ -122,7 +122,7 @@ def winding_number_kernel(
         out_winding[i] = winding_number_at(tree, winding, empty, p)
     else:
         out_winding[i] = wp.float64(wp.nan)
-        out_bad[0] = 1
+        out_nonfinite[0] = 1
 
 
 @wp.kernel

@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.ray_walk import ray_walk
+from geokit.mesh.bvh.ray_walk_kernels import ray_walk
 from geokit.mesh.bvh.tree_kernels import UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})

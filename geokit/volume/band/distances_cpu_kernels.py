@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 # Blocks of a tile's list; tiles that more reach are searched voxel by voxel. Half and twice as many were slower.
 LIST = 256
-# Half the diagonal of the eight voxel centres of a brick, and of two such halves, rounded up [voxels].
+# Half the diagonal of the eight voxel centers of a brick, and of two such halves, rounded up [voxels].
 BRICK_RADIUS = np.float32(0.8660255)
 # Next to the distance of a neighbor: the next search must not lose its answer to rounding.
 STEP = np.float32(1.00001)

@@ -1,15 +1,16 @@
-"""C++ of a walk along rays over a prepared surface, on both devices, and what its parts have in common."""
+"""Walks along rays over a prepared surface, on both devices, and what they have in common."""
 
-from __future__ import annotations
-
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
 import numpy as np
+import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 
-__all__ = ["RAY_CONSTANTS", "RAY_PADDING", "SHORTEST_DIRECTION", "ray_walk"]
+wp.set_module_options({"enable_backward": False})
 
 # Directions shorter than this would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
@@ -72,3 +73,22 @@ def ray_walk(results: str, *defines: str) -> str:
         LEAF_WORDS=LEAF_WORDS,
         HEAD=HEAD,
     )
+
+
+@wp.func_native(
+    """
+    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
+    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
+"""
+)
+def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
+    """Whether all is finite (a number minus itself is zero, unless it is infinite or NaN) and the ray has a length."""
+    ...
+
+
+@wp.func
+def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
+    t_max = max_distance
+    if wp.isfinite(max_distance):
+        t_max = max_distance / wp.length(direction)
+    return t_max
