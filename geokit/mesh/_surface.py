@@ -96,7 +96,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         import warp as wp
 
         from geokit.mesh.bvh.bvh2_packed import pack_nodes
-        from geokit.mesh.bvh.bvh2_raycast_cuda_kernels import RAY_PADDING
+        from geokit.mesh.bvh.ray_walk_kernels import RAY_PADDING
         from geokit.mesh.bvh.tree_kernels import SurfaceTree, leaf_order_kernel
 
         self._tree = SurfaceTree()

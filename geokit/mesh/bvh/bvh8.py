@@ -118,8 +118,7 @@ def ray_leaves(tree: Any) -> "wp.array":
     """The leaves of a tree on the CPU as rays read them."""
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import ray_leaves_kernel
-    from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import LEAF_WORDS
+    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
     device = tree.slot_triangle.device

@@ -8,9 +8,10 @@ barycentric coordinates of far or thin triangles lose digits with the square of 
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
+import numpy as np
 import warp as wp
 
-from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import PACK_LEAF
+from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -19,6 +20,16 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 PLANE_ROWS = 17
 # On CUDA each slot has its numbers in a row, filled up to whole 16-byte words.
 SLOT_WORDS = 20
+# Words of a leaf as rays read it: nine rows of eight 16-bit numbers, then the HEAD; see pack_ray_leaf_bvh8_cpu.inl.
+LEAF_WORDS = 48
+HEAD = 36
+# Height of a triangle over its longest edge, below which t is that of the plane; see refine_sliver.inl.
+SLIVER = np.float32(1e-3)
+# What rounding moves a ray by across its direction, in local units: coordinates up to 2, differences up to 3, and
+# slopes times those, rounded by 6e-8 each, come to 1.3e-6 in the worst case.
+RAY_ERROR = 2.5e-6
+# A quantum is not smaller than this: 1 / quantum, and its products with what RAY_ERROR leaves, stay small in float32.
+LEAST_QUANTUM = 2.0**-30
 # Where an empty slot stands: its square is finite in float32 and beyond any search.
 NOWHERE = 1.0e18
 # Height of a triangle, as a share of its longest edge, below which it is taken for a segment: its points are then off
@@ -123,10 +134,18 @@ def leaf_planes_kernel(
     put(out_leaves, start, 16, lanes, reciprocal_or_zero((cx - length) * (cx - length) + cy * cy))
 
 
-_PACK = PACK_LEAF.replace("PLANE_WORDS", str(8 * PLANE_ROWS))
-
-
-@wp.func_native(f"#if !defined(__CUDA_ARCH__)\n{_PACK}\n#endif\n;")
+@wp.func_native(
+    cpp(
+        "core/simd.inl",
+        "mesh/bvh/pack_ray_leaf_bvh8_cpu.inl",
+        PLANE_ROWS=PLANE_ROWS,
+        LEAF_WORDS=LEAF_WORDS,
+        HEAD=HEAD,
+        SLIVER=SLIVER,
+        RAY_ERROR=RAY_ERROR,
+        LEAST_QUANTUM=LEAST_QUANTUM,
+    )
+)
 def pack_leaf(
     block: int,
     slot_triangle: wp.array(dtype=int),

@@ -2,37 +2,62 @@
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
+import numpy as np
 import warp as wp
 
-from geokit.mesh.bvh.bvh2_nearest_cuda_kernels import BINARY_NEAREST, BINARY_WITHIN
-from geokit.mesh.bvh.bvh8_nearest_cpu_kernels import WIDE_NEAREST
-from geokit.mesh.bvh.closest_on_triangle_kernels import CLOSEST_ON_TRIANGLE
-from geokit.mesh.bvh.tree_kernels import SurfaceTree
+from geokit.core.cpp import cpp
+from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
+from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS
+from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
+# Half the float32 error of a distance, in local units for each unit of |q|_inf + 1: coordinates up to that size are
+# rounded once (6e-8), subtracted, and projected by unit vectors that were rounded themselves; 30 roundings in the
+# worst case, of which seldom more than 3 add up.
+DISTANCE_ERROR = np.float32(2.0e-6)
+# Queries farther out than this are walked in float64: their rounding alone would leave most triangles possible.
+FAR = 8.0
+# Squares of local distances start here where there is no search radius; any real one is smaller.
+UNBOUNDED = 1.0e34
+# Candidates that wait for float64. A query has two to six, unless it is equally far from many triangles.
+CPU_CANDIDATES = 64
+# The same in a GPU thread's local memory.
+CUDA_CANDIDATES = 8
 
-def _snippet(on_cuda):
-    return f"""
-    {CLOSEST_ON_TRIANGLE}
-    #if defined(__CUDA_ARCH__)
-    {on_cuda}
-    #else
-    {WIDE_NEAREST}
-    #endif
-"""
+_FILES = [
+    "core/simd.inl",
+    "mesh/bvh/closest_on_triangle.inl",
+    "mesh/bvh/load_node_bvh2.inl",
+    "mesh/bvh/nearest_bvh2_cuda.inl",
+    "mesh/bvh/nearest_bvh8_cpu.inl",
+]
+_CONSTANTS = {
+    **NODE_CONSTANTS,
+    "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
+    "DISTANCE_ERROR": DISTANCE_ERROR,
+    "FAR": FAR,
+    "UNBOUNDED": UNBOUNDED,
+    "BOX_PADDING": BOX_PADDING,
+    "CPU_CANDIDATES": CPU_CANDIDATES,
+    "CUDA_CANDIDATES": CUDA_CANDIDATES,
+    "PLANE_ROWS": PLANE_ROWS,
+    "STACK": STACK,
+}
 
 
-@wp.func_native(_snippet(BINARY_NEAREST))
+@wp.func_native(cpp(*_FILES, **_CONSTANTS))
 def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
     """Slot of the triangle nearest to p [world], -1 where none is within the squared distance.
 
-    ``seed`` is a slot that may be near, such as a neighbour's answer, or -1; it saves time and changes no answer.
+    ``seed`` is a slot that may be near, such as a neighbor's answer, or -1; it saves time and changes no answer.
     """
     ...
 
 
-@wp.func_native(_snippet(BINARY_WITHIN))
+@wp.func_native(cpp(*_FILES, defines={"ANY_WITHIN": "1"}, **_CONSTANTS))
 def slot_within(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
     """Slot of some triangle within the squared distance of p [world], -1 where there is none.
 

@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 # 2e-7 covers that in three axes, and the rounding of the box distance itself, about twice over.
 BOX_PADDING = 2.0e-7
 
-# In the first place of a query's candidates: there is none; and: ask the search that does all at once.
+# In the first place of a ray's candidates: there is none; and: the walk that does all at once must decide.
 NO_CANDIDATE = wp.constant(-1)
 UNDECIDED = wp.constant(-2)
 
@@ -41,7 +41,7 @@ class SurfaceTree:
     ray_children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see bvh8_leaves_cpu_kernels.
     leaves: wp.array(dtype=wp.float32)
-    # The same for rays, on the CPU only: LEAF_WORDS words a block; see bvh8_ray_leaves_cpu_kernels.
+    # The same for rays, on the CPU only: LEAF_WORDS words a block; see pack_ray_leaf_bvh8_cpu.inl.
     ray_leaves: wp.array(dtype=wp.float32)
 
 

@@ -20,9 +20,9 @@ LINE = 64
 def tree_array(size: int, dtype: Any, device: "wp.Device") -> "wp.array":
     """``warp.empty`` of so many items; on a CPU it starts with a cache line.
 
-    Queries jump about in a tree: with pages of 4 KiB the processor looks for their addresses as long as for what is
-    there. NumPy asks Linux for huge pages (where they are to be asked for) from 4 MiB on, warp and malloc do not. Trees
-    live long: memory that goes from array to array (_kept_memory) is not for them.
+    Queries read a tree at random places: with pages of 4 KiB the address translation takes as long as the data. NumPy
+    asks Linux for huge pages from 4 MiB on, where the system gives them on request; warp and malloc do not. The host
+    pool (core/host_pool.py) is not used: trees live long.
     """
     import warp as wp
 

@@ -70,6 +70,6 @@ def _levels(children: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     while len(level):
         levels.append(level)
         below = children[level].ravel()
-        # A child that there is not has the number of the root, which is nobody's child.
+        # An absent child has the number of the root, which is never a child.
         level = below[below > 0]
     return levels

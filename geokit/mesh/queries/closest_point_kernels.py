@@ -12,7 +12,7 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Of a thread on a GPU; see docs/design/layers.md.
+# Of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 80
 
 
@@ -28,11 +28,11 @@ def closest_point_kernel(
     out_distance: wp.array(dtype=wp.float64),
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
     """A group of queries that are near each other a thread: each starts from the answer of the one before.
 
-    A query that is not finite is a miss, and raises ``out_bad`` for the host to see which row it is.
+    A query that is not finite is a miss, and raises ``out_nonfinite`` for the host to see which row it is.
     """
     begin = (first + wp.tid()) * group
     slot = int(-1)
@@ -44,7 +44,7 @@ def closest_point_kernel(
             slot = nearest_slot(tree, p, max_distance * max_distance, slot)
         else:
             slot = int(-1)
-            out_bad[0] = 1
+            out_nonfinite[0] = 1
         if slot < 0:
             none = wp.float64(wp.nan)
             out_points[i] = wp.vec3d(none, none, none)

@@ -4,38 +4,16 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.ray_triangle_kernels import RAY_CROSSING, REFINE
+from geokit.mesh.bvh.ray_walk_kernels import ray_walk
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
-from geokit.mesh.queries.raycast_kernels import ray_walk
 
 wp.set_module_options({"enable_backward": False})
 
-# Of a thread on a GPU; see docs/design/layers.md.
+# Of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 64
 
-_COUNT = "++r.count;"
-_WRITE_COUNT = "out_count.data[r.id] = r.count;"
-# Kept in order as they come, by t and then by triangle: rays have few crossings. What is within the ray's limits was
-# decided before t is refined, as it was for their number.
-_INSERT = """
-    refine(origins.data[r.id], directions.data[r.id], slot, t, v, w);
-    const int triangle = tree.slot_triangle.data[slot];
-    const wp::int64 from = offsets.data[r.id];
-    wp::int64 place = from + r.count++;
-    for (; place > from; --place) {
-        const double before = out_t.data[place - 1];
-        if (before < t || (before == t && out_triangle_id.data[place - 1] < triangle)) break;
-        out_t.data[place] = before;
-        out_triangle_id.data[place] = out_triangle_id.data[place - 1];
-        out_barycentric.data[place] = out_barycentric.data[place - 1];
-    }
-    out_t.data[place] = t;
-    out_triangle_id.data[place] = triangle;
-    out_barycentric.data[place] = point(1.0 - v - w, v, w);
-"""
 
-
-@wp.func_native(ray_walk(RAY_CROSSING, _COUNT, _WRITE_COUNT))
+@wp.func_native(ray_walk("mesh/queries/count_crossings.inl", "CROSSINGS"))
 def count_crossings(
     begin: int,
     end: int,
@@ -49,7 +27,7 @@ def count_crossings(
 ): ...
 
 
-@wp.func_native(ray_walk(RAY_CROSSING + REFINE, _INSERT, ""))
+@wp.func_native(ray_walk("mesh/queries/list_crossings.inl", "CROSSINGS"))
 def list_crossings(
     begin: int,
     end: int,

@@ -4,91 +4,47 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.box_walk_kernels import BOX_WALK, LOCAL_BOX
+from geokit.mesh.bvh.box_walk_kernels import box_walk
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
-from geokit.mesh.queries.triangle_pair_kernels import TRIANGLE_PAIR
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# An item is a leaf of eight slots on a CPU, a slot on CUDA. Pairs of a surface with itself are visited once: from the
-# lower slot.
-_PAIRS = (
-    TRIANGLE_PAIR
-    + LOCAL_BOX
-    + """
-    #if defined(__CUDA_ARCH__)
-    const int width = 1;
-    #else
-    const int width = 8;
-    #endif
-    float lows[width][3], highs[width][3], low[3], high[3];
-    for (int k = 0; k < 3; ++k) { low[k] = INFINITY; high[k] = -INFINITY; }
-    for (int lane = 0; lane < width; ++lane) {
-        const int slot = width * item + lane;
-        if (asking.slot_triangle.data[slot] < 0) {
-            for (int k = 0; k < 3; ++k) { lows[lane][k] = INFINITY; highs[lane][k] = -INFINITY; }
-            continue;
-        }
-        double lower[3], upper[3];
-        const point* p = asking.corners.data + 3 * slot;
-        for (int k = 0; k < 3; ++k) {
-            lower[k] = wp::min(wp::min(p[0][k], p[1][k]), p[2][k]);
-            upper[k] = wp::max(wp::max(p[0][k], p[1][k]), p[2][k]);
-        }
-        local_box(tree, lower, upper, lows[lane], highs[lane]);
-        for (int k = 0; k < 3; ++k) {
-            low[k] = wp::min(low[k], lows[lane][k]);
-            high[k] = wp::max(high[k], highs[lane][k]);
-        }
-    }
-    auto test = [&](int slot, int other) {
-        point t[3], u[3];
-        for (int k = 0; k < 3; ++k) {
-            t[k] = asking.corners.data[3 * slot + k] * unit;
-            u[k] = tree.corners.data[3 * other + k] * unit;
-        }
-        if (!(itself ? meet_beyond_shared(t, u) : triangles_meet(t, u))) return;
-        ON_PAIR
-    };
-"""
-    + BOX_WALK
-)
-_VISIT = """
-    if (itself && first < width * item) continue;
-    #if defined(__CUDA_ARCH__)
-    if (!itself || first > item) test(item, first);
-    #else
-    const v8* box = (const v8*)(slot_boxes.data + 6 * first);
-    for (int lane = 0; lane < 8; ++lane) {
-        const auto meets = (box[0] <= highs[lane][0]) & (box[1] <= highs[lane][1]) & (box[2] <= highs[lane][2])
-                           & (box[3] >= lows[lane][0]) & (box[4] >= lows[lane][1]) & (box[5] >= lows[lane][2]);
-        unsigned mask = (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(meets, b8));
-        if (itself && first == 8 * item) mask &= ~0u << (lane + 1);
-        for (; mask; mask &= mask - 1) test(8 * item + lane, first + __builtin_ctz(mask));
-    }
-    #endif
-"""
-_TEXT = _PAIRS.replace("VISIT", _VISIT)
-_COUNT = "wp::int64 count = 0;" + _TEXT.replace("ON_PAIR", "++count;") + "out_count.data[item] = count;"
-_ANY = (
-    "if (out_found.data[0]) return;"  # others have found one
-    + _TEXT.replace("ON_PAIR", "out_found.data[0] = 1;")
-)
-_FILL = "wp::int64 at = offset;" + _TEXT.replace(
-    "ON_PAIR",
-    """
-        const int one = asking.slot_triangle.data[slot], another = tree.slot_triangle.data[other];
-        const bool turned = itself && one > another;
-        out_pairs.data[2 * at] = turned ? another : one;
-        out_pairs.data[2 * at++ + 1] = turned ? one : another;
-""",
-)
+# Relative to |axis|_1 times the largest coordinate: a dot product of differences is off by five roundings, and two of
+# them are compared; about twice that.
+PAIR_GAP_ERROR = 2.5e-15
+# Relative to the sum of the absolute products: (7 + 56 e) e and (3 + 16 e) e for e = 2^-53 (Shewchuk 1997), with room
+# for the rounding of that sum.
+VOLUME_ERROR = 8.0e-16
+AREA_ERROR = 3.4e-16
+# Six products of three differences of two parts each, every one of them four parts.
+PARTS = 192
+
+
+def _pairs(on_pair: str, *files: str) -> str:
+    return box_walk(
+        "mesh/bvh/exact_arithmetic.inl",
+        "mesh/bvh/predicates.inl",
+        "mesh/queries/triangle_pair.inl",
+        *files,
+        "mesh/queries/visit_pairs.inl",
+        defines={"ON_PAIR(slot, other)": on_pair},
+        PAIR_GAP_ERROR=PAIR_GAP_ERROR,
+        VOLUME_ERROR=VOLUME_ERROR,
+        AREA_ERROR=AREA_ERROR,
+        PARTS=PARTS,
+    )
+
+
+_COUNT = "wp::int64 count = 0;" + _pairs("++count") + "out_count.data[item] = count;"
+# Another thread may have found one.
+_ANY = "if (out_found.data[0]) return;" + _pairs("out_found.data[0] = 1")
+_FILL = "wp::int64 at = offset;" + _pairs("append_pair(slot, other)", "mesh/queries/append_pair.inl")
 
 
 @wp.func_native(_COUNT)
 def count_pairs(
     item: int,
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
@@ -101,7 +57,7 @@ def count_pairs(
 def fill_pairs(
     item: int,
     offset: wp.int64,
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
@@ -113,7 +69,7 @@ def fill_pairs(
 @wp.func_native(_ANY)
 def find_pair(
     item: int,
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
@@ -125,14 +81,14 @@ def find_pair(
 @wp.kernel
 def count_pairs_kernel(
     first: int,
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
     unit: wp.float64,
     out_count: wp.array(dtype=wp.int64),
 ):
-    count_pairs(first + wp.tid(), asking, tree, slot_boxes, itself, unit, out_count)
+    count_pairs(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_count)
 
 
 @wp.kernel
@@ -140,7 +96,7 @@ def fill_pairs_kernel(
     first: int,
     items: wp.array(dtype=int),
     offsets: wp.array(dtype=wp.int64),
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
@@ -149,13 +105,13 @@ def fill_pairs_kernel(
 ):
     """For the items that have pairs, from their place in the list on."""
     i = first + wp.tid()
-    fill_pairs(items[i], offsets[i], asking, tree, slot_boxes, itself, unit, out_pairs)
+    fill_pairs(items[i], offsets[i], surface, tree, slot_boxes, itself, unit, out_pairs)
 
 
 @wp.kernel
 def find_pair_kernel(
     first: int,
-    asking: SurfaceTree,
+    surface: SurfaceTree,
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     itself: bool,
@@ -163,4 +119,4 @@ def find_pair_kernel(
     out_found: wp.array(dtype=int),
 ):
     """Whether there is a pair; the others stop once one is found."""
-    find_pair(first + wp.tid(), asking, tree, slot_boxes, itself, unit, out_found)
+    find_pair(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_found)

@@ -36,7 +36,7 @@ def cell_of(grid: DartGrid, offset: wp.float64) -> wp.int32:
 
 @wp.func
 def bucket_of(grid: DartGrid, x: wp.int32, y: wp.int32, z: wp.int32) -> wp.int32:
-    # Large odd factors spread neighbouring cells; the high half takes part, as the mask keeps low bits only.
+    # Large odd factors spread neighboring cells; the high half takes part, as the mask keeps low bits only.
     mixed = (wp.int64(x) * wp.int64(73856093)) ^ (wp.int64(y) * wp.int64(19349663)) ^ (wp.int64(z) * wp.int64(83492791))
     mixed = mixed ^ (mixed >> wp.int64(17))
     return wp.int32(mixed & grid.bucket_mask)

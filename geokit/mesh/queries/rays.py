@@ -261,7 +261,7 @@ class RayQueries:
     ) -> None:
         import warp as wp
 
-        from geokit.mesh.bvh.ray_triangle_kernels import SHORTEST_DIRECTION
+        from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
 
         if len(rays) != len(heading):
             raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")

@@ -20,9 +20,8 @@ __all__ = ["by_pseudonormal", "pseudonormal_tables"]
 
 def pseudonormal_tables(
     mesh: TriangleMesh, topology: MeshTopology, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"
-) -> list["wp.array"]:
-    """What :func:`pseudonormal` reads: vertices, faces, flipped, the triangle across each edge (-1 for none), the
-    vertex normal of each corner, and the angle-weighted vertex normals, one for each position.
+) -> Any:
+    """The :class:`Pseudonormals` of a surface.
 
     Args:
         mesh: The mesh.
@@ -35,6 +34,8 @@ def pseudonormal_tables(
     """
     import warp as wp
 
+    from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
+
     device = vertices.device
 
     def on_device(values: NDArray[Any], dtype: Any) -> "wp.array":
@@ -42,14 +43,14 @@ def pseudonormal_tables(
 
     corners, position_count = topology.corners, topology.position_count
     normals = _vertex_normals(mesh, flipped, corners, position_count)
-    return [
-        vertices,
-        faces,
-        on_device(flipped, wp.bool),
-        on_device(_across(topology), wp.int32),
-        on_device(corners.ravel(), wp.int32),
-        on_device(normals, wp.vec3d),
-    ]
+    tables = Pseudonormals()
+    tables.vertices = vertices
+    tables.faces = faces
+    tables.flipped = on_device(flipped, wp.bool)
+    tables.across = on_device(_across(topology), wp.int32)
+    tables.corner_normal = on_device(corners.ravel(), wp.int32)
+    tables.vertex_normals = on_device(normals, wp.vec3d)
+    return tables
 
 
 def _across(topology: MeshTopology) -> NDArray[np.int64]:
@@ -79,8 +80,8 @@ def _vertex_normals(
     return np.stack([np.bincount(at, weighted[:, axis], minlength=position_count) for axis in range(3)], axis=1)
 
 
-def by_pseudonormal(found: list[Any], tables: list["wp.array"], distance: "wp.array", device: "wp.Device") -> None:
+def by_pseudonormal(found: list[Any], tables: Any, distance: "wp.array", device: "wp.Device") -> None:
     """Turns the distances of inside points negative, in place; ``found`` are points and their closest points."""
     from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
 
-    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, *tables], [distance], device)
+    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, tables], [distance], device)

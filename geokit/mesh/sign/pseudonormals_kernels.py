@@ -7,6 +7,22 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 
+@wp.struct
+class Pseudonormals:
+    """The tables of a surface's pseudonormals."""
+
+    vertices: wp.array(dtype=wp.vec3d)
+    faces: wp.array(dtype=int)
+    # Triangles that count as wound the other way.
+    flipped: wp.array(dtype=wp.bool)
+    # The triangle on the other side of each half-edge; -1 where there is none, or more than one.
+    across: wp.array(dtype=int)
+    # The vertex normal of each corner.
+    corner_normal: wp.array(dtype=int)
+    # Angle-weighted normals, one for each position.
+    vertex_normals: wp.array(dtype=wp.vec3d)
+
+
 @wp.func
 def unit_normal(
     vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=int), flipped: wp.array(dtype=wp.bool), triangle: int
@@ -30,10 +46,10 @@ def corner_normals_kernel(
     flipped: wp.array(dtype=wp.bool),
     out_normals: wp.array(dtype=wp.vec3d),
 ):
-    """For each corner its triangle's unit normal times the angle there; zero where there is no triangle to speak of."""
+    """For each corner its triangle's unit normal times the angle there; zero where there is no area or angle."""
     triangle = first + wp.tid()
     normal = unit_normal(vertices, faces, flipped, triangle)
-    # Not so if a number, but none.
+    # False for NaN: a triangle without area.
     usable = wp.dot(normal, normal) > wp.float64(0.0)
     for k in range(3):
         a = vertices[faces[3 * triangle + k]]
@@ -42,7 +58,7 @@ def corner_normals_kernel(
         # At unit size: products of small edges would underflow.
         towards = towards / wp.max(wp.max(wp.abs(towards[0]), wp.abs(towards[1])), wp.abs(towards[2]))
         back = back / wp.max(wp.max(wp.abs(back[0]), wp.abs(back[1])), wp.abs(back[2]))
-        # The angle from both its sine and its cosine is good to rounding, for slivers too.
+        # From both its sine and its cosine the angle is right to rounding, for slivers too.
         angle = wp.atan2(wp.length(wp.cross(towards, back)), wp.dot(towards, back))
         weighted = wp.vec3d()
         if usable and angle > wp.float64(0.0):
@@ -51,16 +67,7 @@ def corner_normals_kernel(
 
 
 @wp.func
-def pseudonormal(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    flipped: wp.array(dtype=wp.bool),
-    across: wp.array(dtype=int),
-    corner_normal: wp.array(dtype=int),
-    vertex_normals: wp.array(dtype=wp.vec3d),
-    triangle: int,
-    barycentric: wp.vec3d,
-) -> wp.vec3d:
+def pseudonormal(tables: Pseudonormals, triangle: int, barycentric: wp.vec3d) -> wp.vec3d:
     """Angle-weighted normal of the face, edge or vertex of ``triangle`` that the point lies on, of any length."""
     zero = wp.float64(0.0)
     zeros = int(0)
@@ -73,13 +80,13 @@ def pseudonormal(
         if barycentric[k] > barycentric[largest]:
             largest = k
     if zeros == 2:
-        return vertex_normals[corner_normal[3 * triangle + largest]]
-    normal = unit_normal(vertices, faces, flipped, triangle)
+        return tables.vertex_normals[tables.corner_normal[3 * triangle + largest]]
+    normal = unit_normal(tables.vertices, tables.faces, tables.flipped, triangle)
     if zeros == 1:
         # The edge opposite the corner whose weight is zero begins at the next corner.
-        beyond = across[3 * triangle + (last_zero + 1) % 3]
+        beyond = tables.across[3 * triangle + (last_zero + 1) % 3]
         if beyond >= 0:
-            normal += unit_normal(vertices, faces, flipped, beyond)
+            normal += unit_normal(tables.vertices, tables.faces, tables.flipped, beyond)
     return normal
 
 
@@ -90,18 +97,13 @@ def pseudonormal_sign_kernel(
     closest: wp.array(dtype=wp.vec3d),
     triangle_id: wp.array(dtype=int),
     barycentric: wp.array(dtype=wp.vec3d),
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    flipped: wp.array(dtype=wp.bool),
-    across: wp.array(dtype=int),
-    corner_normal: wp.array(dtype=int),
-    vertex_normals: wp.array(dtype=wp.vec3d),
+    tables: Pseudonormals,
     out_distance: wp.array(dtype=wp.float64),
 ):
     """Turns the distance of inside points negative, in place; misses stay."""
     i = first + wp.tid()
     triangle = triangle_id[i]
     if triangle >= 0:
-        normal = pseudonormal(vertices, faces, flipped, across, corner_normal, vertex_normals, triangle, barycentric[i])
+        normal = pseudonormal(tables, triangle, barycentric[i])
         if wp.dot(points[i] - closest[i], normal) < wp.float64(0.0):
             out_distance[i] = -out_distance[i]

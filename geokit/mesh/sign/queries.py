@@ -240,7 +240,7 @@ class SignQueries(PointQueries):
         return mesh_topology(self.mesh)
 
     @cached_property
-    def _pseudonormals(self) -> list["wp.array"]:
+    def _pseudonormals(self) -> Any:
         from geokit.mesh.sign.pseudonormals import pseudonormal_tables
 
         flipped = self._orientation.flipped

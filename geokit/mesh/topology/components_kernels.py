@@ -9,44 +9,12 @@ links were taken.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False})
 
 
-# Warp's atomic functions are plain reads and writes on a CPU, where slices of a launch run on several threads.
-@wp.func_native(
-    """
-    int* const parent = label.data;
-#if defined(__CUDA_ARCH__)
-    auto read = [parent](int i) { return atomicAdd(parent + i, 0); };
-    auto swap = [parent](int i, int from, int to) { return atomicCAS(parent + i, from, to); };
-#else
-    auto read = [parent](int i) { return __atomic_load_n(parent + i, __ATOMIC_RELAXED); };
-    auto swap = [parent](int i, int from, int to) {
-        __atomic_compare_exchange_n(parent + i, &from, to, false, __ATOMIC_RELAXED, __ATOMIC_RELAXED);
-        return from;
-    };
-#endif
-    // Halves the path on the way: whoever loses a race leaves a parent that is still one.
-    auto root = [&read, &swap](int i) {
-        int above = read(i);
-        while (above != i) {
-            const int beyond = read(above);
-            if (beyond != above) swap(i, above, beyond);
-            i = above;
-            above = beyond;
-        }
-        return i;
-    };
-    while (true) {
-        a = root(a);
-        b = root(b);
-        if (a == b) return;
-        if (a < b) { const int t = a; a = b; b = t; }
-        // Where another thread was quicker a is no root any more, and the search goes on from there.
-        if (swap(a, a, b) == a) return;
-    }
-    """
-)
+@wp.func_native(cpp("mesh/topology/join_components.inl"))
 def join(label: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32): ...
 
 

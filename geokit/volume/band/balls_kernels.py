@@ -8,6 +8,8 @@ balls may reach: what matters to a block inside a bucket lies in that bucket and
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -209,40 +211,7 @@ def fill_kernel(
     out_place[i] = place
 
 
-# The whole loop in C++: eight lanes stay in registers, where warp's own vectors go through memory at each step. Of
-# equal balls the nearest centre decides: one square root a voxel, and the same bits, because it is monotone.
-_ROW_SNIPPET = """
-    double least[8];
-    const double start = band + balls.radius.data[0];
-    for (int k = 0; k < 8; ++k) least[k] = balls.uniform ? start * start : band;
-    for (int n = begin; n < end; ++n) {
-        const int b = ball.data[n];
-        const wp::vec_t<3, double>& c = balls.center.data[b];
-        const double radius = balls.radius.data[b], dx = x - c[0], dy = y - c[1], dz = z - c[2];
-        const double across = dx * dx + dy * dy, reach = band + radius + slack;
-        if (across >= reach * reach) continue;
-        if (balls.uniform) {
-            for (int k = 0; k < 8; ++k) {
-                const double along = dz + (double)k, squared = across + along * along;
-                least[k] = squared < least[k] ? squared : least[k];
-            }
-        } else {
-            for (int k = 0; k < 8; ++k) {
-                const double along = dz + (double)k, distance = ::sqrt(across + along * along) - radius;
-                least[k] = distance < least[k] ? distance : least[k];
-            }
-        }
-    }
-    wp::vec_t<8, double> result;
-    for (int k = 0; k < 8; ++k) {
-        const double distance = balls.uniform ? ::sqrt(least[k]) - balls.radius.data[0] : least[k];
-        result[k] = distance < band ? distance : band;
-    }
-    return result;
-"""
-
-
-@wp.func_native(_ROW_SNIPPET)
+@wp.func_native(cpp("volume/band/ball_distances.inl"))
 def least_distances(
     balls: Balls, ball: wp.array(dtype=wp.int32), begin: int, end: int, x: wp.float64, y: wp.float64, z: wp.float64,
     band: wp.float64, slack: wp.float64,

@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
@@ -79,44 +81,7 @@ def keep_bits_kernel(
             out_bits[ends[i] - 1, x] = bits[i, x]
 
 
-# A plane of 64 voxels: their values, from distances and the bits of those that they are to be negative at.
-_VALUES = """
-    const float* d = distance.data + 512ll * rows.data[leaf] + 64 * x;
-    const unsigned long long within = inside.data ? ((const unsigned long long*)inside.data)[8ll * leaf + x] : 0;
-    float values[64];
-    for (int b = 0; b < 64; ++b) {
-        const float value = ((within >> b & 1) ? -d[b] : d[b]);
-        values[b] = value < exterior ? (value > interior ? value : interior) : exterior;
-    }
-"""
-
-_BITS = (
-    _VALUES
-    + """
-    unsigned long long active = 0, negative = 0;
-    for (int b = 0; b < 64; ++b) {
-        active |= (unsigned long long)(values[b] < exterior && values[b] > interior) << b;
-        negative |= (unsigned long long)(values[b] < 0.f) << b;
-    }
-    ((unsigned long long*)out_active.data)[8ll * leaf + x] = active;
-    ((unsigned long long*)out_negative.data)[8ll * leaf + x] = negative;
-"""
-)
-
-_LEAF_VALUES = (
-    _VALUES
-    + """
-    unsigned char* out = out_buffer.data + begin + 2144ll * leaf;
-    unsigned long long active = 0;
-    for (int b = 0; b < 64; ++b)
-        active |= (unsigned long long)(values[b] < exterior && values[b] > interior) << b;
-    for (int b = 0; b < 64; ++b) ((float*)(out + 96))[64 * x + b] = values[b];
-    ((unsigned long long*)(out + 16))[x] = active;
-"""
-)
-
-
-@wp.func_native(_BITS)
+@wp.func_native(cpp("volume/band/plane_values.inl", "volume/band/plane_bits.inl"))
 def plane_bits(
     leaf: int,
     x: int,
@@ -152,7 +117,7 @@ def bits_kernel(
         out_some[0] = 1
 
 
-@wp.func_native(_LEAF_VALUES)
+@wp.func_native(cpp("volume/band/plane_values.inl", "volume/band/leaf_values.inl"))
 def plane_values(
     leaf: int,
     x: int,

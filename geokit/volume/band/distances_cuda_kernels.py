@@ -11,7 +11,7 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Half the diagonal of the 4^3 voxel centres of a brick, rounded up [voxels].
+# Half the diagonal of the 4^3 voxel centers of a brick, rounded up [voxels].
 BRICK_RADIUS = wp.constant(wp.float64(2.5980763))
 
 
@@ -33,7 +33,7 @@ def brick_kernel(
     reach: wp.float64,
     out_slot: wp.array(dtype=int),
 ):
-    """The slot nearest to the centre of each of a tile's eight bricks of 4^3 voxels; -1 where none of them is near."""
+    """The slot nearest to the center of each of a tile's eight bricks of 4^3 voxels; -1 where none of them is near."""
     i = first + wp.tid()
     tile = tiles[i >> 3] * 2 + wp.vec3i((i >> 2) & 1, (i >> 1) & 1, i & 1)
     half = wp.float64(1.5)
@@ -63,7 +63,7 @@ def voxel_kernel(
     """
     i = first + wp.tid()
     row = start + (i >> 9)
-    # By bricks, so that neighbouring threads walk the same nodes.
+    # By bricks, so that neighboring threads walk the same nodes.
     brick = (i >> 6) & 7
     x = 4 * (brick >> 2) + ((i >> 4) & 3)
     y = 4 * ((brick >> 1) & 1) + ((i >> 2) & 3)

@@ -1,4 +1,4 @@
-"""Voxels of a band that are asked whether they lie inside, where they are: by pseudonormal or by winding number."""
+"""Which of a band's voxels lie inside: tested at each voxel, by pseudonormal or by winding number."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -8,36 +8,52 @@ from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, off
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside
-from geokit.mesh.sign.pseudonormals_kernels import pseudonormal
+from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, pseudonormal
 from geokit.volume.band.signs_kernels import set_in_row, unset_in_row, voxel_position
 
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# A tile's centre is at most 6.07 voxels farther from the surface than the band reaches, and so are its voxels from it.
+# A tile's center is at most 6.07 voxels farther from the surface than the band reaches, and so are its voxels from it.
 WITHIN_TILE = wp.constant(wp.float64(12.2))
 # The radius of a search for what is known to be at that distance, which float32 has rounded.
 ROUNDED = wp.constant(wp.float64(1.000001))
 
 
+@wp.struct
+class BandVoxels:
+    """The voxels of a band before they are signed."""
+
+    # Coordinates of all tiles, and the tile of each leaf.
+    tiles: wp.array(dtype=wp.vec3i)
+    rows: wp.array(dtype=int)
+    # Position of index 0 and edge length [world].
+    translation: wp.vec3d
+    voxel_size: wp.float64
+    # Unsigned distances of the tiles' voxels, cut off at ``reach`` [world].
+    distance: wp.array2d(dtype=wp.float32)
+    reach: wp.float64
+
+
 @wp.func
-def search_radius(distance: wp.float32, reach: wp.float64, voxel_size: wp.float64) -> wp.float64:
-    """A radius that surely holds the nearest triangle of a voxel of this distance, which is cut off at ``reach``."""
+def position_of(voxels: BandVoxels, row: int, voxel: int) -> wp.vec3d:
+    return voxel_position(voxels.tiles[row], voxel, voxels.translation, voxels.voxel_size)
+
+
+@wp.func
+def search_radius(voxels: BandVoxels, row: int, voxel: int) -> wp.float64:
+    """A radius that surely holds the nearest triangle of a voxel, whose distance is cut off at ``reach``."""
+    distance = voxels.distance[row, voxel]
     radius = wp.float64(distance) * ROUNDED
-    if distance >= wp.float32(reach):
-        radius = reach * ROUNDED + WITHIN_TILE * voxel_size
+    if distance >= wp.float32(voxels.reach):
+        radius = voxels.reach * ROUNDED + WITHIN_TILE * voxels.voxel_size
     return radius
 
 
 @wp.func
-def is_behind(
+def is_inside_by_pseudonormal(
     tree: SurfaceTree,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    flipped: wp.array(dtype=wp.bool),
-    across: wp.array(dtype=int),
-    corner_normal: wp.array(dtype=int),
-    vertex_normals: wp.array(dtype=wp.vec3d),
+    tables: Pseudonormals,
     p: wp.vec3d,
     radius: wp.float64,
 ) -> wp.bool:
@@ -49,116 +65,88 @@ def is_behind(
         b = tree.corners[3 * slot + 1]
         c = tree.corners[3 * slot + 2]
         barycentric = closest_on_triangle(p, a, b, c)
-        normal = pseudonormal(
-            vertices, faces, flipped, across, corner_normal, vertex_normals, tree.slot_triangle[slot], barycentric
-        )
+        normal = pseudonormal(tables, tree.slot_triangle[slot], barycentric)
         behind = wp.dot(offset_from_triangle(p, a, b, c, barycentric), normal) < wp.float64(0.0)
     return behind
 
 
 @wp.kernel
-def regions_behind_kernel(
+def regions_by_pseudonormal_kernel(
     first: int,
     regions: int,
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    translation: wp.vec3d,
-    voxel_size: wp.float64,
-    distance: wp.array2d(dtype=wp.float32),
-    reach: wp.float64,
+    voxels: BandVoxels,
     seeds: wp.array(dtype=int),
     tree: SurfaceTree,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    flipped: wp.array(dtype=wp.bool),
-    across: wp.array(dtype=int),
-    corner_normal: wp.array(dtype=int),
-    vertex_normals: wp.array(dtype=wp.vec3d),
+    tables: Pseudonormals,
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Asks the pseudonormal at the voxel of each region, where there is one."""
+    """Tests by pseudonormal the voxel of each region, where there is one."""
     i = first + wp.tid()
     seed = seeds[i]
     if seed >= 0:
-        row = rows[i / regions]
-        p = voxel_position(tiles[row], seed, translation, voxel_size)
-        radius = search_radius(distance[row, seed], reach, voxel_size)
-        out_inside[i] = is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius)
+        row = voxels.rows[i / regions]
+        p = position_of(voxels, row, seed)
+        radius = search_radius(voxels, row, seed)
+        out_inside[i] = is_inside_by_pseudonormal(tree, tables, p, radius)
 
 
 @wp.kernel
-def voxels_behind_kernel(
+def voxels_by_pseudonormal_kernel(
     first: int,
     span: int,
     known: wp.array2d(dtype=wp.uint64),
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    translation: wp.vec3d,
-    voxel_size: wp.float64,
-    distance: wp.array2d(dtype=wp.float32),
-    reach: wp.float64,
+    voxels: BandVoxels,
     tree: SurfaceTree,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    flipped: wp.array(dtype=wp.bool),
-    across: wp.array(dtype=int),
-    corner_normal: wp.array(dtype=int),
-    vertex_normals: wp.array(dtype=wp.vec3d),
+    tables: Pseudonormals,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the pseudonormal at the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests by pseudonormal the voxels of ``span`` rows of eight whose sides are not known."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)
         if left != 0:
-            row = rows[leaf]
+            row = voxels.rows[leaf]
             found = int(0)
             for b in range(8):
                 if ((left >> b) & 1) != 0:
                     voxel = 8 * (item & 63) + b
-                    p = voxel_position(tiles[row], voxel, translation, voxel_size)
-                    radius = search_radius(distance[row, voxel], reach, voxel_size)
-                    if is_behind(tree, vertices, faces, flipped, across, corner_normal, vertex_normals, p, radius):
+                    p = position_of(voxels, row, voxel)
+                    radius = search_radius(voxels, row, voxel)
+                    if is_inside_by_pseudonormal(tree, tables, p, radius):
                         found = found | (1 << b)
             set_in_row(out_inside, leaf, item & 63, found)
 
 
 @wp.kernel
-def regions_wound_kernel(
+def regions_by_winding_kernel(
     first: int,
     regions: int,
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    translation: wp.vec3d,
-    voxel_size: wp.float64,
+    voxels: BandVoxels,
     seeds: wp.array(dtype=int),
     tree: SurfaceTree,
     winding: WindingTree,
     empty: wp.float64,
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Asks the winding number at the voxel of each region, where there is one."""
+    """Tests by winding number the voxel of each region, where there is one."""
     i = first + wp.tid()
     if seeds[i] >= 0:
-        p = voxel_position(tiles[rows[i / regions]], seeds[i], translation, voxel_size)
+        p = position_of(voxels, voxels.rows[i / regions], seeds[i])
         out_inside[i] = is_inside(tree, winding, empty, p)
 
 
 @wp.kernel
-def voxels_wound_kernel(
+def voxels_by_winding_kernel(
     first: int,
     span: int,
     known: wp.array2d(dtype=wp.uint64),
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    translation: wp.vec3d,
-    voxel_size: wp.float64,
+    voxels: BandVoxels,
     tree: SurfaceTree,
     winding: WindingTree,
     empty: wp.float64,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Asks the winding number at the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests by winding number the voxels of ``span`` rows of eight whose sides are not known."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)
@@ -166,7 +154,7 @@ def voxels_wound_kernel(
             found = int(0)
             for b in range(8):
                 if ((left >> b) & 1) != 0:
-                    p = voxel_position(tiles[rows[leaf]], 8 * (item & 63) + b, translation, voxel_size)
+                    p = position_of(voxels, voxels.rows[leaf], 8 * (item & 63) + b)
                     if is_inside(tree, winding, empty, p):
                         found = found | (1 << b)
             set_in_row(out_inside, leaf, item & 63, found)

@@ -1,4 +1,4 @@
-"""Signs of a band's voxels: a few are asked of the surface, the others follow from their distances."""
+"""Signs of a band's voxels: the surface decides a few, the others follow from their distances."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["inside_bits"]
 
-# The distances of two neighbours on either side of a wall that is square to them add up to a voxel exactly; rounded to
+# The distances of two neighbors on either side of a wall that is square to them add up to a voxel exactly; rounded to
 # float32 they may add up to a little more, and a flood must not pass there.
 FLOOD_MARGIN = 1.00001
-# Rounds over the diagonal neighbours of voxels that have no link along an axis. They tell a third of what is left; on a
-# GPU all wait for the leaf that has most of them, and to ask for them is quicker.
+# Rounds over the diagonal neighbors of voxels that have no link along an axis. They decide a third of what is left; on
+# a GPU all threads wait for the leaf with the most of them, and testing each voxel is quicker.
 ROUNDS_CPU, ROUNDS_CUDA = 2, 0
 # Rows of eight voxels that a thread looks at; on a GPU a thread for each is more than twice as quick.
 ROWS_CPU, ROWS_CUDA = 8, 1
@@ -32,8 +32,9 @@ def inside_bits(
 ) -> "wp.array":
     """For each leaf eight words whose bits say which of its voxels lie inside.
 
-    Where the surface is closed, one voxel is asked for each of a leaf's regions that the surface separates, and those
-    that are too near to it to belong to one; where it is open, whose sign changes in free space too, every active one.
+    Where the surface is closed, one voxel is tested for each of a leaf's regions that the surface separates, and those
+    that are too near to it to belong to one. The sign of an open surface changes in free space too: there every active
+    voxel is tested.
 
     Args:
         lattice: The voxels.
@@ -53,24 +54,24 @@ def inside_bits(
     spacing = float(np.float32(lattice.voxel_size * FLOOD_MARGIN))
     known = wp.zeros((count, 8), dtype=wp.uint64, device=device)
     inside = wp.zeros((count, 8), dtype=wp.uint64, device=device)
-    asked = _Asked(lattice, [tiles, rows, *lattice.arguments], distance, method)
+    tests = _SurfaceSigns(lattice, [tiles, rows, *lattice.arguments], distance, method)
     if not lattice.surface.is_closed:
-        asked.listed(active, known, inside)
+        tests.listed(active, known, inside)
     regions = kernels.REGIONS * count
     links, seeds = Scratch(device, ((count, 24), wp.uint64), ((regions,), wp.int32)).arrays
     launcher.launch(kernels.links_kernel, 8 * count, [rows, distance, spacing], [links], device)
     inputs = [rows, distance, links, known, kernels.LEAST_SHARE * spacing, float(np.float32(lattice.reach))]
     launcher.launch(kernels.regions_kernel, count, inputs, [seeds], device, grain=64)
     rounds = ROUNDS_CPU if device.is_cpu else ROUNDS_CUDA
-    inputs = [rows, distance, links, seeds, asked.regions(seeds), spacing, rounds]
+    inputs = [rows, distance, links, seeds, tests.regions(seeds), spacing, rounds]
     launcher.launch(kernels.spread_kernel, count, inputs, [known, inside], device, grain=64)
-    asked.others(known, inside)
+    tests.others(known, inside)
     return inside
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What the surface says of voxels; ``where`` are tiles, rows, translation and voxel size as kernels take them."""
+class _SurfaceSigns:
+    """Signs from the surface itself; ``where`` are tiles, rows, translation and voxel size as kernels take them."""
 
     lattice: Lattice
     where: list[Any]
@@ -92,11 +93,11 @@ class _Asked:
             inputs = [regions, seeds, inside]
             launcher.launch(signs_kernels.seed_answers_kernel, len(seeds), inputs, [answers], device)
         elif self.method == "pseudonormal":
-            inputs = [regions, *self.where, *self._distance, seeds, *self._pseudonormals]
-            launcher.launch(inside_kernels.regions_behind_kernel, len(seeds), inputs, [answers], device)
+            inputs = [regions, self._voxels, seeds, *self._pseudonormals]
+            launcher.launch(inside_kernels.regions_by_pseudonormal_kernel, len(seeds), inputs, [answers], device)
         else:
-            inputs = [regions, *self.where, seeds, *self.lattice.surface._winding_arguments()]
-            launcher.launch(inside_kernels.regions_wound_kernel, len(seeds), inputs, [answers], device)
+            inputs = [regions, self._voxels, seeds, *self.lattice.surface._winding_arguments()]
+            launcher.launch(inside_kernels.regions_by_winding_kernel, len(seeds), inputs, [answers], device)
         return answers
 
     def others(self, known: "wp.array", inside: "wp.array") -> None:
@@ -113,15 +114,15 @@ class _Asked:
             return
         span = ROWS_CPU if device.is_cpu else ROWS_CUDA
         if self.method == "pseudonormal":
-            inputs = [span, known, *self.where, *self._distance, *self._pseudonormals]
-            kernel = inside_kernels.voxels_behind_kernel
+            inputs = [span, known, self._voxels, *self._pseudonormals]
+            kernel = inside_kernels.voxels_by_pseudonormal_kernel
         else:
-            inputs = [span, known, *self.where, *self.lattice.surface._winding_arguments()]
-            kernel = inside_kernels.voxels_wound_kernel
+            inputs = [span, known, self._voxels, *self.lattice.surface._winding_arguments()]
+            kernel = inside_kernels.voxels_by_winding_kernel
         launcher.launch(kernel, 64 * count // span, inputs, [inside], device)
 
     def listed(self, bits: "wp.array", known: "wp.array", inside: "wp.array") -> None:
-        """The same for the voxels whose ``bits`` are set, all of which are listed and asked at once."""
+        """The same for the voxels whose ``bits`` are set, all of which are listed and tested in one call."""
         import warp as wp
 
         from geokit.volume.band import signs_kernels as kernels
@@ -139,11 +140,16 @@ class _Asked:
         launcher.launch(kernels.take_answers_kernel, count, inputs, [known, inside], device)
 
     @property
-    def _distance(self) -> list[Any]:
+    def _voxels(self) -> Any:
         import warp as wp
 
-        return [self.distance, wp.float64(self.lattice.reach)]
+        from geokit.volume.band.inside_kernels import BandVoxels
+
+        voxels = BandVoxels()
+        voxels.tiles, voxels.rows, voxels.translation, voxels.voxel_size = self.where
+        voxels.distance, voxels.reach = self.distance, wp.float64(self.lattice.reach)
+        return voxels
 
     @property
     def _pseudonormals(self) -> list[Any]:
-        return [self.lattice.surface._tree, *self.lattice.surface._pseudonormals]
+        return [self.lattice.surface._tree, self.lattice.surface._pseudonormals]

@@ -1,6 +1,6 @@
-"""Which voxels of a leaf lie inside: a few of them are asked, and their answers spread over bits.
+"""Which voxels of a leaf lie inside: a few of them are tested, and their answers spread over bits.
 
-A leaf's voxels are 512 bits, eight words of 64: word ``x``, bit ``8 y + z``. Two neighbours whose distances add up to
+A leaf's voxels are 512 bits, eight words of 64: word ``x``, bit ``8 y + z``. Two neighbors whose distances add up to
 more than their spacing cannot have the surface between them; such links are bits too, and a flood is shifts and ands.
 """
 
@@ -8,45 +8,17 @@ more than their spacing cannot have the surface between them; such links are bit
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Regions of a leaf that are asked for at their farthest voxel; a surface seldom leaves more.
+# Regions of a leaf that are tested at their farthest voxel; a surface seldom leaves more.
 REGIONS = 4
-# Share of the spacing that a region's farthest voxel must have: what is nearer is left to its diagonal neighbours.
+# Share of the spacing that a region's farthest voxel must have: what is nearer is left to its diagonal neighbors.
 LEAST_SHARE = 0.3
 
-# Distances of eight voxels in a row, compared with what comes `step` voxels later.
-_LINKS = """
-    const float* d = distance.data + 512ll * rows.data[leaf] + 64 * x;
-    unsigned long long z = 0, y = 0, next = 0;
-    #if defined(__CUDA_ARCH__)
-    for (int b = 0; b < 64; ++b) {
-        const float here = d[b];
-        if ((b & 7) < 7 && here + d[b + 1] > spacing) z |= 1ull << b;
-        if (b < 56 && here + d[b + 8] > spacing) y |= 1ull << b;
-        if (x < 7 && here + d[b + 64] > spacing) next |= 1ull << b;
-    }
-    #else
-    typedef float v8 __attribute__((ext_vector_type(8), aligned(4)));
-    typedef int i8 __attribute__((ext_vector_type(8), aligned(4)));
-    typedef bool b8 __attribute__((ext_vector_type(8)));
-    auto bits = [](i8 lanes) {
-        return (unsigned long long)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b8));
-    };
-    for (int r = 0; r < 8; ++r) {
-        const v8 here = *(const v8*)(d + 8 * r);
-        const v8 shifted = __builtin_shufflevector(here, here, 1, 2, 3, 4, 5, 6, 7, 7);
-        z |= (bits(here + shifted > spacing) & 0x7f) << 8 * r;
-        if (r < 7) y |= bits(here + *(const v8*)(d + 8 * r + 8) > spacing) << 8 * r;
-        if (x < 7) next |= bits(here + *(const v8*)(d + 8 * r + 64) > spacing) << 8 * r;
-    }
-    #endif
-    unsigned long long* out = (unsigned long long*)out_links.data + 24ll * leaf + 3 * x;
-    out[0] = z; out[1] = y; out[2] = next;
-"""
 
-
-@wp.func_native(_LINKS)
+@wp.func_native(cpp("core/simd.inl", "volume/band/voxel_links.inl"))
 def write_links(
     leaf: int,
     x: int,
@@ -70,74 +42,7 @@ def links_kernel(
     write_links(i >> 3, i & 7, rows, distance, spacing, out_links)
 
 
-# What a flood from `seed` reaches among the voxels of `open`: expects links (24 words), fills region (8 words).
-_FLOOD = """
-    auto flood = [](const unsigned long long* links, const unsigned long long* open, int seed,
-                    unsigned long long* region) {
-        for (int x = 0; x < 8; ++x) region[x] = 0;
-        region[seed >> 6] = 1ull << (seed & 63);
-        auto grow = [&](int x, unsigned long long m) {
-            const unsigned long long z = links[3 * x], y = links[3 * x + 1];
-            unsigned long long before = 0;
-            m &= open[x];
-            while (m != before) {
-                before = m;
-                m |= ((m & z) << 1) | ((m >> 1) & z);
-                m |= ((m & y) << 8) | ((m >> 8) & y);
-                m &= open[x];
-            }
-            return m;
-        };
-        bool more = true;
-        while (more) {
-            more = false;
-            for (int x = 0; x < 8; ++x) {
-                unsigned long long m = region[x];
-                if (x) m |= region[x - 1] & links[3 * x - 1];
-                m = m ? grow(x, m) : m;
-                more = more || m != region[x];
-                region[x] = m;
-            }
-            for (int x = 6; x >= 0; --x) {
-                unsigned long long m = region[x] | (region[x + 1] & links[3 * x + 2]);
-                m = m ? grow(x, m) : m;
-                more = more || m != region[x];
-                region[x] = m;
-            }
-        }
-    };
-"""
-
-_REGIONS = (
-    _FLOOD
-    + f"""
-    const unsigned long long* known = (const unsigned long long*)known_bits.data + 8ll * leaf;
-    const unsigned long long* links = (const unsigned long long*)all_links.data + 24ll * leaf;
-    const float* d = distance.data + 512ll * rows.data[leaf];
-    unsigned long long open[8], region[8];
-    for (int x = 0; x < 8; ++x) open[x] = ~known[x];
-    for (int n = 0; n < {REGIONS}; ++n) {{
-        int farthest = -1;
-        float largest = least;
-        for (int x = 0; x < 8; ++x)
-            for (int b = 0; open[x] && b < 64; ++b)
-                if (open[x] >> b & 1) {{
-                    // Where a distance is cut off the search would be wide: such a voxel only where there is no other.
-                    const float here = d[64 * x + b] < reach ? d[64 * x + b] : least;
-                    if (!(here >= largest) || (farthest >= 0 && here == largest)) continue;
-                    largest = here;
-                    farthest = 64 * x + b;
-                }}
-        out_seed.data[{REGIONS}ll * leaf + n] = farthest;
-        if (farthest < 0) continue;
-        flood(links, open, farthest, region);
-        for (int x = 0; x < 8; ++x) open[x] &= ~region[x];
-    }}
-"""
-)
-
-
-@wp.func_native(_REGIONS)
+@wp.func_native(cpp("volume/band/flood_leaf.inl", "volume/band/find_regions.inl", REGIONS=REGIONS))
 def find_regions(
     leaf: int,
     rows: wp.array(dtype=int),
@@ -168,57 +73,7 @@ def regions_kernel(
     find_regions(first + wp.tid(), rows, distance, links, known, least, reach, out_seed)
 
 
-_SPREAD = (
-    _FLOOD
-    + f"""
-    unsigned long long* known = (unsigned long long*)out_known.data + 8ll * leaf;
-    unsigned long long* inside = (unsigned long long*)out_inside.data + 8ll * leaf;
-    const unsigned long long* links = (const unsigned long long*)all_links.data + 24ll * leaf;
-    const float* d = distance.data + 512ll * rows.data[leaf];
-    unsigned long long open[8], region[8];
-    for (int x = 0; x < 8; ++x) open[x] = ~known[x];
-    for (int n = 0; n < {REGIONS}; ++n) {{
-        const int seed = seeds.data[{REGIONS}ll * leaf + n];
-        if (seed < 0) continue;
-        const bool within = answers.data[{REGIONS}ll * leaf + n];
-        flood(links, open, seed, region);
-        for (int x = 0; x < 8; ++x) {{
-            open[x] &= ~region[x];
-            known[x] |= region[x];
-            if (within) inside[x] |= region[x];
-        }}
-    }}
-    // Diagonal neighbours are farther apart, and one of them lies nearly straight away from the surface.
-    const float edge = spacing * 1.41421356f, corner = spacing * 1.73205081f;
-    for (int round = 0; round < rounds; ++round)
-        for (int x = 0; x < 8; ++x)
-            for (unsigned long long left = ~known[x]; left; left &= left - 1) {{
-                #if defined(__CUDA_ARCH__)
-                const int b = __ffsll((long long)left) - 1;
-                #else
-                const int b = __builtin_ctzll(left);
-                #endif
-                const int y = b >> 3, z = b & 7;
-                const float here = d[64 * x + b];
-                bool found = false;
-                for (int n = 0; n < 27 && !found; ++n) {{
-                    const int dx = n / 9 - 1, dy = n / 3 % 3 - 1, dz = n % 3 - 1, steps = dx * dx + dy * dy + dz * dz;
-                    const int u = x + dx, v = y + dy, w = z + dz;
-                    if (steps < 1 || u < 0 || u > 7 || v < 0 || v > 7 || w < 0 || w > 7) continue;
-                    const int at = 8 * v + w;
-                    if (!(known[u] >> at & 1)) continue;
-                    const float apart = steps == 1 ? spacing : steps == 2 ? edge : corner;
-                    if (!(here + d[64 * u + at] > apart)) continue;
-                    known[x] |= 1ull << b;
-                    if (inside[u] >> at & 1) inside[x] |= 1ull << b;
-                    found = true;
-                }}
-            }}
-"""
-)
-
-
-@wp.func_native(_SPREAD)
+@wp.func_native(cpp("volume/band/flood_leaf.inl", "volume/band/spread_answers.inl", REGIONS=REGIONS))
 def spread(
     leaf: int,
     rows: wp.array(dtype=int),
@@ -246,7 +101,7 @@ def spread_kernel(
     out_known: wp.array2d(dtype=wp.uint64),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Spreads the answers over their regions, then, in rounds, to voxels that only a diagonal neighbour tells."""
+    """Spreads the answers over their regions, then, in rounds, to voxels that only a diagonal neighbor decides."""
     leaf = first + wp.tid()
     spread(leaf, rows, distance, links, seeds, answers, spacing, rounds, out_known, out_inside)
 

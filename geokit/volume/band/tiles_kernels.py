@@ -34,7 +34,7 @@ def near_cells_kernel(
     hollow: wp.float64,
     out_near: wp.array(dtype=int),
 ):
-    """1 where the sphere around a cell's voxel centres comes within ``reach`` of the surface; ``span`` in voxels.
+    """1 where the sphere around a cell's voxel centers comes within ``reach`` of the surface; ``span`` in voxels.
 
     Not so where all of the sphere lies nearer to the surface than ``hollow``.
     """

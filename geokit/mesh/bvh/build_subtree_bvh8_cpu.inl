@@ -1,0 +1,42 @@
+// One subtree. Its nodes get the numbers from node_base on, parents before their children; its leaves are written from
+// place `begin` on, which has room for one leaf a reference.
+//
+// Expects build_bvh8_cpu.inl; subtree, begin, end, start_depth, node_base, children, leaf_begin, leaf_end, out_size;
+// WIDTH, STACK, HALVING_DEPTH, NO_CHILD.
+#if !defined(__CUDA_ARCH__)
+Range root;
+empty(root);
+for (int i = begin; i < end; ++i) add(root, i);
+root.begin = begin; root.end = end;
+int nodes = 0, leaves = 0;
+auto leaf = [&](const Range& r) {
+    leaf_begin.data[begin + leaves] = r.begin;
+    leaf_end.data[begin + leaves] = r.end;
+    return -1 - leaves++;
+};
+if (end - begin <= WIDTH) leaf(root);
+else {
+    Range waiting[STACK];
+    int number[STACK], depth[STACK], height = 1;
+    waiting[0] = root; number[0] = nodes++; depth[0] = start_depth;
+    while (height > 0) {
+        --height;
+        const int node = number[height], level = depth[height];
+        const Range range = waiting[height];
+        Range child[WIDTH];
+        const int found = open(range, level >= HALVING_DEPTH, child);
+        write(node_base + node, child, found);
+        for (int c = 0; c < WIDTH; ++c) {
+            int value = NO_CHILD;
+            if (c < found && child[c].end - child[c].begin <= WIDTH) value = leaf(child[c]);
+            else if (c < found) {
+                waiting[height] = child[c]; depth[height] = level + 1;
+                number[height++] = value = nodes++;
+            }
+            children.data[(node_base + node) * WIDTH + c] = value;
+        }
+    }
+}
+out_size.data[2 * subtree] = nodes;
+out_size.data[2 * subtree + 1] = leaves;
+#endif

@@ -1,0 +1,130 @@
+// Candidates of a ray on CUDA: a float32 walk that leaves the few triangles that the ray may hit first.
+//
+// A triangle that the ray meets well inside ends the search behind it; one that it meets within the margins of an edge
+// does not, and is decided in float64 with the others.
+//
+// Expects load_node_bvh2.inl; tree, start, direction, t_min, t_max; CANDIDATES, IS_SLIVER, NO_CANDIDATE, UNDECIDED,
+// NEAR_START, PLANE_MARGIN, ENDLESS, LEAST_COMPONENT, SLOT_WORDS, SLIVER. Defines found: the candidates' slots, with
+// the bit IS_SLIVER, up to NO_CANDIDATE; found[0] is UNDECIDED where they do not fit or the ray starts too far away for
+// float32. Also defines search and Four.
+#if !defined(__CUDA_ARCH__)
+// Warp's CPU compiler has these as built-ins only; tests run this search on a CPU.
+auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
+auto fmaxf = [](float a, float b) { return __builtin_fmaxf(a, b); };
+auto fabsf = [](float a) { return __builtin_fabsf(a); };
+auto sqrtf = [](float a) { return __builtin_sqrtf(a); };
+auto copysignf = [](float a, float b) { return __builtin_copysignf(a, b); };
+#endif
+struct alignas(16) Four { float x, y, z, w; };
+int found[CANDIDATES];
+found[0] = NO_CANDIDATE;
+auto search = [&]() {
+    float sx, sy, sz, tx, ty, tz, last;
+    {
+        const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
+        const double local = 1.0 / tree.scale, shrink = 1.0 / largest, unit = largest * local;
+        const double fx = (start[0] - tree.origin[0]) * local, fy = (start[1] - tree.origin[1]) * local,
+                     fz = (start[2] - tree.origin[2]) * local;
+        const double ax = direction[0] * shrink, ay = direction[1] * shrink, az = direction[2] * shrink;
+        tx = (float)ax; ty = (float)ay; tz = (float)az;
+        double enter = t_min * unit;
+        const float far = fmaxf(fmaxf(fabsf((float)fx), fabsf((float)fy)), fabsf((float)fz));
+        if (!(far < 1e30f && largest < 1e300)) {
+            found[0] = UNDECIDED;
+            return;
+        }
+        if (far > (float)NEAR_START) {
+            // How far in the ray is near the cube, for certain before it enters: far from it nothing is missed.
+            const float length = sqrtf(tx * tx + ty * ty + tz * tz);
+            const float middle = -((float)fx * tx + (float)fy * ty + (float)fz * tz) / (length * length);
+            enter = wp::max(enter, (double)(middle - (1.75f + 1e-5f * far) / length));
+        }
+        sx = (float)(fx + enter * ax); sy = (float)(fy + enter * ay); sz = (float)(fz + enter * az);
+        last = fminf((float)(t_max * unit - enter) * 1.000001f + PLANE_MARGIN, ENDLESS);
+        if (last < 0.f) return;
+        // Beside the ball around the cube; or still so far from it that float32 has too few digits.
+        const float beside = fmaxf(fmaxf(fabsf(sx), fabsf(sy)), fabsf(sz));
+        if (beside > 4.f) {
+            found[0] = far > 1e4f ? UNDECIDED : NO_CANDIDATE;
+            return;
+        }
+    }
+    auto reciprocal_of = [&](float component) {
+        return 1.f / copysignf(fmaxf(fabsf(component), LEAST_COMPONENT), component);
+    };
+    const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
+    const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
+    // Where the ray enters a box, or infinity.
+    auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
+        const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
+        const float z0 = lz * iz + oz, z1 = uz * iz + oz;
+        const float in = fmaxf(fmaxf(fminf(x0, x1), fminf(y0, y1)), fmaxf(fminf(z0, z1), 0.f));
+        const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), last));
+        return in <= out ? in : (float)INFINITY;
+    };
+    int slot_of[CANDIDATES];
+    float nearest_of[CANDIDATES];
+    int count = 0;
+    bool full = false;
+    auto prune = [&]() {
+        int kept = 0;
+        for (int i = 0; i < count; ++i)
+            if (nearest_of[i] <= last) {
+                slot_of[kept] = slot_of[i];
+                nearest_of[kept++] = nearest_of[i];
+            }
+        count = kept;
+    };
+    // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+    auto test = [&](int slot) {
+        const Four* row = (const Four*)(tree.leaves.data + SLOT_WORDS * slot);
+        const Four r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
+        const float ax = sx - r0.x, ay = sy - r0.y, az = sz - r0.z;
+        const float oz = ax * r2.y + ay * r2.z + az * r2.w, dz = tx * r2.y + ty * r2.z + tz * r2.w;
+        const float depth = dz < 0.f ? oz : -oz, down = fabsf(dz);
+        if (!(depth >= -PLANE_MARGIN && depth <= last * down + PLANE_MARGIN)) return;
+        const float ox = ax * r0.w + ay * r1.x + az * r1.y, dx = tx * r0.w + ty * r1.x + tz * r1.y;
+        const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
+        const float x = ox * down + dx * depth, y = oy * down + dy * depth;
+        const float longest = r3.x, cx = r3.y, cy = r3.z, margin = PLANE_MARGIN * longest;
+        const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
+        if (!(y >= -PLANE_MARGIN && ca >= -margin && bc >= -margin)) return;
+        const float farthest = (depth + PLANE_MARGIN) / down * 1.000001f;
+        if (y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN && farthest < last)
+            last = farthest;
+        if (count == CANDIDATES) prune();
+        if (count == CANDIDATES) {
+            full = true;
+            return;
+        }
+        slot_of[count] = cy < SLIVER * longest ? slot | IS_SLIVER : slot;
+        nearest_of[count++] = (depth - PLANE_MARGIN) / down * 0.999999f;
+    };
+    int stack[64], height = 0, node = tree.ray_children.data[0];
+    while (true) {
+        bool in_box = true;
+        while (node >= 0 && in_box) {
+            const Node n = load_node(tree.ray_boxes.data, node);
+            const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
+            const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
+            const bool left_first = tl <= tr;
+            const float later = left_first ? tr : tl;
+            if (later < INFINITY) stack[height++] = left_first ? n.right : n.left;
+            node = left_first ? n.left : n.right;
+            in_box = (left_first ? tl : tr) < INFINITY;
+        }
+        if (in_box) {
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
+        }
+        if (height == 0) break;
+        node = stack[--height];
+    }
+    prune();
+    if (full) {
+        found[0] = UNDECIDED;
+        return;
+    }
+    for (int i = 0; i < count; ++i) found[i] = slot_of[i];
+    if (count < CANDIDATES) found[count] = NO_CANDIDATE;
+};
+search();

@@ -1,0 +1,94 @@
+"""Walks along rays over a prepared surface, on both devices, and what they have in common."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import numpy as np
+import warp as wp
+
+from geokit.core.cpp import cpp
+from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
+from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+
+wp.set_module_options({"enable_backward": False})
+
+# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+SHORTEST_DIRECTION = 1e-150
+# Rays that start farther out than this, in local units, are tested from where they enter the cube around the mesh.
+NEAR_START = 2.0
+# What rounding moves a box or a ray by, in local units: coordinates up to NEAR_START are rounded by 1.2e-7, and four
+# such roundings meet in a slab test.
+BOX_MARGIN = 1.0e-6
+# The boxes of the nodes that rays walk on CUDA are wider by this [local]: what rounding may move a ray by, twice.
+RAY_PADDING = 2.0 * BOX_MARGIN
+# What rounding moves a point on the ray by in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR.
+# A ray's length has as much to spare.
+PLANE_MARGIN = 8.0e-6
+# Rays without an end are this long, in local units.
+ENDLESS = 1.0e30
+# Direction components, where the largest is 1, that are smaller count as this: its reciprocal must not overflow.
+LEAST_COMPONENT = 1.0e-18
+# Rays in flight on a thread of a CPU.
+IN_FLIGHT = 32
+# Rays that are prefetched ahead of those that are set up: the hardware prefetcher stops at pages.
+AHEAD = 32
+
+RAY_CONSTANTS = {
+    **NODE_CONSTANTS,
+    "NEAR_START": NEAR_START,
+    "PLANE_MARGIN": np.float32(PLANE_MARGIN),
+    "ENDLESS": np.float32(ENDLESS),
+    "LEAST_COMPONENT": np.float32(LEAST_COMPONENT),
+    "SLIVER": SLIVER,
+}
+
+
+def ray_walk(results: str, *defines: str) -> str:
+    """The text of a walk along rays.
+
+    Args:
+        results: The file that says what is done with a hit, and with a ray at its end: it defines ``take_hit`` and
+            ``finish``, see raycast_bvh8_cpu.inl.
+        defines: Macros of the test of a triangle: CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA.
+    """
+    return cpp(
+        "core/simd.inl",
+        "mesh/bvh/exact_arithmetic.inl",
+        "mesh/bvh/ray_triangle.inl",
+        "mesh/bvh/refine_sliver.inl",
+        "mesh/bvh/refine_hit.inl",
+        "mesh/bvh/hit_from_t_min.inl",
+        results,
+        "mesh/bvh/load_node_bvh2.inl",
+        "mesh/bvh/raycast_bvh2_cuda.inl",
+        "mesh/bvh/ray_setup_bvh8_cpu.inl",
+        "mesh/bvh/raycast_bvh8_cpu.inl",
+        defines=dict.fromkeys(defines, "1"),
+        **RAY_CONSTANTS,
+        SHORTEST_DIRECTION=SHORTEST_DIRECTION,
+        BOX_MARGIN=np.float32(BOX_MARGIN),
+        IN_FLIGHT=IN_FLIGHT,
+        AHEAD=AHEAD,
+        STACK=STACK,
+        LEAF_WORDS=LEAF_WORDS,
+        HEAD=HEAD,
+    )
+
+
+@wp.func_native(
+    """
+    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
+    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
+"""
+)
+def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
+    """Whether all is finite (a number minus itself is zero, unless it is infinite or NaN) and the ray has a length."""
+    ...
+
+
+@wp.func
+def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
+    t_max = max_distance
+    if wp.isfinite(max_distance):
+        t_max = max_distance / wp.length(direction)
+    return t_max

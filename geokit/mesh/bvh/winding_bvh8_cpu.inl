@@ -1,0 +1,132 @@
+// The winding number around a point, over the tree of width eight on a CPU: clusters that are far enough away count by
+// their multipole moments, triangles nearby by their solid angles, eight at a time.
+//
+// Expects core/simd.inl; tree, winding, p; ON_SURFACE, PLANE_ROWS, MOMENT_ROWS, QUEUE, LEAVES, STACK, NEAR, SMALL.
+// Defines size (the largest local coordinate of p), on_surface, and walk(opening, spread): the winding number where
+// clusters count by moments from `opening` radii on. spread, if not null, gets the sum of the absolute terms of the
+// last order; walk sets on_surface where p is on a triangle. Also defines point, append, total, zero, q, X, Y, Z,
+// half_angle.
+#if !defined(__CUDA_ARCH__)
+typedef wp::vec_t<3, wp::float64> point;
+// Appends the chosen lanes; writes up to eight places beyond the end.
+auto append = [](int* to, i8 values, unsigned lanes) {
+    #if defined(__AVX512VL__)
+    typedef int x86 __attribute__((__vector_size__(32)));
+    *(i8*)to = (i8)__builtin_ia32_compresssi256_mask((x86)values, (x86)values, lanes);
+    return __builtin_popcount(lanes);
+    #else
+    int count = 0;
+    for (; lanes; lanes &= lanes - 1) to[count++] = values[__builtin_ctz(lanes)];
+    return count;
+    #endif
+};
+auto total = [](const v8& v) {
+    return ((double)(v[0] + v[4]) + (v[1] + v[5])) + ((double)(v[2] + v[6]) + (v[3] + v[7]));
+};
+const v8 zero = 0.f;
+const double q[3] = {(p[0] - tree.origin[0]) / tree.scale, (p[1] - tree.origin[1]) / tree.scale,
+                     (p[2] - tree.origin[2]) / tree.scale};
+double size = 0.0;
+for (int k = 0; k < 3; ++k) size = wp::max(size, q[k] < 0.0 ? -q[k] : q[k]);
+const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
+bool on_surface = false;
+// Half the solid angle of one triangle, in float64.
+auto half_angle = [&](int slot) {
+    #pragma clang fp contract(fast)
+    const point* corner = tree.corners.data + 3 * slot;
+    const double inverse = 1.0 / tree.scale;
+    const point a = (corner[0] - p) * inverse, b = (corner[1] - p) * inverse, c = (corner[2] - p) * inverse;
+    const double la = wp::length(a), lb = wp::length(b), lc = wp::length(c);
+    // The edges, not the corners: from nearby they are the longer ones.
+    const double volume = wp::dot(a, wp::cross(b - a, c - a));
+    const double cosine = lc * (la * lb + wp::dot(a, b)) + wp::dot(b, c) * la + wp::dot(c, a) * lb;
+    const float area = winding.areas.data[slot];
+    if (area == 0.f) return 0.0;
+    if (volume == 0.0) {
+        // In its plane; on the triangle both sides are equally near.
+        on_surface = on_surface || cosine <= ON_SURFACE * (la * lb * lc);
+        return 0.0;
+    }
+    const double angle = wp::atan2(volume, cosine);
+    return area > 0.f ? -angle : angle;
+};
+auto walk = [&](float opening, float* spread) -> double {
+    // Fused products round less, and are quicker: the sum is approximate in any case.
+    #pragma clang fp contract(fast)
+    int queue[QUEUE + STACK + 8], head = 0, tail = 1;
+    int list[LEAVES + 16], leaves = 0;
+    v8 far_sum = 0.f, last = 0.f, angles = 0.f;
+    double sum = 0.0, near_angles = 0.0;
+    auto sum_leaves = [&]() {
+        for (int i = 0; i < leaves; ++i) {
+            const int block = -1 - list[i];
+            const v8* row = (const v8*)(tree.leaves.data + (long long)block * 8 * PLANE_ROWS);
+            const v8 dx = X - row[0], dy = Y - row[1], dz = Z - row[2];
+            // In the triangle's frame its corners are (0, 0, 0), (length, 0, 0) and (cx, cy, 0).
+            const v8 x = dx * row[3] + dy * row[4] + dz * row[5];
+            const v8 y = dx * row[6] + dy * row[7] + dz * row[8];
+            const v8 z = dx * row[9] + dy * row[10] + dz * row[11];
+            const v8 length = row[12], cx = row[13], cy = row[14];
+            const v8 bx = x - length, ex = x - cx, ey = y - cy, zz = z * z, yz = y * y + zz, yez = y * ey + zz;
+            const v8 la = __builtin_elementwise_sqrt(x * x + yz), lb = __builtin_elementwise_sqrt(bx * bx + yz);
+            const v8 lc = __builtin_elementwise_sqrt(ex * ex + ey * ey + zz);
+            const v8 volume = z * *(const v8*)(winding.areas.data + 8 * block);
+            const v8 lab = la * lb;
+            const v8 cosine = lc * (lab + (x * bx + yz)) + (bx * ex + yez) * la + (x * ex + yez) * lb;
+            // Eight arctangents of volume / cosine, by their octants; the polynomial is off by 4e-7 at most.
+            const v8 rise = __builtin_elementwise_abs(volume), run = __builtin_elementwise_abs(cosine);
+            const v8 more = __builtin_elementwise_max(rise, run), less = __builtin_elementwise_min(rise, run);
+            const v8 t = less / more, tt = t * t;
+            v8 angle = 0.00737400978f * tt - 0.0355198959f;
+            angle = angle * tt + 0.0821677802f;
+            angle = angle * tt - 0.133988008f;
+            angle = angle * tt + 0.198618561f;
+            angle = angle * tt - 0.333253948f;
+            angle = angle * tt * t + t;
+            angle = rise > run ? 1.57079637f - angle : angle;
+            angle = cosine < zero ? 3.14159274f - angle : angle;
+            angle = volume < zero ? -angle : angle;
+            angle = rise > zero ? angle : zero;
+            const v8 away = __builtin_elementwise_max(
+                __builtin_elementwise_max(__builtin_elementwise_abs(z), __builtin_elementwise_max(-x, bx)),
+                __builtin_elementwise_max(-y, ey));
+            const i8 near = (away < NEAR) | (more < SMALL * lab * lc);
+            unsigned mask = mask_of(near);
+            if (__builtin_expect(mask, 0)) {
+                angle = near ? zero : angle;
+                for (; mask; mask &= mask - 1) near_angles += half_angle(8 * block + __builtin_ctz(mask));
+            }
+            angles += angle;
+        }
+        leaves = 0;
+        // Terms of one sign and as many as here leave enough digits of float32; more of them might not.
+        sum += total(far_sum + angles * 0.159154943f);
+        far_sum = angles = zero;
+    };
+    queue[0] = 0;
+    const float limit = opening * opening;
+    while (head < tail) {
+        const int node = __builtin_expect(tail < QUEUE, 1) ? queue[head++] : queue[--tail];
+        const v8* m = (const v8*)(winding.moments.data + (long long)node * 8 * MOMENT_ROWS);
+        const v8 x = X - m[0], y = Y - m[1], z = Z - m[2], xx = x * x, yy = y * y, zz = z * z, rr = xx + yy + zz;
+        const i8 near = rr <= m[3] * limit;
+        const v8 inverse = 1.f / rr, third = __builtin_elementwise_sqrt(inverse) * inverse;
+        const v8 xz = xx - zz, yz = yy - zz, less = zz * 0.333333343f;
+        const v8 first = x * m[4] + y * m[5] + z * m[6];
+        const v8 second = xz * m[7] + yz * m[9] + y * (x * m[8] + z * m[11]) + x * z * m[10];
+        const v8 thirds = x * ((xz - 2.f * zz) * m[12] + yz * m[14]) + y * ((yz - 2.f * zz) * m[15] + xz * m[13])
+                          + z * ((xx - less) * m[16] + (yy - less) * m[18] + x * y * m[17]);
+        const v8 highest = thirds * inverse * inverse;
+        const v8 value = third * (first + second * inverse + highest);
+        far_sum += near ? zero : value;
+        if (spread) last += near ? zero : __builtin_elementwise_abs(third * highest);
+        const i8 child = *(const i8*)(tree.children.data + 8 * node);
+        tail += append(queue + tail, child, mask_of(near & (child > 0)));
+        leaves += append(list + leaves, child, mask_of(near & (child < 0)));
+        if (__builtin_expect(leaves > LEAVES, 0)) sum_leaves();
+    }
+    sum_leaves();
+    if (spread) *spread = (float)total(last);
+    return sum + near_angles * 0.15915494309189535;
+};
+#endif

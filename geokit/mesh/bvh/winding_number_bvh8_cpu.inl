@@ -1,0 +1,9 @@
+// The winding number around p.
+//
+// Expects winding_bvh8_cpu.inl; empty (half width of the cube outside of which the number is zero, local); FAR,
+// OPENING. Returns.
+#if !defined(__CUDA_ARCH__)
+// A point at a great distance, or one that overflowed in the local frame, has nothing around it.
+if (!(size <= wp::min(empty, FAR))) return 0;
+return walk(OPENING, nullptr);
+#endif

@@ -1,0 +1,8 @@
+// Occlusion: the first hit that a walk meets ends it.
+//
+// Expects out_occluded. Defines take_hit and finish as raycast_bvh8_cpu.inl describes.
+auto take_hit = [&](auto& r, int slot, double, double, double, const auto&) {
+    r.winner = slot;
+    return true;
+};
+auto finish = [&](const auto& r) { out_occluded.data[r.id] = r.winner >= 0; };

@@ -1,0 +1,170 @@
+// Exact test of two triangles against each other: do they meet, and where beyond what they share.
+//
+// Triangles are closed sets: touching is meeting. Those without area are the segments or points that they are. Expects
+// exact_arithmetic.inl and predicates.inl; PAIR_GAP_ERROR. Defines triangles_meet(t, u) and meet_beyond_shared(t, u)
+// for arrays of three points: the latter is whether they have a common point that is not on the vertex or edge that
+// they share by position; triangles of the same three positions do. Also defines the lambdas that these two are made
+// of.
+auto same = [](const point& a, const point& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; };
+
+// ---- Exact tests, of predicates only.
+
+// Segments in a plane, seen along axis k.
+auto flat_segments_meet = [&](int k, const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
+    const int pa = turn(k, p, q, a), pb = turn(k, p, q, b), ap = turn(k, a, b, p), aq = turn(k, a, b, q);
+    if (pa * pb > 0 || ap * aq > 0) return false;
+    if (pa != 0 || pb != 0 || ap != 0 || aq != 0) return true;
+    for (int axis = 0; axis < 3; ++axis)
+        if (axis != k && (wp::max(p[axis], q[axis]) < wp::min(a[axis], b[axis])
+                          || wp::max(a[axis], b[axis]) < wp::min(p[axis], q[axis]))) return false;
+    return true;
+};
+auto segments_meet = [&](const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
+    if (orientation(p, q, a, b) != 0) return false;
+    for (int k = 0; k < 3; ++k)
+        // Along this axis their plane is not seen edge-on.
+        if (turn(k, p, q, a) != 0 || turn(k, p, q, b) != 0 || turn(k, a, b, p) != 0 || turn(k, a, b, q) != 0)
+            return flat_segments_meet(k, p, q, a, b);
+    for (int k = 0; k < 3; ++k)
+        if (wp::max(p[k], q[k]) < wp::min(a[k], b[k]) || wp::max(a[k], b[k]) < wp::min(p[k], q[k])) return false;
+    return true;
+};
+auto segment_meets = [&](const point& p, const point& q, const point* t) OUT_OF_LINE {
+    const int ps = orientation(t[0], t[1], t[2], p), qs = orientation(t[0], t[1], t[2], q);
+    if (ps * qs > 0) return false;
+    if (ps != 0 || qs != 0) {
+        const int u = orientation(p, q, t[0], t[1]), v = orientation(p, q, t[1], t[2]),
+                  w = orientation(p, q, t[2], t[0]);
+        return (u >= 0 && v >= 0 && w >= 0) || (u <= 0 && v <= 0 && w <= 0);
+    }
+    for (int k = 0; k < 3; ++k) {
+        const int side = turn(k, t[0], t[1], t[2]);
+        if (side == 0) continue;
+        for (int end = 0; end < 2; ++end) {
+            const point& x = end ? q : p;
+            if (turn(k, t[0], t[1], x) * side >= 0 && turn(k, t[1], t[2], x) * side >= 0
+                && turn(k, t[2], t[0], x) * side >= 0) return true;
+        }
+        return flat_segments_meet(k, p, q, t[0], t[1]) || flat_segments_meet(k, p, q, t[1], t[2])
+               || flat_segments_meet(k, p, q, t[2], t[0]);
+    }
+    return segments_meet(p, q, t[0], t[1]) || segments_meet(p, q, t[1], t[2]) || segments_meet(p, q, t[2], t[0]);
+};
+// Whether p lies between a and b, all on one line, or is one of them.
+auto between = [](const point& a, const point& p, const point& b) {
+    for (int k = 0; k < 3; ++k)
+        if (p[k] < wp::min(a[k], b[k]) || p[k] > wp::max(a[k], b[k])) return false;
+    return true;
+};
+auto on_a_line = [&](const point* t) OUT_OF_LINE {
+    return turn(0, t[0], t[1], t[2]) == 0 && turn(1, t[0], t[1], t[2]) == 0 && turn(2, t[0], t[1], t[2]) == 0;
+};
+// Triangles that share t[0] = u[0]: a ray from there through another common point leaves one of them first, through
+// the side opposite, or through an end of it where they are segments that begin beyond the shared point.
+auto meet_beyond_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
+    const bool t_through = on_a_line(t) && between(t[1], t[0], t[2]);
+    const bool u_through = on_a_line(u) && between(u[1], u[0], u[2]);
+    if (t_through ? segment_meets(t[1], t[1], u) || segment_meets(t[2], t[2], u) : segment_meets(t[1], t[2], u))
+        return true;
+    return u_through ? segment_meets(u[1], u[1], t) || segment_meets(u[2], u[2], t) : segment_meets(u[1], u[2], t);
+};
+// Triangles that share t[0] = u[0] and t[1] = u[1]: only folded over each other, or as segments beyond one end.
+auto meet_beyond_edge = [&](const point* t, const point* u) OUT_OF_LINE {
+    if (orientation(t[0], t[1], t[2], u[2]) != 0) return false;
+    for (int k = 0; k < 3; ++k) {
+        const int sides = turn(k, t[0], t[1], t[2]) * turn(k, t[0], t[1], u[2]);
+        if (sides != 0) return sides > 0;
+    }
+    if (!on_a_line(t) || !on_a_line(u)) return false;
+    const bool beyond_first = between(t[1], t[0], t[2]) && between(t[1], t[0], u[2]);
+    const bool beyond_second = between(t[0], t[1], t[2]) && between(t[0], t[1], u[2]);
+    return beyond_first || beyond_second;
+};
+
+// ---- Quick proofs that they do not meet: a plane between them, with room for rounding.
+
+auto apart = [&](const point& axis, const point* t, const point* u, double size) {
+    double above = -INFINITY, below = INFINITY, other_above = -INFINITY, other_below = INFINITY;
+    for (int k = 0; k < 3; ++k) {
+        const double x = wp::dot(axis, t[k]), y = wp::dot(axis, u[k]);
+        above = wp::max(above, x); below = wp::min(below, x);
+        other_above = wp::max(other_above, y); other_below = wp::min(other_below, y);
+    }
+    const double gap = PAIR_GAP_ERROR * (wp::abs(axis[0]) + wp::abs(axis[1]) + wp::abs(axis[2])) * size;
+    return other_below - above > gap || below - other_above > gap;
+};
+auto largest = [](const point& a) { return wp::max(wp::max(wp::abs(a[0]), wp::abs(a[1])), wp::abs(a[2])); };
+auto surely_apart = [&](const point* t, const point* u) {
+    // Seen from a corner: differences are right to their last bit.
+    point a[3], b[3];
+    double size = 0.0;
+    for (int k = 0; k < 3; ++k) {
+        a[k] = t[k] - t[0];
+        b[k] = u[k] - t[0];
+        size = wp::max(size, wp::max(largest(a[k]), largest(b[k])));
+    }
+    const point n = wp::cross(a[1], a[2]);
+    if (apart(n, a, b, size)) return true;
+    const point m = wp::cross(b[1] - b[0], b[2] - b[0]);
+    if (apart(m, a, b, size)) return true;
+    for (int k = 0; k < 3; ++k) {
+        if (apart(wp::cross(n, a[(k + 1) % 3] - a[k]), a, b, size)) return true;
+        if (apart(wp::cross(m, b[(k + 1) % 3] - b[k]), a, b, size)) return true;
+    }
+    return false;
+};
+// For t[0] = u[0]: a plane through it with the rest of t on one side and the rest of u on the other.
+auto surely_split_at_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
+    const point a = t[1] - t[0], b = t[2] - t[0], c = u[1] - t[0], d = u[2] - t[0];
+    auto weight = [](const point& v) { return 1.f / (wp::sqrt((float)wp::dot(v, v)) + 1e-30f); };
+    const point n = a * (double)weight(a) + b * (double)weight(b) - c * (double)weight(c) - d * (double)weight(d);
+    const double size = wp::max(wp::max(largest(a), largest(b)), wp::max(largest(c), largest(d)));
+    const double gap = PAIR_GAP_ERROR * (wp::abs(n[0]) + wp::abs(n[1]) + wp::abs(n[2])) * size;
+    if (wp::dot(n, a) > gap && wp::dot(n, b) > gap && wp::dot(n, c) < -gap && wp::dot(n, d) < -gap) return true;
+    const int us = likely_orientation(t[0], t[1], t[2], u[1]);
+    if (us != 2 && us == likely_orientation(t[0], t[1], t[2], u[2])) return true;
+    const int ts = likely_orientation(u[0], u[1], u[2], t[1]);
+    return ts != 2 && ts == likely_orientation(u[0], u[1], u[2], t[2]);
+};
+// For t[0] = u[0] and t[1] = u[1]: seen along the axis that t faces most they lie on both sides of the shared edge.
+auto surely_split_at_edge = [&](const point* t, const point* u) OUT_OF_LINE {
+    const point n = wp::cross(t[1] - t[0], t[2] - t[0]);
+    const double x = wp::abs(n[0]), y = wp::abs(n[1]), z = wp::abs(n[2]);
+    const int k = x >= y ? (x >= z ? 0 : 2) : (y >= z ? 1 : 2);
+    if (likely_turn(k, t[0], t[1], t[2]) * likely_turn(k, t[0], t[1], u[2]) == -1) return true;
+    return likely_orientation(t[0], t[1], t[2], u[2]) != 2;
+};
+
+auto triangles_meet = [&](const point* t, const point* u) OUT_OF_LINE {
+    if (surely_apart(t, u)) return false;
+    for (int k = 0; k < 3; ++k) {
+        if (segment_meets(t[k], t[(k + 1) % 3], u) || segment_meets(u[k], u[(k + 1) % 3], t)) return true;
+    }
+    return false;
+};
+auto meet_beyond_shared = [&](const point* t, const point* u) {
+    int t_shares = 0, u_shares = 0;  // bits of the corners that the other one has too
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+            if (same(t[i], u[j])) { t_shares |= 1 << i; u_shares |= 1 << j; }
+    if (t_shares == 0) return triangles_meet(t, u);
+    if (t_shares == 7 || u_shares == 7) return t_shares == u_shares;
+    // The shared corners first, a corner that stands twice in a triangle without area as one.
+    point a[3], b[3];
+    int shared = 0, of_t = 0, of_u = 2;
+    for (int i = 0; i < 3; ++i) {
+        if (!(t_shares & 1 << i)) continue;
+        bool twice = false;
+        for (int k = 0; k < shared; ++k) twice = twice || same(a[k], t[i]);
+        if (!twice) { a[shared] = t[i]; b[shared++] = t[i]; }
+    }
+    of_t = of_u = shared;
+    for (int i = 0; i < 3; ++i) {
+        if (!(t_shares & 1 << i) && of_t < 3) a[of_t++] = t[i];
+        if (!(u_shares & 1 << i) && of_u < 3) b[of_u++] = u[i];
+    }
+    while (of_t < 3) { a[of_t] = a[of_t - 1]; ++of_t; }
+    while (of_u < 3) { b[of_u] = b[of_u - 1]; ++of_u; }
+    if (shared == 1) return !surely_split_at_vertex(a, b) && meet_beyond_vertex(a, b);
+    return !surely_split_at_edge(a, b) && meet_beyond_edge(a, b);
+};
