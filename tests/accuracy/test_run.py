@@ -20,9 +20,7 @@ from geokit.accuracy import (
     Trial,
     _subjects,
     default_subjects,
-)
-from geokit.accuracy import (
-    _run as run,
+    run,
 )
 from geokit.accuracy.charts import mesh_setup
 from geokit.accuracy.report.pareto import front_of
