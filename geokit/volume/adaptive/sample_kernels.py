@@ -96,8 +96,8 @@ def adaptive_single(  # noqa: F811
 
 
 # Kernels. On a CPU an item is a group of queries, on CUDA a query. What lies beyond the box of level 0 gets
-# ``background``: level 0's, for values, and a zero vector for gradients. Points that are not finite are among it, and make
-# out_bad 1.
+# ``background``: level 0's, for values, and a zero vector for gradients. Points that are not finite are among it, and
+# make out_bad 1.
 @wp.kernel
 def adaptive_groups_kernel(
     first: int,

@@ -337,7 +337,7 @@ def test_a_tolerance_out_of_reach_is_refused():
 
 
 def test_too_many_cells_are_refused(monkeypatch):
-    monkeypatch.setattr(refine._memory, "available_host", lambda: 1 << 20)
+    monkeypatch.setattr(refine.available_memory, "available_host", lambda: 1 << 20)
     with pytest.raises(DeviceMemoryError, match="use a larger tolerance"):
         adaptive_from_mesh(mesh_catalog.torus(), 1e-4, device="cpu")
 
