@@ -1,7 +1,7 @@
 """Which blocks of 8^3 cells may hold a crossing of an isovalue, and which of their cells.
 
 Of a level set a ray then touches 128 bytes for each block near the surface, in place of the two kilobytes of a leaf and
-those of its neighbours, and the tree not at all.
+those of its neighbors, and the tree not at all.
 
 - reach: for each block of the box around what is stored, x slowest, and for a rim of one block around it, how many
   blocks ahead the nearest is that may hold a crossing (the largest of the three coordinates' differences); 0 for such a

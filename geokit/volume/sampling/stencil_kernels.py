@@ -1,6 +1,6 @@
 """Sums over the 3^3 or 4^3 voxels around a point, weighted along each index axis: interpolants and their derivatives.
 
-Every sum runs over differences from the voxel whose centre is at the lower corner of the point's cell: where all voxels
+Every sum runs over differences from the voxel whose center is at the lower corner of the point's cell: where all voxels
 are equal a value is that value and a derivative 0 exactly, whatever the weights round to, and a large common value
 does not eat the digits of a small slope.
 
