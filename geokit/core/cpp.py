@@ -2,6 +2,9 @@
 
 A ``.inl`` file holds statements of a function body: warp writes the function's head and the braces around them. Its
 first comment says which names it expects in scope and what it defines. Files that are put together share one scope.
+
+A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that file; ``#include NAME`` for those of the
+file that ``defines`` gives a name: a hook of more than a line.
 """
 
 from functools import cache
@@ -25,9 +28,22 @@ def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | f
     lines += [f"#define {name} {text}" for name, text in (defines or {}).items()]
     for file in files:
         # Compilers and sanitizers then name the file and its line.
-        lines += [f'#line 1 "geokit/{file}"', _read(file)]
+        lines += _expanded(file, defines or {})
     lines += [f"#undef {name.partition('(')[0]}" for name in defines or {}]
     return "\n" + "\n".join(lines) + "\n"
+
+
+def _expanded(file: str, defines: dict[str, str]) -> list[str]:
+    lines = [f'#line 1 "geokit/{file}"']
+    for number, line in enumerate(_read(file).splitlines(), 1):
+        name = line.strip().removeprefix("#include ")
+        # A hook without a file stays as it is, for behind #ifdef.
+        if line.lstrip().startswith("#include ") and (name in defines or name.startswith('"')):
+            lines += _expanded(defines.get(name, name).strip('"'), defines)
+            lines.append(f'#line {number + 1} "geokit/{file}"')
+        else:
+            lines.append(line)
+    return lines
 
 
 @cache

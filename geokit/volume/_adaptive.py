@@ -21,7 +21,7 @@ from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
 from geokit.volume.band.fields import field_of, hash_of
 from geokit.volume.nanovdb.provenance import VOXEL_SIZE, provenance, with_more
-from geokit.volume.sampling.space import way_to_index
+from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.zone import checked_within
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ class AdaptiveSDF:
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
         out = user_arrays.empty(count, kinds[0] if batch.single else kinds[1], batch.rows)
         bad = host_flags(1, target)
-        inputs = [*table.arguments, batch.rows, *way_to_index(self.levels[0], "world"), outside]
+        inputs = [table.levels, batch.rows, *world_to_index(self.levels[0]), outside]
         items = -(-count // kernels.GROUP) if grouped else count
         launcher.launch(choices[batch.single], items, inputs, [out, bad], target, grain=GRAIN if grouped else 0)
         if count and bad.numpy()[0]:

@@ -123,6 +123,8 @@ def _derivatives(
     """The rows of the points, and at each the gradient (vec3d) and the Hessian (mat33d) in that space."""
     import warp as wp
 
+    from geokit.volume.sampling.kernel_table import query_kernel
+
     order = require_order(order, lowest=2)
     require_space(space)
     if not is_scalar(volume):
@@ -133,16 +135,7 @@ def _derivatives(
     batch = read_vectors(points, "points", target)
     slope = wp.empty(len(batch), dtype=wp.vec3d, device=target)
     second = wp.empty(len(batch), dtype=wp.mat33d, device=target)
+    kernel, _ = query_kernel("hessian", order, 1, False)
     inputs = query_inputs(volume, batch.array, space)
-    launcher.launch(_hessian_kernel(order), len(batch), inputs, [slope, second], target)
+    launcher.launch(kernel, len(batch), inputs, [slope, second], target)
     return batch, slope, second
-
-
-def _hessian_kernel(order: int) -> Any:
-    if order == 3:
-        from geokit.volume.sampling.cubic_kernels import hessian_cubic_kernel
-
-        return hessian_cubic_kernel
-    from geokit.volume.sampling.quadratic_kernels import hessian_quadratic_kernel
-
-    return hessian_quadratic_kernel

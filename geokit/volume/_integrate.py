@@ -86,8 +86,8 @@ def integrate(
         emission=user_arrays.empty(len(rays), wp.float64, rays.rows),
     )
     bad = host_flags(1, target)
-    kernel, light = _kernel(volume, emission, target)
-    inputs = [rays.rows, heading.rows, field, *light, start, reach, factor]
+    kernel, more = _kernel(volume, emission, target)
+    inputs = [rays.rows, heading.rows, field, *more, start, reach, factor]
     launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
@@ -95,13 +95,15 @@ def integrate(
 
 
 def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> tuple[Any, list[Any]]:
+    """The kernel, and its inputs behind the field."""
     import warp as wp
 
     from geokit.volume.rays import integrate_kernels as kernels
 
     if emission is not None:
         return kernels.emission_kernel, [wp.uint64(emission.id(device))]
-    return kernels.depth_float_kernel if volume.info.grid_type == "float" else kernels.depth_scalar_kernel, []
+    family = wp.float32 if volume.info.grid_type == "float" else wp.float64
+    return kernels.DEPTH[family], [family(0.0)]
 
 
 def _field(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> Any:

@@ -15,7 +15,7 @@ from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
 
 __all__ = ["VolumeHits", "raycast"]
 
-# Fewest groups of rays worth a thread of their own.
+# Fewest packets of rays worth a thread of their own.
 GRAIN = 32
 
 
@@ -87,7 +87,7 @@ def raycast(
     """
     import warp as wp
 
-    from geokit.volume.rays.raycast_kernels import raycast_float_kernel, raycast_scalar_kernel
+    from geokit.volume.rays.raycast_kernels import RAYCAST
 
     lowest = -math.ulp(0.0)
     level = user_arrays.require_finite_scalar(isovalue, "isovalue")
@@ -103,25 +103,24 @@ def raycast(
     )
     bad = host_flags(1, target)
     single = volume.info.grid_type == "float"
-    levels = [wp.float64(number) for number in (level, *(_neighbours(level) if single else (level, level)))]
-    blocks = crossing_blocks(volume, levels[1:], len(rays), target)
+    levels = [wp.float32(near) for near in _neighbors(level)] if single else [wp.float64(level), wp.float64(level)]
+    blocks = crossing_blocks(volume, levels, len(rays), target)
     if blocks:
         field.reach, field.numbers, field.first_block, field.block_count, field.blocks = blocks
-    inputs = [rays.rows, heading.rows, field, start, reach, *levels]
+    inputs = [rays.rows, heading.rows, field, start, reach, wp.float64(level), *levels]
     if blocks and target.is_cpu:
-        from geokit.volume.rays import raycast_cpu_kernels as groups
+        from geokit.volume.rays.raycast_cpu_kernels import PACKET, RAYCAST_PACKETS
 
-        kernel = groups.raycast_float_groups_kernel if single else groups.raycast_scalar_groups_kernel
-        launcher.launch(kernel, -(-len(rays) // groups.GROUP), inputs, [*found, bad], target, grain=GRAIN)
+        items = -(-len(rays) // PACKET)
+        launcher.launch(RAYCAST_PACKETS[single], items, inputs, [*found, bad], target, grain=GRAIN)
     else:
-        kernel = raycast_float_kernel if single else raycast_scalar_kernel
-        launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
+        launcher.launch(RAYCAST[single], len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
     return VolumeHits(*(rays.give(array) for array in found))
 
 
-def _neighbours(level: float) -> tuple[float, float]:
+def _neighbors(level: float) -> tuple[float, float]:
     """The largest float32 that is not above ``level``, and the smallest that is not below: voxels are compared with
     them instead, in their own type."""
     with np.errstate(over="ignore"):

@@ -91,6 +91,8 @@ def sample(
     """
     import warp as wp
 
+    from geokit.volume.sampling.kernel_table import query_kernel
+
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
@@ -102,8 +104,9 @@ def sample(
     dtype = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components]
     background = dtype(*np.atleast_1d(volume.info.background).astype(np.float64).tolist())
     out = wp.empty(len(batch), dtype=dtype, device=target)
-    inputs = [*query_inputs(volume, batch.array, space), background]
-    launcher.launch(_sample_kernel(order, components, _is_staggered(volume)), len(batch), inputs, [out], target)
+    kernel, more = query_kernel("sample", order, components, _is_staggered(volume))
+    inputs = [*query_inputs(volume, batch.array, space), background, *more]
+    launcher.launch(kernel, len(batch), inputs, [out], target)
     return batch.give(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
 
 
@@ -150,6 +153,8 @@ def gradient(
     """
     import warp as wp
 
+    from geokit.volume.sampling.kernel_table import query_kernel
+
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
@@ -161,46 +166,10 @@ def gradient(
     count = len(batch)
     out = wp.empty((count, components, 3), dtype=wp.float64, device=target)
     zero = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components](0.0)
-    inputs = [*query_inputs(volume, batch.array, space), zero]
-    launcher.launch(_gradient_kernel(order, components, _is_staggered(volume)), count, inputs, [out], target)
+    kernel, more = query_kernel("gradient", order, components, _is_staggered(volume))
+    inputs = [*query_inputs(volume, batch.array, space), zero, *more]
+    launcher.launch(kernel, count, inputs, [out], target)
     return batch.give(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
-
-
-def _sample_kernel(order: int, components: int, staggered: bool) -> Any:
-    # Kernels are compiled by module: nobody waits for those of an order that is not asked for.
-    if staggered:
-        from geokit.volume.sampling.staggered_kernels import SAMPLE_STAGGERED
-
-        return SAMPLE_STAGGERED[order]
-    if order == 3:
-        from geokit.volume.sampling.cubic_kernels import SAMPLE_CUBIC
-
-        return SAMPLE_CUBIC[components]
-    if order == 2:
-        from geokit.volume.sampling.quadratic_kernels import SAMPLE_QUADRATIC
-
-        return SAMPLE_QUADRATIC[components]
-    from geokit.volume.sampling.sample_kernels import SAMPLE_KERNELS
-
-    return SAMPLE_KERNELS[order][components]
-
-
-def _gradient_kernel(order: int, components: int, staggered: bool) -> Any:
-    if staggered:
-        from geokit.volume.sampling.staggered_kernels import GRADIENT_STAGGERED
-
-        return GRADIENT_STAGGERED[order]
-    if order == 3:
-        from geokit.volume.sampling.cubic_kernels import GRADIENT_CUBIC
-
-        return GRADIENT_CUBIC[components]
-    if order == 2:
-        from geokit.volume.sampling.quadratic_kernels import GRADIENT_QUADRATIC
-
-        return GRADIENT_QUADRATIC[components]
-    from geokit.volume.sampling.sample_kernels import GRADIENT_KERNELS
-
-    return GRADIENT_KERNELS[order][components]
 
 
 def is_scalar(volume: SparseVolume) -> bool:

@@ -8,6 +8,8 @@ of every point on it. So a query at p gives exact distances where they matter, n
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.volume.sampling.sample_kernels import trilinear
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
@@ -16,17 +18,6 @@ vec8d = wp.types.vector(length=8, dtype=wp.float64)
 PLACES = wp.constant(4)
 # Share of a voxel that a position may lie beyond its cell: what rounding does to one on the border.
 SLACK = wp.constant(wp.float64(1e-9))
-
-
-@wp.func
-def interpolant(c: vec8d, f: wp.vec3d) -> wp.float64:
-    low_low = c[0] + (c[1] - c[0]) * f[2]
-    low_high = c[2] + (c[3] - c[2]) * f[2]
-    high_low = c[4] + (c[5] - c[4]) * f[2]
-    high_high = c[6] + (c[7] - c[6]) * f[2]
-    low = low_low + (low_high - low_low) * f[1]
-    high = high_low + (high_high - high_low) * f[1]
-    return low + (high - low) * f[0]
 
 
 @wp.func
@@ -49,7 +40,8 @@ def error_along(
         f = (x - base) / size
         if not outside_cell(f):
             exact = wp.where(d < wp.float64(0.0), -a, a)
-            worst = wp.max(worst, wp.abs(interpolant(c, f) - exact))
+            value = trilinear(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], f)
+            worst = wp.max(worst, wp.abs(value - exact))
     return worst
 
 

@@ -22,23 +22,16 @@ SAME = 1e-6
 # Words of 32 cells that a leaf has.
 LEAF_WORDS = 16
 LEAF = 8
-# Bytes of a leaf divided by 32: entries of neighbouring leaves differ by it.
+# Bytes of a leaf divided by 32: entries of neighboring leaves differ by it.
 LEAF_ENTRIES = 67
 
 
 class AdaptiveTable(NamedTuple):
-    """Arguments of the sampling kernels, after ``first`` and in their order; ``kept`` owns what they point to."""
+    """The kernels' AdaptiveLevels of a field; ``tables`` and ``grids`` own what it points to."""
 
-    levels: "wp.array"
-    finer: "wp.array"
-    first_word: "wp.array"
-    first_entry: "wp.array"
-    shift: "wp.array"
-    kept: list[Any]
-
-    @property
-    def arguments(self) -> list["wp.array"]:
-        return list(self[:-1])
+    levels: Any
+    tables: list[Any]
+    grids: list[Any]
 
 
 def shifts_of(levels: tuple[SparseVolume, ...]) -> np.ndarray:
@@ -74,7 +67,7 @@ def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> Ada
     """
     import warp as wp
 
-    from geokit.volume.adaptive.table_kernels import fill_finer_kernel
+    from geokit.volume.adaptive.table_kernels import AdaptiveLevels, fill_finer_kernel
     from geokit.volume.sampling.leaf_table_kernels import LeafTable
 
     shifts = shifts_of(levels)
@@ -90,14 +83,13 @@ def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> Ada
         inputs = [table, next_table, wp.vec3i(*shifts[number].tolist()), found, int(first_entry[number])]
         launcher.launch(fill_finer_kernel, LEAF_WORDS * len(found), inputs, [words], device)
     shift: Any = np.concatenate([shifts, np.zeros((1, 3), np.int64)]).astype(np.int32)
-    return AdaptiveTable(
-        wp.array(tables, dtype=LeafTable, device=device),
-        finer,
-        wp.array(first_word[:-1], dtype=wp.int64, device=device),
-        wp.array(first_entry, dtype=wp.int32, device=device),
-        wp.array(shift, dtype=wp.vec3i, device=device),
-        [tables, *(level.on(device) for level in levels)],
-    )
+    field = AdaptiveLevels()
+    field.tables = wp.array(tables, dtype=LeafTable, device=device)
+    field.finer = finer
+    field.first_word = wp.array(first_word[:-1], dtype=wp.int64, device=device)
+    field.first_entry = wp.array(first_entry, dtype=wp.int32, device=device)
+    field.shift = wp.array(shift, dtype=wp.vec3i, device=device)
+    return AdaptiveTable(field, tables, [level.on(device) for level in levels])
 
 
 def _box(level: SparseVolume) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The levels of an adaptive field as kernels see them, and which cells are answered by the next one.
+"""The levels of an adaptive field as kernels see them, and which of their cells the next one answers.
 
 Cells of the next level are found by doubling a cell's index and adding its ``shift``, which is exact: which cell a
 point lies in never depends on how rounding falls at another level.
@@ -8,9 +8,24 @@ point lies in never depends on how rounding falls at another level.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
+
+
+@wp.struct
+class AdaptiveLevels:
+    """An adaptive field: its levels, the coarsest first, and which of their cells the next level answers."""
+
+    tables: wp.array(dtype=LeafTable)
+    # A bit for each cell of each leaf, 16 words a leaf. For each level: the first of its words, and the entry of the
+    # leaf that they begin with.
+    finer: wp.array(dtype=wp.uint32)
+    first_word: wp.array(dtype=wp.int64)
+    first_entry: wp.array(dtype=int)
+    # What is added to twice the index of a cell to give that of its first half in the next level.
+    shift: wp.array(dtype=wp.vec3i)
 
 
 _CORNER_SNIPPET = """
@@ -26,21 +41,7 @@ def leaf_corner(table: LeafTable, entry: int) -> wp.vec3i:
     ...
 
 
-_ACTIVE_SNIPPET = """
-    const int x = i - table.lower[0], y = j - table.lower[1], z = k - table.lower[2];
-    if (x < 0 || y < 0 || z < 0) return false;
-    if (x >= table.size[0] * 128 || y >= table.size[1] * 128 || z >= table.size[2] * 128) return false;
-    const int start = table.top.data[((x >> 7) * table.size[1] + (y >> 7)) * table.size[2] + (z >> 7)];
-    if (start < 0) return false;
-    const int entry = table.slots.data[start + (((x >> 3) & 15) << 8 | ((y >> 3) & 15) << 4 | ((z >> 3) & 15))];
-    if (entry < 0) return false;
-    typedef unsigned long long word;
-    const word* const mask = (const word*)(table.grid + (word)entry * 32ull + 16ull);
-    return (mask[x & 7] >> ((y & 7) << 3 | (z & 7))) & 1ull;
-"""
-
-
-@wp.func_native(_ACTIVE_SNIPPET)
+@wp.func_native(cpp("volume/adaptive/is_leaf_active.inl"))
 def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
     """Whether the voxel (i, j, k) lies in a leaf and is active there."""
     ...
@@ -49,7 +50,7 @@ def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
 @wp.func
 def has_halves(finer: LeafTable, c: wp.vec3i) -> bool:
     """Whether all 27 voxels of the eight halves of a cell are active; c is the first of them."""
-    # The one in the middle belongs to this cell alone: where it is not, no other needs to be asked.
+    # The one in the middle belongs to this cell alone: where it is not, the others need no look.
     if not is_active(finer, c[0] + 1, c[1] + 1, c[2] + 1):
         return False
     for n in range(27):

@@ -48,7 +48,8 @@ def crossing_blocks(
 
     Args:
         volume: A grid of one component.
-        levels: The voxel type's numbers below and above the isovalue, or twice the isovalue.
+        levels: The voxel type's numbers below and above the isovalue: two wp.float32 for a float grid, else two
+            wp.float64.
         ray_count: How many rays there are; for few of them nothing is looked for.
         device: Where the rays are.
     Returns:
@@ -86,19 +87,17 @@ def _find(
     from geokit.volume.rays import crossing_blocks_kernels as kernels
 
     single = volume.info.grid_type == "float"
-    mark = kernels.mark_float_blocks_kernel if single else kernels.mark_scalar_blocks_kernel
-    write = kernels.write_float_blocks_kernel if single else kernels.write_scalar_blocks_kernel
     first_block, block_count = wp.vec3i(*first.tolist()), wp.vec3i(*count.tolist())
     rows, total = int(count[0] * count[1]), math.prod(count.tolist())
     busy = wp.empty(total + 1, dtype=wp.int32, device=device)
     numbers = wp.empty(total + 1, dtype=wp.int32, device=device)
     inputs = [wp.uint64(volume.id(device)), wp.vec3i(*anchor.tolist()), first_block, block_count, *levels]
-    launcher.launch(mark, rows, inputs, [busy], device, grain=GRAIN)
+    launcher.launch(kernels.MARK_BLOCKS[single], rows, inputs, [busy], device, grain=GRAIN)
     wp.utils.array_scan(busy, numbers, inclusive=False)
     found = int(numbers[total:].numpy()[0])
     blocks = wp.empty(kernels.BLOCK_WORDS * max(found, 1), dtype=wp.uint64, device=device)
     reach = wp.empty(total, dtype=wp.int8, device=device)
-    launcher.launch(write, rows, [*inputs, numbers], [reach, blocks], device, grain=GRAIN)
+    launcher.launch(kernels.WRITE_BLOCKS[single], rows, [*inputs, numbers], [reach, blocks], device, grain=GRAIN)
     stride = total
     for along in count.tolist():
         stride //= along

@@ -1,4 +1,4 @@
-"""What rays need to know of a grid beside its buffer: the box outside of which all is background, and an anchor."""
+"""A grid as rays see it: beside its buffer the box outside of which all is background, and an anchor."""
 
 from __future__ import annotations
 

@@ -4,23 +4,13 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.sampling.sample_kernels import has_voxels, nearest_voxel
 
 wp.set_module_options({"enable_backward": False})
 
-# Warp has no built-in for the state of a voxel. PNanoVDB, which warp compiles into its kernels, looks at the value
-# masks of leaves and tiles and at the state of the root's tiles.
-_ACTIVE_SNIPPET = """
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_coord_t ijk = { i, j, k };
-    pnanovdb_readaccessor_t accessor;
-    pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
-    return pnanovdb_readaccessor_is_active(
-        wp::volume::get_grid_type(buf), buf, PNANOVDB_REF(accessor), PNANOVDB_REF(ijk)) != PNANOVDB_FALSE;
-"""
 
-
-@wp.func_native(_ACTIVE_SNIPPET)
+@wp.func_native(cpp("volume/sampling/is_active.inl"))
 def is_active(volume: wp.uint64, i: int, j: int, k: int) -> bool:
     """Whether a voxel, or the tile that stands for it, is active."""
     ...

@@ -1,4 +1,4 @@
-"""The table of a float grid's leaves on a device, made when enough queries ask for it and kept with the volume."""
+"""The table of a float grid's leaves on a device, made after enough queries and kept with the volume."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["leaf_table"]
 
 # An entry takes a quarter of the time of a query through the tree, and the table saves half of that: it is worth making
-# once it has at most so many entries for each query that has been asked.
+# once it has at most so many entries for each query so far.
 ENTRIES_PER_QUERY = 2
 # Bytes of a lower node without the eighth of a leaf that it has at least: how many a grid of a size can hold.
 LOWER_NODE = 1 << 15
@@ -25,14 +25,14 @@ LARGEST_BOX = 1 << 20
 # Bytes of a grid whose tiles 31 bits can tell apart.
 LARGEST_GRID = 1 << 33
 SPAN = 128
-# A leaf's bytes divided by 32: entries of neighbouring leaves differ by it.
+# A leaf's bytes divided by 32: entries of neighboring leaves differ by it.
 LEAF_ENTRIES = 67
 # Of a GPU's free memory, what the pairs of a volume may take: they are two and a half times its leaves.
 PAIRS_SHARE = 0.25
 
 
 def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
-    """The LeafTable of a volume, or None where there is none or ``count`` queries do not pay for making it.
+    """The LeafTable of a volume, or None where there is none or ``count`` queries are too few to make it.
 
     Args:
         volume: A grid; of any type but "float" there is no table.
@@ -45,8 +45,8 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
     box = _box(volume)
     if box is None:
         return None
-    volume.on(device)  # looks at the grid before anything of it is believed
-    # Many small calls pay as well as a large one.
+    volume.on(device)  # checks the grid before its contents are used
+    # Many small calls count as much as a large one.
     asked = f"queries on {device.alias}"
     volume._uploads[asked] = volume._uploads.get(asked, 0) + count
     if volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
@@ -62,7 +62,7 @@ def _box(volume: SparseVolume) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     first = info.index_bounds[0] // SPAN
     last = info.index_bounds[1] // SPAN
-    # Queries are asked around a body too: empty places cost an entry each.
+    # Queries lie around a body too: empty places cost an entry each.
     margin = 1 + (last - first + 1) // 2
     first, last = first - margin, last + margin
     size = last - first + 1

@@ -11,6 +11,7 @@ An entry is the byte at which a leaf starts divided by 32; or, for a tile, ~(the
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.cpp import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, is_leaf, node_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -42,19 +43,7 @@ class LeafTable:
     first_leaf: int
 
 
-_LEVEL_SNIPPET = """
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_coord_t ijk = { i, j, k };
-    pnanovdb_readaccessor_t accessor;
-    pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
-    unsigned level;
-    pnanovdb_readaccessor_get_value_address_and_level(
-        PNANOVDB_GRID_TYPE_FLOAT, buf, PNANOVDB_REF(accessor), PNANOVDB_REF(ijk), PNANOVDB_REF(level));
-    return (int)level;
-"""
-
-
-@wp.func_native(_LEVEL_SNIPPET)
+@wp.func_native(cpp("volume/sampling/level_of.inl"))
 def level_of(volume: wp.uint64, i: int, j: int, k: int) -> int:
     """Where the value of a voxel is: 0 a leaf, 1 a lower node, 2 an upper node, 3 and more the root."""
     ...
@@ -104,18 +93,7 @@ def fill_slots_kernel(
         out_slots[t] = tile_entry(node)
 
 
-_VOXEL_SNIPPET = """
-    const int x = i - table.lower[0], y = j - table.lower[1], z = k - table.lower[2];
-    const int start = table.top.data[((x >> 7) * table.size[1] + (y >> 7)) * table.size[2] + (z >> 7)];
-    const int entry = start < 0 ? start
-        : table.slots.data[start + (((x >> 3) & 15) << 8 | ((y >> 3) & 15) << 4 | ((z >> 3) & 15))];
-    const long long at = entry < 0 ? (long long)~entry
-        : (long long)entry * 8 + 24 + ((x & 7) << 6 | (y & 7) << 3 | (z & 7));
-    return ((const float*)table.grid)[at];
-"""
-
-
-@wp.func_native(_VOXEL_SNIPPET)
+@wp.func_native(cpp("volume/sampling/table_voxel.inl"))
 def table_voxel(table: LeafTable, i: int, j: int, k: int) -> wp.float32:
     """The voxel (i, j, k), which lies in the box."""
     ...

@@ -47,6 +47,14 @@ def mix(a: Any, b: Any, t: wp.float64):
 
 
 @wp.func
+def trilinear(c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, c110: Any, c111: Any, f: wp.vec3d):
+    """The interpolant of a cell at fractions f; trilinear_sums.inl has the same sums for float grids with a table."""
+    low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
+    high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
+    return mix(low, high, f[0])
+
+
+@wp.func
 def voxel_value(volume: wp.uint64, i: int, j: int, k: int, family: Any):
     kind = grid_type_of(volume)
     return read_voxel(volume, kind, node_of(volume, kind, i, j, k), i, j, k, family)
@@ -70,9 +78,7 @@ def linear_value(volume: wp.uint64, u: wp.vec3d, background: Any):
     c000, c001, c010, c011, c100, c101, c110, c111 = read_cell(
         volume, int(base[0]), int(base[1]), int(base[2]), background
     )
-    low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
-    high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
-    return mix(low, high, f[0])
+    return trilinear(c000, c001, c010, c011, c100, c101, c110, c111, f)
 
 
 @wp.func
@@ -191,28 +197,24 @@ def gradient_linear_kernel(
         store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
 
 
-# By order of the interpolant, then by the number of a value's components.
-SAMPLE_KERNELS = {
-    0: {
-        1: wp.overload(sample_nearest_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
-        3: wp.overload(sample_nearest_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
-        4: wp.overload(sample_nearest_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
-    },
-    1: {
-        1: wp.overload(sample_linear_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
-        3: wp.overload(sample_linear_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
-        4: wp.overload(sample_linear_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
-    },
+# By the number of a value's components.
+SAMPLE_NEAREST = {
+    1: wp.overload(sample_nearest_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
+    3: wp.overload(sample_nearest_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
+    4: wp.overload(sample_nearest_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
 }
-GRADIENT_KERNELS = {
-    0: {
-        1: wp.overload(gradient_nearest_kernel, {"zero": wp.float64}),
-        3: wp.overload(gradient_nearest_kernel, {"zero": wp.vec3d}),
-        4: wp.overload(gradient_nearest_kernel, {"zero": wp.vec4d}),
-    },
-    1: {
-        1: wp.overload(gradient_linear_kernel, {"zero": wp.float64}),
-        3: wp.overload(gradient_linear_kernel, {"zero": wp.vec3d}),
-        4: wp.overload(gradient_linear_kernel, {"zero": wp.vec4d}),
-    },
+SAMPLE_LINEAR = {
+    1: wp.overload(sample_linear_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
+    3: wp.overload(sample_linear_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
+    4: wp.overload(sample_linear_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
+}
+GRADIENT_NEAREST = {
+    1: wp.overload(gradient_nearest_kernel, {"zero": wp.float64}),
+    3: wp.overload(gradient_nearest_kernel, {"zero": wp.vec3d}),
+    4: wp.overload(gradient_nearest_kernel, {"zero": wp.vec4d}),
+}
+GRADIENT_LINEAR = {
+    1: wp.overload(gradient_linear_kernel, {"zero": wp.float64}),
+    3: wp.overload(gradient_linear_kernel, {"zero": wp.vec3d}),
+    4: wp.overload(gradient_linear_kernel, {"zero": wp.vec4d}),
 }

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from geokit.volume._model import SparseVolume
 
-__all__ = ["require_space", "way_to_index"]
+__all__ = ["query_inputs", "require_space", "world_to_index"]
 
 SPACES = ("world", "index")
 
@@ -29,8 +29,8 @@ def require_space(space: str) -> None:
         raise InputError(f"space: {space!r} is not known; use one of {', '.join(map(repr, SPACES))}")
 
 
-def way_to_index(volume: SparseVolume, space: str) -> tuple[Any, Any]:
-    """Index coordinates of a point are ``matrix * (point - origin)``: the origin (vec3d) and the matrix (mat33d)."""
+def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any]:
+    """Origin (vec3d) and matrix (mat33d): a point of ``space`` has index coordinates ``matrix * (point - origin)``."""
     import warp as wp
 
     if space == "index":
@@ -41,7 +41,7 @@ def way_to_index(volume: SparseVolume, space: str) -> tuple[Any, Any]:
 
 
 def query_inputs(volume: SparseVolume, points: "wp.array", space: str = "world") -> list[Any]:
-    """What kernels of volumes take first: the grid's handle, the points, and the way from their space to index."""
+    """The first inputs of volume kernels: the grid's handle, the points, and world_to_index."""
     import warp as wp
 
-    return [wp.uint64(volume.id(points.device)), points, *way_to_index(volume, space)]
+    return [wp.uint64(volume.id(points.device)), points, *world_to_index(volume, space)]

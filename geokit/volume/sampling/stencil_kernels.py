@@ -1,11 +1,11 @@
 """Sums over the 3^3 or 4^3 voxels around a point, weighted along each index axis: interpolants and their derivatives.
 
-Every sum runs over differences from the voxel whose centre is at the lower corner of the point's cell: where all voxels
+Every sum runs over differences from the voxel whose center is at the lower corner of the point's cell: where all voxels
 are equal a value is that value and a derivative 0 exactly, whatever the weights round to, and a large common value
 does not eat the digits of a small slope.
 
-The stencil touches at most two nodes along each axis. Each is looked up once, as in :mod:`._read_kernels`, and voxels
-are read by rows along the last axis, so that the choice by grid type is made once for a row.
+The stencil touches at most two nodes along each axis. Each is looked up once, as in read_voxel_kernels, and voxels are
+read by rows along the last axis, so that the choice by grid type is made once for a row.
 """
 
 from typing import Any
@@ -14,83 +14,85 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.volume.nanovdb.read_voxel_kernels import (
-    _CODED,
-    _SCALARS,
-    _VECTORS_3,
-    _VECTORS_4,
-    FLOAT_TYPE,
-    _element,
-    _in_leaf,
-    grid_type_of,
-    node_of,
-    read_voxel,
-)
-from geokit.volume.sampling.stencil_float_kernels import float_bends, float_slopes, float_value
+from geokit.core.cpp import cpp
+from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, grid_type_of, node_of, read_voxel
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 mat34d = wp.types.matrix(shape=(3, 4), dtype=wp.float64)
+vec9d = wp.types.vector(length=9, dtype=wp.float64)
 
 
-def _row_reader(family, components):
-    """C++ that returns the differences of the voxels (i, j, k) to (i, j, k + count - 1) from ``centre``.
+# The two interpolants are told apart by type, so that the number of voxels is a constant of the kernels: as an argument
+# it makes samples take several times as long.
+@wp.struct
+class Quadratic:
+    """The triquadratic interpolant (order 2): parabolas through the voxels -1, 0 and 1 along each index axis."""
 
-    The first ``cut`` of them are in the node ``near``, the others in ``far``; what is left of a row of four is 0.
-    """
-    shape = "wp::vec_t<4, double>" if components == 1 else f"wp::mat_t<{components}, 4, double>"
-    entries = ["row[q]"] if components == 1 else [f"row.data[{e}][q]" for e in range(components)]
-    from_centre = ["centre"] if components == 1 else [f"centre[{e}]" for e in range(components)]
-    leaves, tiles = [], []
-    for name, kind in family.items():
-        whole = _CODED[kind][1] if kind in _CODED else kind
-        voxel = " ".join(
-            f"{entries[e]} = (double)({_in_leaf(name, kind, e)}) - {from_centre[e]};" for e in range(components)
-        )
-        tile = " ".join(
-            f"{entries[e]} = (double)({_element(whole, 'leaf.address', e)}) - {from_centre[e]};"
-            for e in range(components)
-        )
-        case = f"case PNANOVDB_GRID_TYPE_{name}:"
-        loop = "for (int q = begin; q < end; ++q)"
-        leaves.append(f"{case} {loop} {{ ijk.z = k + q; const unsigned n = first + q; {voxel} }} break;")
-        tiles.append(f"{case} {loop} {{ {tile} }} break;")
-    # A type of another family gives no number at all.
-    none = (
-        f"default: for (int q = begin; q < end; ++q) {{ {' '.join(f'{entry} = (double)NAN;' for entry in entries)} }}"
-    )
-    leaves, tiles = "\n".join(leaves), "\n".join(tiles)
-    return f"""
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    wp::half half;
-    {shape} row;
-    pnanovdb_coord_t ijk = {{ i, j, k }};
-    const int parts = cut < count ? 2 : 1;
-    for (int part = 0; part < parts; ++part) {{
-        const int begin = part ? cut : 0;
-        const int end = part ? count : cut;
-        const unsigned long long node = part ? far : near;
-        const pnanovdb_leaf_handle_t leaf = {{ node & ~1ull }};
-        ijk.z = k + begin;
-        // Voxels of a row follow each other.
-        const unsigned first = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk)) - (unsigned)begin;
-        if (node & 1u) {{
-            switch (grid_type) {{
-            {leaves}
-            {none}
-            }}
-        }} else {{
-            switch (grid_type) {{
-            {tiles}
-            {none}
-            }}
-        }}
-    }}
-    return row;
-    """
+    order: int
 
 
-@wp.func_native(_row_reader(_SCALARS, 1))
+@wp.struct
+class Cubic:
+    """The tricubic interpolant (order 3): Catmull-Rom splines through the voxels -1, 0, 1 and 2."""
+
+    order: int
+
+
+@wp.func
+def voxels_of(basis: Quadratic) -> int:
+    return 3
+
+
+@wp.func
+def voxels_of(basis: Cubic) -> int:  # noqa: F811
+    return 4
+
+
+@wp.func
+def weights(basis: Quadratic, t: wp.float64) -> wp.mat44d:
+    """Weights of the voxels at -1, 0 and 1 for a point at t in [0, 1), and their first two derivatives."""
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    half = wp.float64(0.5)
+    none = wp.float64(0.0)
+    return wp.mat44d(
+        half * t * (t - one), one - t * t, half * t * (t + one), none,
+        t - half, -two * t, t + half, none,
+        one, -two, one, none,
+        none, none, none, none,
+    )  # fmt: skip
+
+
+@wp.func
+def weights(basis: Cubic, t: wp.float64) -> wp.mat44d:  # noqa: F811
+    """Weights of the voxels at -1, 0, 1 and 2 for a point at t in [0, 1], and their first two derivatives."""
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    three = wp.float64(3.0)
+    four = wp.float64(4.0)
+    five = wp.float64(5.0)
+    nine = wp.float64(9.0)
+    half = wp.float64(0.5)
+    none = wp.float64(0.0)
+    return wp.mat44d(
+        half * t * ((two - t) * t - one),
+        half * (t * t * (three * t - five) + two),
+        half * t * ((four - three * t) * t + one),
+        half * t * t * (t - one),
+        half * ((four - three * t) * t - one),
+        half * t * (nine * t - wp.float64(10.0)),
+        half * ((wp.float64(8.0) - nine * t) * t + one),
+        half * t * (three * t - two),
+        two - three * t,
+        nine * t - five,
+        four - nine * t,
+        three * t - one,
+        none, none, none, none,
+    )  # fmt: skip
+
+
+@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "1"}))
 def read_row(
     volume: wp.uint64,
     grid_type: int,
@@ -107,7 +109,7 @@ def read_row(
     ...
 
 
-@wp.func_native(_row_reader(_VECTORS_3, 3))
+@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "3"}))
 def read_row(  # noqa: F811
     volume: wp.uint64,
     grid_type: int,
@@ -122,7 +124,7 @@ def read_row(  # noqa: F811
 ) -> mat34d: ...
 
 
-@wp.func_native(_row_reader(_VECTORS_4, 4))
+@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "4"}))
 def read_row(  # noqa: F811
     volume: wp.uint64,
     grid_type: int,
@@ -189,9 +191,10 @@ def voxels_to_border(first: int, count: int) -> int:
 
 
 @wp.func
-def value_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any):
+def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any):
     """stencil_value of a grid of any type."""
     kind = grid_type_of(volume)
+    count = voxels_of(basis)
     i = int(base[0]) - 1
     j = int(base[1]) - 1
     k = int(base[2]) - 1
@@ -215,9 +218,12 @@ def value_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y
 
 
 @wp.func
-def slopes_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any):
-    """stencil_slopes of a grid of any type."""
+def gradient_by_rows(
+    volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
+):
+    """stencil_gradient of a grid of any type."""
     kind = grid_type_of(volume)
+    count = voxels_of(basis)
     i = int(base[0]) - 1
     j = int(base[1]) - 1
     k = int(base[2]) - 1
@@ -245,10 +251,11 @@ def slopes_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, 
 
 
 @wp.func
-def bends_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
-    """stencil_bends of a grid of any scalar type."""
+def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
+    """stencil_hessian of a grid of any scalar type."""
     zero = wp.float64(0.0)
     kind = grid_type_of(volume)
+    count = voxels_of(basis)
     i = int(base[0]) - 1
     j = int(base[1]) - 1
     k = int(base[2]) - 1
@@ -284,51 +291,98 @@ def bends_by_rows(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y
     return slope, second
 
 
+def _float_sums(derivatives: int, voxels: int) -> str:
+    return cpp("volume/sampling/stencil_float.inl", defines={"DERIVATIVES": str(derivatives)}, count=voxels)
+
+
+# One overload for each basis.
+@wp.func_native(_float_sums(0, 3))
+def float_value(
+    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> wp.float64:
+    """stencil_value of a float grid, from the voxel (i, j, k) on."""
+    ...
+
+
+@wp.func_native(_float_sums(0, 4))
+def float_value(  # noqa: F811
+    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> wp.float64: ...
+
+
+@wp.func_native(_float_sums(1, 3))
+def float_gradient(
+    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> wp.vec3d:
+    """stencil_gradient of a float grid."""
+    ...
+
+
+@wp.func_native(_float_sums(1, 4))
+def float_gradient(  # noqa: F811
+    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> wp.vec3d: ...
+
+
+@wp.func_native(_float_sums(2, 3))
+def float_hessian(
+    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> vec9d:
+    """stencil_hessian of a float grid: first and second derivatives, those of the pairs (j, k), (i, k) and (i, j)."""
+    ...
+
+
+@wp.func_native(_float_sums(2, 4))
+def float_hessian(  # noqa: F811
+    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+) -> vec9d: ...
+
+
 @wp.func
 def stencil_value(
-    volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
+    volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
 ):
-    """Weighted sum of ``count``^3 voxels, from the one before ``base`` on along each axis.
+    """Weighted sum of the basis's voxels, from the one before ``base`` on along each axis.
 
     The weights of each axis are the first row of its matrix and add up to 1.
     """
     if grid_type_of(volume) == FLOAT_TYPE:
-        return float_value(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, count, x, y, z)
-    return value_by_rows(volume, base, count, x, y, z, zero)
+        return float_value(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, basis, x, y, z)
+    return value_by_rows(volume, base, basis, x, y, z, zero)
 
 
 @wp.func
 def stencil_value(  # noqa: F811
-    volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
+    volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
 ):
-    return value_by_rows(volume, base, count, x, y, z, zero)
+    return value_by_rows(volume, base, basis, x, y, z, zero)
 
 
 @wp.func
-def stencil_slopes(
-    volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
+def stencil_gradient(
+    volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
 ):
     """As stencil_value, its derivatives along each index axis; the second rows are the derivatives of the weights."""
     if grid_type_of(volume) == FLOAT_TYPE:
-        d = float_slopes(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, count, x, y, z)
+        d = float_gradient(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, basis, x, y, z)
         return d[0], d[1], d[2]
-    return slopes_by_rows(volume, base, count, x, y, z, zero)
+    return gradient_by_rows(volume, base, basis, x, y, z, zero)
 
 
 @wp.func
-def stencil_slopes(  # noqa: F811
-    volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
+def stencil_gradient(  # noqa: F811
+    volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
 ):
-    return slopes_by_rows(volume, base, count, x, y, z, zero)
+    return gradient_by_rows(volume, base, basis, x, y, z, zero)
 
 
 @wp.func
-def stencil_bends(volume: wp.uint64, base: wp.vec3d, count: int, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
+def stencil_hessian(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
     """First derivatives along the index axes, and the symmetric matrix of the second ones, of a scalar grid.
 
     The third rows are the second derivatives of the weights.
     """
     if grid_type_of(volume) == FLOAT_TYPE:
-        d = float_bends(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, count, x, y, z)
+        d = float_hessian(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, basis, x, y, z)
         return wp.vec3d(d[0], d[1], d[2]), wp.mat33d(d[3], d[8], d[7], d[8], d[4], d[6], d[7], d[6], d[5])
-    return bends_by_rows(volume, base, count, x, y, z)
+    return hessian_by_rows(volume, base, basis, x, y, z)

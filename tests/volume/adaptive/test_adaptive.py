@@ -21,7 +21,7 @@ from geokit.volume.adaptive.table import adaptive_table
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
-from geokit.volume.sampling.space import way_to_index
+from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tree.build_float import build_float_grid
 from tests.support import mesh_catalog, reference
 
@@ -125,19 +125,19 @@ def test_one_by_one_as_on_a_gpu_gives_the_same_bits(pairs):
     device = launcher.resolve_device("cpu")
     table = adaptive_table(levels, device)
     if pairs:
-        for each in table.kept[0]:
+        for each in table.tables:
             places = np.flatnonzero(each.top.numpy() >= 0).astype(np.int32)
             add_pairs(each, wp.array(places, dtype=wp.int32, device=device), 1 << 30)
             assert each.pairs
-        table = table._replace(levels=wp.array(table.kept[0], dtype=LeafTable, device=device))
+        table.levels.tables = wp.array(table.tables, dtype=LeafTable, device=device)
     rows = wp.array(points, dtype=wp.vec3d, device=device)
-    way = way_to_index(levels[0], "world")
+    way = world_to_index(levels[0])
     for kernel, dtype, outside, grouped in (
         (kernels.SAMPLE_SINGLES[False], wp.float64, wp.float64(9.0), field.sample(points, device="cpu")),
         (kernels.GRADIENT_SINGLES[False], wp.vec3d, wp.vec3d(0.0, 0.0, 0.0), field.gradient(points, device="cpu")),
     ):
         out, bad = wp.empty(len(points), dtype=dtype, device=device), wp.zeros(1, dtype=wp.int32, device=device)
-        launcher.launch(kernel, len(points), [*table.arguments, rows, *way, outside], [out, bad], device)
+        launcher.launch(kernel, len(points), [table.levels, rows, *way, outside], [out, bad], device)
         np.testing.assert_array_equal(out.numpy(), grouped)
 
 

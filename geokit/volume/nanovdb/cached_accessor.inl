@@ -1,27 +1,30 @@
-"""C++ text that finds the nodes of a NanoVDB grid and reads its voxels, for walks that keep the nodes they are in.
-
-Warp's own functions look up one voxel at a time, from the root, by its value type. Coordinates are relative to an
-anchor voxel near the middle of what the grid holds, the first of a leaf: neither where in index space a grid lies nor
-its transform's translation costs digits.
-"""
-
-from geokit.volume.nanovdb.read_voxel_kernels import _SCALARS, _reader
-
-# Words of a block, see crossing_blocks_kernels.
-BLOCK_WORDS = 16
-
-# Names that the text expects: volume; anchor (int, multiples of 8).
-TREE = """
+// Finds the nodes of a NanoVDB grid and reads its voxels, for walks that keep the nodes they are in.
+//
+// Warp's own functions look up one voxel at a time, from the root, by its value type. Here coordinates are relative
+// to an anchor voxel near the middle of what the grid holds, the first of a leaf: neither the grid's place in index
+// space nor its transform's translation costs digits.
+//
+// Expects volume; anchor (int, multiples of 8); the macro FLOAT_GRID: 1 for grids of floats, 0 for any type of one
+// component. Defines the types address and real (of voxels), grid_type, root, background, ignored; find, which gives
+// the node of a voxel: the address of a leaf, marked by its lowest bit, or of a value, and the edge of the block with
+// that value; descend and leaf_or_tile, its two steps, which take coordinates that are not relative; voxel, which
+// reads one.
     const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
     const unsigned char* grid = (const unsigned char*)buf.data;
     typedef unsigned long long address;
-    const pnanovdb_grid_type_t grid_type = (pnanovdb_grid_type_t)(GRID_TYPE);
+    const pnanovdb_grid_type_t grid_type = (pnanovdb_grid_type_t)(
+#if FLOAT_GRID
+        PNANOVDB_GRID_TYPE_FLOAT
+#else
+        wp::volume::get_grid_type(buf)
+#endif
+    );
     const address root = wp::volume::get_root(buf).address.byte_offset;
     auto word = [&](address at) { return *(const address*)(grid + at); };
     address upper_node = 0, lower_node = 0;
     int in_upper[3] = {0, 0, 0}, in_lower[3] = {0, 0, 0};
-    // Makes `lower_node` the one around a voxel and returns 0, or where the value of its tile or the background stands;
-    // `size` is the edge of the block with that answer.
+    // Makes `lower_node` the one around a voxel and returns 0, or the address of the value of its tile or of the
+    // background; `size` is the edge of the block with that answer.
     auto descend = [&](int i, int j, int k, int& size) -> address {
         size = 8;
         if (lower_node != 0 && !(((i ^ in_lower[0]) | (j ^ in_lower[1]) | (k ^ in_lower[2])) & ~127)) return 0;
@@ -57,7 +60,7 @@ TREE = """
         in_lower[2] = k;
         return 0;
     };
-    // The leaf in a slot of the lower node, marked by its lowest bit, or where the value of its tile stands.
+    // The leaf in a slot of the lower node, marked by its lowest bit, or the address of the value of its tile.
     auto leaf_or_tile = [&](unsigned slot) -> address {
         const address at = lower_node + PNANOVDB_GRID_TYPE_GET(grid_type, lower_off_table)
                          + slot * PNANOVDB_GRID_TYPE_GET(grid_type, table_stride);
@@ -70,13 +73,8 @@ TREE = """
         const address tile = descend(i, j, k, size);
         return tile != 0 ? tile : leaf_or_tile((i >> 3 & 15) << 8 | (j >> 3 & 15) << 4 | (k >> 3 & 15));
     };
-    READER
-    int ignored;
-    const real background = voxel(root + PNANOVDB_GRID_TYPE_GET(grid_type, root_off_background), 0, 0, 0);
-"""
-
-# Voxels of float grids stand in their leaf as they are.
-_FLOAT_READER = """
+#if FLOAT_GRID
+    // Voxels of float grids stand in their leaf as they are.
     typedef float real;
     auto voxel = [&](address node, int x, int y, int z) -> real {
         const address at = node & 1 ? (node & ~1ull) + PNANOVDB_GRID_TYPE_GET(grid_type, leaf_off_table)
@@ -84,50 +82,15 @@ _FLOAT_READER = """
                                     : node;
         return *(const float*)(grid + at);
     };
-"""
-_FLOAT_INNER = """
-            if (in_leaf && x < 7 && y < 7 && z < 7) {
-                const address at = (node & ~1ull) + PNANOVDB_GRID_TYPE_GET(grid_type, leaf_off_table);
-                const float* v = (const float*)(grid + at) + (x << 6 | y << 3 | z);
-                c[0] = v[0];
-                c[1] = v[1];
-                c[2] = v[8];
-                c[3] = v[9];
-                c[4] = v[64];
-                c[5] = v[65];
-                c[6] = v[72];
-                c[7] = v[73];
-            } else
-"""
-_SCALAR_READER = (
-    """
+#else
     typedef double real;
     auto voxel = [&](address node, int x, int y, int z) -> real {
         const int i = (int)((unsigned)x + (unsigned)anchor[0]), j = (int)((unsigned)y + (unsigned)anchor[1]),
                   k = (int)((unsigned)z + (unsigned)anchor[2]);
-"""
-    + _reader(_SCALARS, 1)
-    + """
+#define COMPONENTS 1
+#include "volume/nanovdb/read_voxel.inl"
+#undef COMPONENTS
     };
-"""
-)
-
-
-def tree_text(text: str, grid_type: str) -> str:
-    """The text with what reads the tree and voxels of a grid put into it.
-
-    Args:
-        text: C++ that contains TREE.
-        grid_type: "float", or "scalar" for every type of one component.
-    Returns:
-        C++ text.
-    """
-    is_float = grid_type == "float"
-    parts = {
-        "    READER\n": _FLOAT_READER if is_float else _SCALAR_READER,
-        "READ_INNER\n": _FLOAT_INNER if is_float else "\n",
-        "(GRID_TYPE)": "(PNANOVDB_GRID_TYPE_FLOAT)" if is_float else "(wp::volume::get_grid_type(buf))",
-    }
-    for name, part in parts.items():
-        text = text.replace(name, part)
-    return text.replace("BLOCK_WORDS", str(BLOCK_WORDS))
+#endif
+    int ignored;
+    const real background = voxel(root + PNANOVDB_GRID_TYPE_GET(grid_type, root_off_background), 0, 0, 0);

@@ -1,0 +1,10 @@
+// The end of a search for a crossing, where the box or the ray ends, and the label `done`. Returns where the ray
+// meets the isovalue, infinite for nowhere, and the slope there.
+//
+// Expects the names of raycast_start.inl.
+    if (left) {
+        const int now = side_of(background);
+        if (now == 0 || (now != 2 && now * side < 0)) hit = t0 + last;
+    }
+done:
+    return wp::vec_t<4, double>(hit, slope[0], slope[1], slope[2]);

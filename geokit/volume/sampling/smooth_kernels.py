@@ -1,0 +1,117 @@
+"""Values, gradients and Hessians of the interpolants of order 2 and 3; see stencil_kernels."""
+
+from typing import Any
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.volume.sampling.sample_kernels import has_voxels, store_column, world_derivative
+from geokit.volume.sampling.stencil_kernels import stencil_gradient, stencil_hessian, stencil_value, weights
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.func
+def smooth_value(volume: wp.uint64, u: wp.vec3d, basis: Any, background: Any):
+    """The interpolant at index coordinates."""
+    if not has_voxels(u):
+        return background
+    base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
+    f = u - base
+    zero = type(background)(wp.float64(0.0))
+    return stencil_value(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
+
+
+@wp.func
+def smooth_gradient(volume: wp.uint64, u: wp.vec3d, basis: Any, zero: Any):
+    """Derivatives of the interpolant along each index axis."""
+    if not has_voxels(u):
+        return zero, zero, zero
+    base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
+    f = u - base
+    return stencil_gradient(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
+
+
+def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
+    """Kernels of an interpolant: of values, of gradients, and of both derivatives of scalar grids.
+
+    Args:
+        basis: Quadratic or Cubic.
+        name: Module that they belong to: an interpolant that is not used is not compiled.
+    """
+    module = wp.get_module(name)
+    wp.set_module_options({"enable_backward": False, "max_unroll": 1}, module=module)
+
+    @wp.kernel(module=module)
+    def sample_kernel(
+        first: int,
+        volume: wp.uint64,
+        points: wp.array(dtype=wp.vec3d),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        background: Any,
+        out_value: wp.array(dtype=Any),
+    ):
+        i = first + wp.tid()
+        out_value[i] = smooth_value(volume, to_index * (points[i] - origin), basis(), background)
+
+    @wp.kernel(module=module)
+    def gradient_kernel(
+        first: int,
+        volume: wp.uint64,
+        points: wp.array(dtype=wp.vec3d),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        zero: Any,
+        out_jacobian: wp.array3d(dtype=wp.float64),
+    ):
+        i = first + wp.tid()
+        a, b, c = smooth_gradient(volume, to_index * (points[i] - origin), basis(), zero)
+        for axis in range(3):
+            store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+
+    @wp.kernel(module=module)
+    def hessian_kernel(
+        first: int,
+        volume: wp.uint64,
+        points: wp.array(dtype=wp.vec3d),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        out_gradient: wp.array(dtype=wp.vec3d),
+        out_hessian: wp.array(dtype=wp.mat33d),
+    ):
+        i = first + wp.tid()
+        u = to_index * (points[i] - origin)
+        gradient = wp.vec3d()
+        second = wp.mat33d()
+        if has_voxels(u):
+            base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
+            f = u - base
+            gradient, second = stencil_hessian(
+                volume, base, basis(), weights(basis(), f[0]), weights(basis(), f[1]), weights(basis(), f[2])
+            )
+        out_gradient[i] = wp.transpose(to_index) * gradient
+        world = wp.transpose(to_index) * second * to_index
+        # Rounding must not make it unsymmetric.
+        out_hessian[i] = (world + wp.transpose(world)) * wp.float64(0.5)
+
+    return sample_kernel, gradient_kernel, hessian_kernel
+
+
+def sample_overloads(kernel: Any) -> dict[int, Any]:
+    """By the number of a value's components."""
+    return {
+        1: wp.overload(kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
+        3: wp.overload(kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
+        4: wp.overload(kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
+    }
+
+
+def gradient_overloads(kernel: Any) -> dict[int, Any]:
+    """By the number of a value's components."""
+    return {
+        1: wp.overload(kernel, {"zero": wp.float64}),
+        3: wp.overload(kernel, {"zero": wp.vec3d}),
+        4: wp.overload(kernel, {"zero": wp.vec4d}),
+    }

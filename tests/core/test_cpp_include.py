@@ -1,0 +1,59 @@
+"""C++ files that include others: the lines of the other file, and the compiler still names files and lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from geokit.core import cpp as module
+
+OUTER = """// Adds.
+    double sum = STEP;
+#include "core/inner.inl"
+#ifdef LATER
+#include LATER
+#endif
+    return sum;"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "core").mkdir()
+    (tmp_path / "core" / "outer.inl").write_text(OUTER)
+    (tmp_path / "core" / "inner.inl").write_text("    sum += 2.0;")
+    (tmp_path / "core" / "later.inl").write_text("    sum *= 3.0;")
+    monkeypatch.setattr(module, "_PACKAGE", tmp_path)
+    module._read.cache_clear()
+    yield
+    module._read.cache_clear()
+
+
+def numbered(text: str) -> dict[str, tuple[str, int]]:
+    """For each line of C++ the file and line that a compiler names."""
+    places, file, line = {}, "", 0
+    for each in text.splitlines():
+        if each.startswith("#line"):
+            _, number, name = each.split()
+            file, line = name.strip('"'), int(number)
+        else:
+            places[each.strip()] = (file, line)
+            line += 1
+    return places
+
+
+def test_lines_keep_their_numbers(package):
+    text = module.cpp("core/outer.inl", defines={"LATER": '"core/later.inl"'}, STEP=1.5)
+    places = numbered(text)
+    assert places["double sum = STEP;"] == ("geokit/core/outer.inl", 2)
+    assert places["sum += 2.0;"] == ("geokit/core/inner.inl", 1)
+    assert places["sum *= 3.0;"] == ("geokit/core/later.inl", 1)
+    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
+    assert "#include" not in text
+
+
+def test_a_hook_without_a_file_stays_behind_its_condition(package):
+    places = numbered(module.cpp("core/outer.inl", STEP=1.5))
+    assert places["#include LATER"] == ("geokit/core/outer.inl", 5)
+    assert "sum *= 3.0;" not in places
+    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
