@@ -1,4 +1,4 @@
-"""The rules of the house: who imports whom (geokit/LAYERS), what each room may do, and that documents quote the order."""
+"""Rules of the house: who imports whom (geokit/LAYERS), what each room may do, and that documents quote the order."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ PUBLIC = public_modules()
 
 
 def resolved(name: str) -> str | None:
-    """The file or package of geokit, as LAYERS writes it, that an imported name is or lies in; None for geokit itself."""
+    """The file or package, as LAYERS writes it, that an imported name is or lies in; None for geokit itself."""
     parts = name.split(".")[1:]
     while parts:
         if ".".join(parts) in PUBLIC:

@@ -282,9 +282,12 @@ def test_small_blocks_bound_what_waits(block, most, monkeypatch):
     monkeypatch.setattr(module, "MOST_WAITING", most)
     waiting = []
     undecided = module.DistanceSearch._undecided
-    monkeypatch.setattr(
-        module.DistanceSearch, "_undecided", lambda self, pieces: waiting.append(len(pieces.upper)) or undecided(self, pieces)
-    )
+
+    def counted(self, pieces):
+        waiting.append(len(pieces.upper))
+        return undecided(self, pieces)
+
+    monkeypatch.setattr(module.DistanceSearch, "_undecided", counted)
     a, b = mesh_catalog.icosphere(1), turned(mesh_catalog.icosphere(1), 5)
     found = hausdorff(a, b, tolerance=1e-3, samples=10, device="cpu")
     assert_certified(found.a_to_b, a, b, 1e-3, dense_bounds(a, b))

@@ -283,6 +283,7 @@ class TestParts:
 
 
 def test_vtk_is_imported_only_when_used():
-    code = "import sys, geokit.mesh; geokit.mesh.simplify; print([m for m in sys.modules if m.startswith(('vtk', 'warp'))])"
+    code = "import sys, geokit.mesh; geokit.mesh.simplify\n"
+    code += "print([m for m in sys.modules if m.startswith(('vtk', 'warp'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
