@@ -174,7 +174,7 @@ def test_files_long_enough_for_the_kernel(kind, tmp_path, monkeypatch):
 
     monkeypatch.setattr(decimal, "parse", spy)
     monkeypatch.setattr(decimal, "SMALLEST", 100)
-    monkeypatch.setattr("geokit.formats.ply_points.SMALLEST", 100)
+    monkeypatch.setattr("geokit.formats.ply.SMALLEST", 100)
     np.testing.assert_array_equal(io.load(path).points, points)
     assert len(used) == 1
     assert used[0].shape == (500, 3)
@@ -184,7 +184,7 @@ def test_files_long_enough_for_the_kernel(kind, tmp_path, monkeypatch):
     with pytest.raises(gk.FileFormatError) as quick:
         io.load(path)
     monkeypatch.setattr(decimal, "SMALLEST", 1 << 40)
-    monkeypatch.setattr("geokit.formats.ply_points.SMALLEST", 1 << 40)
+    monkeypatch.setattr("geokit.formats.ply.SMALLEST", 1 << 40)
     with pytest.raises(gk.FileFormatError) as slow:
         io.load(path)
     assert str(quick.value) == str(slow.value)
