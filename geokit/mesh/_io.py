@@ -28,7 +28,7 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     surface cells.
 
     Args:
-        path: .obj .off .ply .stl .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
+        path: .obj .ply .stl .off .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
         name: The mesh's name; None is the file's name without its extension.
     Returns:
         TriangleMesh with at least one face.
@@ -78,7 +78,7 @@ def save(
     in .obj only.
 
     Args:
-        path: .obj .off .ply .stl .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
+        path: .obj .ply .stl .off .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
         mesh: The mesh.
         point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
         cell_data: Arrays (F,) or (F, k) by name, for the same formats.
