@@ -2,51 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from geokit.core.files import extension, require_file
 from geokit.errors import InputError
+from geokit.formats.table import FORMATS, module_of
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = [
-    "CLOUD_EXTENSIONS",
-    "MESH_EXTENSIONS",
-    "VOLUME_EXTENSIONS",
-    "Kind",
-    "kind_of_input",
-    "kind_of_output",
-    "load_grid",
-    "may_write",
-]
+__all__ = ["Kind", "kind_of_input", "kind_of_output", "load_grid", "may_write"]
 
 Kind = Literal["mesh", "volume", "cloud"]
-
-VOLUME_EXTENSIONS = frozenset({".vdb", ".nvdb"})
-MESH_EXTENSIONS = frozenset(
-    {
-        ".obj",
-        ".ply",
-        ".stl",
-        ".off",
-        ".glb",
-        ".gltf",
-        ".3mf",
-        ".vtk",
-        ".vtp",
-        ".vtu",
-        ".msh",
-        ".xdmf",
-        ".usd",
-        ".usda",
-        ".usdc",
-        ".usdz",
-    }
-)
-CLOUD_EXTENSIONS = frozenset({".csv", ".txt", ".xyz", ".npy", ".npz", ".pcd", ".pts", ".las", ".laz"})
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16
@@ -74,27 +42,24 @@ def kind_of_output(path: Path) -> Kind:
 
 
 def _kind_of_extension(path: Path) -> Kind:
-    found = extension(path)
-    for kind, known in (("mesh", MESH_EXTENSIONS), ("volume", VOLUME_EXTENSIONS), ("cloud", CLOUD_EXTENSIONS)):
-        if found in known:
-            return kind  # type: ignore[return-value]
-    listed = ", ".join(sorted(MESH_EXTENSIONS | VOLUME_EXTENSIONS | CLOUD_EXTENSIONS))
-    raise InputError(f"{path}: '{found or 'no extension'}' is not a known format; use one of {listed}")
+    kind = extension(path)
+    if kind not in FORMATS:
+        listed = ", ".join(sorted(FORMATS))
+        raise InputError(f"{path}: '{kind or 'no extension'}' is not a known format; use one of {listed}")
+    found = FORMATS[kind]
+    return "mesh" if found.mesh else "volume" if found.volume else "cloud"
 
 
 def _lacks_faces(path: Path) -> bool:
-    """Whether the header of a .ply or .vtp announces no faces; False where that cannot be told."""
-    found = extension(path)
-    if found not in (".ply", ".vtp"):
+    """Whether a file that may be a mesh or a cloud announces no faces; False where that cannot be told."""
+    kind = extension(path)
+    if not FORMATS[kind].points:
+        return False
+    lacks_faces = getattr(module_of(kind), "lacks_faces", None)
+    if lacks_faces is None:
         return False
     with open(path, "rb") as file:
-        head = file.read(_HEAD_BYTES)
-    if found == ".ply":
-        header = head.partition(b"end_header")[0]
-        faces = re.search(rb"^element\s+face\s+(\d+)", header, re.MULTILINE)
-        return header.startswith(b"ply") and (faces is None or int(faces[1]) == 0)
-    counts = re.findall(rb"NumberOf(?:Polys|Strips)\s*=\s*\"\s*(\d+)\s*\"", head)
-    return bool(counts) and all(int(count) == 0 for count in counts)
+        return bool(lacks_faces(file.read(_HEAD_BYTES)))
 
 
 def may_write(path: Path, *, force: bool) -> None:

@@ -1,1 +1,1 @@
-"""Readers and writers of mesh and point files, one file a format. Volumes are read by volume/nanovdb and native."""
+"""Readers and writers of mesh and point files, one file a format, listed in table.py. Volumes are read elsewhere."""

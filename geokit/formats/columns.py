@@ -1,4 +1,4 @@
-"""Columns by name, as most point files have them, and the points and arrays that they make up."""
+"""Columns by name, as most point files have them, and the points, rays and arrays that they make up."""
 
 from __future__ import annotations
 
@@ -10,38 +10,28 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
 
-__all__ = ["joined", "read_columns", "read_table", "split"]
+__all__ = ["Columns", "joined", "named", "rays", "split"]
 
 AXES = ("x", "y", "z")
 # What other programs call the components of normals.
 NORMALS = ("nx", "ny", "nz")
-# And those of colours.
+# And those of colors.
 COLORS = ("red", "green", "blue")
+RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
 Columns = dict[str, NDArray[np.generic]]
 
 
-def read_columns(path: Path, kind: str) -> Columns:
-    """Columns by name, in the order of the file.
+def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
+    """The columns of a table by name; where the names are not those of coordinates, the first three are x, y and z.
 
+    Args:
+        names: A name for each column; empty where the file has none.
+        table: Rows of numbers.
+        path: The file, for messages.
     Raises:
-        FileFormatError: The content is damaged or has no columns for the coordinates.
+        FileFormatError: There are fewer than three columns, or two of one name.
     """
-    if kind == ".pcd":
-        from geokit.formats.pcd import read_pcd
-
-        return read_pcd(path)
-    if kind == ".pts":
-        from geokit.formats.pts import read_pts
-
-        return read_pts(path)
-    if kind == ".ply":
-        from geokit.formats.ply_points import read_ply
-
-        return read_ply(path)
-    if kind == ".obj":
-        return dict(zip(AXES, _obj_vertices(path).T, strict=True))
-    names, table = read_table(path, kind)
     if table.size == 0:
         table = table.reshape(0, max(len(names), 3))
     if len(set(names)) != len(names):
@@ -57,34 +47,12 @@ def read_columns(path: Path, kind: str) -> Columns:
     return {name: table[:, at] for at, name in enumerate(names)}
 
 
-def read_table(path: Path, kind: str) -> tuple[list[str], NDArray[np.float64]]:
-    """The names of the columns, if the file has them, and the rows of numbers."""
-    if kind == ".npy":
-        from geokit.formats.numpy_files import read_array
-
-        return [], read_array(path)
-    from geokit.formats.text_tables import read_text
-
-    return read_text(path)
-
-
-def _obj_vertices(path: Path) -> NDArray[np.float64]:
-    rows = []
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
-        words = line.split()
-        if not words or words[0] != b"v":
-            continue
-        try:
-            x, y, z = map(float, words[1:4])
-        except ValueError:
-            shown = line[:60].decode("ascii", "backslashreplace")
-            raise FileFormatError(f"{path}: line {number} ('{shown}') is not a vertex; the file is damaged") from None
-        rows.append((x, y, z))
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
-
-
 def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Coordinates, and the other columns with the components of vectors put together."""
+    """Coordinates, and the other columns with the components of vectors put together.
+
+    Raises:
+        FileFormatError: There are no columns for the coordinates.
+    """
     if not set(AXES) <= columns.keys():
         raise FileFormatError(f"{path}: has no x, y and z; its columns are {', '.join(columns)}")
     points = np.stack([columns.pop(axis).astype(np.float64) for axis in AXES], axis=1)
@@ -92,7 +60,7 @@ def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
     for name in list(columns):
         vector, parts = _vector(name)
         whole = name == parts[0] and vector not in columns and set(parts) <= columns.keys()
-        # Colours of several types are not colours.
+        # Colors of several types are not colors.
         if whole and (vector != "rgb" or len({columns[part].dtype for part in parts}) == 1):
             data[vector] = np.stack([columns.pop(part) for part in parts], axis=1)
         elif name in columns:
@@ -110,15 +78,35 @@ def _vector(name: str) -> tuple[str, tuple[str, ...]]:
     return vector, tuple(f"{vector}_{axis}" for axis in AXES) if vector else ("",)
 
 
+def rays(names: list[str], table: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    """Origins and directions (N, 6): the columns of these names, else the first six.
+
+    Raises:
+        FileFormatError: There are fewer than six columns.
+    """
+    lowered = [name.lower() for name in names]
+    if table.size == 0:
+        return np.empty((0, 6))
+    if set(RAY_COLUMNS) <= set(lowered):
+        return table[:, [lowered.index(name) for name in RAY_COLUMNS]]
+    if table.shape[1] < 6:
+        raise FileFormatError(f"{path}: has {table.shape[1]} columns; rays need {', '.join(RAY_COLUMNS)}")
+    return table[:, :6]
+
+
 def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], kind: str) -> Columns:
-    """One column for each number of a point, by names that the format can hold."""
+    """One column for each number of a point, by names that the format can hold.
+
+    Raises:
+        InputError: A name is taken or holds a sign that separates columns.
+    """
     columns: Columns = dict(zip(AXES, points.T, strict=True))
     for name, array in data.items():
         if array.ndim == 1:
             parts: tuple[str, ...] = (name,)
         elif array.shape[1] == 3:
-            named = {"normals": NORMALS, "rgb": COLORS}
-            parts = named.get(name, tuple(f"{name}_{axis}" for axis in AXES))
+            vectors = {"normals": NORMALS, "rgb": COLORS}
+            parts = vectors.get(name, tuple(f"{name}_{axis}" for axis in AXES))
         else:
             parts = tuple(f"{name}_{at}" for at in range(array.shape[1]))
         for part, column in zip(parts, array.reshape(len(array), len(parts)).T, strict=True):

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from geokit.core.available_memory import available_host
 from geokit.errors import FileFormatError, InputError, MissingDependencyError
-from geokit.formats.points_reader_process import read_in_process
+from geokit.formats.columns import Columns
 
-__all__ = ["read_here", "read_las", "write_las"]
-
-Columns = dict[str, NDArray[np.generic]]
+__all__ = ["content_bytes", "read_points", "write_points"]
 
 # Coordinates are integers of 32 bits times a scale: a few values at the ends are left for the roundings.
 LARGEST_STEPS = 2**31 - 8
@@ -45,27 +43,26 @@ def _laspy() -> Any:
     return laspy
 
 
-def read_las(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The points in float64, scaled as the header says, and every other dimension in its own type.
-
-    ``red``, ``green`` and ``blue`` become ``rgb`` (N, 3) uint16.
+def content_bytes(path: Path) -> int | None:
+    """Bytes of the points once they are decompressed, of a file whose header is sound; None if they are not compressed.
 
     Raises:
         MissingDependencyError: laspy is not installed, or no backend for .laz.
-        FileFormatError: A damaged or truncated file.
+        FileFormatError: A damaged or truncated file, or one that declares more than there is memory.
     """
     plain_bytes = _check_header(path, _laspy())
-    if plain_bytes is None:
-        return read_here(path)
-    if plain_bytes > available_host():
+    if plain_bytes is not None and plain_bytes > available_host():
         raise FileFormatError(
             f"{path}: declares {plain_bytes} bytes of points, more than there is memory; get a whole copy"
         )
-    return read_in_process(path, "las", plain_bytes)
+    return plain_bytes
 
 
-def read_here(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """As :func:`read_las`, of a file whose header has been checked, by laspy and in this process.
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The points in float64, scaled as the header says, and every other dimension in its own type.
+
+    ``red``, ``green`` and ``blue`` become ``rgb`` (N, 3) uint16. The header is that of a file whose
+    :func:`content_bytes` are known: laspy takes its sizes at their word.
 
     Raises:
         FileFormatError: A damaged file.
@@ -146,7 +143,7 @@ def _check_chunks(file: Any, path: Path, size: int, start: int, width: int, coun
         raise FileFormatError(f"{path}: its table of compressed chunks is missing or damaged; get a whole copy")
 
 
-def write_las(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], compress: bool) -> None:
+def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
     """LAS 1.4 with the least power of ten for a scale on each axis whose integers hold the extent.
 
     Raises:
@@ -154,6 +151,7 @@ def write_las(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArra
         InputError: A name or an array that the format cannot hold.
     """
     laspy = _laspy()
+    compress = path.suffix.lower() == ".laz"
     if compress:
         _require_backend(laspy, path)
     wanted = tuple(name for name in ("nir", "rgb") if name in data)

@@ -1,4 +1,4 @@
-"""NumPy's files (.npy, .npz) as tables and columns."""
+"""NumPy's files (.npy, .npz) as points and rays."""
 
 from __future__ import annotations
 
@@ -9,19 +9,59 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.columns import Columns, joined, named, rays
 
-__all__ = ["read_archive", "read_array", "read_cloud", "write_archive"]
-
-Columns = dict[str, NDArray[np.generic]]
+__all__ = ["read_points", "read_rays", "write_points"]
 
 
-def read_array(path: Path) -> NDArray[np.float64]:
-    """The table of numbers in an .npy file.
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The first three columns of an .npy file and the others; the points of an .npz and the arrays with a row for each.
 
     Raises:
-        FileFormatError: The content is damaged or no table of numbers.
+        FileFormatError: The content is damaged or has no points.
     """
+    return _cloud(path) if path.suffix.lower() == ".npz" else joined(named([], _array(path), path), path)
+
+
+def read_rays(path: Path) -> NDArray[np.float64]:
+    """Origins and directions (N, 6): six columns, or the arrays of these names.
+
+    Raises:
+        FileFormatError: The content is damaged or has no rays.
+    """
+    if path.suffix.lower() != ".npz":
+        return rays([], _array(path), path)
+    arrays = _archive(path)
+    if {"origins", "directions"} <= arrays.keys():
+        parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]
+    else:
+        wide = [array for array in arrays.values() if array.ndim == 2 and array.shape[1] >= 6]
+        parts = [wide[0][:, :3], wide[0][:, 3:6]] if len(wide) == 1 else []
+    shapes = {part.shape for part in parts}
+    if len(shapes) != 1 or parts[0].ndim != 2 or parts[0].shape[1] != 3:
+        raise FileFormatError(f"{path}: has no arrays 'origins' and 'directions' of one shape (N, 3)")
+    if any(part.dtype.kind not in "fiu" for part in parts):
+        raise FileFormatError(f"{path}: origins or directions are not numbers")
+    return np.concatenate(parts, axis=1).astype(np.float64)
+
+
+def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+    """Arrays by name in an .npz file, in their own types, the positions as "points".
+
+    Raises:
+        InputError: An array of data has that name.
+    """
+    if "points" in data:
+        raise InputError("data: the name 'points' is taken by the positions in .npz; choose another")
+    with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+        for name, values in {"points": points, **data}.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
+
+
+def _array(path: Path) -> NDArray[np.float64]:
+    """The table of numbers in an .npy file."""
     try:
         array = np.load(path, allow_pickle=False)
     except Exception as error:  # numpy, zipfile, zlib and the parser of Python's literals raise a dozen kinds
@@ -34,12 +74,8 @@ def read_array(path: Path) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-def read_archive(path: Path) -> Columns:
-    """Every array of an .npz file by name.
-
-    Raises:
-        FileFormatError: The content is damaged.
-    """
+def _archive(path: Path) -> Columns:
+    """Every array of an .npz file by name."""
     try:
         # Opened here: numpy leaves a file that is not an archive open.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -48,13 +84,9 @@ def read_archive(path: Path) -> Columns:
         raise FileFormatError(f"{path}: is not a NumPy archive ({_line(error)}); use numpy.savez again") from None
 
 
-def read_cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The points of an .npz file, and the arrays that have a row for each.
-
-    Raises:
-        FileFormatError: The content is damaged or has no points.
-    """
-    arrays = read_archive(path)
+def _cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The points of an .npz file, and the arrays that have a row for each."""
+    arrays = _archive(path)
     tables = [name for name, array in arrays.items() if array.ndim == 2 and array.shape[1] == 3]
     if "points" not in tables and len(tables) != 1:
         raise FileFormatError(f"{path}: has no array 'points' of shape (N, 3); its arrays are {', '.join(arrays)}")
@@ -68,14 +100,6 @@ def read_cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
         if array.ndim in (1, 2) and len(array) == len(points) and array.dtype.kind in "fiub"
     }
     return points.astype(np.float64), fitting
-
-
-def write_archive(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Arrays by name, in their own types."""
-    with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
-        for name, values in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
 
 
 def _line(error: Exception) -> str:

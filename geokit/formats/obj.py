@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
-from geokit.formats.mesh_text import numbers, point_lines
-from geokit.formats.polygons import Body
-from geokit.mesh._model import TriangleMesh
+from geokit.formats.body import Body
+from geokit.formats.columns import Columns
+from geokit.formats.text import numbers, point_lines
 
-__all__ = ["read_mesh", "write_mesh"]
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["read_mesh", "read_points", "write_mesh"]
 
 
-def read_mesh(path: Path) -> list[Body]:
-    """Body of an .obj file; its ``o`` and ``g`` lines become groups.
+class _Lines(NamedTuple):
+    """The lines of a file by kind, without their first word; how many vertices stand above each face; group starts."""
 
-    Texture coordinates, normals, materials and lines are left out; free-form curves and surfaces have no polygons.
-    """
-    data = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    points: list[bytes] = []
+    vertices: list[bytes]
+    faces: list[bytes]
+    vertices_before: list[int]
+    starts: list[tuple[str, int]]
+
+
+def _lines(data: bytes) -> _Lines:
+    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    vertices: list[bytes] = []
     faces: list[bytes] = []
     vertices_before: list[int] = []
     starts: list[tuple[str, int]] = []
@@ -30,13 +39,54 @@ def read_mesh(path: Path) -> list[Body]:
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
         if kind == b"v":
-            points.append(rest)
+            vertices.append(rest)
         elif kind in (b"f", b"fo"):
             faces.append(rest)
-            vertices_before.append(len(points))
+            vertices_before.append(len(vertices))
         elif kind in (b"o", b"g"):
             starts.append((rest.strip().decode("utf-8", "replace"), len(faces)))
-    coordinates = numbers(_coordinates(points, path), np.float64, path, "vertices")
+    return _Lines(vertices, faces, vertices_before, starts)
+
+
+def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
+    return numbers(_first_three(lines, path), np.float64, path, "vertices").reshape(-1, 3)
+
+
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The vertices; everything else is left out.
+
+    Raises:
+        FileFormatError: A vertex that is not three numbers; its line is named.
+    """
+    data = path.read_bytes()
+    try:
+        return _coordinates(_lines(data).vertices, path), {}
+    except FileFormatError:
+        _blame(data, path)
+        raise
+
+
+def _blame(data: bytes, path: Path) -> None:
+    """Raises for the first vertex that is not three numbers."""
+    for number, line in enumerate(data.splitlines(), 1):
+        words = line.split()
+        if not words or words[0] != b"v":
+            continue
+        try:
+            _, _, _ = map(float, words[1:4])
+        except ValueError:
+            shown = line[:60].decode("ascii", "backslashreplace")
+            raise FileFormatError(f"{path}: line {number} ('{shown}') is not a vertex; the file is damaged") from None
+
+
+def read_mesh(path: Path) -> list[Body]:
+    """Body of an .obj file; its ``o`` and ``g`` lines become groups.
+
+    Texture coordinates, normals, materials and lines are left out; free-form curves and surfaces have no polygons.
+    """
+    data = path.read_bytes()
+    vertices, faces, vertices_before, starts = _lines(data)
+    coordinates = _coordinates(vertices, path)
     if b"/" in data or b"#" in data:
         faces = _AFTER_INDEX.sub(b"", b"\n".join(faces)).split(b"\n") if faces else []
     counts, corners = _split(faces)
@@ -48,14 +98,14 @@ def read_mesh(path: Path) -> list[Body]:
     # Negative indices count back from the last vertex above their line.
     before = np.repeat(np.asarray(vertices_before, np.int64), counts)
     indices = np.where(indices > 0, indices - 1, indices + before)
-    return [Body(coordinates.reshape(-1, 3), counts, indices, groups=_groups(starts, len(faces)))]
+    return [Body(coordinates, counts, indices, groups=_groups(starts, len(faces)))]
 
 
 # The texture and normal of a corner, and a comment at a line's end.
 _AFTER_INDEX = re.compile(rb"/[^ \n]*|#[^\n]*")
 
 
-def _coordinates(lines: list[bytes], path: Path) -> list[bytes]:
+def _first_three(lines: list[bytes], path: Path) -> list[bytes]:
     """The first three tokens of each line: a weight or a colour may follow."""
     counts, tokens = _split(lines)
     if np.all(counts == 3):

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.text_tables import read_rows
+from geokit.formats.columns import Columns, joined
+from geokit.formats.text import read_rows
 
-__all__ = ["ENCODINGS", "read_pcd", "write_pcd"]
+__all__ = ["read_points", "write_points"]
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -33,8 +34,6 @@ LZF_BEST = 88
 LZF_LIMIT = 2**32 - 1
 # A record of more bytes than this is no point; NumPy counts them in 31 bits.
 LARGEST_RECORD = 2**30
-
-Columns = dict[str, NDArray[np.generic]]
 
 
 @dataclass
@@ -56,8 +55,8 @@ class _Header:
     start: int
 
 
-def read_pcd(path: Path) -> Columns:
-    """The columns by name, each in the type of the file; fields with a count above one are (N, count).
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """Points and columns by name, each in the type of the file; fields with a count above one are (N, count).
 
     Raises:
         FileFormatError: A damaged or truncated file, or one whose header and body disagree.
@@ -79,7 +78,7 @@ def read_pcd(path: Path) -> Columns:
             bytes_ = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).view(np.uint8).reshape(-1, 4)
             values = bytes_[:, [2, 1, 0, 3][: len(field.name)]]
         columns[_NORMALS.get(field.name, field.name)] = values
-    return columns
+    return joined(columns, path)
 
 
 def _read_header(data: bytes, path: Path) -> _Header:
@@ -249,7 +248,9 @@ def _compressed(data: bytes, header: _Header, path: Path) -> list[NDArray[np.gen
     return parts
 
 
-def write_pcd(path: Path, points: NDArray[np.floating], data: Mapping[str, NDArray[np.generic]], encoding: str) -> None:
+def write_points(
+    path: Path, points: NDArray[np.floating], data: Mapping[str, NDArray[np.generic]], encoding: str
+) -> None:
     """One unorganised cloud in PCD 0.7; ``rgb`` and ``rgba`` are packed as PCL has them.
 
     Args:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
+from geokit.formats.body import Body
 from geokit.mesh._model import MeshPart, TriangleMesh
 
-__all__ = ["Body", "join", "triangulate"]
-
-
-@dataclass(frozen=True)
-class Body:
-    """One body of a file.
-
-    Args:
-        points: Vertex positions in the body's own frame, shape (V, 3).
-        counts: Number of corners of each polygon, shape (P,).
-        indices: Vertex indices of all corners, polygon after polygon, shape (sum(counts),).
-        name: The file's name for the body.
-        transform: Matrix (4, 4) from the body's frame to the world, for column vectors; None is the identity.
-        clockwise: The file winds its polygons clockwise as seen from outside.
-        groups: (name, first polygon, polygon count) of the named parts; empty where the body is one part.
-    """
-
-    points: NDArray[Any]
-    counts: NDArray[Any]
-    indices: NDArray[Any]
-    name: str = ""
-    transform: NDArray[np.float64] | None = None
-    clockwise: bool = False
-    groups: tuple[tuple[str, int, int], ...] = ()
+__all__ = ["join", "triangulate"]
 
 
 def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:

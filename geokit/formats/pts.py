@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.text_tables import read_rows
+from geokit.formats.columns import Columns, joined
+from geokit.formats.text import read_rows, row_lines
 
-__all__ = ["read_pts", "write_pts"]
+__all__ = ["read_points", "write_points"]
 
 # What the columns after x, y and z are, by their number.
 _LAYOUTS = {3: (), 4: ("intensity",), 6: ("rgb",), 7: ("intensity", "rgb")}
 
-Columns = dict[str, NDArray[np.generic]]
 
-
-def read_pts(path: Path) -> Columns:
-    """Columns x, y, z, intensity (float64) and rgb (N, 3) uint8, as far as the file has them.
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """Points, and intensity (float64) and rgb (N, 3) uint8 as far as the file has them.
 
     Raises:
         FileFormatError: A damaged file, or one with another number of rows than its first line says.
@@ -50,7 +49,7 @@ def read_pts(path: Path) -> Columns:
         columns["intensity"] = table[:, 3]
     if "rgb" in layout:
         columns["rgb"] = _bytes(table[:, -3:], path)
-    return columns
+    return joined(columns, path)
 
 
 def _bytes(colors: NDArray[np.float64], path: Path) -> NDArray[np.uint8]:
@@ -63,7 +62,7 @@ def _bytes(colors: NDArray[np.float64], path: Path) -> NDArray[np.uint8]:
     return colors.astype(np.uint8)
 
 
-def write_pts(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
     """The count and the rows; every number reads back as the same float64.
 
     Raises:
@@ -85,5 +84,4 @@ def write_pts(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArra
         columns += list(data["rgb"].T)
     with open(path, "w", encoding="ascii") as file:
         file.write(f"{len(points)}\n")
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        file.writelines(" ".join(map(repr, row)) + "\n" for row in rows)
+        file.writelines(row_lines(columns))

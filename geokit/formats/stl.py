@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points
 from geokit.errors import FileFormatError
-from geokit.formats.mesh_text import numbers
-from geokit.formats.polygons import Body
-from geokit.mesh._model import TriangleMesh
+from geokit.formats.body import Body
+from geokit.formats.text import numbers
+
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
 
 __all__ = ["read_mesh", "write_mesh"]
 

@@ -1,25 +1,7 @@
-"""Mesh files in and out.
-
-| extension          | read by  | written by | positions | data arrays |
-|--------------------|----------|------------|-----------|-------------|
-| .obj .off          | geokit   | geokit     | float64   | no          |
-| .ply               | geokit   | geokit     | float64   | no          |
-| .stl               | geokit   | geokit     | float32   | no          |
-| .glb               | trimesh  | trimesh    | float32   | no          |
-| .gltf              | trimesh  | -          | float32   | no          |
-| .3mf               | trimesh  | trimesh    | float64   | no          |
-| .vtp .vtk          | VTK      | pyvista    | float64   | yes         |
-| .vtu               | VTK      | meshio     | float64   | yes         |
-| .msh .xdmf         | meshio   | meshio     | float64   | yes         |
-| .usd .usda .usdc   | usd-core | usd-core   | float32   | no          |
-| .usdz              | usd-core | -          | float32   | no          |
-
-Readers other than geokit's own run in a process of their own (see ``formats/mesh_reader_process.py``).
-"""
+"""Mesh files in and out, in the formats that geokit/formats/table.py lists."""
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -29,23 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.files import atomic_path, require_extension, require_file
 from geokit.errors import FileFormatError, GeokitError, InputError
+from geokit.formats.table import FORMATS, extensions, module_of
 from geokit.mesh._model import TriangleMesh
 
-__all__ = ["READABLE", "WRITABLE", "load", "save"]
-
-# Extension -> module and function of geokit's own readers and writers, imported when used.
-_OWN = {".obj": "obj", ".off": "off", ".ply": "ply_mesh", ".stl": "stl"}
-# Extension -> reader module that runs in a process of its own.
-_FOREIGN = {
-    **dict.fromkeys((".glb", ".gltf", ".3mf"), "trimesh"),
-    **dict.fromkeys((".vtk", ".vtp", ".vtu"), "vtk"),
-    **dict.fromkeys((".msh", ".xdmf"), "meshio"),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
-}
-_WITH_DATA = (".msh", ".vtk", ".vtp", ".vtu", ".xdmf")
-
-READABLE = (*_OWN, *_FOREIGN)
-WRITABLE = tuple(kind for kind in READABLE if kind not in (".gltf", ".usdz"))
+__all__ = ["load", "save"]
 
 
 def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMesh:
@@ -59,7 +28,7 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     surface cells.
 
     Args:
-        path: .obj .off .ply .stl .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
+        path: .obj .ply .stl .off .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
         name: The mesh's name; None is the file's name without its extension.
     Returns:
         TriangleMesh with at least one face.
@@ -75,18 +44,17 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     """
     from geokit.formats.polygons import join
 
-    kind = require_extension(path, READABLE, "mesh")
+    kind = require_extension(path, extensions("mesh", "r"), "mesh")
     path = require_file(path)
     if path.stat().st_size == 0:
         raise FileFormatError(f"{path}: is empty; get a whole copy")
     try:
-        if kind in _OWN:
-            module = importlib.import_module(f"geokit.formats.{_OWN[kind]}")
-            bodies = module.read_mesh(path)
-        else:
-            from geokit.formats.mesh_reader_process import read_in_process
+        if FORMATS[kind].process:
+            from geokit.formats import reader_process
 
-            bodies = read_in_process(path, _FOREIGN[kind])
+            bodies = reader_process.read_mesh(path, FORMATS[kind].module)
+        else:
+            bodies = module_of(kind).read_mesh(path)
         return join(bodies, path, path.stem if name is None else name)
     except (GeokitError, MemoryError):
         raise
@@ -110,7 +78,7 @@ def save(
     in .obj only.
 
     Args:
-        path: .obj .off .ply .stl .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
+        path: .obj .ply .stl .off .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
         mesh: The mesh.
         point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
         cell_data: Arrays (F,) or (F, k) by name, for the same formats.
@@ -123,31 +91,25 @@ def save(
         >>> bracket = load("data/samples/bracket.obj")
         >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
     """
-    kind = require_extension(path, WRITABLE, "mesh")
+    kind = require_extension(path, extensions("mesh", "w"), "mesh")
+    written = FORMATS[kind]
     if not isinstance(mesh, TriangleMesh):
         raise InputError(f"mesh: a {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
     if len(mesh.faces) == 0:
         raise InputError("mesh: has no faces; a mesh file without faces cannot be read back")
     points = _checked(point_data, len(mesh.vertices), "point_data", "vertices")
     cells = _checked(cell_data, len(mesh.faces), "cell_data", "faces")
-    if (points or cells) and kind not in _WITH_DATA:
-        raise InputError(f"{path}: {kind} holds no data arrays; use one of {', '.join(_WITH_DATA)}")
-    if kind in (".stl", ".glb") or kind.startswith(".usd"):
+    if (points or cells) and not written.data:
+        known = sorted(other for other in extensions("mesh", "w") if FORMATS[other].data)
+        raise InputError(f"{path}: {kind} holds no data arrays; use one of {', '.join(known)}")
+    if written.float32:
         _require_float32(mesh, kind)
     with atomic_path(path) as part:
-        if kind in _OWN:
-            importlib.import_module(f"geokit.formats.{_OWN[kind]}").write_mesh(part, mesh)
-            return
-        from geokit.formats import write_foreign
-
-        if kind in (".vtp", ".vtk"):
-            write_foreign.write_poly_data(part, mesh, points, cells)
-        elif kind in _WITH_DATA:
-            write_foreign.write_meshio(part, mesh, points, cells)
-        elif kind in (".glb", ".3mf"):
-            write_foreign.write_trimesh(part, mesh)
+        module = module_of(kind)
+        if written.data:
+            module.write_mesh(part, mesh, points, cells)
         else:
-            write_foreign.write_usd(part, mesh)
+            module.write_mesh(part, mesh)
 
 
 def _checked(data: Mapping[str, ArrayLike] | None, count: int, argument: str, rows: str) -> dict[str, NDArray[Any]]:

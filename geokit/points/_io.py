@@ -5,25 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.files import atomic_path, require_extension, require_file
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import joined, read_columns, read_table, split
+from geokit.formats.table import FORMATS, extensions, module_of
 
 __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
-
-_READABLE = (".csv", ".las", ".laz", ".npy", ".npz", ".obj", ".pcd", ".ply", ".pts", ".txt", ".vtp", ".xyz")
-_RAY_FORMATS = (".csv", ".npy", ".npz", ".txt", ".xyz")
-_WRITABLE = (".csv", ".las", ".laz", ".npz", ".pcd", ".ply", ".pts", ".vtp", ".xyz")
-# Encodings by format, the usual one first; the others have one.
-_ENCODINGS: dict[str, tuple[str, ...]] = {".pcd": ("binary", "ascii", "binary_compressed")}
-_RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,22 +81,16 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
         >>> load("data/samples/cloud.ply")
         PointCloud(20000 points, data: normals)
     """
-    kind = require_extension(path, _READABLE, "point")
+    kind = require_extension(path, extensions("points", "r"), "point")
     path = require_file(path)
-    if kind == ".vtp":
-        from geokit.formats.vtp import read_vtp
-
-        points, data = read_vtp(path)
-    elif kind == ".npz":
-        from geokit.formats.numpy_files import read_cloud
-
-        points, data = read_cloud(path)
-    elif kind in (".las", ".laz"):
-        from geokit.formats.las import read_las
-
-        points, data = read_las(path)
+    module = module_of(kind)
+    size = module.content_bytes(path) if FORMATS[kind].process else None
+    if size is None:
+        points, data = module.read_points(path)
     else:
-        points, data = joined(read_columns(path, kind), path)
+        from geokit.formats import reader_process
+
+        points, data = reader_process.read_points(path, FORMATS[kind].module, size)
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         if not finite_only:
@@ -133,9 +119,9 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
         FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has no direction; its
             row is named.
     """
-    kind = require_extension(path, _RAY_FORMATS, "ray")
+    kind = require_extension(path, extensions("rays", "r"), "ray")
     path = require_file(path)
-    table = _ray_table(path, kind)
+    table = module_of(kind).read_rays(path)
     bad = ~np.isfinite(table).all(axis=1) | ~(table[:, 3:] != 0.0).any(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
@@ -176,51 +162,20 @@ def save(
     Example:
         >>> save("grains.pcd", [[0, 0, 0], [1, 0, 0]], data={"radius": [0.5, 0.25]}, encoding="ascii")
     """
-    kind = require_extension(path, _WRITABLE, "point")
-    encodings = _ENCODINGS.get(kind, ())
+    kind = require_extension(path, extensions("points", "w"), "point")
+    encodings = FORMATS[kind].encodings
     if encoding is not None and encoding not in encodings:
         known = ", ".join(["None", *map(repr, encodings)])
         raise InputError(f"encoding: {encoding!r} is not one of {kind}; use one of {known}")
     cloud = PointCloud(points, data)
-    if kind == ".npz" and "points" in cloud.data:
-        raise InputError("data: the name 'points' is taken by the positions in .npz; choose another")
+    single = FORMATS[kind].single and _is_single(points)
+    coordinates = cloud.points.astype(np.float32) if single else cloud.points
     with atomic_path(path) as part:
-        if kind in (".csv", ".ply", ".xyz"):
-            columns = split(cloud.points, cloud.data, kind)
-            _write_columns(part, columns, kind)
-        elif kind == ".pcd":
-            from geokit.formats.pcd import write_pcd
-
-            # Other readers take four bytes only: whoever gives float32 gets that.
-            coordinates = cloud.points.astype(np.float32) if _is_single(points) else cloud.points
-            write_pcd(part, coordinates, cloud.data, encoding or encodings[0])
-        elif kind == ".pts":
-            from geokit.formats.pts import write_pts
-
-            write_pts(part, cloud.points, cloud.data)
-        elif kind == ".vtp":
-            from geokit.formats.vtp import write_vtp
-
-            write_vtp(part, cloud.points, cloud.data)
-        elif kind == ".npz":
-            from geokit.formats.numpy_files import write_archive
-
-            write_archive(part, {"points": cloud.points, **cloud.data})
+        module = module_of(kind)
+        if encodings:
+            module.write_points(part, coordinates, cloud.data, encoding or encodings[0])
         else:
-            from geokit.formats.las import write_las
-
-            write_las(part, cloud.points, cloud.data, compress=kind == ".laz")
-
-
-def _write_columns(path: Path, columns: dict[str, NDArray[np.generic]], kind: str) -> None:
-    if kind == ".ply":
-        from geokit.formats.ply_points import write_ply
-
-        write_ply(path, list(columns), list(columns.values()))
-    else:
-        from geokit.formats.text_tables import write_text
-
-        write_text(path, list(columns), list(columns.values()), comma=kind == ".csv")
+            module.write_points(part, coordinates, cloud.data)
 
 
 def _is_single(points: ArrayLike) -> bool:
@@ -252,30 +207,3 @@ def _data(values: ArrayLike, name: str, count: int) -> NDArray[np.generic]:
         raise InputError(f"data: '{name}' has shape {array.shape}; give one row for each of the {count} points")
     array.flags.writeable = False
     return array
-
-
-def _ray_table(path: Path, kind: str) -> NDArray[np.float64]:
-    if kind == ".npz":
-        from geokit.formats.numpy_files import read_archive
-
-        arrays: dict[str, Any] = read_archive(path)
-        if {"origins", "directions"} <= arrays.keys():
-            parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]
-        else:
-            wide = [array for array in arrays.values() if array.ndim == 2 and array.shape[1] >= 6]
-            parts = [wide[0][:, :3], wide[0][:, 3:6]] if len(wide) == 1 else []
-        shapes = {part.shape for part in parts}
-        if len(shapes) != 1 or parts[0].ndim != 2 or parts[0].shape[1] != 3:
-            raise FileFormatError(f"{path}: has no arrays 'origins' and 'directions' of one shape (N, 3)")
-        if any(part.dtype.kind not in "fiu" for part in parts):
-            raise FileFormatError(f"{path}: origins or directions are not numbers")
-        return np.concatenate(parts, axis=1).astype(np.float64)
-    names, table = read_table(path, kind)
-    lowered = [name.lower() for name in names]
-    if table.size == 0:
-        return np.empty((0, 6))
-    if set(_RAY_COLUMNS) <= set(lowered):
-        return table[:, [lowered.index(name) for name in _RAY_COLUMNS]]
-    if table.shape[1] < 6:
-        raise FileFormatError(f"{path}: has {table.shape[1]} columns; rays need {', '.join(_RAY_COLUMNS)}")
-    return table[:, :6]

@@ -14,6 +14,7 @@ import numpy as np
 
 from geokit.core.files import extension, require_extension, require_file
 from geokit.errors import InputError, UnsupportedGridError
+from geokit.formats.table import extensions
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb import file
 from geokit.volume.nanovdb.checks import check_grid
@@ -23,7 +24,6 @@ from geokit.volume.nanovdb.header import grid_name, info_of, voxel_size_of
 
 __all__ = ["inspect", "load", "load_all", "save"]
 
-EXTENSIONS = (".nvdb", ".vdb")
 # NanoVDB readers are often built without zlib and Blosc: uncompressed is what all of them read, and the fastest.
 DEFAULT_NVDB_CODEC = "none"
 # A file up to this size [bytes] is read whole where no grid is named: quicker than to ask for the names first, in a
@@ -154,7 +154,7 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
     Example:
         >>> save("out.nvdb", load("data/samples/torus.vdb"), codec="zip")
     """
-    kind = require_extension(path, EXTENSIONS, "volume")
+    kind = require_extension(path, extensions("volume", "w"), "volume")
     if codec is not None and codec not in CODECS:
         raise InputError(f"codec: {codec!r} is unknown; use one of {', '.join(CODECS)}")
     if not volumes:
@@ -176,7 +176,7 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
 
 
 def _known(path: str | os.PathLike[str]) -> Path:
-    require_extension(path, EXTENSIONS, "volume")
+    require_extension(path, extensions("volume", "r"), "volume")
     return require_file(path)
 
 

@@ -1,4 +1,4 @@
-"""Numbers in text, as the kernel reads them: the float64 that Python reads, bit for bit, or no answer at all."""
+"""Numbers in text, as the parser in C++ reads them: the float64 that Python reads, bit for bit, or no answer at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from hypothesis import strategies as st
 import geokit as gk
 from geokit.formats import decimal
 from geokit.formats.decimal import parse
+from geokit.native._parsers import parsers
 from geokit.points import _io as io
+
+pytestmark = pytest.mark.skipif(parsers() is None, reason="built without a compiler")
 
 WORDS = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
@@ -155,7 +158,7 @@ def test_damaged_text_is_read_as_python_reads_it_or_not_at_all():
 
 
 @pytest.mark.parametrize("kind", ["xyz", "csv", "pts", "pcd", "ply"])
-def test_files_long_enough_for_the_kernel(kind, tmp_path, monkeypatch):
+def test_files_long_enough_for_the_parser(kind, tmp_path, monkeypatch):
     # The same file by either way, and the same complaint about damage.
     random_ = np.random.default_rng(2)
     points = random_.normal(size=(500, 3))
@@ -174,7 +177,7 @@ def test_files_long_enough_for_the_kernel(kind, tmp_path, monkeypatch):
 
     monkeypatch.setattr(decimal, "parse", spy)
     monkeypatch.setattr(decimal, "SMALLEST", 100)
-    monkeypatch.setattr("geokit.formats.ply_points.SMALLEST", 100)
+    monkeypatch.setattr("geokit.formats.ply.SMALLEST", 100)
     np.testing.assert_array_equal(io.load(path).points, points)
     assert len(used) == 1
     assert used[0].shape == (500, 3)
@@ -184,7 +187,7 @@ def test_files_long_enough_for_the_kernel(kind, tmp_path, monkeypatch):
     with pytest.raises(gk.FileFormatError) as quick:
         io.load(path)
     monkeypatch.setattr(decimal, "SMALLEST", 1 << 40)
-    monkeypatch.setattr("geokit.formats.ply_points.SMALLEST", 1 << 40)
+    monkeypatch.setattr("geokit.formats.ply.SMALLEST", 1 << 40)
     with pytest.raises(gk.FileFormatError) as slow:
         io.load(path)
     assert str(quick.value) == str(slow.value)

@@ -13,7 +13,7 @@ import pytest
 
 import geokit as gk
 from geokit.formats.polygons import triangulate
-from geokit.mesh import _io as io
+from geokit.formats.table import extensions
 from tests.support import mesh_catalog
 
 MESH = mesh_catalog.l_profile()
@@ -51,7 +51,7 @@ def write(path: Path, text: str | bytes) -> Path:
 # --- round trips -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", io.WRITABLE)
+@pytest.mark.parametrize("kind", extensions("mesh", "w"))
 def test_saved_file_reads_back(tmp_path, kind):
     path = tmp_path / f"mesh{kind}"
     gk.mesh.save(path, FINE)
@@ -67,7 +67,7 @@ def test_saved_file_reads_back(tmp_path, kind):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [path.name]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in io.WRITABLE if kind not in (".stl", ".usd", ".usda")])
+@pytest.mark.parametrize("kind", [kind for kind in extensions("mesh", "w") if kind not in (".stl", ".usd", ".usda")])
 def test_nothing_is_merged_or_dropped(tmp_path, kind):
     mesh = mesh_catalog.join(
         mesh_catalog.soup(mesh_catalog.box()),
@@ -626,7 +626,7 @@ def test_missing_file_and_folder(tmp_path):
         gk.mesh.save(tmp_path / "absent" / "a.obj", MESH)
 
 
-@pytest.mark.parametrize("kind", io.READABLE)
+@pytest.mark.parametrize("kind", extensions("mesh", "r"))
 def test_empty_file(tmp_path, kind):
     with pytest.raises(gk.FileFormatError, match="is empty"):
         gk.mesh.load(write(tmp_path / f"empty{kind}", b""))
@@ -760,7 +760,7 @@ def test_data_that_does_not_fit(tmp_path, data, message):
 
 
 @pytest.mark.parametrize(
-    "kind", [kind for kind in io.WRITABLE if kind not in (".vtk", ".vtp", ".vtu", ".msh", ".xdmf")]
+    "kind", [kind for kind in extensions("mesh", "w") if kind not in (".vtk", ".vtp", ".vtu", ".msh", ".xdmf")]
 )
 def test_formats_without_data_name_those_with(tmp_path, kind):
     with pytest.raises(gk.InputError, match=r"holds no data arrays; use one of .*\.vtp"):
@@ -782,7 +782,7 @@ def test_mesh_without_faces_is_not_written(tmp_path):
 
 
 def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    from geokit.formats import ply_mesh
+    from geokit.formats import ply
 
     path = tmp_path / "a.ply"
     gk.mesh.save(path, MESH)
@@ -792,7 +792,7 @@ def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
         part.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(ply_mesh, "write_mesh", fail)
+    monkeypatch.setattr(ply, "write_mesh", fail)
     with pytest.raises(gk.FileAccessError, match="No space left"):
         gk.mesh.save(path, mesh_catalog.box())
     assert path.read_bytes() == before
@@ -803,7 +803,7 @@ def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_reader_that_crashes_hangs_or_exits_is_an_error(tmp_path, monkeypatch):
-    from geokit.formats import mesh_reader_process
+    from geokit.formats import reader_process
 
     path = write(tmp_path / "a.vtp", "x")
     shadow = tmp_path / "vtkmodules"
@@ -822,7 +822,7 @@ def test_reader_that_crashes_hangs_or_exits_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(gk.FileFormatError, match="more memory"):
         gk.mesh.load(path)
     write(shadow / "__init__.py", "import time; time.sleep(60)\n")
-    monkeypatch.setattr(mesh_reader_process, "_BASE_SECONDS", 0.5)
+    monkeypatch.setattr(reader_process, "BASE_SECONDS", 0.5)
     with pytest.raises(gk.FileFormatError, match="its reader was stopped"):
         gk.mesh.load(path)
 

@@ -1,24 +1,95 @@
-"""Tables of numbers as text: .csv with a header, .xyz and .txt with spaces."""
+"""Numbers as text, for every text format; and tables of them: .csv with a header, .xyz and .txt with spaces."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
+from geokit.formats.columns import Columns, joined, named, rays, split
 from geokit.formats.decimal import plain_rows
 
-__all__ = ["read_rows", "read_text", "write_text"]
+__all__ = ["numbers", "point_lines", "read_points", "read_rays", "read_rows", "row_lines", "write_points"]
 
 # What UTF-8 files of some programs begin with.
 _MARK = b"\xef\xbb\xbf"
 
 
-def read_text(path: Path) -> tuple[list[str], NDArray[np.float64]]:
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The columns x, y and z, else the first three, and the others by name.
+
+    Raises:
+        FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
+    """
+    return joined(named(*_read_table(path), path), path)
+
+
+def read_rays(path: Path) -> NDArray[np.float64]:
+    """Origins and directions (N, 6).
+
+    Raises:
+        FileFormatError: As for :func:`read_points`, or fewer than six columns.
+    """
+    return rays(*_read_table(path), path)
+
+
+def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+    """Columns with their names above them; every float64 reads back as the same number, True as 1.
+
+    Raises:
+        InputError: A name that cannot be that of a column.
+    """
+    kind = path.suffix.lower()
+    columns = split(points, data, kind)
+    plain = [column.astype(np.uint8) if column.dtype.kind == "b" else column for column in columns.values()]
+    separator = "," if kind == ".csv" else " "
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(("" if kind == ".csv" else "# ") + separator.join(columns) + "\n")
+        file.writelines(row_lines(plain, separator))
+
+
+def row_lines(columns: Sequence[NDArray[Any]], separator: str = " ") -> Iterable[str]:
+    """Lines of one number from each column, with the fewest digits that read back as the same float64."""
+    # tolist gives Python numbers, whose repr has the fewest digits.
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return (separator.join(map(repr, row)) + "\n" for row in rows)
+
+
+def point_lines(points: NDArray[np.float64], prefix: str = "") -> Iterable[str]:
+    """Lines of three numbers with the fewest digits that read back as the same float64."""
+    return (f"{prefix}{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+
+
+def numbers(tokens: list[bytes], dtype: type, path: Path, what: str) -> NDArray[Any]:
+    """Tokens as an array of ``dtype``, each rounded correctly.
+
+    Raises:
+        FileFormatError: A token is not a number of this type; the message names the token and its place.
+    """
+    if not tokens:
+        return np.zeros(0, dtype)
+    try:
+        return np.array(tokens, dtype=dtype)
+    except (ValueError, OverflowError):
+        pass
+    convert = int if np.issubdtype(dtype, np.integer) else float
+    for at, token in enumerate(tokens):
+        try:
+            np.array(convert(token), dtype=dtype)
+        except (ValueError, OverflowError):
+            shown = token[:40].decode("ascii", "backslashreplace")
+            raise FileFormatError(
+                f"{path}: '{shown}' (number {at} of the {what}) is not a number that fits; the file is damaged"
+            ) from None
+    raise FileFormatError(f"{path}: the {what} cannot be read as numbers; the file is damaged")
+
+
+def _read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
     """Column names (empty where the file has none) and the rows as float64, each number rounded correctly.
 
     Values are separated by commas, semicolons or white space. Names come from a first line that is not numbers, or
@@ -122,15 +193,3 @@ def _numbers(line: str) -> list[float] | None:
         return [float(word) for word in _words(line)]
     except ValueError:
         return None
-
-
-def write_text(path: Path, names: Sequence[str], columns: Sequence[NDArray[np.generic]], *, comma: bool) -> None:
-    """Columns with their names above them; every float64 reads back as the same number, True as 1."""
-    plain = [column.astype(np.uint8) if column.dtype.kind == "b" else column for column in columns]
-    separator = "," if comma else " "
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(("" if comma else "# ") + separator.join(names) + "\n")
-        # tolist gives Python numbers, whose repr has the fewest digits that read back the same.
-        file.writelines(
-            separator.join(map(repr, row)) + "\n" for row in zip(*(column.tolist() for column in plain), strict=True)
-        )

@@ -1,43 +1,57 @@
-"""Meshes of a USD stage, through usd-core. Runs in the reader process."""
+"""Meshes of USD stages, through usd-core, which reads in a process of its own."""
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from geokit.formats.mesh_reader_worker import Refusal, WireBody
+from geokit.errors import FileFormatError, MissingDependencyError
+from geokit.formats.body import Body
 
-__all__ = ["read"]
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["read_mesh", "write_mesh"]
 
 
-def read(path: str) -> list[WireBody]:
+def read_mesh(path: Path) -> list[Body]:
     """Each visible Mesh prim of the default or render purpose, and each instance of one, in world space.
 
     Positions are those of the default time, or of the first sample where only samples are there. Subdivision
     surfaces come as their control cage.
     """
+    _require_usd()
+    from pxr import Tf, Usd, UsdGeom
+
     try:
-        from pxr import Tf, Usd, UsdGeom
-    except ImportError:
-        raise ImportError(
-            "reading and writing USD needs the package usd-core; install it with: pip install 'geokit[usd]'"
-        ) from None
-    try:
-        stage = Usd.Stage.Open(path)
+        stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = " ".join(str(error).split())[:300]
-        raise Refusal(f"is not a USD stage ({reason}); the file is damaged, export it again") from None
+        raise FileFormatError(f"{path}: is not a USD stage ({reason}); the file is damaged, export it again") from None
     transforms = UsdGeom.XformCache(_transform_time(stage))
     bodies = []
-    for prim, matrix in _placed(stage.GetPseudoRoot(), transforms, None):
+    for prim, matrix in _placed(stage.GetPseudoRoot(), transforms, None, path):
         body = _body(UsdGeom.Mesh(prim), matrix)
         if body is not None:
             bodies.append(body)
     if not bodies:
         others = sorted({str(prim.GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)})
         what = f"; it holds {', '.join(others)}" if others else ""
-        raise Refusal(f"has no visible Mesh prim{what}; convert the geometry to meshes and export again")
+        raise FileFormatError(
+            f"{path}: has no visible Mesh prim{what}; convert the geometry to meshes and export again"
+        )
     return bodies
+
+
+def _require_usd() -> None:
+    try:
+        import pxr  # noqa: F401
+    except ImportError:
+        raise MissingDependencyError(
+            "reading and writing USD needs the package usd-core; install it with: pip install 'geokit[usd]'"
+        ) from None
 
 
 def _transform_time(stage: Any) -> Any:
@@ -51,7 +65,7 @@ def _transform_time(stage: Any) -> Any:
     return Usd.TimeCode.Default()
 
 
-def _placed(root: Any, transforms: Any, base: Any) -> Iterator[tuple[Any, Any]]:
+def _placed(root: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple[Any, Any]]:
     """Mesh prims below ``root`` with their local-to-world matrix, those of point instancers once per instance."""
     from pxr import Usd, UsdGeom
 
@@ -63,7 +77,7 @@ def _placed(root: Any, transforms: Any, base: Any) -> Iterator[tuple[Any, Any]]:
             continue
         if prim.IsA(UsdGeom.PointInstancer):
             prims.PruneChildren()
-            yield from _instances(UsdGeom.PointInstancer(prim), transforms, base)
+            yield from _instances(UsdGeom.PointInstancer(prim), transforms, base, path)
         elif prim.IsA(UsdGeom.Mesh):
             matrix = transforms.GetLocalToWorldTransform(prim)
             yield prim, matrix if base is None else matrix * base
@@ -78,7 +92,7 @@ def _hidden(imageable: Any) -> bool:
     return imageable.GetVisibilityAttr().Get() == UsdGeom.Tokens.invisible
 
 
-def _instances(instancer: Any, transforms: Any, base: Any) -> Iterator[tuple[Any, Any]]:
+def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple[Any, Any]]:
     from pxr import Usd
 
     time = Usd.TimeCode.Default()
@@ -99,16 +113,20 @@ def _instances(instancer: Any, transforms: Any, base: Any) -> Iterator[tuple[Any
         if mask and not mask[row]:
             continue
         if not 0 <= index < len(targets):
-            raise Refusal(f"point instancer {instancer.GetPath()} uses prototype {index} of {len(targets)}; repair it")
+            raise FileFormatError(
+                f"{path}: point instancer {instancer.GetPath()} uses prototype {index} of {len(targets)}; repair it"
+            )
         prototype = instancer.GetPrim().GetStage().GetPrimAtPath(targets[index])
         if not prototype:
-            raise Refusal(f"point instancer {instancer.GetPath()} has no prototype {targets[index]}; repair it")
+            raise FileFormatError(
+                f"{path}: point instancer {instancer.GetPath()} has no prototype {targets[index]}; repair it"
+            )
         # The prototype keeps its own transform, not those of the prims above it.
         above = transforms.GetLocalToWorldTransform(prototype.GetParent()).GetInverse()
-        yield from _placed(prototype, transforms, above * placement * world)
+        yield from _placed(prototype, transforms, above * placement * world, path)
 
 
-def _body(mesh: Any, matrix: Any) -> WireBody | None:
+def _body(mesh: Any, matrix: Any) -> Body | None:
     from pxr import Usd, UsdGeom
 
     points = mesh.GetPointsAttr().Get()
@@ -120,14 +138,37 @@ def _body(mesh: Any, matrix: Any) -> WireBody | None:
     indices = mesh.GetFaceVertexIndicesAttr().Get(time)
     if not points:
         return None
-    return WireBody(
+    return Body(
+        memoryview(points),
+        memoryview(counts or array("i")),
+        memoryview(indices or array("i")),
         name=str(mesh.GetPath()),
-        arrays=(("<f4", _bytes(points)), ("<i4", _bytes(counts)), ("<i4", _bytes(indices))),
         # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
-        transform=[float(matrix[column][row]) for row in range(4) for column in range(4)],
+        transform=[[float(matrix[column][row]) for column in range(4)] for row in range(4)],
         clockwise=mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
     )
 
 
-def _bytes(values: Any) -> bytes:
-    return memoryview(values).tobytes() if values else b""
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    """One Mesh prim below a default root, through usd-core.
+
+    Raises:
+        MissingDependencyError: usd-core is not installed.
+    """
+    _require_usd()
+    import numpy as np
+    from pxr import Tf, Usd, UsdGeom, Vt
+
+    stage = Usd.Stage.CreateInMemory()
+    root = UsdGeom.Xform.Define(stage, "/root")
+    stage.SetDefaultPrim(root.GetPrim())
+    prim = UsdGeom.Mesh.Define(stage, f"/World/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
+    points = np.ascontiguousarray(mesh.vertices, np.float32)
+    prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces).reshape(-1)))
+    prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    prim.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    if len(points):
+        prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
+    stage.GetRootLayer().Export(str(path))

@@ -1,27 +1,77 @@
-"""Polygon file format (.ply), ASCII and binary of both byte orders: vertices and polygons of any precision."""
+"""Polygon file format (.ply), ASCII and binary of both byte orders: meshes, and points with their numbers."""
 
 from __future__ import annotations
 
+import contextlib
+import re
 import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
-from geokit.formats.mesh_text import numbers
-from geokit.formats.ply_header import PlyElement, PlyProperty, read_header
-from geokit.formats.polygons import Body
-from geokit.mesh._model import TriangleMesh
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.body import Body
+from geokit.formats.columns import Columns, joined, split
+from geokit.formats.decimal import SMALLEST, plain_rows
+from geokit.formats.text import numbers
 
-__all__ = ["read_mesh", "write_mesh"]
+if TYPE_CHECKING:
+    from geokit.mesh._model import TriangleMesh
+
+__all__ = ["lacks_faces", "read_mesh", "read_points", "write_mesh", "write_points"]
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+_NAMES = {
+    "i1": "char",
+    "u1": "uchar",
+    "b1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+
+
+@dataclass
+class _Property:
+    """A property of an element: its name and NumPy type; ``count_type`` is that of a list's length, "" for a scalar."""
+
+    name: str
+    type: str
+    count_type: str = ""
+
+
+@dataclass
+class _Element:
+    """An element: its name, how many there are, and what each has."""
+
+    name: str
+    count: int
+    properties: list[_Property] = field(default_factory=list)
 
 
 def read_mesh(path: Path) -> list[Body]:
     """Body of a .ply file: ``x y z`` of its vertices, ``vertex_indices`` of its faces; the rest is left out."""
     data = path.read_bytes()
-    order, elements, start = read_header(data, path)
+    order, elements, start = _read_header(data, path)
     if any(element.count and not element.properties for element in elements):
         raise FileFormatError(f"{path}: the header declares an element without properties; the file is damaged")
     names = [element.name for element in elements]
@@ -49,7 +99,120 @@ def read_mesh(path: Path) -> list[Body]:
     return [Body(points, counts, indices)]
 
 
-def _truncated(path: Path, element: PlyElement) -> FileFormatError:
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """The vertices and every number that goes with them, each in the type of the file.
+
+    Raises:
+        FileFormatError: A damaged or truncated file, no vertices, or a list among their properties.
+    """
+    data = path.read_bytes()
+    order, elements, start = _read_header(data, path)
+    if "vertex" not in [element.name for element in elements]:
+        raise FileFormatError(f"{path}: has no vertex element; a point set needs one")
+    vertex = elements[0]
+    if vertex.name != "vertex":
+        raise FileFormatError(f"{path}: element '{vertex.name}' stands before the vertices; put the vertices first")
+    lists = [item.name for item in vertex.properties if item.count_type]
+    if lists:
+        raise FileFormatError(f"{path}: vertex property '{lists[0]}' is a list, which geokit does not read; remove it")
+    if not vertex.properties:
+        return joined({}, path)
+    dtype = np.dtype([(item.name, item.type) for item in vertex.properties])
+    if order == "":
+        return joined(_ascii(data[start:], dtype, vertex.count, path), path)
+    have = (len(data) - start) // dtype.itemsize
+    if have < vertex.count:
+        raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
+    columns = _Binary(data, start, order, path).read(vertex)
+    return joined({name: values.astype(dtype[name]) for name, values in columns.items()}, path)
+
+
+def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
+    names = dtype.names or ()
+    table = _plain(body, count)
+    if table is not None and table.shape == (count, len(names)):
+        with contextlib.suppress(FloatingPointError):
+            return _cast(table, dtype)
+    lines = [line for line in body.split(b"\n") if line.strip()][:count]
+    if len(lines) < count:
+        raise FileFormatError(f"{path}: ends in vertex {len(lines)} of the {count} it declares; get a whole copy")
+    tokens = b" ".join(lines).split()
+    try:
+        return _cast(np.array(tokens, dtype=np.float64).reshape(count, len(names)), dtype)
+    except (ValueError, FloatingPointError):
+        pass
+    for row, line in enumerate(lines):
+        words = line.split()
+        try:
+            if len(words) == len(names):
+                list(map(float, words))
+                continue
+        except ValueError:
+            pass
+        shown = line[:60].decode("ascii", "backslashreplace").strip()
+        raise FileFormatError(f"{path}: vertex {row} ('{shown}') is not {len(names)} numbers; the file is damaged")
+    raise FileFormatError(f"{path}: a vertex has a number that its type cannot hold; the file is damaged")
+
+
+def _plain(body: bytes, count: int) -> NDArray[np.float64] | None:
+    """The first ``count`` lines, where they are many and ordinary; faces may follow them."""
+    ends = np.flatnonzero(np.frombuffer(body, np.uint8) == ord("\n")) if len(body) >= SMALLEST else np.empty(0)
+    return plain_rows(body, 0, int(ends[count - 1])) if 0 < count <= len(ends) else None
+
+
+def _cast(table: NDArray[np.float64], dtype: np.dtype[np.void]) -> dict[str, NDArray[np.generic]]:
+    with np.errstate(invalid="raise", over="ignore"):
+        return {name: table[:, at].astype(dtype[name]) for at, name in enumerate(dtype.names or ())}
+
+
+def lacks_faces(head: bytes) -> bool:
+    """Whether the header declares no faces."""
+    header = head.partition(b"end_header")[0]
+    faces = re.search(rb"^element\s+face\s+(\d+)", header, re.MULTILINE)
+    return header.startswith(b"ply") and (faces is None or int(faces[1]) == 0)
+
+
+def _read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
+    """Byte order ("" for ASCII, "<" or ">"), the elements in file order, and where the body begins.
+
+    Raises:
+        FileFormatError: No .ply file, a header without end or format, or a line that is not understood.
+    """
+    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
+        raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
+    end = data.find(b"end_header")
+    newline = data.find(b"\n", end)
+    if end < 0 or newline < 0:
+        raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
+    order = None
+    elements: list[_Element] = []
+    for line in data[:end].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        try:
+            if not words or words[0] in ("comment", "obj_info"):
+                continue
+            if words[0] == "format":
+                order = _ORDERS[words[1]]
+            elif words[0] == "element" and words[2].isdecimal() and words[1] not in [e.name for e in elements]:
+                elements.append(_Element(words[1], int(words[2])))
+            elif words[0] == "property" and words[-1] not in [p.name for p in elements[-1].properties]:
+                elements[-1].properties.append(_property(words))
+            else:
+                raise ValueError(line)
+        except (ValueError, KeyError, IndexError):
+            raise FileFormatError(f"{path}: header line '{line[:80]}' is not understood; the file is damaged") from None
+    if order is None:
+        raise FileFormatError(f"{path}: the header names no format; the file is damaged")
+    return order, elements, newline + 1
+
+
+def _property(words: list[str]) -> _Property:
+    if words[1] == "list":
+        return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+    return _Property(words[2], _TYPES[words[1]])
+
+
+def _truncated(path: Path, element: _Element) -> FileFormatError:
     return FileFormatError(
         f"{path}: ends within the {element.count} {element.name} entries it declares; it is truncated, get a whole copy"
     )
@@ -61,7 +224,7 @@ class _Text:
     def __init__(self, body: bytes, path: Path) -> None:
         self.tokens, self.at, self.path = body.split(), 0, path
 
-    def read(self, element: PlyElement) -> dict[str, Any]:
+    def read(self, element: _Element) -> dict[str, Any]:
         table = self._uniform(element)
         if table is not None:
             return table
@@ -84,13 +247,13 @@ class _Text:
                 f"{self.path}: holds {len(self.tokens) - self.at} values more than it declares; the file is damaged"
             )
 
-    def _take(self, count: int, element: PlyElement) -> list[bytes]:
+    def _take(self, count: int, element: _Element) -> list[bytes]:
         if self.at + count > len(self.tokens):
             raise _truncated(self.path, element)
         self.at += count
         return self.tokens[self.at - count : self.at]
 
-    def _uniform(self, element: PlyElement) -> dict[str, Any] | None:
+    def _uniform(self, element: _Element) -> dict[str, Any] | None:
         """The element as one table, where all its lists have the length that the first ones have."""
         stride, places = 0, []
         for item in element.properties:
@@ -119,7 +282,7 @@ class _Text:
         self.at += used
         return columns
 
-    def _column(self, item: PlyProperty, tokens: list[bytes], sizes: list[int] | None) -> Any:
+    def _column(self, item: _Property, tokens: list[bytes], sizes: list[int] | None) -> Any:
         # The text holds more digits than a float32 property keeps: nothing is gained by rounding them away.
         dtype = np.float64 if item.type.startswith("f") else np.int64
         values = numbers(tokens, dtype, self.path, f"property {item.name}")
@@ -132,7 +295,7 @@ class _Binary:
     def __init__(self, data: bytes, start: int, order: str, path: Path) -> None:
         self.data, self.at, self.order, self.path = data, start, order, path
 
-    def read(self, element: PlyElement) -> dict[str, Any]:
+    def read(self, element: _Element) -> dict[str, Any]:
         sizes = self._first_sizes(element)
         columns = self._table(element, sizes)
         return self._walk(element) if columns is None else columns
@@ -143,7 +306,7 @@ class _Binary:
                 f"{self.path}: holds {len(self.data) - self.at} bytes more than it declares; the file is damaged"
             )
 
-    def _first_sizes(self, element: PlyElement) -> list[int]:
+    def _first_sizes(self, element: _Element) -> list[int]:
         at, sizes = self.at, []
         for item in element.properties:
             size = 1
@@ -154,7 +317,7 @@ class _Binary:
             sizes.append(size)
         return sizes
 
-    def _table(self, element: PlyElement, sizes: list[int]) -> dict[str, Any] | None:
+    def _table(self, element: _Element, sizes: list[int]) -> dict[str, Any] | None:
         """The element as one structured array; None where a list has another length than its first."""
         fields: list[Any] = []
         for number, (item, size) in enumerate(zip(element.properties, sizes, strict=True)):
@@ -182,7 +345,7 @@ class _Binary:
         self.at += dtype.itemsize * element.count
         return columns
 
-    def _walk(self, element: PlyElement) -> dict[str, Any]:
+    def _walk(self, element: _Element) -> dict[str, Any]:
         """Entry by entry: lists of several lengths have no other order than the file's."""
         pieces: dict[str, list[bytes]] = {item.name: [] for item in element.properties}
         sizes: dict[str, list[int]] = {item.name: [] for item in element.properties}
@@ -206,7 +369,7 @@ class _Binary:
             columns[item.name] = (counts, self._integers(values)) if item.count_type else values
         return columns
 
-    def _count(self, at: int, item: PlyProperty, element: PlyElement) -> int:
+    def _count(self, at: int, item: _Property, element: _Element) -> int:
         code = self.order + np.dtype(item.count_type).char
         try:
             size = struct.unpack_from(code, self.data, at)[0]
@@ -232,3 +395,32 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     records["corners"] = mesh.faces
     with open(path, "wb") as file:
         file.write(header.encode("ascii") + mesh.vertices.astype("<f8").tobytes() + records.tobytes())
+
+
+def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+    """A binary little-endian file with one vertex element.
+
+    Raises:
+        InputError: A name that cannot be that of a property, or a column of a type that the format lacks and that does
+            not fit into one that it has.
+    """
+    columns = {name: _fitting(column, name) for name, column in split(points, data, ".ply").items()}
+    table = np.empty(len(points), np.dtype([(name, c.dtype.newbyteorder("<")) for name, c in columns.items()]))
+    for name, column in columns.items():
+        table[name] = column
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property {_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    with open(path, "wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+        file.write(table.tobytes())
+
+
+def _fitting(column: NDArray[np.generic], name: str) -> NDArray[np.generic]:
+    if column.dtype.str[1:] in _NAMES:
+        return column.astype(np.uint8) if column.dtype.kind == "b" else column
+    if column.dtype.kind == "f":
+        return column.astype(np.float64 if column.dtype.itemsize > 4 else np.float32)
+    limits = np.iinfo(np.int32)
+    if column.size and (column.min() < limits.min or column.max() > limits.max):
+        raise InputError(f"data: '{name}' has integers beyond 32 bits, which .ply cannot hold; write .npz or .vtp")
+    return column.astype(np.int32)
