@@ -8,8 +8,8 @@ import warp as wp
 
 from geokit.core import launcher, user_arrays
 from geokit.core.atomic_kernels import lower_to
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 wp.set_module_options({"enable_backward": False})
 
 

@@ -12,8 +12,8 @@ from geokit.core import launcher
 from geokit.core.device_arena import Scratch
 from geokit.mesh.sign.parity_kernels import confidence_kernel
 from geokit.volume.band.signs_kernels import invert_bits_kernel
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 SHAPES = [((5,), wp.float64), ((0,), wp.int32), ((3, 8), wp.uint64), ((7,), wp.uint8), ((2,), wp.vec3d)]
 
 

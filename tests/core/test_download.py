@@ -10,11 +10,10 @@ import pytest
 import warp as wp
 
 from geokit.core import download as _download
-from geokit.core import launcher
 from geokit.core.download import _Stage, download, download_into
 from geokit.core.memory_pool import Loans
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 KINDS = [(wp.vec3d, np.float64, (3,)), (wp.float64, np.float64, ()), (wp.int32, np.int32, ()), (wp.bool, np.bool_, ())]
 
 

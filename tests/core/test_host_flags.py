@@ -9,8 +9,7 @@ import warp as wp
 from geokit.core import launcher, pinned
 from geokit.core.pinned import Pinned, host_flags
 from geokit.mesh.sign.parity_kernels import missed_kernel
-
-DEVICES = ["cpu", *launcher.cuda_devices()]
+from tests.support.devices import DEVICES
 
 
 def raised(device: str, triangle_id: list[int]) -> np.ndarray:

@@ -13,8 +13,7 @@ import warp as wp
 
 from geokit.core import launch_cache, launcher
 from geokit.core.host_array import HostArray
-
-DEVICES = ["cpu", *launcher.cuda_devices()]
+from tests.support.devices import DEVICES
 
 
 @wp.struct

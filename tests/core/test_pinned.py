@@ -11,8 +11,8 @@ from geokit.core import launcher, pinned, user_arrays
 from geokit.core.pinned import Pinned, PinnedArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel
 from tests.support import mesh_catalog
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 SIGNS = ("pseudonormal", "winding", "parity")
 
 

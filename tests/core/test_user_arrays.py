@@ -15,8 +15,8 @@ from geokit.core import launcher, user_arrays
 from geokit.core.device_arena import ScratchArray
 from geokit.core.host_array import HostArray
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 ROWS = np.array([[0.0, 1, 2], [3, 4, 5], [6, 7, 8], [0.1, 0.2, 0.3]])
 
 

@@ -11,9 +11,8 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit.core import launcher
+from tests.support.devices import DEVICES
 
-DEVICES = ["cpu", *launcher.cuda_devices()]
 wp.set_module_options({"enable_backward": False})
 
 

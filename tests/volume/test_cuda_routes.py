@@ -13,6 +13,7 @@ from geokit.volume.band import signs, tiles
 from geokit.volume.isosurface import surface_nets
 from geokit.volume.tree import device_writer
 from tests.support import mesh_catalog
+from tests.support.devices import DEVICES
 
 
 @pytest.fixture
@@ -82,7 +83,7 @@ def test_the_last_sum():
     assert last.numpy()[0] == 9
 
 
-@pytest.mark.parametrize("device", ["cpu", *launcher.cuda_devices()])
+@pytest.mark.parametrize("device", DEVICES)
 def test_sums(device):
     counts = wp.array([2, 0, 5, 1], dtype=wp.int32, device=device)
     sums, total = tiles.counted(counts)
