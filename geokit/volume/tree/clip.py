@@ -13,7 +13,7 @@ from geokit.errors import DeviceMemoryError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, bits_of, differs, tree_of
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["clipped"]
 
@@ -63,7 +63,7 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
         upper=_joined(upper, tree.background),
         root=root.rows(side > 0),
     )
-    return built(_leaves_inside(result, transform, box), volume)
+    return rebuilt(_leaves_inside(result, transform, box), volume)
 
 
 class _Cut:

@@ -22,8 +22,8 @@ from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.space import way_to_index
-from geokit.volume.tree.build_float import build_float_grid
 from tests.support import mesh_catalog, reference
+from tests.support.float_grids import build_float_grid
 
 SIZE = 0.4
 TOLERANCE = 0.01
@@ -337,7 +337,7 @@ def test_a_tolerance_out_of_reach_is_refused():
 
 
 def test_too_many_cells_are_refused(monkeypatch):
-    monkeypatch.setattr(refine._memory, "available_host", lambda: 1 << 20)
+    monkeypatch.setattr(refine.available_memory, "available_host", lambda: 1 << 20)
     with pytest.raises(DeviceMemoryError, match="use a larger tolerance"):
         adaptive_from_mesh(mesh_catalog.torus(), 1e-4, device="cpu")
 

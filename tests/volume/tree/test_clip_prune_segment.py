@@ -153,7 +153,7 @@ class TestSegment:
         from geokit.errors import DeviceMemoryError
         from geokit.volume import _topology as topology
 
-        monkeypatch.setattr(topology._memory, "available_host", lambda: 100)
+        monkeypatch.setattr(topology.available_memory, "available_host", lambda: 100)
         with pytest.raises(DeviceMemoryError, match="inside"):
             segment(level_set(BALL))
 

@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from geokit.volume.tree.quantized_leaves import BITS, thresholds, unpack
 
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
@@ -18,8 +19,7 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import grid_header, info_of, tree_header
-from geokit.volume.tree.build_float import build_float_grid
-from geokit.volume.tree.quantized_leaves import BITS, thresholds, unpack
+from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.sphere_volumes import ROTATED, sphere
 from tests.support.typed_grids import QUANTISED, TypedGrid
