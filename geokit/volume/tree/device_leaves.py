@@ -97,7 +97,7 @@ def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def leaf_keys(origins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Keys of leaves as :class:`Leaves` has them, and the coordinates of the upper nodes (U, 3) by their ranks in them."""
+    """Keys of leaves as ``Leaves`` has them, and coordinates of upper nodes (U, 3) by their ranks in the keys."""
     root, first, rank = np.unique(root_keys_of(origins), return_index=True, return_inverse=True)
     # At most 2^36 upper nodes leave 27 bits for the slots in them.
     keys = rank.reshape(-1).astype(np.int64) << 27 | slot_of(origins, 32, 128) << 12 | slot_of(origins, 16, 8)

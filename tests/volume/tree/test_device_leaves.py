@@ -203,8 +203,8 @@ def test_unusable_options_are_refused(change, argument):
     ],
 )
 def test_unusable_origins_are_refused(origins, text):
+    rows = np.ones((len(origins), 512), np.float32), np.ones((len(origins), 512), np.bool_)
     with pytest.raises(InputError, match=text):
-        rows = np.ones((len(origins), 512), np.float32), np.ones((len(origins), 512), np.bool_)
         build_float_grid(np.array(origins), *rows, **OPTIONS)
 
 

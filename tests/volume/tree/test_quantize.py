@@ -7,7 +7,6 @@ import subprocess
 
 import numpy as np
 import pytest
-from geokit.volume.tree.quantized_leaves import BITS, thresholds, unpack
 
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
@@ -19,6 +18,7 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import grid_header, info_of, tree_header
+from geokit.volume.tree.leaf_codecs import BITS, thresholds, unpack
 from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.sphere_volumes import ROTATED, sphere
