@@ -17,7 +17,7 @@ from geokit.volume._from_channel import from_channel
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.index_grids import IndexGrid
 from tests.support.sphere_volumes import sphere_leaves
 from tests.support.typed_grids import VALUED, TypedGrid

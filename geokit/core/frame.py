@@ -28,7 +28,3 @@ class Frame:
         origin = lower * 0.5 + upper * 0.5
         half = float(np.max(upper * 0.5 - lower * 0.5, initial=0.0))
         return Frame(origin=origin, scale=half if half > 0.0 else 1.0)
-
-    def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """World points (N, 3) as float32 local points (N, 3)."""
-        return ((points - self.origin) / self.scale).astype(np.float32)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError
 from geokit.native._metadata import raw
 
-__all__ = ["SpoolFullError", "default_memory_limit", "map_file", "run_worker", "spool_folders"]
+__all__ = ["default_memory_limit", "map_file", "run_worker", "spool_folders"]
 
 # The worker may take this share of the machine's memory where the caller names no limit.
 _MEMORY_SHARE = 0.75
@@ -32,10 +32,6 @@ _EXPANSION = 8
 # The clock of the kernel's CPU limit is a second line, behind the wall clock here: it counts all threads and has to let
 # a run through that keeps this many busy.
 _MAX_THREADS = 8
-
-
-class SpoolFullError(Exception):
-    """The folder for the worker's results had too little room."""
 
 
 def default_memory_limit() -> int:

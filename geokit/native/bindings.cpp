@@ -10,13 +10,11 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
-#include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include <algorithm>
 #include <array>
 #include <new>
 #include <tuple>
@@ -155,30 +153,9 @@ Bytes smooth_csg(ConstBytes a, ConstBytes b, const std::string& kind, double ble
     return operate(a, b, [&](auto* first, auto* second) { return geokit::smooth_csg(first, second, kind, blend); });
 }
 
-Bytes redistance(ConstBytes buffer, double voxel_size, double half_width, double isovalue, bool keeps_band)
-{
-    return operate(
-        buffer, [&](auto* data) { return geokit::redistance(data, voxel_size, half_width, isovalue, keeps_band); });
-}
-
 Bytes smooth(ConstBytes buffer, const std::string& method, int width, int iterations, double voxel_size)
 {
     return operate(buffer, [&](auto* data) { return geokit::smooth(data, method, width, iterations, voxel_size); });
-}
-
-Bytes prune(ConstBytes buffer, double tolerance)
-{
-    return operate(buffer, [&](auto* data) { return geokit::prune(data, tolerance); });
-}
-
-Bytes clip(ConstBytes buffer, const std::array<double, 3>& lower, const std::array<double, 3>& upper)
-{
-    return operate(buffer, [&](auto* data) { return geokit::clip(data, lower.data(), upper.data()); });
-}
-
-Bytes voxelized(ConstBytes buffer)
-{
-    return operate(buffer, [](auto* data) { return geokit::voxelized(data); });
 }
 
 std::vector<Bytes> segment(ConstBytes buffer, double voxel_size, double memory_limit)
@@ -199,27 +176,6 @@ std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
     nb::gil_scoped_release release;
     geokit::check_nanovdb(buffer.data(), buffer.size());
     return translated([&] { return geokit::measure(buffer.data(), voxel_size); });
-}
-
-// `values` are the bytes of (L, 512, components) floats or doubles.
-Bytes from_leaves(Triangles origins, ConstBytes values, ConstBytes masks, int components, bool is_double,
-    const std::array<double, 3>& background, const std::string& name, const std::string& grid_class,
-    const std::array<double, 12>& transform)
-{
-    geokit::Leaves leaves{origins.data(), values.data(), masks.data(), origins.shape(0), components, is_double, {}, name,
-        grid_class, {}};
-    const size_t leaf_size = size_t(512) * components * (is_double ? 8 : 4);
-    if (values.size() != leaves.count * leaf_size || masks.size() != leaves.count * 64) {
-        throw geokit::BridgeError("input", "values and masks do not fit the number of leaves");
-    }
-    std::copy(background.begin(), background.end(), leaves.background);
-    std::copy(transform.begin(), transform.end(), leaves.transform);
-    geokit::MappedBuffer result;
-    {
-        nb::gil_scoped_release release;
-        result = translated([&] { return geokit::from_leaves(leaves); });
-    }
-    return to_array(std::move(result));
 }
 
 } // namespace
@@ -247,16 +203,8 @@ NB_MODULE(_bridge, module)
     module.def("csg", &csg, nb::arg("a").noconvert(), nb::arg("b").noconvert(), nb::arg("kind"));
     module.def("smooth_csg", &smooth_csg, nb::arg("a").noconvert(), nb::arg("b").noconvert(), nb::arg("kind"),
         nb::arg("blend"));
-    module.def("redistance", &redistance, nb::arg("buffer").noconvert(), nb::arg("voxel_size"), nb::arg("half_width"),
-        nb::arg("isovalue"), nb::arg("keeps_band"));
     module.def("smooth", &smooth, nb::arg("buffer").noconvert(), nb::arg("method"), nb::arg("width"),
         nb::arg("iterations"), nb::arg("voxel_size"));
-    module.def("prune", &prune, nb::arg("buffer").noconvert(), nb::arg("tolerance"));
-    module.def("clip", &clip, nb::arg("buffer").noconvert(), nb::arg("lower"), nb::arg("upper"));
-    module.def("voxelized", &voxelized, nb::arg("buffer").noconvert());
     module.def("segment", &segment, nb::arg("buffer").noconvert(), nb::arg("voxel_size"), nb::arg("memory_limit"));
     module.def("measure", &measure, nb::arg("buffer").noconvert(), nb::arg("voxel_size"));
-    module.def("from_leaves", &from_leaves, nb::arg("origins").noconvert(), nb::arg("values").noconvert(),
-        nb::arg("masks").noconvert(), nb::arg("components"), nb::arg("is_double"), nb::arg("background"),
-        nb::arg("name"), nb::arg("grid_class"), nb::arg("transform"));
 }

@@ -19,7 +19,7 @@ from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
 from geokit.volume.adaptive.level_sizes import choose
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
-from geokit.volume.band.fields import field_of, hash_of
+from geokit.volume.band.fields import hash_of, resolve_surface
 from geokit.volume.nanovdb.provenance import VOXEL_SIZE, provenance, with_more
 from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.zone import checked_within
@@ -247,7 +247,7 @@ def adaptive_from_mesh(
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
     if isinstance(max_levels, bool) or not isinstance(max_levels, (int, np.integer)) or max_levels < 1:
         raise InputError(f"max_levels: {max_levels!r} is not a whole number of levels; give 1 or more")
-    surface, method, _ = field_of(mesh, sign, None, device)
+    surface, method, _ = resolve_surface(mesh, sign, None, device)
     within = checked_within(within, tolerance, jumps=not surface.is_closed)
     name = surface.mesh.name if name is None else name
     tree = choose(surface, method, within, ACCEPTED_SHARE * tolerance, int(max_levels))

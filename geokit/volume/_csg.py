@@ -13,7 +13,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
 from geokit.volume.tree.mask_csg import combined_masks
-from geokit.volume.tree.openvdb_call import operate
+from geokit.volume.tree.openvdb_call import call_openvdb
 
 __all__ = ["difference", "intersection", "union"]
 
@@ -122,11 +122,11 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
         other = with_band(_on_grid_of(volume, first), voxel_size, reach)
         if blend:
             # The blend is a distance only away from the seam; the next operand needs one in a wide band.
-            blended = operate(operations.smooth_csg, result, other, kind=kind, blend=blend)
+            blended = call_openvdb(operations.smooth_csg, result, other, kind=kind, blend=blend)
             width = half_width if number == len(operands) else reach
             result = redistance(blended, voxel_size, width)
         else:
-            result = operate(operations.csg, result, other, kind=kind)
+            result = call_openvdb(operations.csg, result, other, kind=kind)
     return with_band(result, voxel_size, half_width)
 
 

@@ -14,11 +14,11 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
 from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
 from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, layout_of
-from geokit.volume.tree.build_float import build_float_grid
 from geokit.volume.tree.dense_tiles import VOXELS_AT_A_TIME, DenseTiles, block_keys
-from geokit.volume.tree.dense_typed import DenseRule, tree_of_dense
-from geokit.volume.tree.dense_types import background_of, layout_for
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.dense_typed import DenseRule, background_of, layout_for, tree_of_dense
+from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.grid_head import GridHead, checked_head
+from geokit.volume.tree.typed_writer import build_grid
 
 __all__ = ["DenseGrid", "from_dense", "to_dense"]
 
@@ -118,15 +118,16 @@ def from_dense(
     level_set = grid_class == "level set"
     if level_set and background <= 0.0:
         raise InputError(f"background: {background} of a level set is not positive; give its largest distance")
-    head = {"transform": matrix, "name": name, "grid_class": grid_class}
-    if layout.name != "float":
-        # Built first: it refuses what no grid can have.
-        empty = _float_grid(DenseTiles(np.empty((0, 0, 0)), start, 0.0, 0.0, False), 0.0, head)
-        return built(tree_of_dense(dense, start, DenseRule(layout, background, tolerance, level_set)), empty)
-    return _float_grid(DenseTiles(dense, start, background, tolerance, level_set), background, head)
+    # First: it refuses what no grid can have.
+    head = checked_head(layout.name, background, background, matrix, name, grid_class)
+    if layout.name == "float":
+        buffer = _float_grid(DenseTiles(dense, start, background, tolerance, level_set), head)
+    else:
+        buffer = build_grid(tree_of_dense(dense, start, DenseRule(layout, background, tolerance, level_set)), head)
+    return SparseVolume(buffer, info_of(buffer))
 
 
-def _float_grid(tiles: DenseTiles, background: float, head: dict[str, Any]) -> SparseVolume:
+def _float_grid(tiles: DenseTiles, head: GridHead) -> NDArray[np.uint8]:
     leaves, inside = tiles.sort_out()
     need, have = len(leaves) * BYTES_PER_LEAF, available_memory.available_host()
     if need > have:
@@ -134,10 +135,10 @@ def _float_grid(tiles: DenseTiles, background: float, head: dict[str, Any]) -> S
             f"values: {len(leaves)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger tolerance, "
             "or parts of the array"
         )
-    contents = tiles.contents(leaves)
-    buffer = build_float_grid(leaves.astype(np.int32), *contents, background=background, signed_fill=False, **head)
-    _mark_inside(buffer, inside, background)
-    return SparseVolume(buffer, info_of(buffer))
+    values, masks = tiles.contents(leaves)
+    buffer = build_leaves(head, leaves.astype(np.int32), values, masks, signed=False)
+    _mark_inside(buffer, inside, head.background)
+    return buffer
 
 
 def to_dense(

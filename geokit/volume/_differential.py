@@ -38,7 +38,6 @@ def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
         InputError: volume is no SparseVolume.
         UnsupportedGridError: Values that are not real numbers.
         DeviceMemoryError: The active tiles hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -60,7 +59,6 @@ def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
         InputError: volume is no SparseVolume, or a staggered grid whose voxels are turned or sheared.
         UnsupportedGridError: Values that are not vectors of three real numbers.
         DeviceMemoryError: The active tiles hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -89,7 +87,6 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
         InputError: volume is no SparseVolume, or a staggered grid.
         UnsupportedGridError: Values that are not vectors of three real numbers.
         DeviceMemoryError: The active tiles hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -117,7 +114,6 @@ def laplacian(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
         InputError: volume is no SparseVolume.
         UnsupportedGridError: Values that are not real numbers.
         DeviceMemoryError: The active tiles hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 

@@ -10,7 +10,7 @@ from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
 from geokit.volume.tree.leaves import require_volume
-from geokit.volume.tree.openvdb_call import operate
+from geokit.volume.tree.openvdb_call import call_openvdb
 
 __all__ = ["smooth"]
 
@@ -59,7 +59,7 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
     voxel_size = require_level_set(volume, "volume") if is_level_set else 1.0
     from geokit.native import operations
 
-    result: SparseVolume = operate(
+    result: SparseVolume = call_openvdb(
         operations.smooth, volume, method=method, width=width, iterations=iterations, voxel_size=voxel_size
     )
     return result

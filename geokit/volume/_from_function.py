@@ -15,7 +15,8 @@ from geokit.volume.band.lattice_origin import checked_band, index_translation
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import provenance
-from geokit.volume.tree.build_float import build_float_grid
+from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.grid_head import checked_head
 
 __all__ = ["from_function"]
 
@@ -87,10 +88,8 @@ def from_function(
     """
     run = _Refinement(function, bounds, voxel_size, lipschitz, half_width, block)
     origins, values, masks = run.leaves()
-    buffer = build_float_grid(
-        origins, values, masks, background=run.background, transform=run.transform, name=name, grid_class=grid_class,
-        signed_fill=True,
-    )  # fmt: skip
+    head = checked_head("float", run.background, -run.background, run.transform, name, grid_class)
+    buffer = build_leaves(head, origins, values, masks, signed=True)
     made_of = getattr(function, "__qualname__", type(function).__name__)
     return SparseVolume(buffer, info_of(buffer, provenance(made_of, None, run.voxel_size)))
 

@@ -9,7 +9,15 @@ from geokit.core import user_arrays
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.band.band import BandShape, build_band, build_triangle_ids, make_band
-from geokit.volume.band.fields import _origin, as_volume, described, field_of, half_widths, head_of, in_float32
+from geokit.volume.band.fields import (
+    _origin,
+    band_metadata,
+    grid_head,
+    half_widths,
+    in_float32,
+    resolve_surface,
+    volume_from_built,
+)
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.tree.grid_head import checked_head
@@ -146,12 +154,12 @@ def from_mesh(
         if codec not in CODECS:
             raise InputError(f"codec: {codec!r} is not known; use one of {', '.join(map(repr, CODECS))}")
     surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, device)
-    head = head_of(shape, lattice, surface.mesh.name if name is None else name)
+    head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
     if method == "openvdb":
         volume = _by_openvdb(surface, lattice, shape, surface.mesh.name if name is None else name)
     else:
         band = make_band(lattice, shape)
-        volume = as_volume(build_band(band, head), described(band, sign))
+        volume = volume_from_built(build_band(band, head), band_metadata(band, sign))
     if codec is None:
         return volume
     from geokit.volume._quantize import quantize
@@ -188,13 +196,13 @@ def from_mesh_with_triangles(
         DeviceMemoryError: As :func:`from_mesh`.
     """
     surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, device)
-    head = head_of(shape, lattice, surface.mesh.name if name is None else name)
+    head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
     band = make_band(lattice, shape, with_slots=True)
-    metadata = described(band, sign)
+    metadata = band_metadata(band, sign)
     distance = build_band(band, head)
     head = checked_head("int32", -1, -1, lattice.transform, "triangle_id", "unknown")
     identity = build_triangle_ids(band, head)
-    return MeshBand(as_volume(distance, metadata), as_volume(identity, metadata))
+    return MeshBand(volume_from_built(distance, metadata), volume_from_built(identity, metadata))
 
 
 def _prepared(
@@ -202,7 +210,7 @@ def _prepared(
 ) -> tuple[Surface, BandShape, Lattice]:
     voxel_size = user_arrays.require_finite_scalar(voxel_size, "voxel_size", low=0.0)
     exterior, interior = half_widths(half_width)
-    surface, method, offset = field_of(mesh, sign, thickness, device)
+    surface, method, offset = resolve_surface(mesh, sign, thickness, device)
     shape = BandShape(in_float32(exterior * voxel_size), in_float32(interior * voxel_size), offset, method)
     return surface, shape, Lattice(surface, voxel_size, shape.reach, shape.hollow)
 

@@ -15,7 +15,8 @@ from geokit.volume.band.lattice_origin import checked_band, index_translation
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import content_hash, provenance
-from geokit.volume.tree.build_float import build_float_grid
+from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
     import warp as wp
@@ -94,10 +95,8 @@ def from_points(
     transform = np.diag([voxel_size] * 3 + [1.0])
     transform[:3, 3] = translation
     background = float(np.float32(half_width * voxel_size))
-    buffer = build_float_grid(
-        origins, values, masks, background=background, transform=transform, name=name, grid_class="level set",
-        signed_fill=True,
-    )  # fmt: skip
+    head = checked_head("float", background, -background, transform, name, "level set")
+    buffer = build_leaves(head, origins, values, masks, signed=True)
     lost = int((np.linalg.norm(index - np.round(index), axis=1) * voxel_size >= radii).sum())
     metadata = provenance("points", content_hash(centers, radii), voxel_size)
     return SparseVolume(buffer, info_of(buffer, {**metadata, "geokit:lost_points": lost}))

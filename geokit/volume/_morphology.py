@@ -45,7 +45,6 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
         InputError: No level set, voxels that are no cubes, or a half width below 1 or beyond 256.
         UnsupportedGridError: Values that are not real numbers.
         DeviceMemoryError: The band needs more memory than there is.
-        MissingDependencyError: Double or quantised values, and geokit was built without OpenVDB.
     Source:
         Closest features as in Danielsson, "Euclidean distance mapping" (1980). Differs: features are pieces of the
         surface with a direction and a curvature instead of points.
@@ -72,7 +71,6 @@ def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> Spar
     Raises:
         InputError: No level set, voxels that are no cubes, or a distance that is not finite or too far.
         UnsupportedGridError: Values that are not real numbers.
-        MissingDependencyError: Double or quantised values, and geokit was built without OpenVDB.
     """
     voxel_size = require_level_set(volume, "volume")
     distance = require_finite_scalar(distance, "distance")
@@ -109,7 +107,6 @@ def dilate(
             otherwise as of :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (1,), device)
 
@@ -142,7 +139,6 @@ def erode(
             otherwise as of :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (-1,), device)
 
@@ -175,7 +171,6 @@ def opening(
             otherwise as of :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (-1, 1), device)
 
@@ -208,7 +203,6 @@ def closing(
             otherwise as of :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for double level sets.
     """
     return _changed(volume, distance, voxels, neighbors, (1, -1), device)
 

@@ -13,9 +13,8 @@ from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, grid_header, info_of
 from geokit.volume.nanovdb.layout import GRID_TYPES
 from geokit.volume.nanovdb.provenance import with_error
-from geokit.volume.tree.leaf_codecs import LeafReader, fewest_bits, write_codes, write_floats
-from geokit.volume.tree.quantized_leaves import HEADER, thresholds
-from geokit.volume.tree.retype_tree import recode, tile_values
+from geokit.volume.tree.leaf_codecs import HEADER, LeafReader, fewest_bits, thresholds, write_codes, write_floats
+from geokit.volume.tree.retype_tree import retype_tree, tile_values
 
 __all__ = ["quantize"]
 
@@ -83,8 +82,8 @@ def quantize(
     else:
         bits = np.full(reader.count, FIXED_BITS.get(codec, 32), np.uint8)
     # Leaves of 32 bits have a header of the same size.
-    recoded = recode(volume.nanovdb, GRID_TYPES.index(codec), HEADER + 64 * bits.astype(np.int64))
-    error = write_floats(reader, recoded) if codec == "float" else write_codes(reader, recoded, bits, rounding)
+    retyped = retype_tree(volume.nanovdb, GRID_TYPES.index(codec), HEADER + 64 * bits.astype(np.int64))
+    error = write_floats(reader, retyped) if codec == "float" else write_codes(reader, retyped, bits, rounding)
     achieved = max(error, _tile_error(volume))
     if achieved > LARGEST_ERROR or (tolerance is not None and achieved > tolerance):
         if tolerance is None:
@@ -92,7 +91,7 @@ def quantize(
         raise InputError(
             f"tolerance: {codec} reaches {achieved:.3g} on this grid, not {tolerance:g}; use a larger one, or more bits"
         )
-    buffer = recoded.buffer
+    buffer = retyped.buffer
     grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
     buffer.setflags(write=False)
     return SparseVolume(buffer, info_of(buffer, with_error(volume.info.metadata, tolerance, achieved)))

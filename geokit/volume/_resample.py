@@ -31,12 +31,12 @@ from geokit.volume.tree.leaves import (
     voxelized,
 )
 from geokit.volume.tree.typed_tree import VALUE_TYPES, tree_of, tree_of_leaves, voxelized_tree
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["resample"]
 
 TYPES = ("float", "double", "vec3f", "vec3d")
-# A target leaf while it is made: values and masks, their copy in OpenVDB's tree and that in the buffer.
+# A target leaf while it is made: values and masks, their copy in the order of the nodes and that in the buffer.
 BYTES_PER_LEAF = 3 * 2144
 # Source voxels that a level set's band is known beyond the band of the target: the trilinear stencil's reach.
 STENCIL = 2.0
@@ -79,7 +79,6 @@ def resample(
             too many to be counted.
         UnsupportedGridError: A grid of another type; of one that is not interpolated, and the order is not 0.
         DeviceMemoryError: The result needs more memory than there is.
-        MissingDependencyError: geokit was built without OpenVDB, which order 0 needs for the interpolated types alone.
     """
     require_volume(volume, "volume")
     order, grid_type = require_order(order), volume.info.grid_type
@@ -217,9 +216,8 @@ def _resampled_nearest(volume: SparseVolume, transform: NDArray[np.float64], dev
         values[~active] = background
         return values, active
 
-    return built(
-        tree_of_leaves(layout, background, *filled_leaves(origins, layout.background, read)), volume, transform
-    )
+    made = tree_of_leaves(layout, background, *filled_leaves(origins, layout.background, read))
+    return rebuilt(made, volume, transform)
 
 
 def _values_at(volume: SparseVolume, points: NDArray[np.float64], device: Any) -> NDArray[Any]:

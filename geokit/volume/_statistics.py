@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
-from geokit.volume.tree.leaves import QUANTISED, is_cubic, require_volume, voxelized
-from geokit.volume.tree.openvdb_call import lift_factor, lifted
+from geokit.volume.tree.leaves import dequantized, is_cubic, require_volume
+from geokit.volume.tree.openvdb_call import scale_factor, scaled_up
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_of
 
 __all__ = ["Statistics", "statistics"]
@@ -59,12 +59,11 @@ def statistics(volume: SparseVolume) -> Statistics:
     Raises:
         InputError: volume is no SparseVolume, or a level set whose background is not positive.
         UnsupportedGridError: A grid of colours, indices or points.
-        DeviceMemoryError: The active tiles of a quantised grid hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB, for quantised grids and for level sets.
+        MissingDependencyError: A level set of cubic voxels, and geokit was built without OpenVDB.
     """
     require_volume(volume, "volume", TYPES)
     area, inside = _measures(volume)
-    tree = tree_of(voxelized(volume) if volume.info.grid_type in QUANTISED else volume)
+    tree = tree_of(dequantized(volume))
     counts, sums, limits = [0], [0.0], []
     for values, voxels in _active_values(tree):
         counts.append(len(values) * voxels)
@@ -102,5 +101,5 @@ def _measures(volume: SparseVolume) -> tuple[float | None, float | None]:
     voxel_size = require_level_set(volume, "volume")
     if not volume.info.active_voxel_count:
         return 0.0, 0.0
-    factor = lift_factor(volume.info.transform)
-    return operations.measure(lifted(volume.nanovdb, factor), voxel_size)
+    factor = scale_factor(volume.info.transform)
+    return operations.measure(scaled_up(volume.nanovdb, factor), voxel_size)

@@ -12,13 +12,16 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
-from geokit.volume.tree.leaves import QUANTISED, require_volume
-from geokit.volume.tree.openvdb_call import lift_factor, operate
+from geokit.volume.tree.clip import clipped
+from geokit.volume.tree.leaves import QUANTISED, dequantized, require_volume
+from geokit.volume.tree.openvdb_call import call_openvdb
+from geokit.volume.tree.prune import pruned
+from geokit.volume.tree.segment import segmented
 from geokit.volume.tree.typed_tree import VALUE_TYPES
 
 __all__ = ["clip", "prune", "segment"]
 
-# Types for which OpenVDB's library has not these tools, or which it does not know at all.
+# Types for which OpenVDB's library has no segmentation, or which it does not know at all.
 OPENVDB_LACKS = tuple(
     name for name in VALUE_TYPES if name not in ("float", "double", "int32", "int64", "vec3f", "vec3d", "bool")
 )
@@ -28,50 +31,43 @@ def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
     """The volume with tiles in place of nodes whose voxels are alike.
 
     A node becomes a tile where all its voxels share one state and their values lie within the tolerance; the tile takes
-    one of them. With 0 every voxel keeps its value and state. Vectors and colours are alike where each of their
-    components is; of a mask the states alone count.
+    their median (of vectors the one in the middle of their lexicographic order). With 0 every voxel keeps its value and
+    state. Vectors and colors are alike where each of their components is; of a mask the states alone count, and the two
+    values of a bool are never alike. Needs no OpenVDB.
 
     Args:
-        volume: A grid of any type that holds values; quantised ones become float.
+        volume: A grid of any type that holds values; quantized ones become float.
         tolerance: Largest difference of values in a tile, in the grid's units, not negative.
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
         InputError: volume is no SparseVolume, or tolerance is negative or not finite.
         UnsupportedGridError: A grid of indices or points.
-        MissingDependencyError: geokit was built without OpenVDB.
     """
-    from geokit.native import operations
-
     require_volume(volume, "volume", VALUE_TYPES)
     tolerance = require_finite_scalar(tolerance, "tolerance")
     if tolerance < 0.0:
         raise InputError(f"tolerance: {tolerance} is negative; give the largest difference within a tile")
-    if volume.info.grid_type in OPENVDB_LACKS:
-        from geokit.volume.tree.prune import pruned
-
-        return pruned(volume, tolerance)
-    return _marked(operate(operations.prune, volume, tolerance=tolerance), volume)
+    return pruned(dequantized(volume), tolerance)
 
 
 def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
     """The part of a volume inside a box; everything outside becomes inactive background.
 
     A voxel is inside if its centre is, the box's faces included, under any affine transform. A level set is cut open:
-    its surface ends at the box. (Its intersection with a level set of the box is closed.)
+    its surface ends at the box. (Its intersection with a level set of the box is closed.) Tiles that the box's faces
+    run through become voxels there. Needs no OpenVDB.
 
     Args:
-        volume: A grid of any type that holds values; quantised ones become float.
+        volume: A grid of any type that holds values; quantized ones become float.
         bounds: Lower and upper corner [world], shape (2, 3).
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
         InputError: volume is no SparseVolume, or bounds are not (2, 3), finite and in order.
         UnsupportedGridError: A grid of indices or points.
-        MissingDependencyError: geokit was built without OpenVDB.
+        DeviceMemoryError: The box cuts through larger tiles than there is memory for.
     """
-    from geokit.native import operations
-
     require_volume(volume, "volume", VALUE_TYPES)
     try:
         box = np.asarray(bounds, np.float64)
@@ -81,12 +77,7 @@ def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
         raise InputError(f"bounds: shape {box.shape} is not (2, 3) and finite; give lower and upper corner")
     if (box[0] > box[1]).any():
         raise InputError(f"bounds: lower corner {box[0].tolist()} exceeds the upper {box[1].tolist()}; swap them")
-    if volume.info.grid_type in OPENVDB_LACKS:
-        from geokit.volume.tree.clip import clipped
-
-        return clipped(volume, box)
-    factor = lift_factor(volume.info.transform)
-    return _marked(operate(operations.clip, volume, bounds=box * factor), volume)
+    return clipped(dequantized(volume), box)
 
 
 def segment(volume: SparseVolume) -> list[SparseVolume]:
@@ -117,14 +108,12 @@ def segment(volume: SparseVolume) -> list[SparseVolume]:
     voxel_size = require_level_set(volume, "volume") if is_distance else 1.0
 
     def parts_of(grid: SparseVolume) -> list[SparseVolume]:
-        parts: list[SparseVolume] = operate(
+        parts: list[SparseVolume] = call_openvdb(
             operations.segment, grid, voxel_size=voxel_size, memory_limit=available_memory.available_host()
         )
         return parts
 
     if volume.info.grid_type in OPENVDB_LACKS and volume.info.grid_type != "mask":
-        from geokit.volume.tree.segment import segmented
-
         return segmented(volume, parts_of)
     return [_marked(part, volume) for part in parts_of(volume)]
 

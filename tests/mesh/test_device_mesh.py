@@ -18,9 +18,9 @@ from geokit.mesh import Surface, TriangleMesh, _device_mesh
 from geokit.mesh._device_mesh import arrays_on, box_of, mesh_on_device
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
 from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
+from tests.support.float_grids import build_float_grid
 from tests.support.sphere_volumes import sphere
 from tests.support.typed_grids import TypedGrid
 

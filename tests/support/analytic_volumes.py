@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.native.operations import from_leaves
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.openvdb_call import lift_factor, lifted_transform, lowered
+from geokit.volume.nanovdb.layout import LAYOUTS
+from geokit.volume.tree.grid_head import checked_head
+from geokit.volume.tree.leaves import build_real_grid
 
 OFFSETS = np.stack(np.meshgrid(*3 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 3)
 # Turned about z by the angle of the 3-4-5 triangle, and somewhere else; a voxel is 0.1.
@@ -63,16 +64,7 @@ def field(
     values = function(world_of(origins, matrix))
     shape = (len(origins), 512) if values.ndim == 1 else (len(origins), 512, 3)
     masks = np.full((len(origins), 64), 255, np.uint8)
-    buffer = from_leaves(
-        origins,
-        values.reshape(shape).astype(dtype),
-        masks,
-        background=background,
-        transform=lifted_transform(matrix, lift_factor(matrix)),
-        name=name,
-        grid_class=grid_class,
-    )
-    return _volume(buffer, matrix)
+    return _volume(origins, values.reshape(shape).astype(dtype), masks, background, matrix, name, grid_class)
 
 
 def level_set(
@@ -96,20 +88,25 @@ def level_set(
     kept = active.any(axis=1)
     background = half_width * size
     table = np.where(active, held, np.copysign(background, true)).astype(dtype)
-    buffer = from_leaves(
-        origins[kept],
-        table[kept],
-        np.packbits(active[kept], axis=1, bitorder="little"),
-        background=background,
-        transform=lifted_transform(matrix, lift_factor(matrix)),
-        name=name,
-        grid_class="level set",
-    )
-    return _volume(buffer, matrix)
+    masks = np.packbits(active[kept], axis=1, bitorder="little")
+    return _volume(origins[kept], table[kept], masks, background, matrix, name, "level set")
 
 
-def _volume(buffer: NDArray[np.uint8], transform: NDArray[np.float64]) -> SparseVolume:
-    lowered(buffer, lift_factor(transform))
+def _volume(
+    origins: NDArray[np.int32],
+    values: NDArray[Any],
+    masks: NDArray[np.uint8],
+    background: Any,
+    transform: NDArray[np.float64],
+    name: str,
+    grid_class: str,
+) -> SparseVolume:
+    letter = "d" if values.dtype == np.float64 else "f"
+    grid_type = {"f": "float", "d": "double"}[letter] if values.ndim == 2 else f"vec3{letter}"
+    kind = LAYOUTS[grid_type].background
+    outside = np.array(np.broadcast_to(background, kind.shape), kind.base)
+    head = checked_head(grid_type, outside, -outside, transform, name, grid_class)
+    buffer = build_real_grid(head, origins, masks, values)
     return SparseVolume(buffer, info_of(buffer, {"author": "tests"}))
 
 

@@ -13,7 +13,7 @@ from geokit.volume._dense import from_dense
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, bits_of
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 # Voxels of the box that the dense arrays cover: it holds everything but inactive background, with room to grow.
 LOW, HIGH = -48, 64
@@ -96,7 +96,7 @@ def random_grid(grid_type: str, seed: int, *, tiles: bool = True, speckles: bool
     head = from_dense(
         np.zeros((1, 1, 1)), transform=TRANSFORM, name="some voxels", grid_class=grid_class.get(grid_type, "unknown")
     )
-    volume = built(tree, SparseVolume(head.nanovdb, replace(head.info, metadata=METADATA)))
+    volume = rebuilt(tree, SparseVolume(head.nanovdb, replace(head.info, metadata=METADATA)))
     size = HIGH - LOW
     dense = np.empty((size, size, size, *kind.shape), kind.base)
     dense[:] = background

@@ -9,8 +9,8 @@ from geokit.volume._model import SparseVolume
 from geokit.volume._raycast import VolumeHits, raycast
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.rays import crossing_blocks
-from geokit.volume.tree.build_float import build_float_grid
 from tests.support import reference
+from tests.support.float_grids import build_float_grid
 
 # t in voxels: roundings of coordinates up to 100 voxels, and of voxels of size 1, divided by slopes that are seldom
 # below 1e-3.

@@ -12,7 +12,6 @@
 #include "errors.h"
 #include "level_set.h"
 #include "normalize.h"
-#include "operations.h"
 
 #include <openvdb/tools/Morphology.h>
 #include <openvdb/tools/Prune.h>
@@ -321,15 +320,5 @@ void redistance(GridT& grid, double half_width, double isovalue, bool keeps_band
 
 template void redistance(openvdb::FloatGrid&, double, double, bool);
 template void redistance(openvdb::DoubleGrid&, double, double, bool);
-
-MappedBuffer redistance(const uint8_t* data, double voxel_size, double half_width, double isovalue, bool keeps_band)
-{
-    return on_real(to_openvdb(data), "redistancing", [&](auto& grid) {
-        InVoxels voxels(grid, voxel_size);
-        redistance(grid, half_width, isovalue, keeps_band);
-        voxels.background = half_width * voxel_size;
-        voxels.leave();
-    });
-}
 
 } // namespace geokit

@@ -5,7 +5,9 @@
 
 namespace geokit {
 
-// See redistance() in operations.h. Values are in voxels, and so is the transform.
+// Signed distances, in a band of `half_width`, from the surface where the values are `isovalue`. With `keeps_band`,
+// active voxels keep their values and only new ones are computed (isovalue must then be 0). Values are in voxels, and so
+// is the transform.
 template<typename GridT>
 void redistance(GridT& grid, double half_width, double isovalue, bool keeps_band);
 

@@ -10,7 +10,7 @@ from geokit.volume.adaptive.cells import HALVES, CellLattice, cells_of, keys_of
 from geokit.volume.adaptive.level_placement import Placement, placed
 from geokit.volume.adaptive.level_sizes import band_lattice
 from geokit.volume.band.band import BandShape, build_band, make_band
-from geokit.volume.band.fields import as_volume, head_of
+from geokit.volume.band.fields import grid_head, volume_from_built
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.tree.device_leaves import build_leaves
@@ -27,7 +27,7 @@ def build_band_level(lattice: CellLattice, name: str) -> SparseVolume:
     voxels = band_lattice(lattice)
     shape = BandShape(voxels.reach, voxels.reach, 0.0, lattice.sign)
     band = make_band(voxels, shape)
-    return as_volume(build_band(band, head_of(shape, voxels, name)), {})
+    return volume_from_built(build_band(band, grid_head(shape, voxels, name)), {})
 
 
 def build_finer_level(lattice: CellLattice, parents: NDArray[np.int64], background: float, name: str) -> SparseVolume:

@@ -12,7 +12,7 @@ from geokit.core.pinned import host_flags
 from geokit.core.scan import counted
 from geokit.volume.band.signs import inside_bits
 from geokit.volume.band.tiles import Lattice, Tiles, near_tiles
-from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_grid
+from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
 from geokit.volume.tree.grid_head import GridHead
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def build_band(band: Band, head: GridHead) -> BuiltGrid:
         launcher.launch(leaf_values_kernel, 8 * count, inputs, [buffer], device)
 
     signed = band.shape.method != "none" or band.shape.offset > 0.0
-    return build_grid(band.leaves, head, write, band.negative if signed else None)
+    return build_on_device(band.leaves, head, write, band.negative if signed else None)
 
 
 def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
@@ -162,7 +162,7 @@ def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
         inputs = [wp.int64(begin), _numbered(count, device), values, band.active.flatten()]
         launcher.launch(copy_leaves_kernel, 8 * count, inputs, [buffer], device)
 
-    return build_grid(band.leaves, head, write)
+    return build_on_device(band.leaves, head, write)
 
 
 def _numbered(count: int, device: "wp.Device") -> "wp.array":

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
-__all__ = ["as_volume", "described", "field_of", "half_widths", "head_of", "in_float32"]
+__all__ = ["band_metadata", "grid_head", "half_widths", "in_float32", "resolve_surface", "volume_from_built"]
 
 
-def field_of(
+def resolve_surface(
     mesh: TriangleMesh | Surface, sign: str, thickness: float | None, device: Any
 ) -> tuple[Surface, str, float]:
     """The surface, how its signs are told (or "none"), and half the thickness of a shell."""
@@ -58,14 +58,14 @@ def in_float32(value: float) -> float:
         return float(np.float32(value))
 
 
-def head_of(shape: BandShape, lattice: Lattice, name: str) -> Any:
+def grid_head(shape: BandShape, lattice: Lattice, name: str) -> Any:
     level_set = shape.method != "none" or shape.offset > 0.0
     grid_class = "level set" if level_set else "unknown"
     inside = -shape.interior if level_set else shape.exterior
     return checked_head("float", shape.exterior, inside, lattice.transform, name, grid_class)
 
 
-def described(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
+def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
     """Metadata of the fields that are made from a band; may warn of the pieces of the mesh that it lost."""
     surface, method = band.lattice.surface, band.shape.method
     reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
@@ -91,7 +91,7 @@ def described(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
     return metadata
 
 
-def as_volume(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume:
+def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume:
     if grid.host is None:
         return made_on_device(grid.buffer, info_of(grid.head, metadata, byte_count=len(grid.buffer)))
     return SparseVolume(grid.host, info_of(grid.host, metadata))

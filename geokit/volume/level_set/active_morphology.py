@@ -12,9 +12,9 @@ from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
-from geokit.volume.tree.leaves import LEAF_VOXELS, QUANTISED, Leaves, require_volume, voxelized
+from geokit.volume.tree.leaves import LEAF_VOXELS, Leaves, dequantized, require_volume
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, differs, tree_of, voxelized_tree
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 if TYPE_CHECKING:
     import warp as wp
@@ -45,7 +45,7 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
     require_volume(volume, "volume", VALUE_TYPES)
     if neighbors not in NEIGHBORS:
         raise InputError(f"neighbors: {neighbors!r} is not one of {', '.join(NEIGHBORS)}")
-    source = voxelized(volume) if volume.info.grid_type in QUANTISED else volume
+    source = dequantized(volume)
     target = launcher.resolve_device(device)
     source.on(target)  # looks at the grid before anything of it is believed
     tree = voxelized_tree(tree_of(source), volume.info.name)
@@ -54,7 +54,7 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
     for step in steps:
         words = _grown(leaves, words, step, neighbors) if step > 0 else _stepped(leaves, words, -step, neighbors, True)
     masks = words.numpy().view(np.uint8).reshape(-1, LEAF_VOXELS // 8)
-    return built(_with_masks(tree, 8 * leaves.tiles, masks), source)
+    return rebuilt(_with_masks(tree, 8 * leaves.tiles, masks), source)
 
 
 def _with_masks(tree: TypedTree, origins: NDArray[np.int32], masks: NDArray[np.uint8]) -> TypedTree:

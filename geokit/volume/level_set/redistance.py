@@ -15,10 +15,11 @@ from geokit.core.scan import counted
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.device_leaves import _keys_of
-from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_grid
-from geokit.volume.tree.grid_head import checked_head
-from geokit.volume.tree.openvdb_call import lift_factor, lifted_transform, lowered, result_of
+from geokit.volume.nanovdb.layout import LAYOUTS
+from geokit.volume.tree.device_leaves import leaf_keys
+from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
+from geokit.volume.tree.grid_head import checked_head, result_head, result_of
+from geokit.volume.tree.leaves import build_real_grid
 
 if TYPE_CHECKING:
     import warp as wp
@@ -58,7 +59,6 @@ def redistance(
     Raises:
         DeviceMemoryError: The band needs more memory than there is.
         InputError: Leaves too far apart.
-        MissingDependencyError: Double or quantised values, and geokit was built without OpenVDB.
     """
     found = launcher.resolve_device(device)
     leaves = LinkedLeaves(volume, isovalue * voxel_size, found)
@@ -275,7 +275,7 @@ def _float_volume(
 
     device, info = leaves.device, like.info
     head = checked_head("float", background, -background, info.transform, info.name, "level set")
-    keys, axes = _keys_of(leaves.tiles[rows])
+    keys, uppers = leaf_keys(8 * leaves.tiles[rows])
     order = np.argsort(keys, kind="stable")
     in_order = wp.array(rows[order].astype(np.int32), dtype=wp.int32, device=device)
     inside = wp.empty((len(rows), 8), dtype=wp.uint64, device=device)
@@ -285,8 +285,8 @@ def _float_volume(
         inputs = [wp.int64(begin), in_order, value.view(wp.int32), active]
         launcher.launch(copy_leaves_kernel, 8 * len(rows), inputs, [buffer], device)
 
-    where = Leaves(wp.array(keys[order], dtype=wp.int64, device=device), leaves.on_device, in_order, axes)
-    return _as_volume(build_grid(where, head, write, inside), like)
+    where = Leaves(wp.array(keys[order], dtype=wp.int64, device=device), leaves.on_device, in_order, uppers)
+    return _as_volume(build_on_device(where, head, write, inside), like)
 
 
 def _double_volume(
@@ -297,20 +297,10 @@ def _double_volume(
     background: float,
     like: SparseVolume,
 ) -> SparseVolume:
-    """By way of OpenVDB: geokit's own way of building knows floats."""
-    from geokit.native import operations
-
-    factor = lift_factor(like.info.transform)
-    buffer = operations.from_leaves(
-        8 * tiles[rows],
-        value.numpy().reshape(-1, 512)[rows],
-        active.numpy().view(np.uint8).reshape(-1, 64)[rows],
-        background=background,
-        transform=lifted_transform(like.info.transform, factor),
-        name=like.info.name,
-        grid_class="level set",
-    )
-    return result_of(lowered(buffer, factor), like)
+    head = result_head(like, LAYOUTS["double"], background, "level set", like.info.transform)
+    masks = active.numpy().view(np.uint8).reshape(-1, 64)[rows]
+    values = value.numpy().reshape(-1, 512)[rows]
+    return result_of(build_real_grid(head, 8 * tiles[rows], masks, values), like)
 
 
 def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:

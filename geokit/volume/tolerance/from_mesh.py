@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError
 from geokit.volume.band.band import BandShape, build_band, make_band
-from geokit.volume.band.fields import as_volume, described, field_of, half_widths, head_of, in_float32
+from geokit.volume.band.fields import (
+    band_metadata,
+    grid_head,
+    half_widths,
+    in_float32,
+    resolve_surface,
+    volume_from_built,
+)
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.nanovdb.provenance import provenance, with_more
 from geokit.volume.tolerance.band_memory import BandMemory, lattice_within
@@ -59,7 +66,7 @@ def tolerance_search(
         raise InputError("half_width: a pair of widths has no meaning with tolerance; give one, or none")
     if half_width is not None:
         half_width = half_widths(half_width)[0]
-    surface, method, offset = field_of(mesh, sign, thickness, device)
+    surface, method, offset = resolve_surface(mesh, sign, thickness, device)
     within = checked_within(within, tolerance, jumps=method != "none" and not surface.is_closed)
 
     def truth(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,7 +87,7 @@ def tolerance_search(
         reach = in_float32(width * size)
         lattice = lattice_within(surface, size, reach, offset)
         shape = BandShape(reach, reach, offset, method)
-        grid = as_volume(build_band(make_band(lattice, shape), head_of(shape, lattice, "")), {})
+        grid = volume_from_built(build_band(make_band(lattice, shape), grid_head(shape, lattice, "")), {})
         reader = LeafReader(grid.nanovdb)
         values = reader.values(0, reader.count)
         return np.asarray((values.max(axis=1) - values.min(axis=1)) / (2.0 * reach), np.float64)
@@ -98,9 +105,9 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
     shape = BandShape(width, width, search.zone.offset, search.sign_method)
     lattice = lattice_within(surface, size, width, search.zone.offset)
     band = make_band(lattice, shape)
-    head = head_of(shape, lattice, surface.mesh.name if name is None else name)
+    head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
     # What is too thin for voxels to be inside may well be so between them: that the tolerance is kept is what counts.
-    volume = as_volume(build_band(band, head), described(band, search.sign, warn=False))
+    volume = volume_from_built(build_band(band, head), band_metadata(band, search.sign, warn=False))
     if setting.option.codec == "float":
         return volume
     share = setting.option.share

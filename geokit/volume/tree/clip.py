@@ -13,7 +13,7 @@ from geokit.errors import DeviceMemoryError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, bits_of, differs, tree_of
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["clipped"]
 
@@ -56,14 +56,19 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
         values.append(np.broadcast_to(tiles[:, None], shape))
     result = replace(
         tree,
-        origins=np.concatenate(origins),
-        masks=np.concatenate(masks),
-        values=np.concatenate(values),
+        origins=_all_of(origins),
+        masks=_all_of(masks),
+        values=_all_of(values),
         lower=_joined(lower, tree.background),
         upper=_joined(upper, tree.background),
         root=root.rows(side > 0),
     )
-    return built(_leaves_inside(result, transform, box), volume)
+    return rebuilt(_leaves_inside(result, transform, box), volume)
+
+
+def _all_of(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Parts of an array as one; without a copy where only the first holds anything."""
+    return np.concatenate(parts) if any(map(len, parts[1:])) else parts[0]
 
 
 class _Cut:
@@ -163,24 +168,46 @@ def _world_of(voxels: NDArray[np.float64], transform: NDArray[np.float64]) -> li
 
 def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray[np.float64]) -> TypedTree:
     side = _side_of(tree.origins, 8, transform, box)
-    tree = replace(tree, origins=tree.origins[side >= 0], masks=tree.masks[side >= 0], values=tree.values[side >= 0])
-    cut = np.flatnonzero(side[side >= 0] == 0)
-    steps = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
-    kept = np.ones(len(tree.origins), np.bool_)
+    kept = side > 0
+    cut = np.flatnonzero(side == 0)
+    changed = []
     for first in range(0, len(cut), LEAVES_AT_A_TIME):
         rows = cut[first : first + LEAVES_AT_A_TIME]
-        voxels = (tree.origins[rows, None].astype(np.int64) + steps).astype(np.float64)
-        inside = np.ones(voxels.shape[:2], np.bool_)
-        for world, low, high in zip(_world_of(voxels, transform), *box, strict=True):
-            inside &= (world >= low) & (world <= high)
+        inside = _voxels_inside(tree.origins[rows], transform, box)
         states = bits_of(tree.masks[rows]) & inside
         values = tree.values[rows]
         values[~inside] = tree.background
-        tree.masks[rows], tree.values[rows] = np.packbits(states, axis=1, bitorder="little"), values
-        kept[rows] = states.any(axis=1)
+        some = states.any(axis=1)
         if tree.layout.name != "mask":
-            kept[rows] |= differs(values, tree.background).any(axis=1)
-    return replace(tree, origins=tree.origins[kept], masks=tree.masks[kept], values=tree.values[kept])
+            some |= differs(values, tree.background).any(axis=1)
+        kept[rows] = some
+        changed.append((rows[some], np.packbits(states[some], axis=1, bitorder="little"), values[some]))
+    # All leaves are copied once.
+    taken = np.flatnonzero(kept)
+    masks, values = tree.masks[taken], tree.values[taken]
+    for rows, new_masks, new_values in changed:
+        at = np.searchsorted(taken, rows)
+        masks[at], values[at] = new_masks, new_values
+    return replace(tree, origins=tree.origins[taken], masks=masks, values=values)
+
+
+def _voxels_inside(
+    origins: NDArray[np.int32], transform: NDArray[np.float64], box: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which voxels (L, 512) of leaves have their centers in the box."""
+    inside = np.ones((len(origins), 8, 8, 8), np.bool_)
+    steps = np.arange(8)
+    voxels = [
+        (origins[:, axis, None].astype(np.int64) + steps).astype(np.float64).reshape(-1, *np.roll((8, 1, 1), axis))
+        for axis in range(3)
+    ]
+    for m, low, high in zip(transform[:3], *box, strict=True):
+        used = np.flatnonzero(m[:3])
+        # Along one axis alone the world coordinate is the same number: what is left out are zeros.
+        terms = [m[axis] * voxels[axis] for axis in (used if len(used) == 1 else range(3))]
+        world = sum(terms[1:], terms[0]) + m[3]
+        inside &= (world >= low) & (world <= high)
+    return inside.reshape(-1, LEAF_VOXELS)
 
 
 def _require_memory(volume: SparseVolume, need: int) -> None:

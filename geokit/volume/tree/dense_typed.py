@@ -1,4 +1,7 @@
-"""Dense arrays to trees of any value type; floats have kernels of their own (``volume/tree/dense_tiles.py``)."""
+"""Dense arrays to trees of any value type: which type an array becomes, and its leaves and tiles.
+
+Floats have kernels of their own (``volume/tree/dense_tiles.py``).
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,33 @@ from numpy.typing import NDArray
 from geokit.core import available_memory
 from geokit.core.launcher import thread_count
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.volume.nanovdb.layout import LEAF_VOXELS, LOWER_SLOTS, GridLayout
-from geokit.volume.tree.dense_types import cannot_hold
-from geokit.volume.tree.typed_tree import Nodes, TypedTree, slot_of, tree_of_leaves
+from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, GridLayout
+from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, slot_of, tree_of_leaves
 
-__all__ = ["DenseRule", "tree_of_dense"]
+__all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
 
 # Numbers that a thread looks at together: with their states they stay in its cache.
 NUMBERS_AT_A_TIME = 1 << 18
 # States of a tile.
 LEAF, INSIDE = 1, 2
-# Eight true voxels as one word.
-ALL_TRUE = np.uint64(0x0101010101010101)
+# Of whole numbers, where no type is asked for: their own, or the next that holds them.
+_WHOLE = {
+    "b1": "bool", "i1": "int16", "i2": "int16", "i4": "int32", "i8": "int64",
+    "u1": "uint8", "u2": "int32", "u4": "uint32",
+}  # fmt: skip
+_WHOLE_VECTORS = {("u1", 3): "vec3u8", ("u2", 3): "vec3u16", ("u1", 4): "rgba8"}
+# NanoVDB has these classes for these types only.
+_CLASSES = {
+    "level set": ("float", "double", "half"),
+    "fog volume": ("float", "double", "half"),
+    "staggered": ("vec3f", "vec3d", "vec4f", "vec4d"),
+    "topology": ("mask",),
+    "point index": ("uint32",),
+    "point data": ("uint32",),
+    "voxel volume": ("float", "double", "vec3f", "vec3d", "uint32", "rgba8"),
+    "index grid": (),
+    "tensor grid": (),
+}
 
 
 @dataclass(frozen=True)
@@ -167,7 +185,7 @@ class _Tiles:
             stored = block[tuple(slice(a, a + n) for a, n in zip(begin, part.shape, strict=False))]
             with np.errstate(all="ignore"):
                 np.copyto(stored, part, casting="unsafe")
-        if checked and (bad := cannot_hold(stored, part)).any():
+        if checked and (bad := _cannot_hold(stored, part)).any():
             i, j, k, *_ = np.argwhere(bad)[0]
             raise InputError(
                 f"values: voxel [{low + i}, {j}, {k}] is {part[i, j, k]}, which {self.rule.layout.name} cannot hold; "
@@ -198,3 +216,82 @@ def _inside(origins: NDArray[np.int32], background: NDArray[Any]) -> Nodes:
     if len(origins):  # unsigned numbers and bits have no negative
         values[row.reshape(-1), slot_of(origins, 16, 8)] = -background
     return Nodes(nodes, values, np.zeros((len(nodes), LOWER_SLOTS), np.bool_))
+
+
+def layout_for(values: NDArray[Any], grid_type: str | None, grid_class: str) -> GridLayout:
+    """Layout of the grid that an array becomes.
+
+    Args:
+        values: Shape (X, Y, Z) or (X, Y, Z, C), real numbers.
+        grid_type: The type that was asked for, or None for the array's own.
+        grid_class: Of the grid.
+    Raises:
+        InputError: There is no such type, it is none for such an array, or has no such class.
+    """
+    name = _own_type(values, grid_class) if grid_type is None else grid_type
+    if name not in VALUE_TYPES:
+        remedy = "make a float grid and quantize() it" if name in LAYOUTS else f"use one of {', '.join(VALUE_TYPES)}"
+        raise InputError(f"grid_type: {name!r} is none that arrays are made of; {remedy}")
+    layout = LAYOUTS[name]
+    if values.shape[3:] != layout.background.shape:
+        wanted = ", ".join(["X", "Y", "Z", *map(str, layout.background.shape)])
+        raise InputError(f"values: shape {values.shape} is not ({wanted}); give what voxels of type {name} hold")
+    # Float grids have always taken every class.
+    if name != "float" and name not in _CLASSES.get(grid_class, (name,)):
+        raise InputError(
+            f"grid_class: no {grid_class} is of type {name}; use 'unknown'"
+            + (f", or grid_type={_CLASSES[grid_class][0]!r}" if _CLASSES[grid_class] else "")
+        )
+    return layout
+
+
+def _own_type(values: NDArray[Any], grid_class: str) -> str:
+    count = 1 if values.ndim == 3 else values.shape[3]
+    if values.ndim == 4 and count not in (3, 4):
+        raise InputError(f"values: shape {values.shape} has {count} components; give (X, Y, Z), or 3 or 4 of them")
+    if values.dtype.kind == "f" or (count == 1 and "float" in _CLASSES.get(grid_class, ())):
+        return "float" if count == 1 else f"vec{count}f"
+    kind = values.dtype.str[1:]
+    found = _WHOLE.get(kind) if count == 1 else _WHOLE_VECTORS.get((kind, count))
+    if found is None:
+        remedy = "'int64' or 'float'" if count == 1 else f"'vec{count}f' or 'vec{count}d'"
+        raise InputError(f"values: no grid has {count} {values.dtype} in a voxel; name a grid_type, {remedy}")
+    return found
+
+
+def background_of(value: Any, layout: GridLayout) -> NDArray[Any]:
+    """A background as a grid stores it, () or (C,); one number serves for all components.
+
+    Raises:
+        InputError: It is none that the type holds.
+    """
+    kind = layout.background
+    remedy = f"give {'a number' if not kind.shape else f'one number, or {kind.shape[0]},'} that {layout.name} holds"
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"background: {error}; {remedy}") from None
+    if given.dtype.kind not in "fiub" or given.shape not in ((), kind.shape):
+        raise InputError(f"background: {value!r} is no value of type {layout.name}; {remedy}")
+    with np.errstate(all="ignore"):
+        stored = np.array(np.broadcast_to(given, kind.shape).astype(kind.base))
+    if _cannot_hold(stored, given).any():
+        raise InputError(f"background: {value!r} is no value of type {layout.name}; {remedy}")
+    if layout.name == "mask" and stored:
+        raise InputError("background: what a mask does not store is off; give False, or invert the array")
+    return stored
+
+
+def _cannot_hold(stored: NDArray[Any], given: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where numbers were lost in ``stored = given.astype(...)``.
+
+    Types of floats hold the nearest of all numbers within their range, others exact ones.
+    """
+    if stored.dtype.kind == "f":
+        return np.asarray(~np.isfinite(stored))
+    if np.can_cast(given.dtype, stored.dtype, "safe"):
+        return np.zeros(stored.shape, np.bool_)
+    # A number that wrapped around may come back as it was, on the other side of zero.
+    with np.errstate(all="ignore"):
+        back = stored.astype(given.dtype)
+    return np.asarray((back != given) | ((stored < 0) != (given < 0)))

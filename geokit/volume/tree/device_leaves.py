@@ -1,4 +1,4 @@
-"""The device's way of building grids, for leaves that are on the host and in any order."""
+"""Grids of floats and int32 from leaves that are on the host, in any order, by the device writer on the CPU."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
-from geokit.volume.tree.device_writer import Leaves, build_grid
+from geokit.volume.tree.device_writer import Leaves, build_on_device
 from geokit.volume.tree.grid_head import GridHead
+from geokit.volume.tree.root_table import root_keys_of
+from geokit.volume.tree.typed_tree import slot_of
 
-__all__ = ["build_leaves"]
-
-# Upper nodes along an axis that a key's 12 bits tell apart.
-MOST_UPPER_NODES = 4096
+__all__ = ["build_leaves", "leaf_keys"]
 
 
 def build_leaves(
@@ -28,8 +27,6 @@ def build_leaves(
     signed: bool,
 ) -> NDArray[np.uint8]:
     """A NanoVDB grid of floats or int32 from leaves in any order, built by kernels on the CPU.
-
-    The same bytes as ``_build.build_float_grid`` gives for floats (tests/volume/tree/test_device_writer.py).
 
     Args:
         head: What the grid is to be.
@@ -55,7 +52,7 @@ def build_leaves(
         if np.shape(array) != (count, row):
             raise InputError(f"{what}: shape {np.shape(array)} is not {(count, row)}; give a row per leaf")
     masks = np.ascontiguousarray(leaf_masks if packed else np.packbits(leaf_masks, axis=1, bitorder="little"))
-    keys, axes = _keys_of(origins >> 3)
+    keys, uppers = leaf_keys(origins)
     order = np.argsort(keys, kind="stable")
     twice = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     if len(twice):
@@ -68,7 +65,7 @@ def build_leaves(
         return wp.array(np.ascontiguousarray(numbers), dtype=dtype, device=device, copy=False)
 
     rows = array_of(order.astype(np.int32), wp.int32)
-    leaves = Leaves(array_of(keys[order], wp.int64), array_of(origins >> 3, wp.vec3i), rows, axes)
+    leaves = Leaves(array_of(keys[order], wp.int64), array_of(origins >> 3, wp.vec3i), rows, uppers)
     inside = None
     if signed:
         inside = wp.empty((count, 8), dtype=wp.uint64, device=device)
@@ -80,7 +77,7 @@ def build_leaves(
         bits = array_of(masks.reshape(-1).view(np.uint64), wp.uint64)
         launcher.launch(copy_leaves_kernel, 8 * count, [wp.int64(begin), rows, words, bits], [buffer], device)
 
-    built = build_grid(leaves, head, write, inside)
+    built = build_on_device(leaves, head, write, inside)
     assert built.host is not None  # the device is the CPU
     return built.host
 
@@ -99,22 +96,9 @@ def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.ascontiguousarray(origins, np.int32)
 
 
-def _keys_of(tiles: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
-    """Keys of leaves as ``tile_keys_kernel`` makes them, but by ranks of the upper nodes that there are."""
-    wide = tiles.astype(np.int64)
-    keys = np.zeros(len(tiles), np.int64)
-    axes = []
-    for axis in range(3):
-        # 20 bits, negative coordinates wrapped, as in NanoVDB's keys.
-        wrapped, rank = np.unique(wide[:, axis] >> 9 & 0xFFFFF, return_inverse=True)
-        if len(wrapped) > MOST_UPPER_NODES:
-            raise InputError(
-                f"leaf_origins: {len(wrapped)} nodes of 4096^3 voxels along an axis are more than {MOST_UPPER_NODES}; "
-                "use larger voxels or a volume per object"
-            )
-        keys = keys << 12 | rank.reshape(-1)
-        axes.append(np.where(wrapped >> 19, wrapped - (1 << 20), wrapped))
-    for bits, shift in ((5, 4), (4, 0)):
-        for axis in range(3):
-            keys = keys << bits | (wide[:, axis] >> shift & ((1 << bits) - 1))
-    return keys, tuple(axes)
+def leaf_keys(origins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys of leaves as ``Leaves`` has them, and coordinates of upper nodes (U, 3) by their ranks in the keys."""
+    root, first, rank = np.unique(root_keys_of(origins), return_index=True, return_inverse=True)
+    # At most 2^36 upper nodes leave 27 bits for the slots in them.
+    keys = rank.reshape(-1).astype(np.int64) << 27 | slot_of(origins, 32, 128) << 12 | slot_of(origins, 16, 8)
+    return keys, origins[first].astype(np.int64).reshape(len(root), 3) >> 12

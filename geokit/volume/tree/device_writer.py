@@ -22,7 +22,7 @@ from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["BuiltGrid", "Leaves", "build_grid"]
+__all__ = ["BuiltGrid", "Leaves", "build_on_device"]
 
 # Logarithms of the slots along an axis of a lower and of an upper node, and voxels along an axis.
 LOWER_BITS, LOWER_SPAN = 4, 128
@@ -41,18 +41,26 @@ class Leaves:
         keys: Place of each leaf in that order, ascending, each once, (L,) of int64; see ``tiles_kernels``.
         tiles: Coordinates in units of leaves, any number of them in any order, (T,) of vec3i.
         rows: Row of each leaf among the tiles, (L,) of int32.
-        axes: Coordinates of upper nodes along x, y and z, in units of themselves, in the order of their ranks in keys.
+        axes: Coordinates of upper nodes in units of themselves, in the order of their ranks in the keys: either three
+            arrays, along x, y and z, each by 12 bits of a key, or one (U, 3) by all 36 bits.
     """
 
     keys: "wp.array"
     tiles: "wp.array"
     rows: "wp.array"
-    axes: tuple[NDArray[np.int64], ...]
+    axes: tuple[NDArray[np.int64], ...] | NDArray[np.int64]
 
     @cached_property
     def nodes(self) -> _Nodes:
-        """The nodes above them; who asks long before the grid is built need not wait for them then."""
+        """The nodes above them; asked for early, they are ready once the grid is built."""
         return _Nodes(self.keys)
+
+    def upper_places(self, ranks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Coordinates (U, 3) of upper nodes by their ranks."""
+        if isinstance(self.axes, tuple):
+            parts = zip(self.axes, (24, 12, 0), strict=True)
+            return np.stack([axis[ranks >> shift & 0xFFF] for axis, shift in parts], axis=1)
+        return self.axes[ranks]
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ class _Level:
     count: int
 
 
-def build_grid(
+def build_on_device(
     leaves: Leaves,
     head: GridHead,
     write_leaves: Callable[["wp.array", int], None],
@@ -109,10 +117,7 @@ def build_grid(
     device = leaves.keys.device
     count = len(leaves.keys)
     lower, upper, ranks = leaves.nodes.read()
-    uppers = np.stack(
-        [axis[ranks >> shift & 0xFFF] for axis, shift in zip(leaves.axes, (24, 12, 0), strict=True)], axis=1
-    )
-    places = places_of(head.layout, count, lower.count, uppers, fill_gaps=inside is not None)
+    places = places_of(head.layout, count, lower.count, leaves.upper_places(ranks), fill_gaps=inside is not None)
     buffer, host = _buffer(places.size, device)
     states, faces = _spread_signs(inside, leaves, lower, upper)
     _link(buffer, head, places, (leaves, lower, upper), states)

@@ -10,16 +10,72 @@ Source:
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FACES", "face_signs", "flood"]
+from geokit.volume.tree.root_table import root_keys_of, root_origins, with_gaps
+from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, slot_of
+
+__all__ = ["with_signs"]
 
 # Axis and side of a node's faces: 0 is the lower one.
 FACES = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1))
+# Nodes whose slots are looked at together: with their faces 512 upper nodes would be 120 MB.
+LOWER_AT_A_TIME, UPPER_AT_A_TIME = 512, 64
 
 
-def face_signs(values: NDArray[np.float32]) -> NDArray[np.int8]:
+def with_signs(tree: TypedTree) -> TypedTree:
+    """A level set's tree of leaves alone, with tiles of minus the background in the empty regions that lie inside.
+
+    Raises:
+        InputError: The upper nodes are too far apart to be filled in between.
+    """
+    if not len(tree.origins):
+        return tree
+    inside = -tree.background
+    lower, lower_origins, faces = _level(tree, tree.origins, face_signs(tree.values), inside, 16, 8, LOWER_AT_A_TIME)
+    upper, upper_origins, faces = _level(tree, lower_origins, faces, inside, 32, 128, UPPER_AT_A_TIME)
+    keys = root_keys_of(upper_origins)
+    order = np.argsort(keys)
+    table, _, gaps = with_gaps(keys[order], True)
+    # Both ends of a gap along z show whether it lies inside: faces 5 (upper z) and 4 (lower z).
+    rows = [row for row, below, above in gaps if faces[order[below], 5] < 0 and faces[order[above], 4] < 0]
+    origins = root_origins(table[rows]).reshape(-1, 3)
+    root = RootTiles(origins, np.full(len(rows), inside, tree.values.dtype), np.zeros(len(rows), np.bool_))
+    return replace(tree, lower=lower, upper=upper, root=root)
+
+
+def _level(
+    tree: TypedTree,
+    children: NDArray[np.int32],
+    faces: NDArray[np.int8],
+    inside: Any,
+    width: int,
+    span: int,
+    at_a_time: int,
+) -> tuple[Nodes, NDArray[np.int32], NDArray[np.int8]]:
+    """The nodes above some children: those with a tile inside, the origins of all, and the signs of their faces."""
+    origins, node = np.unique(children & ~np.int32(width * span - 1), axis=0, return_inverse=True)
+    order = np.argsort(node.reshape(-1), kind="stable")
+    node = node.reshape(-1)[order]
+    slot, faces = slot_of(children[order], width, span), faces[order]
+    own = np.empty((len(origins), 6), np.int8)
+    empty = np.empty((0, width**3), tree.values.dtype)
+    found = [Nodes(np.empty((0, 3), np.int32), empty, np.empty((0, width**3), np.bool_))]
+    for first in range(0, len(origins), at_a_time):
+        stop = min(first + at_a_time, len(origins))
+        part = slice(*np.searchsorted(node, [first, stop]))
+        signs, own[first:stop] = flood(stop - first, width, node[part] - first, slot[part], faces[part])
+        some = np.flatnonzero((signs < 0).any(axis=1))
+        values = np.where(signs[some] < 0, inside, tree.background).astype(tree.values.dtype, copy=False)
+        found.append(Nodes(origins[first + some], values, np.zeros(values.shape, np.bool_)))
+    return Nodes(*map(np.concatenate, zip(*found, strict=True))), origins, own
+
+
+def face_signs(values: NDArray[Any]) -> NDArray[np.int8]:
     """Sign on each face of each leaf, read next to the middle of the face.
 
     Args:

@@ -2,36 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError
-from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, tree_header
-from geokit.volume.nanovdb.header_options import GridOptions, checked_options, write_header
-from geokit.volume.nanovdb.layout import GRID_TYPES, GridLayout, layout_of
-from geokit.volume.tree.node_places import root_keys_of, root_span, with_gaps
+from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.header import (
+    FLAG_LONG_NAME,
+    GRID_DATA,
+    HEAD_SIZE,
+    TREE_OFFSET,
+    aligned_buffer,
+    encoded_name,
+    grid_class_code,
+    grid_header,
+    grid_name,
+    info_of,
+    tree_header,
+)
+from geokit.volume.nanovdb.header_options import (
+    LONGEST_NAME,
+    GridOptions,
+    checked_options,
+    write_header,
+    write_transform,
+)
+from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout
+from geokit.volume.tree.root_table import root_keys_of, root_span, root_tile_type, with_gaps
 
-__all__ = ["GridHead", "Places", "checked_head", "places_of", "write_head", "write_root"]
-
-_WORDS = {"float": "<f4", "int32": "<i4"}
+__all__ = [
+    "GridHead",
+    "Places",
+    "checked_head",
+    "head_like",
+    "places_of",
+    "result_head",
+    "result_of",
+    "write_head",
+    "write_root",
+]
 
 
 @dataclass(frozen=True)
 class GridHead:
-    """What a grid is to be, apart from its voxels: type, background, inside value, and what its header says."""
+    """What a grid is to be, apart from its voxels.
+
+    Attributes:
+        layout: Of its type.
+        background: Value outside of everything, a number, or an array where the type has vectors.
+        inside: Value of empty regions that lie inside a level set.
+        options: Transform, name and class.
+        header: First bytes of a grid whose transform, name and class go on bit by bit; None where ``options`` say them.
+    """
 
     layout: GridLayout
-    background: float
-    inside: float
+    background: Any
+    inside: Any
     options: GridOptions
+    header: NDArray[np.uint8] | None = None
 
     @property
     def word(self) -> np.dtype[Any]:
         """NumPy type of a value."""
-        return np.dtype(_WORDS[self.layout.name])
+        return self.layout.background
+
+    @property
+    def has_long_name(self) -> bool:
+        """Whether the name stands behind the nodes: the header has no room for it."""
+        if self.header is not None:
+            return bool(int(self.header.view(GRID_DATA)["flags"][0]) & FLAG_LONG_NAME)
+        return len(self.options.name) > LONGEST_NAME
 
 
 @dataclass(frozen=True)
@@ -57,7 +101,7 @@ class Places:
 
 
 def checked_head(
-    grid_type: str, background: float, inside: float, transform: NDArray[np.float64], name: str, grid_class: str
+    grid_type: str, background: Any, inside: Any, transform: NDArray[np.float64], name: str, grid_class: str
 ) -> GridHead:
     """The options of a grid, refused where no grid can have them.
 
@@ -65,9 +109,52 @@ def checked_head(
         InputError: A name, class, background or transform that no grid can have.
     """
     options = checked_options(transform, name, grid_class)
-    if not (np.isfinite(background) and np.isfinite(inside)):
+    if not (np.isfinite(background).all() and np.isfinite(inside).all()):
         raise InputError(f"background: {background} is not finite; give a number")
-    return GridHead(layout_of(GRID_TYPES.index(grid_type), "grid"), background, inside, options)
+    return GridHead(LAYOUTS[grid_type], background, inside, options)
+
+
+def head_like(
+    volume: SparseVolume, layout: GridLayout, background: Any, transform: NDArray[np.float64] | None = None
+) -> GridHead:
+    """The head of a grid with name, class and (unless one is given) the transform of another."""
+    header = volume.nanovdb[:TREE_OFFSET]
+    if transform is not None:
+        header = header.copy()
+        write_transform(header.view(GRID_DATA)[0], transform)
+    name = encoded_name(grid_name(volume.nanovdb))
+    matrix = volume.info.transform if transform is None else transform
+    options = GridOptions(matrix, name, int(grid_header(volume.nanovdb)["grid_class"]))
+    return GridHead(layout, background, background, options, header)
+
+
+def result_head(
+    volume: SparseVolume, layout: GridLayout, background: Any, grid_class: str, transform: NDArray[np.float64]
+) -> GridHead:
+    """The head of what an operation makes of a volume: its name, with another class and transform.
+
+    A class that NanoVDB does not have for the type becomes "unknown".
+    """
+    if layout.background.shape and grid_class == "level set":
+        grid_class = "unknown"
+    options = GridOptions(transform, encoded_name(volume.info.name), grid_class_code(grid_class))
+    kind = layout.background
+    outside = np.array(np.broadcast_to(background, kind.shape), kind.base)
+    return GridHead(layout, outside, -outside, options)
+
+
+def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
+    """A volume from an operation's buffer, with the metadata of its first operand."""
+    buffer.setflags(write=False)
+    info = info_of(buffer)
+    metadata = dict(like.info.metadata)
+    # Results of operations are not integers.
+    metadata.pop("geokit:value_type", None)
+    # A class that NanoVDB does not have for the type travels as metadata; it says nothing about another type.
+    if info.grid_type != like.info.grid_type:
+        metadata.pop("class", None)
+    grid_class = str(metadata.get("class", info.grid_class))
+    return SparseVolume(buffer, replace(info, grid_class=grid_class, metadata=MappingProxyType(metadata)))
 
 
 def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.int64], *, fill_gaps: bool) -> Places:
@@ -115,16 +202,8 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
 
 
 def _root_table(buffer: NDArray[np.uint8], head: GridHead, count: int) -> NDArray[np.void]:
-    entry = np.dtype(
-        {
-            "names": ["key", "child", "state", "value"],
-            "formats": ["<u8", "<i8", "<u4", head.word],
-            "offsets": [0, 8, 16, 20],
-            "itemsize": head.layout.root_tile_size,
-        }
-    )
     begin = HEAD_SIZE + head.layout.root_size
-    return np.ndarray((count,), entry, buffer, begin)
+    return np.ndarray((count,), root_tile_type(head.layout), buffer, begin)
 
 
 def write_root(

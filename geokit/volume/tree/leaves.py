@@ -7,18 +7,34 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
-from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
+from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.header import TREE_OFFSET, tree_header, voxel_size_of
-from geokit.volume.nanovdb.layout import LAYOUTS
-from geokit.volume.tree.openvdb_call import lift_factor, lifted_transform, lowered, operate, result_of
+from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checksum import partial_checksum
+from geokit.volume.nanovdb.header import (
+    HEAD_SIZE,
+    TREE_OFFSET,
+    grid_class_code,
+    grid_header,
+    tree_header,
+    voxel_size_of,
+)
+from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
+from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.flood_signs import with_signs
+from geokit.volume.tree.grid_head import GridHead, result_head, result_of
+from geokit.volume.tree.leaf_codecs import LeafReader, write_floats
+from geokit.volume.tree.retype_tree import retype_tree
+from geokit.volume.tree.typed_tree import tree_of, tree_of_leaves, voxelized_tree
+from geokit.volume.tree.typed_writer import build_grid, rebuilt
 
 __all__ = [
     "LEAF_VOXELS",
     "QUANTISED",
     "Leaves",
     "assemble",
+    "build_real_grid",
+    "dequantized",
     "is_cubic",
     "leaves_of",
     "require_volume",
@@ -28,8 +44,6 @@ __all__ = [
 
 QUANTISED = ("fp4", "fp8", "fp16", "fpn")
 LEAF_VOXELS = 512
-# A voxel of an active tile costs its value, its share of a mask and the same again while it is converted.
-BYTES_PER_VOXEL = 16
 # Edges of a voxel whose lengths or angles differ by less than this are those of a cube whose matrix was rounded.
 CUBE_TOLERANCE = 1e-6
 
@@ -78,24 +92,35 @@ def is_cubic(transform: NDArray[np.float64]) -> bool:
     return bool(np.allclose(shape.T @ shape, np.eye(3), rtol=0.0, atol=CUBE_TOLERANCE))
 
 
+def dequantized(volume: SparseVolume) -> SparseVolume:
+    """The volume with floats in place of quantized values; itself where it has none.
+
+    Raises:
+        FileFormatError: The buffer is not a sound grid.
+        InputError: A value is not finite.
+    """
+    if volume.info.grid_type not in QUANTISED:
+        return volume
+    buffer = volume.nanovdb
+    check_grid(buffer, f"volume {volume.info.name!r}")
+    reader = LeafReader(buffer)
+    layout = LAYOUTS["float"]
+    retyped = retype_tree(buffer, GRID_TYPES.index("float"), np.full(reader.count, layout.leaf_size))
+    write_floats(reader, retyped)
+    grid_header(retyped.buffer)["checksum"] = partial_checksum(retyped.buffer[:HEAD_SIZE], retyped.buffer)
+    return result_of(retyped.buffer, volume)
+
+
 def voxelized(volume: SparseVolume) -> SparseVolume:
-    """The volume with leaves in place of active tiles and floats in place of quantised values; itself without either.
+    """The volume with leaves in place of active tiles and floats in place of quantized values; itself without either.
 
     Raises:
         DeviceMemoryError: The tiles hold more voxels than there is memory for.
     """
-    if volume.info.grid_type not in QUANTISED and _leaf_active_count(volume) == volume.info.active_voxel_count:
+    volume = dequantized(volume)
+    if _leaf_active_count(volume) == volume.info.active_voxel_count:
         return volume
-    need, have = BYTES_PER_VOXEL * (volume.info.active_voxel_count or 0), available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: the active tiles of grid {volume.info.name!r} need about {need >> 20} MiB as voxels, of "
-            f"{have >> 20} MiB free; clip it, or resample it at a larger voxel_size"
-        )
-    from geokit.native import operations
-
-    result: SparseVolume = operate(operations.voxelized, volume)
-    return result
+    return rebuilt(voxelized_tree(tree_of(volume), volume.info.name), volume)
 
 
 def leaves_of(volume: SparseVolume) -> Leaves:
@@ -125,23 +150,39 @@ def assemble(
 
     Leaves without an active voxel are left out.
     """
-    from geokit.native import operations
-
     kept: Any = leaves.masks.any(axis=1)
     if kept.all():
         kept = slice(None)  # without a copy
-    matrix = like.info.transform if transform is None else transform
-    factor = lift_factor(matrix)
-    buffer = operations.from_leaves(
-        leaves.origins[kept],
-        values[kept],
-        leaves.masks[kept],
-        background=background,
-        transform=lifted_transform(matrix, factor),
-        name=like.info.name,
-        grid_class=grid_class,
-    )
-    return result_of(lowered(buffer, factor), like)
+    rows = leaves.origins[kept], leaves.masks[kept], values[kept]
+    layout = _real_layout(values)
+    head = result_head(like, layout, background, grid_class, like.info.transform if transform is None else transform)
+    return result_of(build_real_grid(head, *rows), like)
+
+
+def build_real_grid(
+    head: GridHead, origins: NDArray[np.int32], masks: NDArray[np.uint8], values: NDArray[Any]
+) -> NDArray[np.uint8]:
+    """A grid of floats, doubles or vectors of them; empty regions inside a level set get ``head.inside``.
+
+    Args:
+        head: What the grid is to be.
+        origins: First voxel of each leaf, (L, 3), each once.
+        masks: Active voxels of each leaf, (L, 64).
+        values: Of each leaf, (L, 512) or (L, 512, C).
+    """
+    signed = head.options.grid_class == grid_class_code("level set")
+    if head.layout.name == "float" and not head.has_long_name:
+        return build_leaves(head, origins, values, masks, signed=signed)
+    tree = tree_of_leaves(head.layout, head.background, origins, masks, values)
+    return build_grid(with_signs(tree) if signed else tree, head)
+
+
+def _real_layout(values: NDArray[Any]) -> GridLayout:
+    """Layout of grids of floats or doubles (L, 512), or vectors of them (L, 512, 3)."""
+    is_double = values.dtype == np.float64
+    if values.ndim == 2:
+        return LAYOUTS["double" if is_double else "float"]
+    return LAYOUTS["vec3d" if is_double else "vec3f"]
 
 
 def _leaf_active_count(volume: SparseVolume) -> int:

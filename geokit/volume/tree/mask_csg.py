@@ -12,7 +12,7 @@ from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.typed_tree import bits_of, rows_in, tree_of, tree_of_leaves, voxelized_tree
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["combined_masks"]
 
@@ -49,4 +49,4 @@ def combined_masks(kind: str, operands: Sequence[SparseVolume], names: Sequence[
     some = masks.any(axis=1)
     masks = masks[some]
     alone = tree_of_leaves(trees[0].layout, trees[0].background, origins[some], masks, bits_of(masks))
-    return built(alone, operands[0])
+    return rebuilt(alone, operands[0])

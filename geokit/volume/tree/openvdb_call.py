@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,15 +10,16 @@ from numpy.typing import NDArray
 
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
-from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header, info_of
+from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
+from geokit.volume.tree.grid_head import result_of
 
-__all__ = ["lift_factor", "lifted", "lifted_transform", "lowered", "operate", "result_of"]
+__all__ = ["call_openvdb", "scale_factor", "scaled_up"]
 
 # OpenVDB takes a transform as singular where a voxel's volume is below 3e-15: voxels of 1.4e-5.
 SMALLEST_VOXEL_VOLUME = 1e-14
 
 
-def operate(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> Any:
+def call_openvdb(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> Any:
     """What an operation of ``geokit.native.operations`` makes of volumes on one lattice.
 
     Args:
@@ -30,28 +29,14 @@ def operate(function: Callable[..., Any], *volumes: SparseVolume, **options: Any
     Returns:
         SparseVolume, or a list of them.
     """
-    factor = lift_factor(volumes[0].info.transform)
-    result = function(*(lifted(volume.nanovdb, factor) for volume in volumes), **options)
+    factor = scale_factor(volumes[0].info.transform)
+    result = function(*(scaled_up(volume.nanovdb, factor) for volume in volumes), **options)
     if isinstance(result, list):
-        return [result_of(lowered(buffer, factor), volumes[0]) for buffer in result]
-    return result_of(lowered(result, factor), volumes[0])
+        return [result_of(scaled_back(buffer, factor), volumes[0]) for buffer in result]
+    return result_of(scaled_back(result, factor), volumes[0])
 
 
-def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
-    """A volume from an operation's buffer, with the metadata of its first operand."""
-    buffer.setflags(write=False)
-    info = info_of(buffer)
-    metadata = dict(like.info.metadata)
-    # Results of operations are not integers.
-    metadata.pop("geokit:value_type", None)
-    # A class that NanoVDB does not have for the type travels as metadata; it says nothing about another type.
-    if info.grid_type != like.info.grid_type:
-        metadata.pop("class", None)
-    grid_class = str(metadata.get("class", info.grid_class))
-    return SparseVolume(buffer, replace(info, grid_class=grid_class, metadata=MappingProxyType(metadata)))
-
-
-def lift_factor(transform: NDArray[np.float64]) -> float:
+def scale_factor(transform: NDArray[np.float64]) -> float:
     """Power of two by which a transform has to be scaled for OpenVDB to take it: 1 for all but tiny voxels."""
     volume = abs(float(np.linalg.det(transform[:3, :3])))
     if volume >= SMALLEST_VOXEL_VOLUME:
@@ -59,21 +44,14 @@ def lift_factor(transform: NDArray[np.float64]) -> float:
     return 2.0 ** -int(np.floor(np.log2(np.abs(transform[:3, :3]).max())))
 
 
-def lifted_transform(transform: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
-    """The transform into a world that is ``factor`` times as large; exact."""
-    scaled = np.array(transform)
-    scaled[:3] *= factor
-    return scaled
-
-
-def lowered(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
+def scaled_back(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
     """Undoes the scaling, in place."""
     if factor != 1.0:
         _scale(buffer, 1.0 / factor)
     return buffer
 
 
-def lifted(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
+def scaled_up(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
     """The grid in a world that is ``factor`` times as large: a copy, unless that is 1."""
     if factor == 1.0:
         return buffer

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.volume._model import SparseVolume
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, differs, slot_of, tree_of
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["pruned"]
 
@@ -20,19 +20,21 @@ ROWS_AT_A_TIME = 4096
 def pruned(volume: SparseVolume, tolerance: float) -> SparseVolume:
     """The volume, of one of VALUE_TYPES, with tiles in place of nodes with one state and values within a tolerance."""
     tree = tree_of(volume)
+    # The two values of a bool are no nearer to each other than that.
+    tolerance = 0.0 if tree.layout.leaf_bits == 1 else tolerance
     full, empty = (tree.masks == 255).all(axis=1), ~tree.masks.any(axis=1)
     alike = full | empty
     # The states of a mask are all there is.
     if tree.layout.name != "mask":
         alike[alike] = _alike(tree.values, np.flatnonzero(alike), tolerance)
-    tiles = RootTiles(tree.origins[alike], tree.values[alike, 0], full[alike])
+    tiles = RootTiles(tree.origins[alike], _middle(tree.values, np.flatnonzero(alike), tolerance), full[alike])
     tree = replace(tree, origins=tree.origins[~alike], masks=tree.masks[~alike], values=tree.values[~alike])
     lower, tiles = _level(tree, tree.lower, tiles, tree.origins, 16, 8, tolerance)
     tree = replace(tree, lower=lower)
     upper, tiles = _level(tree, tree.upper, tiles, np.concatenate([tree.origins, lower.origins]), 32, 128, tolerance)
     root = RootTiles(*map(np.concatenate, zip(tree.root, tiles, strict=True)))
     told = root.active | differs(root.values, tree.background)
-    return built(replace(tree, upper=upper, root=root.rows(told)), volume)
+    return rebuilt(replace(tree, upper=upper, root=root.rows(told)), volume)
 
 
 def _level(
@@ -76,7 +78,7 @@ def _level(
     alike[alike] = _alike(values, np.flatnonzero(alike), tolerance)
     return (
         Nodes(origins[~alike], values[~alike], active[~alike]),
-        RootTiles(origins[alike], values[alike, 0], active[alike, 0]),
+        RootTiles(origins[alike], _middle(values, np.flatnonzero(alike), tolerance), active[alike, 0]),
     )
 
 
@@ -89,4 +91,20 @@ def _alike(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> N
         with np.errstate(over="ignore", invalid="ignore"):
             within = high - low <= tolerance
         found[first : first + len(part)] = within.all(axis=-1) if within.ndim > 1 else within
+    return found
+
+
+def _middle(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> NDArray[Any]:
+    """The median of each of some rows (R, n, ...); of vectors the one in the middle of their lexicographic order."""
+    if tolerance == 0.0:
+        return np.asarray(values[rows, 0])
+    found = np.empty((len(rows), *values.shape[2:]), values.dtype)
+    middle = (values.shape[1] - 1) >> 1
+    for first in range(0, len(rows), ROWS_AT_A_TIME):
+        part = values[rows[first : first + ROWS_AT_A_TIME]]
+        if part.ndim == 2:
+            found[first : first + len(part)] = np.partition(part, middle, axis=1)[:, middle]
+        else:
+            order = np.lexsort(np.moveaxis(part, -1, 0)[::-1], axis=-1)[:, middle]
+            found[first : first + len(part)] = part[np.arange(len(part)), order]
     return found

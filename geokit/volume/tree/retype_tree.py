@@ -16,18 +16,19 @@ from geokit.volume.nanovdb.header import (
     grid_header,
     tree_header,
 )
+from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
 from geokit.volume.nanovdb.layout import LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of, type_name
-from geokit.volume.tree.typed_tree import root_tile_type
+from geokit.volume.tree.root_table import root_tile_type
 
-__all__ = ["Recoded", "leaf_starts", "recode", "tile_values"]
+__all__ = ["RetypedTree", "leaf_starts", "retype_tree", "tile_values"]
 
 # Nodes that are copied at a time: 64 upper nodes are 16 MiB.
 NODES_AT_A_TIME = 64
 
 
 @dataclass(frozen=True)
-class Recoded:
-    """A grid whose leaves are to be filled in.
+class RetypedTree:
+    """A grid of another type, whose leaves are to be filled in.
 
     Attributes:
         buffer: The grid, uint8, 32-byte aligned; leaves are zero, checksum and the nodes' extrema those of the source.
@@ -91,10 +92,17 @@ class _Nodes:
         return self.buffer[self.begin : self.begin + self.count * self.size].reshape(self.count, self.size)
 
     def column(self, dtype: Any, offset: int, count: int, step: int) -> NDArray[Any]:
-        """``count`` values of each node from ``offset`` on, ``step`` bytes apart."""
+        """``count`` values of each node from ``offset`` on, ``step`` bytes apart; vectors have an axis more."""
+        kind = np.dtype(dtype)
+        shape = (self.count, count, *kind.shape)
         if not self.count:
-            return np.empty((0, count), dtype)
-        return np.ndarray((self.count, count), dtype, self.buffer, self.begin + offset, (self.size, step))
+            return np.empty(shape, kind.base)
+        strides = (self.size, step, *([kind.base.itemsize] * len(kind.shape)))
+        return np.ndarray(shape, kind.base, self.buffer, self.begin + offset, strides)
+
+    def tiles(self) -> NDArray[Any]:
+        """What the slots hold, values where there is no child, (count, slots) or (count, slots, C)."""
+        return self.column(self.layout.background, self.table, self.slots, self.layout.table_stride)
 
     def statistics(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """Minimum and maximum (count, 2), average and deviation (count, 2)."""
@@ -109,7 +117,7 @@ class _Nodes:
     def add_tiles(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
         """Let the active tiles of each node take part in its extrema."""
         part = self.slots // 8
-        value = self.column(self.layout.background, self.table, self.slots, self.layout.table_stride)
+        value = self.tiles()
         for first in range(0, self.count, NODES_AT_A_TIME):
             rows = self.bytes()[first : first + NODES_AT_A_TIME]
             active = rows[:, 32 : 32 + part] & ~rows[:, 32 + part : 32 + 2 * part]
@@ -134,7 +142,7 @@ def _write_limits(statistics: tuple[NDArray[Any], NDArray[Any]], low: Any, high:
 def leaf_starts(buffer: NDArray[np.uint8]) -> NDArray[np.int64]:
     """First byte of each leaf of a structurally sound grid, ascending, shape (L,)."""
     tree = tree_header(buffer)
-    layout = layout_of(int(grid_header(buffer)["grid_type"]), "grid")
+    layout = _layout_of(buffer)
     begin, count = TREE_OFFSET + int(tree["node_offset"][0]), int(tree["node_count"][0])
     if layout.leaf_bits >= 0:
         return begin + layout.leaf_size * np.arange(count)
@@ -163,7 +171,7 @@ def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
     ):
         begin = TREE_OFFSET + int(tree["node_offset"][level])
         nodes = _Nodes(buffer, begin, int(tree["node_count"][level]), bytes_each, slots, table, layout)
-        values = nodes.column(layout.background, table, slots, layout.table_stride)
+        values = nodes.tiles()
         for first in range(0, nodes.count, NODES_AT_A_TIME):
             rows = values[first : first + NODES_AT_A_TIME]
             free = np.ones(rows.shape, np.bool_)
@@ -173,15 +181,20 @@ def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
     return np.concatenate(parts)
 
 
-def recode(buffer: NDArray[np.uint8], grid_type: int, leaf_sizes: NDArray[np.int64]) -> Recoded:
-    """Copy everything of a grid but its leaves into a grid of another type; values become their nearest there.
+def retype_tree(
+    buffer: NDArray[np.uint8], grid_type: int, leaf_sizes: NDArray[np.int64], channel: NDArray[Any] | None = None
+) -> RetypedTree:
+    """Copy everything of a grid but its leaves into a grid of another type.
 
     Args:
-        buffer: A structurally sound grid of a scalar floating-point type.
+        buffer: A structurally sound grid of a scalar floating-point type, whose values become their nearest in the new
+            one; or an index grid.
         grid_type: NanoVDB's number of the new type.
         leaf_sizes: Bytes of each leaf of the new grid, shape (L,).
+        channel: What the indices of an index grid lead to, shape (count,) or (count, C). Its statistics and its blind
+            data are left out: they are those of the indices.
     """
-    old = layout_of(int(grid_header(buffer)["grid_type"]), "grid")
+    old = _layout_of(buffer)
     new = layout_of(grid_type, type_name(grid_type))
     tree = tree_header(buffer)
     begins = [TREE_OFFSET + int(offset) for offset in tree["node_offset"]]
@@ -191,21 +204,26 @@ def recode(buffer: NDArray[np.uint8], grid_type: int, leaf_sizes: NDArray[np.int
     lower_begin = upper_begin + counts[2] * new.upper_size
     leaf_begin = lower_begin + counts[1] * new.lower_size
     starts = leaf_begin + np.concatenate([[0], np.cumsum(leaf_sizes)]).astype(np.int64)
-    blind = _blind_data(buffer)
+    blind = _blind_data(buffer) if channel is None else buffer[:0]
     out = aligned_buffer(int(starts[-1]) + len(blind), zeroed=True)
     _write_heads(out, buffer, grid_type, (leaf_begin, lower_begin, upper_begin, HEAD_SIZE), int(starts[-1]), blind)
-    _copy_root(out, buffer, begins[3], tiles, old, new)
     old_upper = _Nodes(buffer, begins[2], counts[2], old.upper_size, UPPER_SLOTS, old.upper_table, old)
     old_lower = _Nodes(buffer, begins[1], counts[1], old.lower_size, LOWER_SLOTS, old.lower_table, old)
     new_upper = _Nodes(out, upper_begin, counts[2], new.upper_size, UPPER_SLOTS, new.upper_table, new)
     new_lower = _Nodes(out, lower_begin, counts[1], new.lower_size, LOWER_SLOTS, new.lower_table, new)
-    _relink_root(out, buffer, begins, tiles, old, new, upper_begin)
+    _copy_root(out, buffer, begins[3], old, new, channel)
+    _relink_root(out, buffer, begins, tiles, old, new, upper_begin, channel)
     lower_starts = begins[1] + old.lower_size * np.arange(counts[1])
-    upper_of_lower = _copy_nodes(
-        new_upper, old_upper, lower_starts, lower_begin + new.lower_size * np.arange(counts[1])
-    )
-    lower_of_leaf = _copy_nodes(new_lower, old_lower, leaf_starts(buffer), starts[:-1])
-    return Recoded(out, starts[:-1], lower_of_leaf, upper_of_lower)
+    new_lower_starts = lower_begin + new.lower_size * np.arange(counts[1])
+    upper_of_lower = _copy_nodes(new_upper, old_upper, lower_starts, new_lower_starts, channel)
+    lower_of_leaf = _copy_nodes(new_lower, old_lower, leaf_starts(buffer), starts[:-1], channel)
+    return RetypedTree(out, starts[:-1], lower_of_leaf, upper_of_lower)
+
+
+def _layout_of(buffer: NDArray[np.uint8]) -> GridLayout:
+    """Layout of a grid of values or of indices."""
+    number = int(grid_header(buffer)["grid_type"])
+    return INDEX_LAYOUTS.get(type_name(number)) or layout_of(number, "grid")
 
 
 def _blind_data(buffer: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -232,16 +250,24 @@ def _write_heads(
 
 
 def _copy_root(
-    out: NDArray[np.uint8], buffer: NDArray[np.uint8], root: int, tiles: int, old: GridLayout, new: GridLayout
+    out: NDArray[np.uint8],
+    buffer: NDArray[np.uint8],
+    root: int,
+    old: GridLayout,
+    new: GridLayout,
+    channel: NDArray[Any] | None,
 ) -> None:
     out[HEAD_SIZE : HEAD_SIZE + 28] = buffer[root : root + 28]
     source = _Nodes(buffer, root, 1, old.root_size, 0, 0, old)
     target = _Nodes(out, HEAD_SIZE, 1, new.root_size, 0, 0, new)
     size = (old.background.itemsize, new.background.itemsize)
+    background = source.column(old.background, old.root_background, 1, size[0])
+    stored = target.column(new.background, new.root_background, 1, size[1])
+    if channel is not None:
+        stored[:] = channel[background]
+        return
     with np.errstate(over="ignore"):
-        target.column(new.background, new.root_background, 1, size[1])[:] = source.column(
-            old.background, old.root_background, 1, size[0]
-        )
+        stored[:] = background
         _copy_statistics(
             _statistics(target, new.root_background + size[1], new),
             _statistics(source, old.root_background + size[0], old),
@@ -256,12 +282,16 @@ def _relink_root(
     old: GridLayout,
     new: GridLayout,
     upper_begin: int,
+    channel: NDArray[Any] | None,
 ) -> None:
     source = buffer[begins[3] + old.root_size :][: tiles * old.root_tile_size].view(root_tile_type(old))
     target = out[HEAD_SIZE + new.root_size :][: tiles * new.root_tile_size].view(root_tile_type(new))
-    for field in ("key", "state", "value"):
-        target[field] = source[field]
+    target["key"], target["state"] = source["key"], source["state"]
     has_child = source["child"] != 0
+    if channel is None:
+        target["value"] = source["value"]
+    else:
+        target["value"][~has_child] = channel[source["value"][~has_child]]
     node = (source["child"] + begins[3] - begins[2]) // old.upper_size
     target["child"] = np.where(has_child, upper_begin + node * new.upper_size - HEAD_SIZE, 0)
 
@@ -272,20 +302,30 @@ def _copy_statistics(target: tuple[NDArray[Any], ...], source: tuple[NDArray[Any
 
 
 def _copy_nodes(
-    target: _Nodes, source: _Nodes, old_starts: NDArray[np.int64], new_starts: NDArray[np.int64]
+    target: _Nodes,
+    source: _Nodes,
+    old_starts: NDArray[np.int64],
+    new_starts: NDArray[np.int64],
+    channel: NDArray[Any] | None,
 ) -> NDArray[np.int64]:
     """Copy boxes, masks, statistics and slots of a level; returns the node of each child."""
     parent = np.empty(len(old_starts), np.int64)
     head = 32 + 2 * source.slots // 8
-    _copy_statistics(target.statistics(), source.statistics())
-    values = [n.column(n.layout.background, n.table, n.slots, n.layout.table_stride) for n in (source, target)]
+    if channel is None:
+        _copy_statistics(target.statistics(), source.statistics())
+    values = source.tiles(), target.tiles()
     offsets = [n.column("<i8", n.table, n.slots, n.layout.table_stride) for n in (source, target)]
     for first in range(0, source.count, NODES_AT_A_TIME):
         stop = min(first + NODES_AT_A_TIME, source.count)
         target.bytes()[first:stop, :head] = source.bytes()[first:stop, :head]
-        with np.errstate(over="ignore", invalid="ignore"):  # what a slot with a child holds is no value
-            values[1][first:stop] = values[0][first:stop]
         node, slot = source.children(first, stop)
+        if channel is None:
+            with np.errstate(over="ignore", invalid="ignore"):  # what a slot with a child holds is no value
+                values[1][first:stop] = values[0][first:stop]
+        else:
+            is_tile = np.ones((stop - first, source.slots), np.bool_)
+            is_tile[node - first, slot] = False
+            values[1][first:stop][is_tile] = channel[values[0][first:stop][is_tile]]
         at = source.begin + node * source.size + offsets[0][node, slot]
         child = np.searchsorted(old_starts, at)
         parent[child] = node

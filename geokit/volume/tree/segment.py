@@ -18,7 +18,7 @@ from geokit.volume.tree.typed_tree import (
     tree_of_leaves,
     voxelized_tree,
 )
-from geokit.volume.tree.typed_writer import built
+from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["mask_of", "segmented"]
 
@@ -32,7 +32,7 @@ def segmented(volume: SparseVolume, parts_of: Callable[[SparseVolume], list[Spar
         values = np.array(tree.values[rows_in(tree.origins, own.origins)])
         values[~bits_of(own.masks)] = tree.background
         alone = tree_of_leaves(tree.layout, tree.background, own.origins, own.masks, values)
-        found.append(built(alone, volume))
+        found.append(rebuilt(alone, volume))
     return found
 
 
@@ -57,4 +57,4 @@ def mask_of(volume: SparseVolume) -> SparseVolume:
         states(tree.upper),
         RootTiles(root.origins, root.active, root.active),
     )
-    return built(mask, volume)
+    return rebuilt(mask, volume)

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.layout import GridLayout
-from geokit.volume.tree.build_float import NO_BOX, local_boxes
 from geokit.volume.tree.typed_tree import bits_of
 
 __all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
 
+# A box that adds nothing to the union with another.
+NO_BOX = np.array([[[np.iinfo(np.int32).max] * 3, [np.iinfo(np.int32).min] * 3]], np.int32)
 _BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
+_FIRST_BIT = np.array([8] + [(i & -i).bit_length() - 1 for i in range(1, 256)], np.int8)
+_LAST_BIT = np.array([i.bit_length() - 1 for i in range(256)], np.int8)
 
 
 class Items(NamedTuple):
@@ -58,7 +61,7 @@ def items_of_leaves(
     part: slice,
 ) -> int:
     """Fill a part of ``out`` from leaves; returns the number of their active voxels."""
-    local = local_boxes(masks)
+    local = _local_boxes(masks)
     some = local[:, 0, 0] <= local[:, 1, 0]
     out.boxes[part] = np.where(some[:, None, None], local + origins[:, None, :], NO_BOX)
     if layout.leaf_bits > 1:
@@ -118,6 +121,22 @@ def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
         out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
         out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
     return out
+
+
+def _local_boxes(packed: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """First and last active voxel of leaves within themselves, shape (L, 2, 3); first > last where none is active."""
+    planes = packed.view("<u8")
+    columns = np.bitwise_or.reduce(planes, axis=1, keepdims=True).view(np.uint8)
+    rows = np.bitwise_or.reduce(columns, axis=1, keepdims=True)
+    used = np.concatenate(
+        [
+            np.packbits(planes != 0, axis=1, bitorder="little"),
+            np.packbits(columns != 0, axis=1, bitorder="little"),
+            rows,
+        ],
+        axis=1,
+    )
+    return np.stack([_FIRST_BIT[used], _LAST_BIT[used]], axis=1).astype(np.int32)
 
 
 def _keys(layout: GridLayout, values: NDArray[Any]) -> NDArray[Any]:

@@ -18,7 +18,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
-from geokit.volume.tree.node_places import ROOT_BITS
+from geokit.volume.tree.root_table import root_origins, root_tile_type
 
 __all__ = [
     "VALUE_TYPES",
@@ -28,7 +28,6 @@ __all__ = [
     "bits_of",
     "differs",
     "leaf_values_begin",
-    "root_tile_type",
     "rows_in",
     "slot_of",
     "tree_of",
@@ -142,18 +141,6 @@ def leaf_values_begin(layout: GridLayout) -> int:
     return 80 if layout.name == "bool" else layout.leaf_size - LEAF_VOXELS * layout.background.itemsize
 
 
-def root_tile_type(layout: GridLayout) -> np.dtype[Any]:
-    """An entry of the root's table as a NumPy type."""
-    return np.dtype(
-        {
-            "names": ["key", "child", "state", "value"],
-            "formats": ["<u8", "<i8", "<u4", layout.background],
-            "offsets": [0, 8, 16, -(-20 // layout.align) * layout.align],
-            "itemsize": layout.root_tile_size,
-        }
-    )
-
-
 def tree_of(volume: SparseVolume) -> TypedTree:
     """The tree of a grid of one of VALUE_TYPES.
 
@@ -176,7 +163,7 @@ def tree_of(volume: SparseVolume) -> TypedTree:
     entries = int(buffer[begins[3] + 24 : begins[3] + 28].view("<u4")[0])
     at = begins[3] + layout.root_size
     table = buffer[at : at + entries * layout.root_tile_size].view(root_tile_type(layout))
-    origins = _root_origins(table["key"])
+    origins = root_origins(table["key"])
     is_tile = table["child"] == 0
     root = RootTiles(origins[is_tile], table["value"][is_tile], table["state"][is_tile] != 0)
     first = np.empty((counts[2], 3), np.int32)
@@ -311,13 +298,6 @@ def _leaf_contents(
     element = kind.base.itemsize
     shape = (count, LEAF_VOXELS, *kind.shape)
     return masks, np.ndarray(shape, kind.base, buffer, at, (size, kind.itemsize, element)[: len(shape)])
-
-
-def _root_origins(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
-    low = (1 << 21) - 1
-    at = np.stack([(keys >> np.uint64(shift)).astype(np.int64) & low for shift in (42, 21, 0)], axis=1)
-    at = np.where(at >= 1 << (ROOT_BITS - 1), at - (1 << ROOT_BITS), at)
-    return (at << 12).astype(np.int32)
 
 
 def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.int64]:

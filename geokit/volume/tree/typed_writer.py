@@ -1,4 +1,4 @@
-"""Building NanoVDB grids of any value type from their leaves and tiles, with the head of another grid."""
+"""Building NanoVDB grids of any value type from their leaves and tiles, on the host."""
 
 from __future__ import annotations
 
@@ -22,19 +22,18 @@ from geokit.volume.nanovdb.header import (
     HEAD_SIZE,
     TREE_OFFSET,
     aligned_buffer,
-    encoded_name,
     grid_header,
-    grid_name,
     info_of,
     tree_header,
 )
-from geokit.volume.nanovdb.header_options import write_transform
+from geokit.volume.nanovdb.header_options import write_header
 from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LEAF_VOXELS, GridLayout
-from geokit.volume.tree.node_places import root_keys_of, root_span
+from geokit.volume.tree.grid_head import GridHead, head_like
+from geokit.volume.tree.root_table import root_keys_of, root_span, root_tile_type
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
-from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, leaf_values_begin, root_tile_type, slot_of
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, leaf_values_begin, slot_of
 
-__all__ = ["built"]
+__all__ = ["build_grid", "rebuilt"]
 
 # Leaves that a thread works on at a time: 256 of them are half a megabyte of floats, which stays in the cache.
 LEAVES_AT_A_TIME = 256
@@ -66,11 +65,24 @@ class _Places(NamedTuple):
     upper_row: NDArray[np.int64]
 
 
-def built(tree: TypedTree, like: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
-    """A volume with given leaves and tiles, and name, class, metadata and (unless one is given) transform of another.
+def rebuilt(tree: TypedTree, volume: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
+    """A volume with another tree, and name, class, metadata and (unless one is given) the transform of ``volume``."""
+    buffer = build_grid(tree, head_like(volume, tree.layout, tree.background, transform))
+    info = info_of(buffer, name=volume.info.name)
+    return SparseVolume(buffer, replace(info, grid_class=volume.info.grid_class, metadata=volume.info.metadata))
+
+
+def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
+    """A NanoVDB grid of any value type from its leaves and tiles.
 
     Nodes that the leaves need and the tree does not have are filled with the tile in whose place they come, that of the
     root included. Every node gets its box and its extrema (of vectors by length), no averages.
+
+    Args:
+        tree: Of the layout and background of ``head``.
+        head: What the grid is to be.
+    Returns:
+        The grid: uint8, 32-byte aligned, read-only.
     """
     layout = tree.layout
     places = _places(tree)
@@ -82,15 +94,13 @@ def built(tree: TypedTree, like: SparseVolume, transform: NDArray[np.float64] | 
     lower_begin = upper_begin + len(keys) * layout.upper_size
     leaf_begin = lower_begin + len(places.lower_upper) * layout.lower_size
     tree_end = leaf_begin + len(tree.origins) * layout.leaf_size
-    name = _name_block(like)
+    name = _name_block(head)
     # calloc's pages are zero until they are written: padding costs nothing.
     buffer = aligned_buffer(-(-(tree_end + len(name)) // ALIGNMENT) * ALIGNMENT, zeroed=True)
     buffer[tree_end : tree_end + len(name)] = name
     begins = (leaf_begin, lower_begin, upper_begin, root_begin)
     counts = (len(tree.origins), len(places.lower_upper), len(keys))
-    _write_heads(buffer, like, layout, begins, counts, tree_end, bool(len(name)))
-    if transform is not None:
-        write_transform(grid_header(buffer), transform)
+    _write_heads(buffer, head, begins, counts, tree_end)
 
     upper = _level_of(buffer, layout, upper_begin, len(keys), True)
     lower = _level_of(buffer, layout, lower_begin, len(places.lower_upper), False)
@@ -122,8 +132,7 @@ def built(tree: TypedTree, like: SparseVolume, transform: NDArray[np.float64] | 
     header["tile_count"], header["voxel_count"] = tile_counts, voxels
     grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
     buffer.setflags(write=False)
-    found = info_of(buffer, name=like.info.name)
-    return SparseVolume(buffer, replace(found, grid_class=like.info.grid_class, metadata=like.info.metadata))
+    return buffer
 
 
 def _places(tree: TypedTree) -> _Places:
@@ -339,32 +348,33 @@ def _write_root(
 
 def _write_heads(
     buffer: NDArray[np.uint8],
-    like: SparseVolume,
-    layout: GridLayout,
-    begins: tuple[int, ...],
-    counts: tuple[int, ...],
+    head: GridHead,
+    begins: tuple[int, int, int, int],
+    counts: tuple[int, int, int],
     tree_end: int,
-    has_name_block: bool,
 ) -> None:
-    buffer[:TREE_OFFSET] = like.nanovdb[:TREE_OFFSET]
-    grid, tree = grid_header(buffer), tree_header(buffer)
+    grid, tree, layout = grid_header(buffer), tree_header(buffer), head.layout
+    if head.header is None:
+        write_header(buffer, layout, head.options, len(buffer), begins, counts)
+    else:
+        buffer[:TREE_OFFSET] = head.header
+        tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
+        tree["node_count"] = counts
     grid["grid_type"] = GRID_TYPES.index(layout.name)
     grid["flags"] = (
         FLAG_BREADTH_FIRST
         | (FLAG_HAS_MIN_MAX if layout.leaf_bits > 1 else 0)
-        | (FLAG_LONG_NAME if has_name_block else 0)
+        | (FLAG_LONG_NAME if head.has_long_name else 0)
     )
     grid["grid_index"], grid["grid_count"], grid["grid_size"] = 0, 1, len(buffer)
-    grid["blind_offset"], grid["blind_count"] = tree_end, int(has_name_block)
-    tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
-    tree["node_count"] = counts
+    grid["blind_offset"], grid["blind_count"] = tree_end, int(head.has_long_name)
 
 
-def _name_block(like: SparseVolume) -> NDArray[np.uint8]:
+def _name_block(head: GridHead) -> NDArray[np.uint8]:
     """A name too long for the header as a block of blind data; that of other programs may go with the old voxels."""
-    if not int(grid_header(like.nanovdb)["flags"]) & FLAG_LONG_NAME:
+    if not head.has_long_name:
         return np.empty(0, np.uint8)
-    text = encoded_name(grid_name(like.nanovdb)) + b"\0"
+    text = head.options.name + b"\0"
     block = np.zeros(BLIND_DATA.itemsize + len(text), np.uint8)
     entry = block[: BLIND_DATA.itemsize].view(BLIND_DATA)[0]
     entry["offset"], entry["value_count"], entry["value_size"] = BLIND_DATA.itemsize, len(text), 1

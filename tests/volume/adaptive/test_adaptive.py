@@ -22,8 +22,8 @@ from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.space import world_to_index
-from geokit.volume.tree.build_float import build_float_grid
 from tests.support import mesh_catalog, reference
+from tests.support.float_grids import build_float_grid
 
 SIZE = 0.4
 TOLERANCE = 0.01

@@ -15,7 +15,7 @@ from geokit.mesh._hausdorff import hausdorff
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.reference import closest_point
 from tests.support.typed_grids import TypedGrid
 

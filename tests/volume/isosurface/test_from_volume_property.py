@@ -12,7 +12,7 @@ from geokit.mesh._from_volume import from_volume
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 VOXELS = np.array(list(np.ndindex(8, 8, 8)))

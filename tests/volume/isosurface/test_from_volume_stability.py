@@ -12,8 +12,8 @@ from geokit.mesh._surface import Surface
 from geokit.volume._from_mesh import from_mesh
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
 from tests.support import mesh_catalog
+from tests.support.float_grids import build_float_grid
 
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 HALF_WIDTH = 3.0

@@ -113,26 +113,26 @@ VOXELS_AROUND = np.stack(np.meshgrid(*AROUND, indexing="ij"), axis=-1).reshape(-
 def clipped_to_the_root_tile(typed):
     """The typed grid with a leaf whose last voxels lie beside its tile of the root."""
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     tree = tree_of(typed.volume)
     masks = np.concatenate([tree.masks, np.full((1, 64), 255, np.uint8)])
     origins = np.concatenate([tree.origins, np.array([[4088, 0, 0]], np.int32)])
     values = np.concatenate([tree.values, tree.values[:1]])
-    return built(replace(tree, origins=origins, masks=masks, values=values), typed.volume)
+    return rebuilt(replace(tree, origins=origins, masks=masks, values=values), typed.volume)
 
 
 @pytest.mark.parametrize("corner", [2**31 - 8, -(2**31)])
 def test_growth_ends_where_indices_do(corner):
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     source = tiled("int32")
     tree = tree_of(source)
     leaf = np.full((1, 3), corner, np.int32)
     masks, values = np.full((1, 64), 255, np.uint8), np.ones((1, 512), np.int32)
     none = tree.upper.rows(slice(0, 0))
-    alone = built(replace(tree, origins=leaf, masks=masks, values=values, upper=none), source)
+    alone = rebuilt(replace(tree, origins=leaf, masks=masks, values=values, upper=none), source)
     grown = dilate(alone, voxels=1, device="cpu")
     # Across three of six faces there is nothing.
     assert grown.info.active_voxel_count == 512 + 3 * 64
@@ -157,7 +157,7 @@ def tiled(grid_type):
     """One active tile of 128^3 voxels, at (-128, -128, -128)."""
     from geokit.volume.nanovdb.layout import LAYOUTS
     from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     layout = LAYOUTS[grid_type]
     kind = layout.background
@@ -174,7 +174,7 @@ def tiled(grid_type):
         Nodes(np.full((1, 3), -4096, np.int32), values, active),
         RootTiles(none, np.empty(0, kind), np.empty(0, np.bool_)),
     )
-    return built(tree, from_dense(np.zeros((1, 1, 1)), voxel_size=1.0))
+    return rebuilt(tree, from_dense(np.zeros((1, 1, 1)), voxel_size=1.0))
 
 
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -221,12 +221,12 @@ def test_integer_vectors_stay_integers(tmp_path):
 def integers_in(volume):
     """The buffer of a grid, with its values rounded."""
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     tree = tree_of(volume)
     lower = tree.lower._replace(values=np.round(tree.lower.values))
     rounded = replace(tree, background=np.round(tree.background), values=np.round(tree.values), lower=lower)
-    return built(rounded, volume).nanovdb
+    return rebuilt(rounded, volume).nanovdb
 
 
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -368,11 +368,11 @@ def test_index_grids_are_refused_by_name(operation):
 def test_too_many_voxels_in_tiles_are_refused():
     from geokit.errors import DeviceMemoryError
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     typed = TypedGrid("double")
     tree = tree_of(typed.volume)
-    on = built(replace(tree, root=tree.root._replace(active=np.ones(1, np.bool_))), typed.volume)
+    on = rebuilt(replace(tree, root=tree.root._replace(active=np.ones(1, np.bool_))), typed.volume)
     assert on.info.active_voxel_count == 1024 + 4096**3
     with pytest.raises(DeviceMemoryError, match="the active tiles of grid 'test' need about"):
         dilate(on, voxels=1, device="cpu")

@@ -42,7 +42,7 @@ from geokit.volume.nanovdb.header import (
 )
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS
 from geokit.volume.nanovdb.write import write
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.sphere_volumes import ROTATED, sphere
 
 WARP = Path(wp.__file__).parent

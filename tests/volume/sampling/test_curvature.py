@@ -10,7 +10,7 @@ from geokit.volume._curvature import Curvatures, curvature, hessian
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
 from tests.support.sphere_volumes import VOXELS
 from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid

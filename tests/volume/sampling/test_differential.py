@@ -136,11 +136,11 @@ class TestRefusals:
             operation(field(quadratic))
 
     def test_tiles_beyond_memory(self, monkeypatch):
+        from geokit.core import available_memory
         from geokit.errors import DeviceMemoryError
         from geokit.volume._topology import prune
-        from geokit.volume.tree import leaves
 
         tiles = prune(field(lambda p: np.full(len(p), 2.0)))
-        monkeypatch.setattr(leaves.available_memory, "available_host", lambda: 1000)
+        monkeypatch.setattr(available_memory, "available_host", lambda: 1000)
         with pytest.raises(DeviceMemoryError, match="active tiles"):
             gradient_field(tiles)

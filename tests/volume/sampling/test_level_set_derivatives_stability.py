@@ -10,7 +10,7 @@ from geokit.volume._curvature import curvature
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.sphere_volumes import sphere_leaves
 
 RADIUS = 30.0

@@ -12,7 +12,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
 from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
 

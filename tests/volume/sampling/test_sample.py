@@ -14,7 +14,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
 
 # Seven float64 interpolations and three of the coordinates: some tens of roundings of 1.1e-16, values below 300.

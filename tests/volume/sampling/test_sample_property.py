@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 
 EXAMPLES = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**32 - 1)

@@ -8,7 +8,7 @@ import pytest
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 
 # Fractions with 20 bits: together with coordinates below 2^31 they are exact in float64.
 FRACTION_STEP = 2.0**-20

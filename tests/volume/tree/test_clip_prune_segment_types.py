@@ -165,13 +165,13 @@ def test_pruning_makes_tiles(grid_type):
 @pytest.mark.parametrize("grid_type", ["mask", "uint32"])
 def test_pruning_of_a_node_full_of_tiles(grid_type):
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     source = TypedGrid(grid_type).volume
     steps = np.stack(np.unravel_index(np.arange(4096), (16, 16, 16)), axis=1).astype(np.int32) * 8
     ones = np.ones((4096, 512), bool if grid_type == "mask" else np.uint32)
     tree = replace(tree_of(source), origins=steps + 256, masks=np.full((4096, 64), 255, np.uint8), values=ones)
-    result = prune(built(tree, source))
+    result = prune(rebuilt(tree, source))
     header = tree_header(result.nanovdb)
     assert header["node_count"][0] == 0
     assert header["tile_count"].tolist() == [0, 1, 0]
@@ -230,11 +230,11 @@ def test_statistics_of_leaves_and_tiles(grid_type):
 
 def test_statistics_of_a_tile_of_the_root():
     from geokit.volume.tree.typed_tree import tree_of
-    from geokit.volume.tree.typed_writer import built
+    from geokit.volume.tree.typed_writer import rebuilt
 
     typed = TypedGrid("int32")
     tree = tree_of(typed.volume)
-    on = built(replace(tree, root=tree.root._replace(active=np.ones(1, np.bool_))), typed.volume)
+    on = rebuilt(replace(tree, root=tree.root._replace(active=np.ones(1, np.bool_))), typed.volume)
     found = statistics(on)
     count = 1024 + 4096**3
     assert found.count == count

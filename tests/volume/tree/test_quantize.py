@@ -18,8 +18,8 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import grid_header, info_of, tree_header
-from geokit.volume.tree.build_float import build_float_grid
-from geokit.volume.tree.quantized_leaves import BITS, thresholds, unpack
+from geokit.volume.tree.leaf_codecs import BITS, thresholds, unpack
+from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.sphere_volumes import ROTATED, sphere
 from tests.support.typed_grids import QUANTISED, TypedGrid

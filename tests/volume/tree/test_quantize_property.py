@@ -13,7 +13,7 @@ from geokit.volume._quantize import quantize
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 CODECS = ["fp4", "fp8", "fp16"]

@@ -12,7 +12,7 @@ from geokit.volume._quantize import quantize
 from geokit.volume._sample import gradient
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.tree.build_float import build_float_grid
+from tests.support.float_grids import build_float_grid
 from tests.support.sphere_volumes import sphere
 
 

@@ -15,8 +15,8 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode
 from geokit.volume.nanovdb.header import info_of, tree_header
 from geokit.volume.nanovdb.write import write
-from geokit.volume.tree.build_float import allocate_float_grid, build_float_grid, finish
 from geokit.volume.tree.flood_signs import flood
+from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.sphere_volumes import ROTATED, VOXELS, lookup, sphere, sphere_distance, sphere_leaves
 
@@ -99,16 +99,6 @@ def test_leaf_order_and_packed_masks_do_not_matter():
     assert np.array_equal(first, second)
 
 
-def test_filling_in_place_is_the_same_as_building():
-    origins, values, masks = sphere_leaves(20.0)
-    layout = allocate_float_grid(origins, **OPTIONS)
-    assert np.array_equal(layout.leaf_origins, origins[layout.order])
-    layout.values[:] = values[layout.order]
-    layout.masks[:] = np.packbits(masks, axis=1, bitorder="little")[layout.order]
-    assert finish(layout) is layout.buffer
-    assert np.array_equal(layout.buffer, build_float_grid(origins, values, masks, **OPTIONS))
-
-
 def test_counts_boxes_and_extrema_are_those_of_the_active_voxels():
     origins, values, masks = sphere_leaves(20.0, (-70, 5, 400))
     buffer = build_float_grid(origins, values, masks, **OPTIONS)
@@ -170,19 +160,14 @@ def test_the_header_says_what_was_asked_for():
     assert info.voxel_size == pytest.approx([0.1, 0.1, 0.1], rel=1e-15)
 
 
-@pytest.mark.parametrize("checksum", ["partial", "full"])
-def test_the_checksum_matches(checksum):
-    origins, values, masks = sphere_leaves(12.0)
-    layout = allocate_float_grid(origins, **OPTIONS)
-    layout.values[:], layout.masks[:] = (
-        values[layout.order],
-        np.packbits(masks, axis=1, bitorder="little")[layout.order],
-    )
-    buffer = finish(layout, checksum=checksum)
-    assert checksum_mode(buffer) == checksum
+def test_the_checksum_matches_and_covers_headers_and_root():
+    buffer = build_float_grid(*sphere_leaves(12.0), **OPTIONS)
+    assert checksum_mode(buffer) == "partial"
     assert checksum_matches(buffer)
     buffer[len(buffer) - 100] ^= 1
-    assert checksum_matches(buffer) == (checksum == "partial")
+    assert checksum_matches(buffer)
+    buffer[800] ^= 1
+    assert not checksum_matches(buffer)
 
 
 def test_buffers_start_where_nanovdb_wants_them():
@@ -218,8 +203,9 @@ def test_unusable_options_are_refused(change, argument):
     ],
 )
 def test_unusable_origins_are_refused(origins, text):
+    rows = np.ones((len(origins), 512), np.float32), np.ones((len(origins), 512), np.bool_)
     with pytest.raises(InputError, match=text):
-        allocate_float_grid(np.array(origins), **OPTIONS)
+        build_float_grid(np.array(origins), *rows, **OPTIONS)
 
 
 def test_rows_must_belong_to_leaves():

@@ -1,0 +1,93 @@
+"""The root of a grid: keys of its entries, tiles between upper nodes, and the grid's world box."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import InputError
+from geokit.volume.nanovdb.header import FLAG_HAS_BBOX, grid_header
+from geokit.volume.nanovdb.layout import GridLayout
+
+__all__ = ["root_keys_of", "root_origins", "root_span", "root_tile_type", "with_gaps"]
+
+# Tiles between upper nodes are written one by one: this many are 2 MiB and cover 2.7e8 voxels of solid along an axis.
+LARGEST_GAP_TILES = 1 << 16
+# Of a coordinate in the key of an entry of the root.
+ROOT_BITS = 20
+
+
+def root_tile_type(layout: GridLayout) -> np.dtype[Any]:
+    """An entry of the root's table as a NumPy type."""
+    return np.dtype(
+        {
+            "names": ["key", "child", "state", "value"],
+            "formats": ["<u8", "<i8", "<u4", layout.background],
+            "offsets": [0, 8, 16, -(-20 // layout.align) * layout.align],
+            "itemsize": layout.root_tile_size,
+        }
+    )
+
+
+def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
+    """Keys of the root's entries for voxels (N, 3)."""
+    # 20 bits of each coordinate, negative ones wrapped as NanoVDB does by shifting unsigned.
+    x, y, z = voxels.T.astype(np.int64) >> 12 & ((1 << ROOT_BITS) - 1)
+    return np.asarray((x << 42 | y << 21 | z).astype(np.uint64))
+
+
+def with_gaps(
+    uppers: NDArray[np.uint64], fill_gaps: bool
+) -> tuple[NDArray[np.uint64], NDArray[np.int64], list[tuple[int, int, int]]]:
+    """The root's table, with a tile for every place between two upper nodes on one line along z."""
+    numbers = np.arange(len(uppers))
+    if not fill_gaps or len(uppers) < 2:
+        return uppers, numbers, []
+    line = uppers >> np.uint64(21)
+    # Signed z decides what lies between: the keys' own order puts negative ones last.
+    z = (uppers & np.uint64((1 << 21) - 1)).astype(np.int64)
+    z = np.where(z >= 1 << 19, z - (1 << 20), z)
+    order = np.lexsort((z, line))
+    below, above = order[:-1], order[1:]
+    missing = np.where(line[below] == line[above], z[above] - z[below] - 1, 0)
+    if missing.sum() > LARGEST_GAP_TILES:
+        raise InputError(
+            f"leaf_origins: {int(missing.sum())} empty nodes of 4096^3 voxels lie between the leaves, more than "
+            f"{LARGEST_GAP_TILES}; use larger voxels or a volume per object"
+        )
+    pair = np.repeat(np.arange(len(below)), missing)
+    step = np.arange(len(pair)) - np.repeat(np.cumsum(missing) - missing, missing)
+    tile_z = (z[below][pair] + 1 + step) & ((1 << 20) - 1)
+    tiles = line[below][pair] << np.uint64(21) | tile_z.astype(np.uint64)
+    keys = np.concatenate([uppers, tiles])
+    rank = np.argsort(keys, kind="stable")
+    child = np.concatenate([numbers, np.full(len(tiles), -1)])[rank]
+    row_of = np.empty(len(keys), np.int64)
+    row_of[rank] = np.arange(len(keys))
+    rows = row_of[len(uppers) :]
+    gaps = list(zip(rows.tolist(), below[pair].tolist(), above[pair].tolist(), strict=True))
+    return keys[rank], child, gaps
+
+
+def root_origins(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
+    """First voxels (N, 3) of the root's entries with the given keys."""
+    low = (1 << 21) - 1
+    at = np.stack([(keys >> np.uint64(shift)).astype(np.int64) & low for shift in (42, 21, 0)], axis=1)
+    at = np.where(at >= 1 << (ROOT_BITS - 1), at - (1 << ROOT_BITS), at)
+    return (at << 12).astype(np.int32)
+
+
+def root_span(buffer: NDArray[np.uint8], box: NDArray[np.int32] | None) -> None:
+    """Store the grid's world box; its upper corner is the far side of the last voxel, as NanoVDB has it."""
+    grid = grid_header(buffer)
+    if box is None:
+        limits = np.finfo(np.float64)
+        grid["world_bbox"] = [limits.max] * 3 + [limits.min] * 3
+        return
+    ends = np.stack([box[0].astype(np.float64), box[1].astype(np.float64) + 1.0])
+    corners = np.array(np.meshgrid(*ends.T, indexing="ij")).reshape(3, -1)
+    world = grid["matrix"].reshape(3, 3) @ corners + grid["vector"][:, None]
+    grid["world_bbox"] = np.concatenate([world.min(axis=1), world.max(axis=1)])
+    grid["flags"] |= FLAG_HAS_BBOX
