@@ -41,6 +41,7 @@ SANITIZERS = [
     "-shared-libsan",
     "-fno-omit-frame-pointer",
 ]
+FUSED = re.compile(r"(#\s*pragma clang fp contract\()fast")
 # Not optimized: clang removes loads whose values are not used before its address sanitizer sees them, and takes three
 # times as long.
 LEVEL = ["-O0", "-g1"]
@@ -96,22 +97,30 @@ class Fault(NamedTuple):
     replacement: str
 
 
-def build(source: Path, name: str, clang: Clang, fault: Fault | None = None) -> Path:
+def is_fused(source: Path) -> bool:
+    """Whether a text lets compilers fuse products and sums: each does so where it likes, and rounds as it does."""
+    return FUSED.search(source.read_text(encoding="utf-8")) is not None
+
+
+def build(source: Path, name: str, clang: Clang, fault: Fault | None = None, *, plain: bool = False) -> Path:
     """The shared library of a generated file.
 
     Args:
         source: C++ that warp generated.
         name: Of the module; the library and the copy of its text that findings name begin with it.
         clang: From :func:`find_clang`.
-        fault: Planted where it is for this module.
+        fault: Planted where it is for this module, unless plain.
+        plain: Optimized and without sanitizers, for results to compare with.
     """
     BUILT.mkdir(parents=True, exist_ok=True)
     text = source.read_text(encoding="utf-8")
-    if fault is not None and fault.module == name:
+    text = FUSED.sub(r"\1off", text)
+    if fault is not None and fault.module == name and not plain:
         text, count = re.subn(fault.pattern, fault.replacement, text, count=1)
         if count == 0:
             raise ValueError(f"{source} has nothing that matches {fault.pattern!r}")
-    flags = [*LANGUAGE, *SANITIZERS, f"-fsanitize-ignorelist={HERE / 'ignored.txt'}", *LEVEL]
+    watched = [*SANITIZERS, f"-fsanitize-ignorelist={HERE / 'ignored.txt'}", *LEVEL]
+    flags = [*LANGUAGE, *(["-O1"] if plain else watched)]
     digest = hashlib.sha256()
     digest.update("\0".join([text, *flags, (HERE / "ignored.txt").read_text(), *clang, wp.__version__]).encode())
     stem = f"{name}_{digest.hexdigest()[:12]}"

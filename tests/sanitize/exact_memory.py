@@ -6,24 +6,18 @@ import ctypes
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import numpy as np
 import warp as wp
 
 # Addresses are 16 more than a multiple of this: malloc promises no better, and kernels may not count on luck.
 ALIGNMENT = 64
 PROMISED = 16
-# Differences of fused products and sums, in parts of an array's largest number: float32, after some cancellation.
-FUSED = 1e-4
-# Share of the numbers that may differ more: signs and radii that a rounding decides.
-DECIDED = 0.01
 
 
 class Part(NamedTuple):
-    """An array of a launch: its descriptor, the type of its numbers, and the memory that its elements span."""
+    """An array of a launch: its descriptor and the memory that its elements span."""
 
     name: str
     descriptor: Any
-    scalar: Any
     start: int
     end: int
 
@@ -32,7 +26,6 @@ class Region(NamedTuple):
     """Memory that one array spans, or several that overlap; and the copy."""
 
     names: tuple[str, ...]
-    scalars: frozenset[Any]
     start: int
     size: int
     copy: int
@@ -50,14 +43,10 @@ def _parts(name: str, kind: Any, value: Any) -> Iterator[Part]:
             raise TypeError(f"{name}: arrays of the kind {type(value).__name__} are not known here")
         if value.data:
             size = wp._src.types.type_size_in_bytes(kind.dtype)
-            yield Part(name, value, _scalar(kind.dtype), *_span(value, size))
+            yield Part(name, value, *_span(value, size))
     elif isinstance(kind, wp._src.codegen.Struct):
         for label, variable in kind.vars.items():
             yield from _parts(f"{name}.{label}", variable.type, getattr(value, label))
-
-
-def _scalar(dtype: Any) -> Any:
-    return None if isinstance(dtype, wp._src.codegen.Struct) else wp._src.types.type_scalar_type(dtype)
 
 
 def _span(descriptor: Any, item: int) -> tuple[int, int]:
@@ -94,8 +83,7 @@ class ExactMemory:
             ctypes.memmove(copy, start, end - start)
             for part in group:
                 part.descriptor.data = copy + (part.descriptor.data - start)
-            names, scalars = tuple(part.name for part in group), frozenset(part.scalar for part in group)
-            regions.append(Region(names, scalars, start, end - start, copy))
+            regions.append(Region(tuple(part.name for part in group), start, end - start, copy))
         return regions
 
     def _room(self, like: int, size: int) -> int:
@@ -130,30 +118,18 @@ def _overlapping(found: list[Part]) -> Iterator[list[Part]]:
         yield group
 
 
-def differing(regions: list[Region], *, fused: bool) -> list[str]:
-    """Names of the arrays that the two runs left with different numbers, and where the first differs.
+def differing(regions: list[Region], others: list[Region] | None) -> list[str]:
+    """Names of the arrays that two runs left with different bytes, and where the first differs.
 
     Args:
-        regions: Copies that the sanitized kernel has worked on; the originals, on which warp's has.
-        fused: The kernel lets compilers fuse products and sums, which they do where they like: float numbers may then
-            differ by their rounding, and a few by what a rounding decides.
+        regions: Copies that the sanitized kernel has worked on.
+        others: Copies that another build has worked on; None where it has worked on the originals.
     """
     found = []
-    for region in regions:
-        ours, theirs = ctypes.string_at(region.copy, region.size), ctypes.string_at(region.start, region.size)
-        if ours == theirs or (fused and _are_near(ours, theirs, region.scalars)):
-            continue
-        at = next(k for k in range(region.size) if ours[k] != theirs[k])
-        found.append(f"{', '.join(region.names)}: byte {at} of {region.size}")
+    for index, region in enumerate(regions):
+        ours = ctypes.string_at(region.copy, region.size)
+        theirs = ctypes.string_at(others[index].copy if others else region.start, region.size)
+        if ours != theirs:
+            at = next(k for k in range(region.size) if ours[k] != theirs[k])
+            found.append(f"{', '.join(region.names)}: byte {at} of {region.size}")
     return found
-
-
-def _are_near(ours: bytes, theirs: bytes, scalars: frozenset[Any]) -> bool:
-    if scalars not in ({wp.float32}, {wp.float64}):
-        return False
-    (scalar,) = scalars
-    a, b = (np.frombuffer(memory, dtype=wp.dtype_to_numpy(scalar)).astype(np.float64) for memory in (ours, theirs))
-    with np.errstate(invalid="ignore"):
-        largest = np.abs(b[np.isfinite(b)]).max(initial=0.0)
-        near = (a == b) | (np.isnan(a) & np.isnan(b)) | (np.abs(a - b) <= FUSED * largest)
-    return bool((~near).sum() <= DECIDED * len(near))

@@ -38,10 +38,10 @@ def inl_files() -> list[str]:
     return sorted(path.relative_to(ROOT).as_posix() for path in PACKAGE.rglob("*.inl"))
 
 
-def has_kernels(name: str) -> bool:
-    """Whether a module has kernels of its own, so that warp compiles it."""
-    module = importlib.import_module(name)
-    return any(isinstance(value, wp.Kernel) and value.module.name == name for value in vars(module).values())
+def kernels_of(name: str) -> set[str]:
+    """The kernels of a module; none where it holds functions or text only."""
+    values = vars(importlib.import_module(name)).values()
+    return {value.key for value in values if isinstance(value, wp.Kernel) and value.module.name == name}
 
 
 def source_of(name: str) -> Path:
@@ -55,7 +55,7 @@ def source_of(name: str) -> Path:
 def compiled_inl_files() -> set[str]:
     """The .inl files that are part of a kernel module which warp compiles."""
     found = set()
-    for name in filter(has_kernels, module_names()):
+    for name in filter(kernels_of, module_names()):
         found |= {region.path for region in regions(source_of(name).read_text(encoding="utf-8"))}
         module = vars(importlib.import_module(name))
         # Warp translates a generic kernel once a launch has chosen its types, and with it the functions that it calls.

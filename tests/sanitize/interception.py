@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from tests.sanitize.compiler import Clang, Fault, build, load_runtime
+from tests.sanitize.compiler import Clang, Fault, build, is_fused, load_runtime
 from tests.sanitize.exact_memory import ExactMemory, differing, parts
 from tests.sanitize.generated import source_beside
 
@@ -21,8 +21,6 @@ PER_KERNEL = 24
 PER_CALL = 3
 # Launches with more bytes are not looked at: calls are chosen so that each kernel has smaller ones.
 LARGEST = 1 << 27
-# Text of kernels whose results depend on what a compiler fuses.
-FUSED_TEXT = "clang fp contract(fast)"
 
 
 class Interception:
@@ -45,7 +43,7 @@ class Interception:
         self._log = log
         self._seen = 0  # characters of the log that earlier launches have left
         self._launches: Counter[Any] = Counter()
-        self._libraries: dict[Path, ctypes.CDLL] = {}
+        self._libraries: dict[Path, list[ctypes.CDLL]] = {}
         self._memory = ExactMemory()
         # Two slices of one launch write to one array: each has to see the same bytes twice.
         self._lock = threading.RLock()
@@ -91,12 +89,16 @@ class Interception:
         copy = kind.from_buffer_copy(arguments._obj)
         where = {"module": forward.kernel.module.name, "kernel": forward.kernel.key, "call": self.call}
         self._note(**where, items=int(bounds._obj.size), started=True)
-        regions = self._memory.copied(list(parts(forward.kernel, copy)))
+        second = kind.from_buffer_copy(arguments._obj)
         try:
+            regions = self._memory.copied(list(parts(forward.kernel, copy)))
+            others = self._memory.copied(list(parts(forward.kernel, second))) if forward.plain else None
             sanitized(bounds, ctypes.byref(copy))
             reported = self._reported()
+            if forward.plain:
+                forward.plain(bounds, ctypes.byref(second))
             forward.original(bounds, arguments)
-            different = differing(regions, fused=forward.fused)
+            different = differing(regions, others)
         finally:
             self._memory.free()
         if reported:
@@ -105,18 +107,19 @@ class Interception:
             self._note(**where, different=different)
 
     def _sanitized(self, forward: _Forward) -> Any:
-        source = source_beside(forward.executable)
-        library = self._libraries.get(source)
-        if library is None:
-            name = forward.kernel.module.name
+        source, name = source_beside(forward.executable), forward.kernel.module.name
+        libraries = self._libraries.get(source)
+        if libraries is None:
             print(f"sanitize: {name}", flush=True)
-            path = build(source, name, self._clang, self._fault)
-            library = self._libraries[source] = ctypes.CDLL(str(path))
-        function = getattr(library, f"{forward.symbol}_cpu_forward")
-        function.restype = None
-        forward.sanitized = function
-        forward.fused = FUSED_TEXT in source.read_text(encoding="utf-8")
-        return function
+            kinds = ("sanitized", "plain") if is_fused(source) else ("sanitized",)
+            built = [build(source, name, self._clang, self._fault, plain=kind == "plain") for kind in kinds]
+            libraries = self._libraries[source] = [ctypes.CDLL(str(path)) for path in built]
+        functions = [getattr(library, f"{forward.symbol}_cpu_forward") for library in libraries]
+        for function in functions:
+            function.restype = None
+        forward.sanitized = functions[0]
+        forward.plain = functions[1] if len(functions) > 1 else None
+        return forward.sanitized
 
     def _reported(self) -> str:
         """What the sanitizers have written since the last time."""
@@ -140,7 +143,8 @@ class _Forward:
         self.owner, self.executable, self.kernel, self.original = owner, executable, kernel, original
         self.symbol = executable.get_kernel_mangled_name(kernel)
         self.sanitized: Any = None
-        self.fused = False
+        # Another build whose results are to be the same, where those of warp's build cannot be.
+        self.plain: Any = None
 
     def __call__(self, bounds: Any, arguments: Any) -> None:
         self.owner.run(self, bounds, arguments)

@@ -34,7 +34,7 @@ def modules() -> list[Generated]:
     """Kernel modules that hold .inl files."""
     found = []
     for name in generated.module_names():
-        if generated.has_kernels(name):
+        if generated.kernels_of(name):
             source = generated.source_of(name)
             regions = tuple(generated.regions(source.read_text(encoding="utf-8")))
             if regions:
