@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import tempfile
 import warnings
@@ -17,6 +18,8 @@ from tests.sanitize.interception import Interception
 
 
 def main() -> None:
+    # Processes that geokit starts have their own limits of memory, which the sanitizer's reservations exceed.
+    os.environ.pop("LD_PRELOAD", None)
     config = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     wp.config.log_level = wp.LOG_WARNING
     wp.init()
