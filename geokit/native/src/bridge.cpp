@@ -10,9 +10,7 @@ namespace geokit {
 namespace {
 
 std::string dotted(int major, int minor, int patch)
-{
-    return std::to_string(major) + "." + std::to_string(minor) + "." + std::to_string(patch);
-}
+{ return std::to_string(major) + "." + std::to_string(minor) + "." + std::to_string(patch); }
 
 } // namespace
 
@@ -27,12 +25,11 @@ std::string read_vdb(const std::string& path, const std::vector<std::string>& na
 
 std::string openvdb_version()
 {
-    return dotted(OPENVDB_LIBRARY_MAJOR_VERSION_NUMBER, OPENVDB_LIBRARY_MINOR_VERSION_NUMBER, OPENVDB_LIBRARY_PATCH_VERSION_NUMBER);
+    return dotted(OPENVDB_LIBRARY_MAJOR_VERSION_NUMBER, OPENVDB_LIBRARY_MINOR_VERSION_NUMBER,
+        OPENVDB_LIBRARY_PATCH_VERSION_NUMBER);
 }
 
 std::string nanovdb_version()
-{
-    return dotted(NANOVDB_MAJOR_VERSION_NUMBER, NANOVDB_MINOR_VERSION_NUMBER, NANOVDB_PATCH_VERSION_NUMBER);
-}
+{ return dotted(NANOVDB_MAJOR_VERSION_NUMBER, NANOVDB_MINOR_VERSION_NUMBER, NANOVDB_PATCH_VERSION_NUMBER); }
 
 } // namespace geokit

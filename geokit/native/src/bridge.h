@@ -10,7 +10,8 @@
 namespace geokit {
 
 // Reads a trusted file (see VdbFile::read) into memory. Returns the JSON of json.h; the buffers are in its order.
-std::string read_vdb(const std::string& path, const std::vector<std::string>& names, std::vector<MappedBuffer>& buffers);
+std::string read_vdb(
+    const std::string& path, const std::vector<std::string>& names, std::vector<MappedBuffer>& buffers);
 
 // {"error": {"kind": ..., "message": ..., "names": [...]}}
 std::string to_json(const BridgeError& error);

@@ -42,19 +42,13 @@ MappedBuffer MappedBuffer::create(uint64_t size, const MappedBuffer* context)
         address = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     } else {
         const int file = ::open(context->path_.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
-        if (file < 0) {
-            throw BridgeError("spool", context->path_ + ": " + std::strerror(errno));
-        }
+        if (file < 0) { throw BridgeError("spool", context->path_ + ": " + std::strerror(errno)); }
         // Reserve the blocks now: a mapped page that the file system cannot provide later is a bus error.
         const int failure = ::posix_fallocate(file, 0, static_cast<off_t>(size));
-        if (failure == 0) {
-            address = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-        }
+        if (failure == 0) { address = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0); }
         ::close(file);
         if (failure == EFBIG) throw std::bad_alloc(); // the process may not write as much
-        if (failure != 0) {
-            throw BridgeError("spool", context->path_ + ": " + std::strerror(failure));
-        }
+        if (failure != 0) { throw BridgeError("spool", context->path_ + ": " + std::strerror(failure)); }
     }
     if (address == MAP_FAILED) throw std::bad_alloc();
     result.data_ = static_cast<uint8_t*>(address);

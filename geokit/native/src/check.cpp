@@ -44,12 +44,14 @@ public:
     {
         const uint64_t tree_at = sizeof(nanovdb::GridData);
         const auto* tree = at<nanovdb::TreeData<3>>(tree_at);
-        const uint64_t sizes[3] = {leaf_header_size(), sizeof(typename Lower::DataType), sizeof(typename Upper::DataType)};
+        const uint64_t sizes[3]
+            = {leaf_header_size(), sizeof(typename Lower::DataType), sizeof(typename Upper::DataType)};
         static const char* const names[3] = {"leaf", "lower node", "upper node"};
         for (int level = 0; level < 3; ++level) {
             const uint64_t count = tree->mNodeCount[level];
             if (count == 0) continue;
-            if (count > extent_.size / sizes[level]) damaged(std::string("more ") + names[level] + "s than fit into it");
+            if (count > extent_.size / sizes[level])
+                damaged(std::string("more ") + names[level] + "s than fit into it");
             // Only these counts and first-node offsets are used by readers that walk a level as an array.
             if (tree->mNodeOffset[level] != 0) {
                 const uint64_t span = Leaf::FIXED_SIZE || level > 0 ? count * sizes[level] : sizes[level];
@@ -63,9 +65,7 @@ public:
 private:
     template<typename T>
     const T* at(uint64_t offset) const
-    {
-        return reinterpret_cast<const T*>(extent_.begin + offset);
-    }
+    { return reinterpret_cast<const T*>(extent_.begin + offset); }
 
     static constexpr uint64_t leaf_header_size() { return sizeof(typename Leaf::DataType); }
 
@@ -98,7 +98,8 @@ private:
         const auto* upper = at<typename Upper::DataType>(upper_at);
         for (auto it = upper->mChildMask.beginOn(); it; ++it) {
             count(1);
-            check_lower(extent_.node(upper_at, upper->mTable[*it].child, sizeof(typename Lower::DataType), "lower node"));
+            check_lower(
+                extent_.node(upper_at, upper->mTable[*it].child, sizeof(typename Lower::DataType), "lower node"));
         }
     }
 
@@ -164,8 +165,10 @@ void check_nanovdb(const uint8_t* data, uint64_t size)
         || grid_class == nanovdb::GridClass::IndexGrid) {
         throw BridgeError("unsupported", "point and index grids cannot be converted");
     }
-    for (double value : grid->mMap.mMatD) if (!std::isfinite(value)) damaged("its transform is not finite");
-    for (double value : grid->mMap.mVecD) if (!std::isfinite(value)) damaged("its transform is not finite");
+    for (double value : grid->mMap.mMatD)
+        if (!std::isfinite(value)) damaged("its transform is not finite");
+    for (double value : grid->mMap.mVecD)
+        if (!std::isfinite(value)) damaged("its transform is not finite");
 
     const Extent extent{data, grid->mGridSize};
     check_name(*grid, extent);

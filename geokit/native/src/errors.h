@@ -17,8 +17,7 @@ namespace geokit {
 struct BridgeError : std::runtime_error {
     BridgeError(std::string kind_, const std::string& message, std::vector<std::string> names_ = {})
         : std::runtime_error(message), kind(std::move(kind_)), names(std::move(names_))
-    {
-    }
+    {}
     std::string kind;
     std::vector<std::string> names;
 };

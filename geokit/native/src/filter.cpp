@@ -40,7 +40,8 @@ void smooth_field(GridT& grid, const std::string& method, int width, int iterati
 MappedBuffer smooth(const uint8_t* data, const std::string& method, int width, int iterations, double voxel_size)
 {
     return on_real(to_openvdb(data), "smoothing", [&](auto& grid) {
-        if (grid.getGridClass() == openvdb::GRID_LEVEL_SET) smooth_level_set(grid, method, width, iterations, voxel_size);
+        if (grid.getGridClass() == openvdb::GRID_LEVEL_SET)
+            smooth_level_set(grid, method, width, iterations, voxel_size);
         else smooth_field(grid, method, width, iterations);
     });
 }

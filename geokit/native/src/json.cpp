@@ -44,7 +44,8 @@ std::string number(double value)
 
 std::string item_json(const MetadataItem& item)
 {
-    return "{\"name\": " + quoted(item.name) + ", \"type\": " + quoted(item.type) + ", \"hex\": " + hexadecimal(item.bytes) + "}";
+    return "{\"name\": " + quoted(item.name) + ", \"type\": " + quoted(item.type)
+        + ", \"hex\": " + hexadecimal(item.bytes) + "}";
 }
 
 std::string transform_json(const Affine& affine)

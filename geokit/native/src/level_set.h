@@ -19,7 +19,8 @@ MappedBuffer on_real(const openvdb::GridBase::Ptr& grid, const char* what, Op&& 
     const auto transform = grid->transformPtr();
     if (auto floats = openvdb::gridPtrCast<openvdb::FloatGrid>(grid)) op(*floats);
     else if (auto doubles = openvdb::gridPtrCast<openvdb::DoubleGrid>(grid)) op(*doubles);
-    else throw BridgeError("unsupported", std::string(what) + " needs a float or double grid, not " + grid->valueType());
+    else
+        throw BridgeError("unsupported", std::string(what) + " needs a float or double grid, not " + grid->valueType());
     grid->setTransform(transform);
     return to_nanovdb(grid);
 }

@@ -96,12 +96,14 @@ PolygonMesh volume_to_mesh(const uint8_t* data, double isovalue, double adaptivi
     initialize();
     const auto grid = to_openvdb(data);
     if (auto floats = openvdb::gridPtrCast<openvdb::FloatGrid>(grid)) return polygonise(*floats, isovalue, adaptivity);
-    if (auto doubles = openvdb::gridPtrCast<openvdb::DoubleGrid>(grid)) return polygonise(*doubles, isovalue, adaptivity);
-    throw BridgeError("unsupported", "a surface can be taken from float and double grids, not from " + grid->valueType());
+    if (auto doubles = openvdb::gridPtrCast<openvdb::DoubleGrid>(grid))
+        return polygonise(*doubles, isovalue, adaptivity);
+    throw BridgeError(
+        "unsupported", "a surface can be taken from float and double grids, not from " + grid->valueType());
 }
 
-MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const int32_t* triangles, size_t triangle_count,
-    double voxel_size, double half_width)
+MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const int32_t* triangles,
+    size_t triangle_count, double voxel_size, double half_width)
 {
     initialize();
     const MeshAdapter mesh{points, point_count, triangles, triangle_count, voxel_size};

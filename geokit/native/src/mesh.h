@@ -22,7 +22,7 @@ PolygonMesh volume_to_mesh(const uint8_t* data, double isovalue, double adaptivi
 
 // meshToVolume: a float level set, negative inside, with `half_width` voxels on either side of the surface.
 // `points` are world, (count, 3); `triangles` are (count, 3) and must lie in range.
-MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const int32_t* triangles, size_t triangle_count,
-    double voxel_size, double half_width);
+MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const int32_t* triangles,
+    size_t triangle_count, double voxel_size, double half_width);
 
 } // namespace geokit

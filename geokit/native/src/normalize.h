@@ -24,7 +24,8 @@ inline T weno(T a, T b, T c, T d, T e)
     const T s2 = curve * squared(b - T(2) * c + d) + quarter * squared(b - d) + tiny;
     const T s3 = curve * squared(c - T(2) * d + e) + quarter * squared(T(3) * c - T(4) * d + e) + tiny;
     const T w1 = T(0.1) / (s1 * s1), w2 = T(0.6) / (s2 * s2), w3 = T(0.3) / (s3 * s3);
-    const T sum = w1 * (T(2) * a - T(7) * b + T(11) * c) + w2 * (T(5) * c - b + T(2) * d) + w3 * (T(2) * c + T(5) * d - e);
+    const T sum
+        = w1 * (T(2) * a - T(7) * b + T(11) * c) + w2 * (T(5) * c - b + T(2) * d) + w3 * (T(2) * c + T(5) * d - e);
     return sum / (T(6) * (w1 + w2 + w3));
 }
 

@@ -33,12 +33,10 @@ namespace openvdb {
 OPENVDB_USE_VERSION_NAMESPACE
 namespace OPENVDB_VERSION_NAME {
 
-#define GEOKIT_CREATE_REGISTERED(GridT)                                                 \
-    template<>                                                                          \
-    inline GridT::Ptr createGrid<GridT>(const GridT::ValueType& background)             \
-    {                                                                                   \
-        return geokit::registered_grid<GridT>(background);                              \
-    }
+#define GEOKIT_CREATE_REGISTERED(GridT)                                                                                \
+    template<>                                                                                                         \
+    inline GridT::Ptr createGrid<GridT>(const GridT::ValueType& background)                                            \
+    { return geokit::registered_grid<GridT>(background); }
 
 GEOKIT_CREATE_REGISTERED(FloatGrid)
 GEOKIT_CREATE_REGISTERED(DoubleGrid)

@@ -120,9 +120,7 @@ void VdbFile::require_inside(const openvdb::io::GridDescriptor& descriptor) cons
 }
 
 std::string VdbFile::display_name(size_t i) const
-{
-    return openvdb::io::GridDescriptor::nameAsString(entries_[i].descriptor.uniqueName());
-}
+{ return openvdb::io::GridDescriptor::nameAsString(entries_[i].descriptor.uniqueName()); }
 
 std::vector<size_t> VdbFile::select(const std::vector<std::string>& names) const
 {
@@ -177,7 +175,8 @@ std::vector<ReadGrid> VdbFile::read(
     for (size_t i : selected) {
         const auto& type = entries_[i].descriptor.gridType();
         if (!is_convertible(type)) {
-            throw BridgeError("unsupported", "grid '" + display_name(i) + "' of type " + type + " has no NanoVDB counterpart");
+            throw BridgeError(
+                "unsupported", "grid '" + display_name(i) + "' of type " + type + " has no NanoVDB counterpart");
         }
     }
     std::vector<ReadGrid> results;
@@ -188,7 +187,8 @@ std::vector<ReadGrid> VdbFile::read(
         ReadGrid result;
         result.header = parsing(what.c_str(), [&] { return describe(*grid, i); });
         if (!result.header.transform) {
-            throw BridgeError("unsupported", "grid '" + display_name(i) + "' has a frustum transform; only affine ones can be converted");
+            throw BridgeError("unsupported",
+                "grid '" + display_name(i) + "' has a frustum transform; only affine ones can be converted");
         }
         grid->setName(result.header.name);
         if (!spool.empty()) result.path = spool + "/" + std::to_string(results.size());
@@ -231,7 +231,8 @@ GridHeader VdbFile::read_header(size_t i)
     readGridCompression(stream_);
     grid->readMeta(stream_);
     // Files older than this one (2012) hold the voxels in front of the transform.
-    if (openvdb::io::getFormatVersion(stream_) < openvdb::OPENVDB_FILE_VERSION_GRID_INSTANCING) return describe(*grid, i);
+    if (openvdb::io::getFormatVersion(stream_) < openvdb::OPENVDB_FILE_VERSION_GRID_INSTANCING)
+        return describe(*grid, i);
     grid->readTransform(stream_);
     auto header = describe(*grid, i);
     if (header.is_convertible && !descriptor.isInstance()) {

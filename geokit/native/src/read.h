@@ -20,11 +20,11 @@ namespace geokit {
 // One grid of a file, as its header tells.
 struct GridHeader {
     std::string name;
-    std::string grid_type;  // "Tree_float_5_4_3"
-    std::string grid_class; // "level set", "fog volume", "staggered", "unknown"
+    std::string grid_type;           // "Tree_float_5_4_3"
+    std::string grid_class;          // "level set", "fog volume", "staggered", "unknown"
     std::optional<Affine> transform; // none for a frustum
     std::vector<MetadataItem> metadata;
-    std::optional<MetadataItem> background; // only from inspect()
+    std::optional<MetadataItem> background;    // only from inspect()
     std::optional<int64_t> active_voxel_count; // where the file says
     std::optional<openvdb::CoordBBox> index_bounds;
     std::string compression;

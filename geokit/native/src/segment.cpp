@@ -33,8 +33,7 @@ public:
     Parts(const TreeT& tree, double voxel_size)
         : tree_(tree), background_(tree.background()), voxel_size_(voxel_size),
           layers_(int(std::ceil(double(tree.background()) / voxel_size)) + 1)
-    {
-    }
+    {}
 
     // The body whose inside is `inside`, alone.
     typename TreeT::Ptr part(const openvdb::BoolTree& inside) const
@@ -103,7 +102,8 @@ private:
                 const auto voxel = leaf.offsetToGlobalCoord(n);
                 if (own.isValueOn(voxel)) continue;
                 const ValueT distance = distances.getValue(voxel), value = field.getValue(voxel);
-                const bool is_own = value >= ValueT(0) && std::abs(distance - value) <= ValueT(kSameDistance * voxel_size_);
+                const bool is_own
+                    = value >= ValueT(0) && std::abs(distance - value) <= ValueT(kSameDistance * voxel_size_);
                 if (is_own) continue;
                 const bool is_near = distance < background_ && distances.isValueOn(voxel);
                 leaf.setValueOnly(n, is_near ? distance : background_);
@@ -123,7 +123,8 @@ std::vector<typename TreeT::Ptr> bodies(const TreeT& tree, double voxel_size, do
 {
     const auto inside = openvdb::tools::sdfInteriorMask(tree, typename TreeT::ValueType(0));
     if (kBytesPerMaskVoxel * double(inside->activeVoxelCount()) > memory_limit) {
-        throw BridgeError("memory", "the inside of the level set has too many voxels to be labelled; resample it first");
+        throw BridgeError(
+            "memory", "the inside of the level set has too many voxels to be labelled; resample it first");
     }
     std::vector<openvdb::BoolTree::Ptr> insides;
     openvdb::tools::segmentActiveVoxels(*inside, insides);

@@ -96,10 +96,10 @@ bool is_convertible(const std::string& grid_type)
 
 bool is_plausible_type(const std::string& grid_type)
 {
-    static const std::set<std::string> value_types = {"bool", "mask", "half", "float", "double", "int16", "int32", "int64",
-        "uint8", "uint16", "uint32", "uint64", "string", "vec2s", "vec2d", "vec2i", "vec2ui", "vec3s", "vec3d", "vec3i",
-        "vec3ui", "vec4s", "vec4d", "vec4i", "quats", "quatd", "mat3s", "mat3d", "mat4s", "mat4d", "ptidx32", "ptidx64",
-        "ptdataidx32", "ptdataidx64"};
+    static const std::set<std::string> value_types = {"bool", "mask", "half", "float", "double", "int16", "int32",
+        "int64", "uint8", "uint16", "uint32", "uint64", "string", "vec2s", "vec2d", "vec2i", "vec2ui", "vec3s", "vec3d",
+        "vec3i", "vec3ui", "vec4s", "vec4d", "vec4i", "quats", "quatd", "mat3s", "mat3d", "mat4s", "mat4d", "ptidx32",
+        "ptidx64", "ptdataidx32", "ptdataidx64"};
     const std::string prefix = "Tree_";
     if (grid_type.compare(0, prefix.size(), prefix) != 0) return false;
     const size_t end = grid_type.find('_', prefix.size());
@@ -110,9 +110,7 @@ bool is_plausible_type(const std::string& grid_type)
 }
 
 openvdb::GridClass class_after_round_trip(const openvdb::GridBase& grid)
-{
-    return keeps_class(grid) ? grid.getGridClass() : openvdb::GRID_UNKNOWN;
-}
+{ return keeps_class(grid) ? grid.getGridClass() : openvdb::GRID_UNKNOWN; }
 
 MappedBuffer to_nanovdb(const openvdb::GridBase::Ptr& base, const std::string& path)
 {

@@ -79,7 +79,8 @@ int main(int argc, char** argv)
     const bool is_read = arguments.size() >= 5 && arguments[0] == "read";
     if (!is_inspect && !is_read) {
         std::fputs("usage: geokit_vdb_worker inspect MEMORY CPU_SECONDS FILE\n"
-                   "       geokit_vdb_worker read MEMORY CPU_SECONDS FILE SPOOL_FOLDER [GRID...]\n", stderr);
+                   "       geokit_vdb_worker read MEMORY CPU_SECONDS FILE SPOOL_FOLDER [GRID...]\n",
+            stderr);
         return 2;
     }
     const uint64_t memory = std::strtoull(arguments[1].c_str(), nullptr, 10);

@@ -24,7 +24,8 @@ uint32_t compression_flags(const std::string& name)
     if (name == "blosc" && Archive::hasBloscCompression()) {
         return openvdb::io::COMPRESS_BLOSC | openvdb::io::COMPRESS_ACTIVE_MASK;
     }
-    throw BridgeError("input", "compression '" + name + "' is not one of none, zip, blosc, or OpenVDB was built without it");
+    throw BridgeError(
+        "input", "compression '" + name + "' is not one of none, zip, blosc, or OpenVDB was built without it");
 }
 
 // io::File ignores errors of its stream; a stream of our own throws when the disk is full.
@@ -40,14 +41,12 @@ public:
             flags &= ~uint32_t(openvdb::io::COMPRESS_ZIP);
         }
         grid.addStatsMetadata();
-        grid.insertMeta(openvdb::GridBase::META_FILE_COMPRESSION,
-            openvdb::StringMetadata(openvdb::io::compressionToString(flags)));
+        grid.insertMeta(
+            openvdb::GridBase::META_FILE_COMPRESSION, openvdb::StringMetadata(openvdb::io::compressionToString(flags)));
     }
 
     void save(std::ostream& stream, const openvdb::GridCPtrVec& grids) const
-    {
-        openvdb::io::Archive::write(stream, grids, /*seekable=*/true, openvdb::MetaMap());
-    }
+    { openvdb::io::Archive::write(stream, grids, /*seekable=*/true, openvdb::MetaMap()); }
 };
 
 bool take_vec3i_mark(std::vector<MetadataItem>& items)
@@ -63,7 +62,8 @@ bool take_vec3i_mark(std::vector<MetadataItem>& items)
 
 } // namespace
 
-void write_vdb(const std::string& path, const std::vector<WriteGrid>& sources, const std::string& compression, bool half)
+void write_vdb(
+    const std::string& path, const std::vector<WriteGrid>& sources, const std::string& compression, bool half)
 {
     initialize();
     VdbWriter writer;

@@ -1,0 +1,64 @@
+"""Kernels under clang's address and undefined-behavior sanitizers; and every .inl file is compiled somewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.sanitize import generated
+from tests.sanitize.__main__ import explained, sanitize
+from tests.sanitize.calls import NAMES
+from tests.sanitize.compiler import Clang, Fault, find_clang
+
+pytestmark = pytest.mark.slow
+
+# Kernels that no watched call launches on a CPU: those of CUDA, and those for larger inputs.
+UNWATCHED = Path(generated.__file__).with_name("unwatched.txt").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def clang() -> Clang:
+    found = find_clang()
+    if isinstance(found, str):
+        pytest.skip(f"needs {found}")
+    return found
+
+
+def test_kernels(clang: Clang) -> None:
+    outcome = sanitize([], clang)
+    assert not outcome.findings, "\n\n".join(explained(finding) for finding in outcome.findings)
+    kernels = {f"{name} {kernel}" for name in generated.module_names() for kernel in generated.kernels_of(name)}
+    assert sorted(kernels - {" ".join(pair) for pair in outcome.launches}) == UNWATCHED.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("replacement", "report"),
+    [
+        pytest.param(r"wp::address(\1, \2 + 1)", "heap-buffer-overflow", id="one element too far"),
+        pytest.param(r"wp::address(\1, \2 + (0x7fffffff + (\2 > 0)) * 0)", "signed integer overflow", id="overflow"),
+    ],
+)
+def test_a_planted_fault_is_found(clang: Clang, replacement: str, report: str) -> None:
+    module, call = "geokit.mesh.bvh.tree_kernels", "mesh.Surface.scan"
+    assert call in NAMES
+    outcome = sanitize([module], clang, calls=[call], fault=Fault(module, r"wp::address\((\w+), (\w+)\)", replacement))
+    assert outcome.launches
+    assert {finding.module for finding in outcome.findings} == {module}
+    assert report in outcome.findings[0].text
+    assert call in explained(outcome.findings[0])
+
+
+def test_a_planted_difference_is_found(clang: Clang) -> None:
+    # A kernel that answers differently under the sanitizer was not watched at all.
+    module, call = "geokit.mesh.bvh.tree_kernels", "mesh.Surface.scan"
+    fault = Fault(module, r"wp::array_store\((\w+), (\w+), (\w+)\)", r"wp::array_store(\1, \2, \3 + \3)")
+    outcome = sanitize([module], clang, calls=[call], fault=fault)
+    assert outcome.findings
+    assert "results differ" in outcome.findings[0].text
+
+
+def test_every_inl_file_is_compiled() -> None:
+    compiled = generated.compiled_inl_files()
+    dead = sorted(set(generated.inl_files()) - compiled)
+    assert not dead, f"no kernel module holds {', '.join(dead)}"
