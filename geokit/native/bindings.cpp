@@ -41,7 +41,8 @@ template<typename T, size_t N>
 nb::ndarray<nb::numpy, T, nb::shape<-1, N>> to_array(std::vector<std::array<T, N>>&& rows)
 {
     auto* owned = new std::vector<std::array<T, N>>(std::move(rows));
-    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::vector<std::array<T, N>>*>(pointer); });
+    nb::capsule owner(
+        owned, [](void* pointer) noexcept { delete static_cast<std::vector<std::array<T, N>>*>(pointer); });
     return nb::ndarray<nb::numpy, T, nb::shape<-1, N>>(owned->data(), {owned->size(), N}, owner);
 }
 
@@ -197,7 +198,8 @@ NB_MODULE(_bridge, module)
     module.def("read", &read_grids, nb::arg("path"), nb::arg("names"));
     module.def("check", &check_buffer, nb::arg("buffer").noconvert());
     module.def("write", &write_grids, nb::arg("path"), nb::arg("grids"), nb::arg("compression"), nb::arg("half"));
-    module.def("volume_to_mesh", &volume_to_mesh, nb::arg("buffer").noconvert(), nb::arg("isovalue"), nb::arg("adaptivity"));
+    module.def(
+        "volume_to_mesh", &volume_to_mesh, nb::arg("buffer").noconvert(), nb::arg("isovalue"), nb::arg("adaptivity"));
     module.def("mesh_to_level_set", &mesh_to_level_set, nb::arg("points").noconvert(), nb::arg("triangles").noconvert(),
         nb::arg("voxel_size"), nb::arg("half_width"));
     module.def("csg", &csg, nb::arg("a").noconvert(), nb::arg("b").noconvert(), nb::arg("kind"));

@@ -55,12 +55,9 @@ bool parse_number(const char* text, const char*& p, const char* end, double& val
     double magnitude = 0.0;
     const auto [after, error] = std::from_chars(p, end, magnitude, std::chars_format::general);
     p = after;
-    if (error == std::errc::result_out_of_range)
-        value = from_bits(nan_bits | std::uint64_t(begin - text + 1));
-    else if (error != std::errc())
-        return false;
-    else
-        value = negative ? -magnitude : magnitude;
+    if (error == std::errc::result_out_of_range) value = from_bits(nan_bits | std::uint64_t(begin - text + 1));
+    else if (error != std::errc()) return false;
+    else value = negative ? -magnitude : magnitude;
     return true;
 }
 
@@ -75,7 +72,7 @@ bool skip_separator(const char*& p, const char* end, char separator)
     return true;
 }
 
-}  // namespace
+} // namespace
 
 std::int64_t count_rows(const Text& text, std::int64_t first, std::int64_t last)
 {
@@ -93,7 +90,7 @@ std::int64_t count_rows(const Text& text, std::int64_t first, std::int64_t last)
 }
 
 bool parse_rows(const Text& text, std::int64_t first, std::int64_t last, std::int64_t columns, char separator,
-                double* table, std::int64_t size)
+    double* table, std::int64_t size)
 {
     const char* p = text.data + line_start(text, first);
     const char* const end = text.data + line_start(text, last);
@@ -117,4 +114,4 @@ bool parse_rows(const Text& text, std::int64_t first, std::int64_t last, std::in
     return at == size;
 }
 
-}  // namespace geokit
+} // namespace geokit

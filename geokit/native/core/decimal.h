@@ -24,6 +24,6 @@ std::int64_t count_rows(const Text& text, std::int64_t first, std::int64_t last)
 //
 // Returns false where a row is not plain, or where the rows do not fill the table exactly.
 bool parse_rows(const Text& text, std::int64_t first, std::int64_t last, std::int64_t columns, char separator,
-                double* table, std::int64_t size);
+    double* table, std::int64_t size);
 
-}  // namespace geokit
+} // namespace geokit

@@ -32,7 +32,7 @@ std::int64_t match_length(const std::uint8_t* a, const std::uint8_t* b, std::int
     return length;
 }
 
-}  // namespace
+} // namespace
 
 std::int64_t lzf_decompress(const std::uint8_t* packed, std::int64_t packed_size, std::uint8_t* out, std::int64_t size)
 {
@@ -46,8 +46,7 @@ std::int64_t lzf_decompress(const std::uint8_t* packed, std::int64_t packed_size
             // A copy of constant size is several times as fast; what it writes too much is written again or refused.
             if (packed_size - in >= literal_run && size - to >= literal_run)
                 std::memcpy(out + to, packed + in, literal_run);
-            else
-                std::memcpy(out + to, packed + in, std::size_t(run));
+            else std::memcpy(out + to, packed + in, std::size_t(run));
             in += run;
             to += run;
             continue;
@@ -114,4 +113,4 @@ std::int64_t lzf_compress(const std::uint8_t* plain, std::int64_t size, std::uin
     return to;
 }
 
-}  // namespace geokit
+} // namespace geokit

@@ -18,4 +18,4 @@ constexpr std::int64_t lzf_bound(std::int64_t size) { return size + size / 32 + 
 // Writes `plain` as LZF to `out`, which has room for lzf_bound(size) bytes; returns how many it has used.
 std::int64_t lzf_compress(const std::uint8_t* plain, std::int64_t size, std::uint8_t* out);
 
-}  // namespace geokit
+} // namespace geokit

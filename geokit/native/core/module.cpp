@@ -23,8 +23,8 @@ geokit::Text checked(const nb::bytes& data, std::int64_t start, std::int64_t sto
     return {data.c_str(), start, stop};
 }
 
-std::int64_t count_rows(const nb::bytes& data, std::int64_t start, std::int64_t stop, std::int64_t first,
-                        std::int64_t last)
+std::int64_t count_rows(
+    const nb::bytes& data, std::int64_t start, std::int64_t stop, std::int64_t first, std::int64_t last)
 {
     const geokit::Text text = checked(data, start, stop);
     nb::gil_scoped_release released;
@@ -32,7 +32,7 @@ std::int64_t count_rows(const nb::bytes& data, std::int64_t start, std::int64_t 
 }
 
 bool parse_rows(const nb::bytes& data, std::int64_t start, std::int64_t stop, std::int64_t first, std::int64_t last,
-                std::int64_t columns, int separator, OutDoubles table)
+    std::int64_t columns, int separator, OutDoubles table)
 {
     const geokit::Text text = checked(data, start, stop);
     if (columns < 1) throw std::invalid_argument("columns is less than one");
@@ -62,14 +62,14 @@ std::int64_t lzf_compress(Bytes plain, OutBytes out)
     return geokit::lzf_compress(from, size, to);
 }
 
-}  // namespace
+} // namespace
 
 NB_MODULE(_core, m)
 {
     m.def("count_rows", &count_rows, nb::arg("text"), nb::arg("start"), nb::arg("stop"), nb::arg("first"),
-          nb::arg("last"));
+        nb::arg("last"));
     m.def("parse_rows", &parse_rows, nb::arg("text"), nb::arg("start"), nb::arg("stop"), nb::arg("first"),
-          nb::arg("last"), nb::arg("columns"), nb::arg("separator"), nb::arg("table").noconvert());
+        nb::arg("last"), nb::arg("columns"), nb::arg("separator"), nb::arg("table").noconvert());
     m.def("lzf_decompress", &lzf_decompress, nb::arg("packed").noconvert(), nb::arg("out").noconvert());
     m.def("lzf_compress", &lzf_compress, nb::arg("plain").noconvert(), nb::arg("out").noconvert());
 }

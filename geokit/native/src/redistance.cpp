@@ -54,10 +54,7 @@ public:
         }
     }
 
-    ValueT at(int x, int y, int z) const
-    {
-        return values_[((x + kReach) * kWidth + y + kReach) * kWidth + z + kReach];
-    }
+    ValueT at(int x, int y, int z) const { return values_[((x + kReach) * kWidth + y + kReach) * kWidth + z + kReach]; }
 
     // Slope of the field in the cell that starts at a voxel, or -1 where the surface does not cross it.
     double slope(int x, int y, int z) const
