@@ -10,8 +10,10 @@
 #if !defined(__CUDA_ARCH__)
 const int64_t begin = (int64_t)(share) * note_size;
 bool whole = begin < out_note.shape[0];
-int *to = out_note.data + begin + 1, next = first_query;
-const int* const end = to - 1 + note_size;
+// Where there is no room for notes, there may be no array: no pointer is formed then.
+int* to = whole ? out_note.data + begin + 1 : nullptr;
+const int* const end = whole ? out_note.data + begin + note_size : nullptr;
+int next = first_query;
 for (int k = first_query; k < last_query; ++k)
     out_count.data[queries.index.data[k]] = -self_count;
 // Queries come in order; those without candidates are left out. Where candidates fill the buffer several times, all
