@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,8 +26,6 @@ REMEMBERED = 4
 # Rows of blocks worth a slice of a launch, to look at and to spread distances over.
 GRAIN = 4
 LINE_GRAIN = 128
-
-_found: weakref.WeakKeyDictionary[SparseVolume, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
 
 class CrossingBlocks(NamedTuple):
@@ -54,7 +51,7 @@ def crossing_blocks(
     Returns:
         The blocks; None where to find them would take longer than the rays without them, or too much memory.
     """
-    remembered = _found.setdefault(volume, {})
+    remembered: dict[Any, CrossingBlocks] = volume._cache.find("crossing blocks", dict)
     key = (device.alias, *(float(level) for level in levels))
     if key not in remembered:
         box = stored_box(volume)

@@ -16,12 +16,12 @@ from geokit.volume.nanovdb.checksum import full_checksum, partial_checksum
 from geokit.volume.nanovdb.header import FLAG_HAS_BBOX, HEAD_SIZE, aligned_buffer, grid_header, tree_header
 from geokit.volume.nanovdb.header_options import checked_options, write_header
 from geokit.volume.nanovdb.layout import LEAF_VOXELS, GridLayout, layout_of
+from geokit.volume.nanovdb.types import FLOAT
 from geokit.volume.tree.flood_signs import face_signs, flood
 from geokit.volume.tree.node_places import LOWER, UPPER, Topology, link_nodes, root_span, topology_of
 
 __all__ = ["NO_BOX", "FloatGridLayout", "allocate_float_grid", "build_float_grid", "finish", "local_boxes"]
 
-FLOAT_TYPE = 1
 # Leaves that a thread works on at a time: 256 of them are half a megabyte of values, which stays in the cache.
 LEAVES_AT_A_TIME = 256
 # A box that adds nothing to the union with another.
@@ -121,7 +121,7 @@ def allocate_float_grid(
     options = checked_options(transform, name, grid_class)
     if not np.isfinite(background):
         raise InputError(f"background: {background} is not finite; give a number")
-    layout = layout_of(FLOAT_TYPE, "float grid")
+    layout = layout_of(FLOAT, "float grid")
     topology = topology_of(leaf_origins, layout, fill_gaps=signed_fill)
     # calloc's pages are zero until they are written: padding costs nothing and the leaves are touched once.
     buffer = aligned_buffer(topology.size, zeroed=True)
@@ -152,7 +152,7 @@ def finish(layout: FloatGridLayout, *, checksum: Literal["partial", "full"] = "p
         ``layout.buffer``.
     """
     buffer, topology, background = layout.buffer, layout._topology, layout._background
-    float_layout = layout_of(FLOAT_TYPE, "float grid")
+    float_layout = layout_of(FLOAT, "float grid")
     if topology.signed_fill and topology.leaf_count:
         _fill_signs(layout, float_layout)
     boxes, extrema, active = _leaf_statistics(layout, float_layout)

@@ -16,8 +16,6 @@ from geokit.volume.tree.node_places import root_keys_of, root_span, with_gaps
 
 __all__ = ["GridHead", "Places", "checked_head", "places_of", "write_head", "write_root"]
 
-_WORDS = {"float": "<f4", "int32": "<i4"}
-
 
 @dataclass(frozen=True)
 class GridHead:
@@ -31,7 +29,7 @@ class GridHead:
     @property
     def word(self) -> np.dtype[Any]:
         """NumPy type of a value."""
-        return np.dtype(_WORDS[self.layout.name])
+        return self.layout.background
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import LEAF_VOXELS, layout_of
+from geokit.volume.nanovdb.types import BY_NAME
 from geokit.volume.tree.quantized_leaves import BITS, HEADER, Codes, decode, unpack
 from geokit.volume.tree.retype_tree import Recoded, leaf_starts
 
@@ -22,7 +23,7 @@ __all__ = ["LeafReader", "fewest_bits", "write_codes", "write_floats"]
 COMMON = 80
 # Flags of a leaf; the others are the width of an FpN leaf.
 FLAG_BITS = 0x1F
-FPN_TYPE = 16
+FPN_TYPE = BY_NAME["fpn"].number
 # A leaf of a float grid: as many bytes before its values as a quantised one.
 FLOAT_LEAF = HEADER + 4 * LEAF_VOXELS
 # Leaves of other types that are turned into float leaves at a time: 17 MiB.

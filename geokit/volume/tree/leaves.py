@@ -12,6 +12,7 @@ from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, tree_header, voxel_size_of
 from geokit.volume.nanovdb.layout import LAYOUTS
+from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.openvdb_call import lift_factor, lifted_transform, lowered, operate, result_of
 
 __all__ = [
@@ -26,7 +27,7 @@ __all__ = [
     "voxelized",
 ]
 
-QUANTISED = ("fp4", "fp8", "fp16", "fpn")
+QUANTISED = QUANTIZED
 LEAF_VOXELS = 512
 # A voxel of an active tile costs its value, its share of a mask and the same again while it is converted.
 BYTES_PER_VOXEL = 16

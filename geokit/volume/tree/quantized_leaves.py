@@ -12,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.nanovdb.layout import LEAF_VOXELS, QUANTIZED_HEADER
 
 __all__ = ["BITS", "HEADER", "Codes", "decode", "thresholds", "unpack"]
 
-# Bytes of a quantised leaf before its codes: box, flags, mask, minimum, quantum, statistics.
-HEADER = 96
+HEADER = QUANTIZED_HEADER
 # Widths of an FpN leaf, in the order of the logarithms that its flags store.
 BITS = (1, 2, 4, 8, 16)
 
