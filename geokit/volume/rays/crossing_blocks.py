@@ -15,7 +15,7 @@ from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["CrossingBlocks", "crossing_blocks"]
+__all__ = ["CrossingBlocks", "crossing_blocks", "known_blocks"]
 
 # To look at a block takes about as long as a fourth of a ray: fewer rays than that go without.
 BLOCKS_PER_RAY = 4
@@ -51,7 +51,7 @@ def crossing_blocks(
     Returns:
         The blocks; None where to find them would take longer than the rays without them, or too much memory.
     """
-    remembered: dict[Any, CrossingBlocks] = volume._cache.find("crossing blocks", dict)
+    remembered = known_blocks(volume)
     key = (device.alias, *(float(level) for level in levels))
     if key not in remembered:
         box = stored_box(volume)
@@ -68,6 +68,11 @@ def crossing_blocks(
             remembered.pop(next(iter(remembered)))
         remembered[key] = _find(volume, levels, device, anchor, first, count)
     return remembered[key]
+
+
+def known_blocks(volume: SparseVolume) -> dict[Any, CrossingBlocks]:
+    """The blocks that are kept with a volume, by device and levels."""
+    return volume._cache.find("crossing blocks", dict)
 
 
 def _find(
