@@ -72,7 +72,7 @@ def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
             wanted = raycast(volume, origins, directions, device="cpu")
             for name, share in (("blocks", blocks_per_ray), ("tree", 0)):
                 crossing_blocks.BLOCKS_PER_RAY = share
-                crossing_blocks._found.clear()
+                crossing_blocks.known_blocks(volume).clear()
                 found = raycast(volume, origins, directions, device=device)
                 other = np.isfinite(found.t) != np.isfinite(wanted.t)
                 both = np.isfinite(found.t) & np.isfinite(wanted.t)
@@ -80,7 +80,7 @@ def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
                 turned = np.abs(found.normals[both] - wanted.normals[both]).max()
                 out(f"| {resolution}^3, {kind}, {name} | {int(other.sum())} | {apart:.1e} | {turned:.1e} |")
             crossing_blocks.BLOCKS_PER_RAY = blocks_per_ray
-            crossing_blocks._found.clear()
+            crossing_blocks.known_blocks(volume).clear()
         fog = volume_of_fog(resolution)
         origins, directions = random_rays(volume, COMPARED // 10)
         lights = [
@@ -114,7 +114,7 @@ def check_times(out: Callable[[str], None], device: str = "cuda:0") -> None:
             raw = median(lambda n=count, i=inputs, t=t: launcher.launch(march_kernel, n, i, [t], target))
 
             def from_nothing(o: Any = origins, d: Any = directions, v: Any = volume) -> Any:
-                crossing_blocks._found.clear()
+                crossing_blocks.known_blocks(v).clear()
                 return raycast(v, o, d, device=device)
 
             blocks = median(from_nothing) - ours

@@ -140,7 +140,7 @@ def preparation(report: Report, resolution: int) -> None:
     raycast(volume, origins, directions, device="cpu")
     seconds = []
     for _ in range(3):
-        crossing_blocks._found.clear()
+        crossing_blocks.known_blocks(volume).clear()
         start = time.perf_counter()
         raycast(volume, origins[:1], directions[:1], device="cpu")
         few = time.perf_counter() - start

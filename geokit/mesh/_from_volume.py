@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._model import TriangleMesh
+from geokit.volume.nanovdb.types import ISOSURFACE_TYPES
 
 if TYPE_CHECKING:
     from geokit.mesh._simplify import Simplified
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["from_volume", "from_volume_with_deviation"]
 
 METHODS = ("auto", "surface_nets", "marching_cubes", "dual_contouring", "openvdb")
-# Types whose values mean something between the voxels; integers, bool and mask count things or name them.
-REAL_TYPES = ("float", "double", "half", "fp4", "fp8", "fp16", "fpn")
 # No voxel has an index beyond this.
 LARGEST_INDEX = 2.0**31
 
@@ -183,10 +182,10 @@ def _require_real(volume: SparseVolume) -> None:
             f"volume: grid {volume.info.name!r} of type {grid_type} is not scalar and has no isosurface; "
             "use a scalar grid, such as one component of it"
         )
-    if grid_type not in REAL_TYPES:
+    if grid_type not in ISOSURFACE_TYPES:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} of type {grid_type} has no isosurface; "
-            f"convert it to one of {', '.join(REAL_TYPES)}"
+            f"convert it to one of {', '.join(ISOSURFACE_TYPES)}"
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.object_cache import CacheAttribute
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     name: str = ""
     parts: tuple[MeshPart, ...] = ()
+    # Hash, area, pieces, creases: what fields around the mesh have asked for.
+    _cache: ClassVar[CacheAttribute] = CacheAttribute()
     # In place of vertices and faces until these are read.
     _on_device: ClassVar[DeviceArrays | None] = None
 

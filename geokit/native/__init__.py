@@ -158,6 +158,23 @@ def read_vdb(
         InputError: No grid has one of the names; the message lists those there are. A limit that is not positive.
         MissingDependencyError: The extension is not there.
     """
+    found = _read_unchecked(path, grids=grids, trusted=trusted, time_limit=time_limit, memory_limit=memory_limit)
+    if not trusted:
+        # A worker whose memory a damaged file has overwritten may hand back a tree that leads astray.
+        for grid in found:
+            _call(path, functools.partial(_extension().check, grid.nanovdb))
+    return found
+
+
+def _read_unchecked(
+    path: str | os.PathLike[str],
+    *,
+    grids: Sequence[str] | None = None,
+    trusted: bool = False,
+    time_limit: float = 120.0,
+    memory_limit: int | None = None,
+) -> list[VdbGrid]:
+    """As :func:`read_vdb`, for callers that check the buffers themselves before anything follows their offsets."""
     source = require_file(path)
     names = _checked_names(grids)
     if grids is not None and not names:
@@ -322,7 +339,7 @@ def mesh_to_level_set(
 def _read_in_worker(
     path: Path, names: list[str], time_limit: float, memory_limit: int | None
 ) -> tuple[list[dict[str, Any]], list[NDArray[np.uint8]]]:
-    extension, worker = _extension(), _worker_path()
+    worker = _worker_path()
     limits = _checked_limits(time_limit, memory_limit)
     for parent in _worker.spool_folders(path.stat().st_size):
         with _worker.spool(parent) as folder:
@@ -331,9 +348,6 @@ def _read_in_worker(
             )
             if "error" not in result:
                 buffers = [_worker.map_file(grid["path"], grid["size"]) for grid in result["grids"]]
-                for buffer in buffers:
-                    # A worker whose memory a damaged file has overwritten may hand back a tree that leads astray.
-                    _call(path, functools.partial(extension.check, buffer))
                 return result["grids"], buffers
             if result["error"]["kind"] != "spool":
                 raise_failure(result["error"], str(path))

@@ -12,8 +12,8 @@ from geokit.core import available_memory, launcher, user_arrays
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
-from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
 from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, layout_of
+from geokit.volume.nanovdb.types import FLOAT, INDEX_TYPES
 from geokit.volume.tree.dense_tiles import VOXELS_AT_A_TIME, DenseTiles, block_keys
 from geokit.volume.tree.dense_typed import DenseRule, background_of, layout_for, tree_of_dense
 from geokit.volume.tree.device_leaves import build_leaves
@@ -22,7 +22,6 @@ from geokit.volume.tree.typed_writer import build_grid
 
 __all__ = ["DenseGrid", "from_dense", "to_dense"]
 
-FLOAT_TYPE = 1
 # A float leaf, its values and mask before, and its origin and place.
 BYTES_PER_LEAF = 2144 + 2112 + 96
 # Rows of voxels worth a slice of a launch.
@@ -177,7 +176,7 @@ def to_dense(
         >>> grid.values.shape, grid.values[0, 0, 0].item(), grid.origin.tolist()
         ((1, 1, 1), 5.0, [11, 2, 3])
     """
-    if channel is not None or volume.info.grid_type in INDEX_LAYOUTS:
+    if channel is not None or volume.info.grid_type in INDEX_TYPES:
         from geokit.volume._from_channel import from_channel
 
         volume = from_channel(volume, 0 if channel is None else channel)
@@ -248,7 +247,7 @@ def _mark_inside(buffer: NDArray[np.uint8], inside: NDArray[np.int64], backgroun
     """Give the slots of the tiles inside their value; each has a lower node. The checksum leaves nodes out."""
     if not len(inside):
         return
-    layout, tree = layout_of(FLOAT_TYPE, "float grid"), tree_header(buffer)
+    layout, tree = layout_of(FLOAT, "float grid"), tree_header(buffer)
     begin, count = TREE_OFFSET + int(tree["node_offset"][1]), int(tree["node_count"][1])
     # A node's box starts in the node, with its first active voxel or with its own first one.
     node_keys = block_keys(np.ndarray((count, 3), "<i4", buffer, begin, (layout.lower_size, 4)).astype(np.int64))

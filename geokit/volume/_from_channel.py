@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.header import (
     BLIND_CLASS_NAME,
     BLIND_DATA,
@@ -25,7 +24,6 @@ from geokit.volume.nanovdb.header import (
     tree_header,
 )
 from geokit.volume.nanovdb.index_checks import (
-    INDEX_LAYOUTS,
     LEAF_MASK,
     leaf_offsets,
     masks_of,
@@ -33,26 +31,21 @@ from geokit.volume.nanovdb.index_checks import (
 )
 from geokit.volume.nanovdb.layout import (
     GRID_TYPES,
+    INDEX_LAYOUTS,
     LAYOUTS,
     LEAF_VOXELS,
     GridLayout,
     type_name,
 )
+from geokit.volume.nanovdb.types import CHANNEL_TYPES
 from geokit.volume.tree.retype_tree import RetypedTree, retype_tree
 
 __all__ = ["channel_names", "from_channel"]
 
-# A leaf holds values of these types as a plain table.
-CHANNEL_TYPES = (
-    "float", "double", "half", "int16", "int32", "int64", "uint8", "uint32", "vec3f", "vec3d", "vec3u8", "vec3u16",
-    "vec4f", "vec4d", "rgba8",
-)  # fmt: skip
 # A name in the header has 255 bytes and a zero.
 LONGEST_NAME = 255
 # Leaves filled at a time: the values of 1024 leaves of vec4d are 16 megabytes.
 LEAVES_AT_A_TIME = 1024
-
-_made: weakref.WeakKeyDictionary[SparseVolume, dict[int, SparseVolume]] = weakref.WeakKeyDictionary()
 
 
 def channel_names(volume: SparseVolume) -> list[str]:
@@ -75,7 +68,7 @@ def channel_names(volume: SparseVolume) -> list[str]:
     """
     if volume.info.grid_type not in INDEX_LAYOUTS:
         return []
-    check_grid(volume.nanovdb, f"volume {volume.info.name!r}")
+    check_volume(volume)
     return [decoded_name(bytes(entry["name"])) for _, entry in _channels(volume.nanovdb)]
 
 
@@ -109,9 +102,7 @@ def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
             "leave it out"
         )
     where = f"volume {volume.info.name!r}"
-    made = _made.setdefault(volume, {})
-    if not made:  # else it has been looked at already
-        check_grid(volume.nanovdb, where)
+    check_volume(volume)
     channels = _channels(volume.nanovdb)
     if not channels:
         raise UnsupportedGridError(
@@ -119,10 +110,12 @@ def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
             f"interpolated, it has no channel; convert it to one of {', '.join(LAYOUTS)}"
         )
     number = _number_of(channel, [decoded_name(bytes(entry["name"])) for _, entry in channels])
-    if number not in made:
-        at, entry = channels[number]
-        made[number] = _valued(volume, _values(volume.nanovdb, at, entry, where), entry)
-    return made[number]
+    at, entry = channels[number]
+
+    def make() -> SparseVolume:
+        return _valued(volume, _values(volume.nanovdb, at, entry, where), entry)
+
+    return volume._cache.find(("channel", number), make)
 
 
 def _channels(buffer: NDArray[np.uint8]) -> list[tuple[int, Any]]:

@@ -11,16 +11,17 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core.files import extension, require_extension, require_file
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.formats.table import extensions
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb import file
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_grid, mark_checked
 from geokit.volume.nanovdb.codecs import CODECS
 from geokit.volume.nanovdb.grid_info import GridInfo
-from geokit.volume.nanovdb.header import grid_name, info_of, voxel_size_of
+from geokit.volume.nanovdb.header import HEAD_SIZE, grid_name, info_of, voxel_size_of
 
 __all__ = ["inspect", "load", "load_all", "save"]
 
@@ -211,21 +212,27 @@ def _from_nvdb(grid: file.NvdbGrid) -> SparseVolume:
     # Copies on devices are kept: a buffer that changed behind them would be a second truth.
     grid.buffer.setflags(write=False)
     info = info_of(grid.buffer, grid.metadata, name=grid.name)
-    # A class that NanoVDB does not know for the type comes as metadata.
-    return SparseVolume(grid.buffer, replace(info, grid_class=str(grid.metadata.get("class", info.grid_class))))
+    return _checked(grid.buffer, info)
 
 
 def _read_vdb(path: Path, grids: list[str] | None, trusted: bool) -> list[SparseVolume]:
     from geokit import native
 
     volumes = []
-    for grid in native.read_vdb(path, grids=grids, trusted=trusted):
-        check_grid(grid.nanovdb, f"{path}: grid {grid_name(grid.nanovdb)!r}")
-        info = info_of(grid.nanovdb, grid.metadata)
-        # A class that NanoVDB does not know for the type (a level set of integers) comes as metadata.
-        info = replace(info, grid_class=str(grid.metadata.get("class", info.grid_class)))
-        volumes.append(SparseVolume(grid.nanovdb, info))
+    for grid in native._read_unchecked(path, grids=grids, trusted=trusted):
+        # What a worker hands back of a damaged file need not even have a header.
+        name = grid_name(grid.nanovdb) if len(grid.nanovdb) >= HEAD_SIZE else ""
+        check_grid(grid.nanovdb, f"{path}: grid {name!r}")
+        volumes.append(_checked(grid.nanovdb, info_of(grid.nanovdb, grid.metadata)))
     return volumes
+
+
+def _checked(buffer: NDArray[np.uint8], info: GridInfo) -> SparseVolume:
+    """A volume of a grid that :func:`check_grid` has seen."""
+    # A class that NanoVDB does not know for the type (a level set of integers) comes as metadata.
+    volume = SparseVolume(buffer, replace(info, grid_class=str(info.metadata.get("class", info.grid_class))))
+    mark_checked(volume)
+    return volume
 
 
 def _info_of_vdb(header: Mapping[str, Any]) -> GridInfo:

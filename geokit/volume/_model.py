@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.object_cache import CacheAttribute
+from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.grid_info import GridInfo
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ class SparseVolume:
     nanovdb: NDArray[np.uint8]
     info: GridInfo
     _uploads: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    # Whether the buffer was checked, its nodes, its box, crossed blocks, volumes of channels.
+    _cache: ClassVar[CacheAttribute] = CacheAttribute()
 
     if not TYPE_CHECKING:
 
@@ -176,4 +180,5 @@ def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
     uploads = {grid.device.alias: (made, grid, None)}
     for name, value in (("info", info), ("_uploads", uploads)):
         object.__setattr__(volume, name, value)
+    mark_checked(volume)  # as it was built
     return volume

@@ -8,24 +8,23 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, grid_header, info_of
 from geokit.volume.nanovdb.layout import GRID_TYPES
 from geokit.volume.nanovdb.provenance import with_error
+from geokit.volume.nanovdb.types import BY_NAME, FIXED_BITS, QUANTIZED
 from geokit.volume.tree.leaf_codecs import HEADER, LeafReader, fewest_bits, thresholds, write_codes, write_floats
 from geokit.volume.tree.retype_tree import retype_tree, tile_values
 
 __all__ = ["quantize"]
 
-# Bits of a voxel by codec; an FpN leaf has as many as it needs.
-FIXED_BITS = {"fp4": 4, "fp8": 8, "fp16": 16}
-CODECS = ("float", *FIXED_BITS, "fpn")
-SOURCES = ("float", "double", *FIXED_BITS, "fpn")
+CODECS = ("float", *QUANTIZED)
+SOURCES = ("float", "double", *QUANTIZED)
 # What the kernels say where the values of a leaf span more than float32 holds is larger.
 LARGEST_ERROR = 2.0 * float(np.finfo(np.float32).max)
 # Classes that NanoVDB allows for float grids but not for quantised ones.
-UNQUANTISED_CLASSES = ("voxel volume",)
+UNQUANTISED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
 
 
 def quantize(
@@ -71,7 +70,7 @@ def quantize(
         ('fpn', True)
     """
     tolerance = _checked(volume, codec, tolerance)
-    check_grid(volume.nanovdb, f"volume {volume.info.name!r}")
+    check_volume(volume)
     reader = LeafReader(volume.nanovdb)
     rounding = thresholds(dither)
     if codec in (None, "fpn"):

@@ -10,7 +10,7 @@ from geokit.core import launcher
 from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
+from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linear
 
@@ -20,13 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["gradient", "is_scalar", "require_order", "sample", "view_as"]
 
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}
-
-_COMPONENTS = {
-    **dict.fromkeys(("float", "double", "half", "fp4", "fp8", "fp16", "fpn"), 1),
-    **dict.fromkeys(("int16", "int32", "int64", "uint8", "uint32", "bool", "mask"), 1),
-    **dict.fromkeys(("vec3f", "vec3d", "vec3u8", "vec3u16"), 3),
-    **dict.fromkeys(("vec4f", "vec4d", "rgba8"), 4),
-}
 
 
 def sample(
@@ -174,16 +167,16 @@ def gradient(
 
 def is_scalar(volume: SparseVolume) -> bool:
     """Whether voxels are single numbers."""
-    return _COMPONENTS.get(volume.info.grid_type) == 1
+    return COMPONENTS.get(volume.info.grid_type) == 1
 
 
 def _is_staggered(volume: SparseVolume) -> bool:
-    return volume.info.grid_class == "staggered" and _COMPONENTS[volume.info.grid_type] == 3
+    return volume.info.grid_class == "staggered" and COMPONENTS[volume.info.grid_type] == 3
 
 
 def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
     """The volume, or where it is an index grid the one that a channel makes of it."""
-    if channel is None and volume.info.grid_type not in INDEX_LAYOUTS:
+    if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume
     from geokit.volume._from_channel import from_channel
 
@@ -204,11 +197,11 @@ def require_order(order: Any, lowest: int = 0) -> int:
 
 
 def _require_components(volume: SparseVolume) -> int:
-    found = _COMPONENTS.get(volume.info.grid_type)
+    found = COMPONENTS.get(volume.info.grid_type)
     if found is None:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} of type {volume.info.grid_type} stores no values that can be "
-            f"interpolated; convert it to one of {', '.join(_COMPONENTS)}"
+            f"interpolated; convert it to one of {', '.join(COMPONENTS)}"
         )
     return found
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.nanovdb.types import BY_NAME
 from geokit.volume.tree.leaves import dequantized, is_cubic, require_volume
 from geokit.volume.tree.openvdb_call import scale_factor, scaled_up
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_of
@@ -18,7 +19,7 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_
 __all__ = ["Statistics", "statistics"]
 
 # Not colours, whose length means nothing.
-TYPES = tuple(name for name in VALUE_TYPES if name != "rgba8")
+TYPES = tuple(name for name in VALUE_TYPES if BY_NAME[name].family != "color")
 # Leaves that are turned into float64 at a time: 8 million values.
 LEAVES_AT_A_TIME = 16384
 

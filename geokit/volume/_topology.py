@@ -12,6 +12,7 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.nanovdb.types import OPENVDB_TOOL_TYPES
 from geokit.volume.tree.clip import clipped
 from geokit.volume.tree.leaves import QUANTISED, dequantized, require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
@@ -22,9 +23,7 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES
 __all__ = ["clip", "prune", "segment"]
 
 # Types for which OpenVDB's library has no segmentation, or which it does not know at all.
-OPENVDB_LACKS = tuple(
-    name for name in VALUE_TYPES if name not in ("float", "double", "int32", "int64", "vec3f", "vec3d", "bool")
-)
+OPENVDB_LACKS = tuple(name for name in VALUE_TYPES if name not in OPENVDB_TOOL_TYPES)
 
 
 def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:

@@ -16,8 +16,7 @@ from geokit.volume.nanovdb.header import (
     info_of,
     tree_header,
 )
-from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
-from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS
+from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS, LAYOUTS
 from tests.support.typed_grids import LEAVES, put
 
 # The background, then a tile of the lower, the upper and the root node, then the leaves.

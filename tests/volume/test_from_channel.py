@@ -9,12 +9,13 @@ import warp as wp
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume import load, save
 from geokit.volume._active import active_at
-from geokit.volume._from_channel import CHANNEL_TYPES, channel_names, from_channel
+from geokit.volume._from_channel import channel_names, from_channel
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import BLIND_DATA, aligned_buffer, grid_header, info_of
-from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS
+from geokit.volume.nanovdb.layout import INDEX_LAYOUTS
+from geokit.volume.nanovdb.types import CHANNEL_TYPES
 from tests.support.index_grids import IndexGrid
 from tests.support.reference import tensor_interpolant
 from tests.support.sphere_volumes import sphere

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geokit.accuracy.charts.volume_setup import SEED, Effort
 from geokit.accuracy.reference.volume import Voxels
 from geokit.errors import UnsupportedGridError
+from geokit.volume.nanovdb.types import QUANTIZED
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
@@ -20,7 +21,7 @@ __all__ = ["VolumePoints"]
 Floats = NDArray[np.float64]
 
 # What quantize can make a float grid of; each value stays what it is, but for float64 that float32 does not hold.
-SOURCES = ("float", "double", "fp4", "fp8", "fp16", "fpn")
+SOURCES = ("float", "double", *QUANTIZED)
 
 
 class VolumePoints:

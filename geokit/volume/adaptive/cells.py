@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +66,6 @@ class _Creases(NamedTuple):
     ends: NDArray[np.float64]
     sharpness: NDArray[np.float64]
     between: NDArray[np.float64]
-
-
-# Of meshes, for as long as they live.
-_creases: WeakKeyDictionary[TriangleMesh, _Creases] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -308,26 +303,28 @@ def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray
 
 
 def _creases_of(mesh: TriangleMesh) -> _Creases:
-    if mesh not in _creases:
-        pairs = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-        edges, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-        corners = mesh.vertices[mesh.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        order = np.argsort(inverse.reshape(-1), kind="stable") // 3
-        begin = np.cumsum(count) - count
-        first, second = order[begin], order[np.minimum(begin + 1, len(order) - 1)]
-        single = count != 2
-        sharpness = np.where(single, 2.0, np.linalg.norm(normals[first] - normals[second], axis=1))
-        both = normals[first] + normals[second]
-        middle = corners.mean(axis=1)
-        convex = np.einsum("ek,ek->e", middle[second] - middle[first], normals[first]) < 0.0
-        length_squared = np.einsum("ek,ek->e", both, both)
-        # Along a blade's edge that way is long, and leaves the cell in any case.
-        between = np.where(convex, -2.0, 2.0)[:, None] * both / np.maximum(length_squared, BLADE)[:, None]
-        between[single] = 0.0
-        _creases[mesh] = _Creases(mesh.vertices[edges], sharpness, between)
-    return _creases[mesh]
+    return mesh._cache.find("creases", lambda: _find_creases(mesh))
+
+
+def _find_creases(mesh: TriangleMesh) -> _Creases:
+    pairs = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    edges, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    order = np.argsort(inverse.reshape(-1), kind="stable") // 3
+    begin = np.cumsum(count) - count
+    first, second = order[begin], order[np.minimum(begin + 1, len(order) - 1)]
+    single = count != 2
+    sharpness = np.where(single, 2.0, np.linalg.norm(normals[first] - normals[second], axis=1))
+    both = normals[first] + normals[second]
+    middle = corners.mean(axis=1)
+    convex = np.einsum("ek,ek->e", middle[second] - middle[first], normals[first]) < 0.0
+    length_squared = np.einsum("ek,ek->e", both, both)
+    # Along a blade's edge that way is long, and leaves the cell in any case.
+    between = np.where(convex, -2.0, 2.0)[:, None] * both / np.maximum(length_squared, BLADE)[:, None]
+    between[single] = 0.0
+    return _Creases(mesh.vertices[edges], sharpness, between)
 
 
 def _on(device: "wp.Device", distance: NDArray[np.float64], closest: NDArray[np.float64]) -> list["wp.array"]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,14 +96,7 @@ def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume
     return SparseVolume(grid.host, info_of(grid.host, metadata))
 
 
-_hashes: WeakKeyDictionary[TriangleMesh, str] = WeakKeyDictionary()
-
-
 SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
-
-
-# Of meshes, for as long as they live.
-_pieces: WeakKeyDictionary[Any, tuple[NDArray[np.int32], int]] = WeakKeyDictionary()
 
 
 def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
@@ -112,17 +104,17 @@ def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
 
     Looked up where the mesh is known.
     """
-    if mesh not in _pieces:
+
+    def find() -> tuple[NDArray[np.int32], int]:
         from geokit.mesh.topology.audit import face_parts
 
         labels = face_parts(mesh)
         if (labels == labels[0]).all():
-            _pieces[mesh] = np.zeros(len(labels), np.int32), 1
-        else:
-            _, first_face, piece = np.unique(labels, return_index=True, return_inverse=True)
-            numbers = np.argsort(np.argsort(first_face))[piece.reshape(-1)].astype(np.int32)
-            _pieces[mesh] = numbers, len(first_face)
-    return _pieces[mesh]
+            return np.zeros(len(labels), np.int32), 1
+        _, first_face, piece = np.unique(labels, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(first_face))[piece.reshape(-1)].astype(np.int32), len(first_face)
+
+    return mesh._cache.find("pieces", find)
 
 
 def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
@@ -133,6 +125,4 @@ def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
 
 def hash_of(mesh: TriangleMesh) -> str:
     # Hashing takes as long as a small band: once for each mesh.
-    if mesh not in _hashes:
-        _hashes[mesh] = content_hash(mesh.vertices, mesh.faces)
-    return _hashes[mesh]
+    return mesh._cache.find("content hash", lambda: content_hash(mesh.vertices, mesh.faces))

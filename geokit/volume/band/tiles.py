@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +35,6 @@ LEAF_BYTES = 2144
 WORKING_BYTES = 512 * 4 + 512
 # warp counts the bytes of an array in 31 bits, and a volume is one array.
 LARGEST_GRID = (1 << 31) - (1 << 20)
-
-
-# Of meshes in their frames, for as long as they live.
-_areas: WeakKeyDictionary[Any, float] = WeakKeyDictionary()
 
 
 class Tiles(NamedTuple):
@@ -99,9 +94,7 @@ class Lattice:
 
     def area(self) -> float:
         """Area of the surface, in squares of its frame's scale; looked up where the mesh is a known one."""
-        if self.surface.mesh not in _areas:
-            _areas[self.surface.mesh] = self._measured_area()
-        return _areas[self.surface.mesh]
+        return self.surface.mesh._cache.find("area in its frame", self._measured_area)
 
     def _measured_area(self) -> float:
         import warp as wp

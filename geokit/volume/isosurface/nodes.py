@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +11,13 @@ from numpy.typing import NDArray
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
+from geokit.volume.nanovdb.types import FLOAT
 from geokit.volume.nanovdb.upload import above_leaves
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["Nodes", "Topology", "place_of", "topology_of"]
-
-FLOAT_TYPE = 1
 
 
 class Nodes(NamedTuple):
@@ -76,26 +74,22 @@ class Topology:
         return self.arrays[device.alias]
 
 
-_known: WeakKeyDictionary[SparseVolume, Topology] = WeakKeyDictionary()
-
-
 def topology_of(volume: SparseVolume) -> Topology:
     """The nodes of a volume's tree, found once."""
-    found = _known.get(volume)
-    if found is None:
-        buffer = above_leaves(volume)
-        grid_type = int(grid_header(buffer)["grid_type"])
-        layout = layout_of(grid_type, "volume")
-        begins = tuple(TREE_OFFSET + int(offset) for offset in tree_header(buffer)["node_offset"])
-        upper, table = _upper_nodes(buffer, begins[3], layout)
-        lower = _children(buffer, upper, UPPER_SLOTS, layout.upper_table, layout.upper_size, 5, 128)
-        leaves = _children(buffer, lower, LOWER_SLOTS, layout.lower_table, layout.lower_size, 4, 8)
-        active, children = _masks(buffer, lower, LOWER_SLOTS, layout.lower_size)
-        node, slot = (part.astype(np.int32) for part in _bits(active & ~children))
-        borders = _large_borders(buffer, upper, table, layout)
-        found = Topology(grid_type == FLOAT_TYPE, layout, begins, lower, leaves, node, slot, borders)
-        _known[volume] = found
-    return found
+    return volume._cache.find("topology", lambda: _find_topology(above_leaves(volume)))
+
+
+def _find_topology(buffer: NDArray[np.uint8]) -> Topology:
+    grid_type = int(grid_header(buffer)["grid_type"])
+    layout = layout_of(grid_type, "volume")
+    begins = tuple(TREE_OFFSET + int(offset) for offset in tree_header(buffer)["node_offset"])
+    upper, table = _upper_nodes(buffer, begins[3], layout)
+    lower = _children(buffer, upper, UPPER_SLOTS, layout.upper_table, layout.upper_size, 5, 128)
+    leaves = _children(buffer, lower, LOWER_SLOTS, layout.lower_table, layout.lower_size, 4, 8)
+    active, children = _masks(buffer, lower, LOWER_SLOTS, layout.lower_size)
+    node, slot = (part.astype(np.int32) for part in _bits(active & ~children))
+    borders = _large_borders(buffer, upper, table, layout)
+    return Topology(grid_type == FLOAT, layout, begins, lower, leaves, node, slot, borders)
 
 
 def _large_borders(

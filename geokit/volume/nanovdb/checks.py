@@ -7,6 +7,7 @@ a node of the next level that no other slot leads to. In an index grid every ind
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,22 @@ from geokit.volume.nanovdb.header import (
     require_supported,
     tree_header,
 )
-from geokit.volume.nanovdb.index_checks import INDEX_LAYOUTS, index_damage, index_layout
-from geokit.volume.nanovdb.layout import ALIGNMENT, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout
+from geokit.volume.nanovdb.index_checks import index_damage, index_layout
+from geokit.volume.nanovdb.layout import (
+    ALIGNMENT,
+    INDEX_LAYOUTS,
+    LEAF_VOXELS,
+    LOWER_SLOTS,
+    UPPER_SLOTS,
+    GridLayout,
+)
 
-__all__ = ["check_grid", "check_head"]
+if TYPE_CHECKING:
+    from geokit.volume._model import SparseVolume
+
+__all__ = ["check_grid", "check_head", "check_volume", "mark_checked"]
+
+_CHECKED = "checked"
 
 # The widest FpN code is 16 bits, stored as its logarithm.
 FPN_LARGEST_LOG = 4
@@ -101,6 +114,26 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
     except _Damage as damage:
         raise _refusal(where, damage) from None
     return layout
+
+
+def check_volume(volume: SparseVolume, where: str = "") -> None:
+    """Check every offset of a volume's grid, once for each volume.
+
+    Args:
+        volume: The grid.
+        where: For the message; the volume's name where it is empty.
+
+    Raises:
+        FileFormatError, UnsupportedGridError: As :func:`check_grid`.
+    """
+    if _CHECKED not in volume._cache:
+        check_grid(volume.nanovdb, where or f"volume {volume.info.name!r}")
+        mark_checked(volume)
+
+
+def mark_checked(volume: SparseVolume) -> None:
+    """Say that :func:`check_grid` has seen a volume's grid, or that it was built in place on a device."""
+    volume._cache.keep(_CHECKED, True)
 
 
 def _check_indices(buffer: NDArray[np.uint8], layout: GridLayout, root: _Level, *levels: _Level) -> None:

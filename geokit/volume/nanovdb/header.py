@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError, UnsupportedGridError
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout, layout_of, type_name
+from geokit.volume.nanovdb.types import GRID_CLASSES
 
 __all__ = [
     "FLAG_BREADTH_FIRST",
@@ -98,11 +99,6 @@ BLIND_DATA = np.dtype(
 BLIND_CLASS_NAME = 3
 TREE_OFFSET = GRID_DATA.itemsize
 HEAD_SIZE = GRID_DATA.itemsize + TREE_DATA.itemsize
-
-GRID_CLASSES = (
-    "unknown", "level set", "fog volume", "staggered", "point index", "point data", "topology", "voxel volume",
-    "index grid", "tensor grid",
-)  # fmt: skip
 
 # The root starts with the box of its active voxels: six int32.
 ROOT_BOUNDS = 24

@@ -10,17 +10,21 @@ Source:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import UnsupportedGridError
 from geokit.volume.nanovdb.header import FLAG_BREADTH_FIRST, grid_header, require_header, version_text
-from geokit.volume.nanovdb.layout import LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, type_name
+from geokit.volume.nanovdb.layout import (
+    INDEX_LAYOUTS,
+    LEAF_VOXELS,
+    LOWER_SLOTS,
+    UPPER_SLOTS,
+    GridLayout,
+    type_name,
+)
 
-__all__ = ["INDEX_LAYOUTS", "index_damage", "index_layout", "leaf_offsets", "masks_of", "slots_of", "value_count_of"]
+__all__ = ["index_damage", "index_layout", "leaf_offsets", "masks_of", "slots_of", "value_count_of"]
 
 # First version, as NanoVDB packs it, whose leaves have an offset and prefix sums.
 FIRST_VERSION = 32 << 21 | 6 << 10
@@ -33,21 +37,6 @@ HAS_STATISTICS = 16
 STATISTICS = 4
 # Nodes looked at together: the slots of 64 upper nodes are 16 megabytes.
 NODES_AT_A_TIME = 64
-
-
-def _layout(name: str, leaf_bits: int) -> GridLayout:
-    return GridLayout(name, np.dtype("<u8"), 8, 8, leaf_bits)
-
-
-# A leaf of 96 bytes, and one with a mask of its own behind them: as if it had no bits, or one bit, for each voxel.
-INDEX_LAYOUTS: Mapping[str, GridLayout] = MappingProxyType(
-    {
-        "index": _layout("index", 0),
-        "onindex": _layout("onindex", 0),
-        "indexmask": _layout("indexmask", 1),
-        "onindexmask": _layout("onindexmask", 1),
-    }
-)
 
 
 def index_layout(head: NDArray[np.uint8], where: str) -> GridLayout | None:

@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from geokit.errors import UnsupportedGridError
+from geokit.volume.nanovdb.types import BY_NAME, GRID_TYPES, INDEX_TYPES, GridType
 
 __all__ = [
     "ALIGNMENT",
     "GRID_TYPES",
+    "INDEX_LAYOUTS",
     "LAYOUTS",
     "LEAF_VOXELS",
     "LOWER_SLOTS",
+    "QUANTIZED_HEADER",
     "UPPER_SLOTS",
     "GridLayout",
     "layout_of",
@@ -33,7 +36,8 @@ ALIGNMENT = 32
 UPPER_SLOTS = 32**3
 LOWER_SLOTS = 16**3
 LEAF_VOXELS = 8**3
-FPN_HEADER = 96
+# Bytes of a quantized leaf before its codes: box, flags, mask, minimum, quantum, statistics.
+QUANTIZED_HEADER = 96
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class GridLayout:
         align: Alignment [bytes] of a value.
         stat: Size and alignment [bytes] of an average or deviation.
         leaf_bits: Bits per voxel in a leaf's table; 0 where a leaf stores none, -1 where every leaf has its own number.
-        leaf_header: Bytes of a leaf before its table where values are quantised, else 0.
+        leaf_header: Bytes of a leaf before its table where values are quantized, else 0.
     """
 
     name: str
@@ -118,52 +122,19 @@ def _round(value: int, step: int) -> int:
     return -(-value // step) * step
 
 
-def _scalar(name: str, dtype: str, stat: int, leaf_bits: int | None = None, leaf_header: int = 0) -> GridLayout:
-    kind = np.dtype(dtype)
-    bits = 8 * kind.itemsize if leaf_bits is None else leaf_bits
-    return GridLayout(name, kind, kind.itemsize, stat, bits, leaf_header)
+def _layout(kind: GridType) -> GridLayout:
+    assert kind.value is not None
+    header = QUANTIZED_HEADER if kind.family == "quantized" else 0
+    align = kind.align or kind.value.base.itemsize
+    return GridLayout(kind.name, kind.value, align, kind.statistic_bytes, kind.leaf_bits, header)
 
 
-def _vector(name: str, dtype: str, count: int, stat: int) -> GridLayout:
-    element = np.dtype(dtype)
-    return GridLayout(name, np.dtype((element, (count,))), element.itemsize, stat, 8 * element.itemsize * count)
-
-
-GRID_TYPES: tuple[str, ...] = (
-    "unknown", "float", "double", "int16", "int32", "int64", "vec3f", "vec3d", "mask", "half", "uint32", "bool",
-    "rgba8", "fp4", "fp8", "fp16", "fpn", "vec4f", "vec4d", "index", "onindex", "indexmask", "onindexmask",
-    "pointindex", "vec3u8", "vec3u16", "uint8",
-)  # fmt: skip
-
+# In the order of NanoVDB's numbers.
 LAYOUTS: Mapping[str, GridLayout] = MappingProxyType(
-    {
-        layout.name: layout
-        for layout in (
-            _scalar("float", "<f4", 4),
-            _scalar("double", "<f8", 8),
-            _scalar("int16", "<i2", 4),
-            _scalar("int32", "<i4", 4),
-            _scalar("int64", "<i8", 8),
-            _vector("vec3f", "<f4", 3, 4),
-            _vector("vec3d", "<f8", 3, 8),
-            _scalar("mask", "?", 1, leaf_bits=0),
-            _scalar("half", "<f2", 4),
-            _scalar("uint32", "<u4", 4),
-            _scalar("bool", "?", 1, leaf_bits=1),
-            # Four bytes that are read and aligned as one word.
-            GridLayout("rgba8", np.dtype(("u1", (4,))), 4, 4, 32),
-            _scalar("fp4", "<f4", 4, leaf_bits=4, leaf_header=96),
-            _scalar("fp8", "<f4", 4, leaf_bits=8, leaf_header=96),
-            _scalar("fp16", "<f4", 4, leaf_bits=16, leaf_header=96),
-            _scalar("fpn", "<f4", 4, leaf_bits=-1, leaf_header=FPN_HEADER),
-            _vector("vec4f", "<f4", 4, 4),
-            _vector("vec4d", "<f8", 4, 8),
-            _vector("vec3u8", "u1", 3, 4),
-            _vector("vec3u16", "<u2", 3, 4),
-            _scalar("uint8", "u1", 4),
-        )
-    }
+    {name: _layout(BY_NAME[name]) for name in GRID_TYPES if BY_NAME[name].has_values}
 )
+# Index grids hold no values of their own: each voxel has the number of one.
+INDEX_LAYOUTS: Mapping[str, GridLayout] = MappingProxyType({name: _layout(BY_NAME[name]) for name in INDEX_TYPES})
 
 
 def type_name(grid_type: int) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from geokit.core.download import download_into
 from geokit.core.launcher import resolve_device
 from geokit.errors import DeviceMemoryError
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, tree_header
 from geokit.volume.nanovdb.layout import ALIGNMENT
 
@@ -45,9 +45,7 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
     if found.alias in volume._uploads:
         return volume._uploads[found.alias][0]
     buffer = volume.nanovdb
-    if not volume._uploads:
-        # A kernel follows the buffer's offsets blindly, whoever made it.
-        check_grid(buffer, f"volume {volume.info.name!r}")
+    check_volume(volume)  # a kernel follows the buffer's offsets blindly
     if found.is_cuda and found.free_memory < len(buffer):
         raise DeviceMemoryError(
             f"volume {volume.info.name!r}: {len(buffer)} bytes do not fit into the {found.free_memory} free bytes of "

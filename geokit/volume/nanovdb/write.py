@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
 from geokit.errors import FileFormatError, InputError
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import LAST_OLD_VERSION, full_checksum
 from geokit.volume.nanovdb.codecs import CODECS, compress_into
 from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
@@ -85,7 +85,7 @@ def _prepared(volume: SparseVolume, index: int) -> _Prepared:
     buffer = volume.nanovdb
     where = f"volumes[{index}] {volume.info.name!r}"
     try:
-        check_grid(buffer, where)
+        check_volume(volume, where)
     except FileFormatError as error:
         raise InputError(str(error)) from None
     head = buffer[:HEAD_SIZE].copy()

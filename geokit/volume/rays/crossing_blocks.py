@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import weakref
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["CrossingBlocks", "crossing_blocks"]
+__all__ = ["CrossingBlocks", "crossing_blocks", "known_blocks"]
 
 # To look at a block takes about as long as a fourth of a ray: fewer rays than that go without.
 BLOCKS_PER_RAY = 4
@@ -27,8 +26,6 @@ REMEMBERED = 4
 # Rows of blocks worth a slice of a launch, to look at and to spread distances over.
 GRAIN = 4
 LINE_GRAIN = 128
-
-_found: weakref.WeakKeyDictionary[SparseVolume, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
 
 class CrossingBlocks(NamedTuple):
@@ -55,7 +52,7 @@ def crossing_blocks(
     Returns:
         The blocks; None where to find them would take longer than the rays without them, or too much memory.
     """
-    remembered = _found.setdefault(volume, {})
+    remembered = known_blocks(volume)
     key = (device.alias, *(float(level) for level in levels))
     if key not in remembered:
         box = stored_box(volume)
@@ -72,6 +69,11 @@ def crossing_blocks(
             remembered.pop(next(iter(remembered)))
         remembered[key] = _find(volume, levels, device, anchor, first, count)
     return remembered[key]
+
+
+def known_blocks(volume: SparseVolume) -> dict[Any, CrossingBlocks]:
+    """The blocks that are kept with a volume, by device and levels."""
+    return volume._cache.find("crossing blocks", dict)
 
 
 def _find(

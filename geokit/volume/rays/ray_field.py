@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,19 +10,16 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import GridLayout, layout_of
+from geokit.volume.nanovdb.types import SCALAR_TYPES
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["LEAF_SPAN", "SCALAR_TYPES", "anchor_of", "ray_field", "read_rays", "refuse_bad_rays", "stored_box"]
+__all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "read_rays", "refuse_bad_rays", "stored_box"]
 
-SCALAR_TYPES = (
-    "float", "double", "half", "fp4", "fp8", "fp16", "fpn", "int16", "int32", "int64", "uint8", "uint32", "bool",
-    "mask",
-)  # fmt: skip
 # Voxels this near the ends of int32 count as background: borders of blocks must be int32 numbers too.
 OUTERMOST_VOXEL = 2**31 - 16
 # Edges of what hangs below an entry of the root, and of a leaf.
@@ -31,9 +27,6 @@ ROOT_SPAN = 4096
 LEAF_SPAN = 8
 # Nodes whose slots are looked at together: 64 upper nodes are 16 MiB of them.
 NODES_AT_A_TIME = 64
-
-
-_boxes: weakref.WeakKeyDictionary[SparseVolume, NDArray[np.int64] | None] = weakref.WeakKeyDictionary()
 
 
 def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) -> Any:
@@ -119,11 +112,12 @@ def stored_box(volume: SparseVolume) -> NDArray[np.int64] | None:
 
     Wider than the active voxels: inactive values count for the interpolant as well. Looked up once for each volume.
     """
-    if volume not in _boxes:
-        # The offsets below are followed as they stand.
-        check_grid(volume.nanovdb, f"volume {volume.info.name!r}")
-        _boxes[volume] = _find_box(volume.nanovdb)
-    return _boxes[volume]
+
+    def find() -> NDArray[np.int64] | None:
+        check_volume(volume)  # the offsets are followed as they stand
+        return _find_box(volume.nanovdb)
+
+    return volume._cache.find("stored box", find)
 
 
 def anchor_of(box: NDArray[np.int64]) -> NDArray[np.int64]:

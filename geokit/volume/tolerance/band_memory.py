@@ -10,7 +10,7 @@ import numpy as np
 
 from geokit.volume.band.tiles import TILE_VOXELS, WORKING_BYTES, Lattice, near_tiles
 from geokit.volume.nanovdb.header import HEAD_SIZE
-from geokit.volume.nanovdb.layout import FPN_HEADER, LAYOUTS, LEAF_VOXELS
+from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
 
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
@@ -34,7 +34,7 @@ class BandCounts:
     def bytes_of(self, codec: str, bits: float = 0.0) -> float:
         """Bytes of the grid in a codec; ``bits`` a voxel where leaves differ ("fpn")."""
         layout = LAYOUTS[codec]
-        leaf = FPN_HEADER + bits * LEAF_VOXELS / 8.0 if codec == "fpn" else layout.leaf_size
+        leaf = QUANTIZED_HEADER + bits * LEAF_VOXELS / 8.0 if codec == "fpn" else layout.leaf_size
         head = HEAD_SIZE + layout.root_size + self.uppers * layout.root_tile_size
         return head + self.leaves * leaf + self.lowers * layout.lower_size + self.uppers * layout.upper_size
 

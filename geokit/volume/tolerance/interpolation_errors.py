@@ -7,15 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.volume.nanovdb.types import FIXED_BITS
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["FIXED_BITS", "REACH", "Stencils", "interpolation_errors", "quantisation_step", "stencils_of"]
+__all__ = ["REACH", "Stencils", "interpolation_errors", "quantisation_step", "stencils_of"]
 
 # First voxel of an order's stencil along an axis, counted from the one below the point, and how many there are.
 STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
 # Distance [voxels] from a point to the farthest voxel that its value is made of.
 REACH = {1: 3.0**0.5, 2: 2.0 * 3.0**0.5, 3: 2.0 * 3.0**0.5}
-FIXED_BITS = {"fp16": 16, "fp8": 8, "fp4": 4}
 
 
 class Stencils(NamedTuple):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.volume.nanovdb.types import FIXED_BITS, QUANTIZED
 from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
 from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantisation_step, stencils_of
 from geokit.volume.tolerance.zone import Zone
@@ -23,7 +24,7 @@ __all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "qui
 
 ORDERS = (1, 2, 3)
 # From the quickest to read to the slowest, as far as one is not smaller.
-CODECS = ("float", "fp16", "fp8", "fp4", "fpn")
+CODECS = ("float", *reversed(list(FIXED_BITS)), *(name for name in QUANTIZED if name not in FIXED_BITS))
 # Bits of a leaf's voxels in "fpn".
 LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 # What "fpn" may change of a voxel, as shares of the tolerance: more bits, or more voxels.

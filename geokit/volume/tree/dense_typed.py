@@ -17,6 +17,7 @@ from geokit.core import available_memory
 from geokit.core.launcher import thread_count
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, GridLayout
+from geokit.volume.nanovdb.types import CLASS_TYPES, WHOLE_TYPES, WHOLE_VECTOR_TYPES
 from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, slot_of, tree_of_leaves
 
 __all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
@@ -25,24 +26,6 @@ __all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
 NUMBERS_AT_A_TIME = 1 << 18
 # States of a tile.
 LEAF, INSIDE = 1, 2
-# Of whole numbers, where no type is asked for: their own, or the next that holds them.
-_WHOLE = {
-    "b1": "bool", "i1": "int16", "i2": "int16", "i4": "int32", "i8": "int64",
-    "u1": "uint8", "u2": "int32", "u4": "uint32",
-}  # fmt: skip
-_WHOLE_VECTORS = {("u1", 3): "vec3u8", ("u2", 3): "vec3u16", ("u1", 4): "rgba8"}
-# NanoVDB has these classes for these types only.
-_CLASSES = {
-    "level set": ("float", "double", "half"),
-    "fog volume": ("float", "double", "half"),
-    "staggered": ("vec3f", "vec3d", "vec4f", "vec4d"),
-    "topology": ("mask",),
-    "point index": ("uint32",),
-    "point data": ("uint32",),
-    "voxel volume": ("float", "double", "vec3f", "vec3d", "uint32", "rgba8"),
-    "index grid": (),
-    "tensor grid": (),
-}
 
 
 @dataclass(frozen=True)
@@ -237,10 +220,10 @@ def layout_for(values: NDArray[Any], grid_type: str | None, grid_class: str) -> 
         wanted = ", ".join(["X", "Y", "Z", *map(str, layout.background.shape)])
         raise InputError(f"values: shape {values.shape} is not ({wanted}); give what voxels of type {name} hold")
     # Float grids have always taken every class.
-    if name != "float" and name not in _CLASSES.get(grid_class, (name,)):
+    if name != "float" and name not in CLASS_TYPES.get(grid_class, (name,)):
         raise InputError(
             f"grid_class: no {grid_class} is of type {name}; use 'unknown'"
-            + (f", or grid_type={_CLASSES[grid_class][0]!r}" if _CLASSES[grid_class] else "")
+            + (f", or grid_type={CLASS_TYPES[grid_class][0]!r}" if CLASS_TYPES[grid_class] else "")
         )
     return layout
 
@@ -249,10 +232,10 @@ def _own_type(values: NDArray[Any], grid_class: str) -> str:
     count = 1 if values.ndim == 3 else values.shape[3]
     if values.ndim == 4 and count not in (3, 4):
         raise InputError(f"values: shape {values.shape} has {count} components; give (X, Y, Z), or 3 or 4 of them")
-    if values.dtype.kind == "f" or (count == 1 and "float" in _CLASSES.get(grid_class, ())):
+    if values.dtype.kind == "f" or (count == 1 and "float" in CLASS_TYPES.get(grid_class, ())):
         return "float" if count == 1 else f"vec{count}f"
     kind = values.dtype.str[1:]
-    found = _WHOLE.get(kind) if count == 1 else _WHOLE_VECTORS.get((kind, count))
+    found = WHOLE_TYPES.get(kind) if count == 1 else WHOLE_VECTOR_TYPES.get((kind, count))
     if found is None:
         remedy = "'int64' or 'float'" if count == 1 else f"'vec{count}f' or 'vec{count}d'"
         raise InputError(f"values: no grid has {count} {values.dtype} in a voxel; name a grid_type, {remedy}")

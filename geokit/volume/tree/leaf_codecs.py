@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume.nanovdb.header import grid_header
-from geokit.volume.nanovdb.layout import LEAF_VOXELS, layout_of
+from geokit.volume.nanovdb.layout import LEAF_VOXELS, QUANTIZED_HEADER, layout_of
+from geokit.volume.nanovdb.types import BY_NAME
 from geokit.volume.tree.retype_tree import RetypedTree, leaf_starts
 
 __all__ = ["HEADER", "LeafReader", "decode", "fewest_bits", "thresholds", "write_codes", "write_floats"]
 
-# Bytes of a quantised leaf before its codes: box, flags, mask, minimum, quantum, statistics.
-HEADER = 96
+HEADER = QUANTIZED_HEADER
 # Widths of an FpN leaf, in the order of the logarithms that its flags store.
 BITS = (1, 2, 4, 8, 16)
 # Box, flags and mask: the same in every type.
 COMMON = 80
 # Flags of a leaf; the others are the width of an FpN leaf.
 FLAG_BITS = 0x1F
-FPN_TYPE = 16
+FPN_TYPE = BY_NAME["fpn"].number
 # A leaf of a float grid: as many bytes before its values as a quantised one.
 FLOAT_LEAF = HEADER + 4 * LEAF_VOXELS
 # Leaves of other types that are turned into float leaves at a time: 17 MiB.

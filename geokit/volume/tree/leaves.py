@@ -20,6 +20,7 @@ from geokit.volume.nanovdb.header import (
     voxel_size_of,
 )
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
+from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.flood_signs import with_signs
 from geokit.volume.tree.grid_head import GridHead, result_head, result_of
@@ -42,7 +43,7 @@ __all__ = [
     "voxelized",
 ]
 
-QUANTISED = ("fp4", "fp8", "fp16", "fpn")
+QUANTISED = QUANTIZED
 LEAF_VOXELS = 512
 # Edges of a voxel whose lengths or angles differ by less than this are those of a cube whose matrix was rounded.
 CUBE_TOLERANCE = 1e-6

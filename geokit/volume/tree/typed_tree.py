@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geokit.core import available_memory
 from geokit.errors import DeviceMemoryError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
 from geokit.volume.tree.root_table import root_origins, root_tile_type
@@ -150,9 +150,7 @@ def tree_of(volume: SparseVolume) -> TypedTree:
     """
     buffer = volume.nanovdb
     where = f"volume {volume.info.name!r}"
-    if not volume._uploads:
-        # What is on a device has been looked at.
-        check_grid(buffer, where)
+    check_volume(volume)
     layout = layout_of(int(grid_header(buffer)["grid_type"]), where)
     tree = tree_header(buffer)
     begins = [TREE_OFFSET + int(offset) for offset in tree["node_offset"]]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
 from geokit.core import launcher
 from geokit.mesh._from_volume import from_volume
-from geokit.volume.isosurface import launch
+from geokit.volume.isosurface import launch, nodes
 from geokit.volume.isosurface.cells import crossed_cells
 from tests.support.sphere_volumes import sphere
 
@@ -59,17 +62,20 @@ def test_planes_one_by_one(method, monkeypatch):
     np.testing.assert_array_equal(found.faces, expected.faces)
 
 
-def test_a_tree_is_looked_up_once_and_forgotten_with_its_volume():
-    import gc
+def test_a_tree_is_looked_up_once_and_forgotten_with_its_volume(monkeypatch):
+    volume, found = sphere(5.0), []
+    find = nodes._find_topology
 
-    from geokit.volume.isosurface import nodes
+    def counted(buffer):
+        found.append(find(buffer))
+        return found[-1]
 
-    volume = sphere(5.0)
+    monkeypatch.setattr(nodes, "_find_topology", counted)
     from_volume(volume, device="cpu")
-    before = len(nodes._known)
-    assert volume in nodes._known
     from_volume(volume, isovalue=0.5, device="cpu")
-    assert len(nodes._known) == before
+    assert len(found) == 1
+    topology = weakref.ref(found.pop())
+    assert topology() is not None
     del volume
     gc.collect()
-    assert len(nodes._known) == before - 1
+    assert topology() is None

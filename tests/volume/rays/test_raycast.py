@@ -240,7 +240,7 @@ class TestBlocks:
         origins, directions = np.full((1, 3), -30.0), np.ones((1, 3))
         for isovalue in range(crossing_blocks.REMEMBERED + 2):
             raycast(volume, origins, directions, isovalue=isovalue / 10, device="cpu")
-        kept = crossing_blocks._found[volume]
+        kept = crossing_blocks.known_blocks(volume)
         assert len(kept) == crossing_blocks.REMEMBERED
         before = list(kept.values())[-1]
         raycast(volume, origins, directions, isovalue=(crossing_blocks.REMEMBERED + 1) / 10, device="cpu")
@@ -249,9 +249,9 @@ class TestBlocks:
     def test_are_left_out_where_they_would_not_pay(self):
         volume = sphere(40.0)  # 13^3 blocks with their rim
         raycast(volume, np.full((10, 3), -30.0), np.ones((10, 3)), device="cpu")
-        assert not crossing_blocks._found[volume]
+        assert not crossing_blocks.known_blocks(volume)
         raycast(volume, np.full((20_000, 3), -30.0), np.ones((20_000, 3)), device="cpu")
-        assert len(crossing_blocks._found[volume]) == 1
+        assert len(crossing_blocks.known_blocks(volume)) == 1
 
     def test_distances_ahead(self):
         # Few crossings, so that the largest distance that is told apart is reached as well.

@@ -1,0 +1,207 @@
+"""The grid types of NanoVDB: one table, from which everything that must know a type is derived.
+
+To add a type, add a row here, say how a kernel reads a voxel (beside ``read_voxel_kernels``) and give the tests an example
+(``tests/support/typed_grids.py``); where OpenVDB has the type too, add it to ``native/src``.
+tests/volume/nanovdb/test_types.py names each place that was forgotten.
+
+Source:
+    NanoVDB.h 32.8, GridType and isValid(GridType, GridClass).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+__all__ = [
+    "BY_NAME",
+    "CHANNEL_TYPES",
+    "CLASS_TYPES",
+    "COMPONENTS",
+    "FIXED_BITS",
+    "FLOAT",
+    "GRID_CLASSES",
+    "GRID_TYPES",
+    "INDEX_TYPES",
+    "ISOSURFACE_TYPES",
+    "OPENVDB_TOOL_TYPES",
+    "QUANTIZED",
+    "SCALAR_TYPES",
+    "TYPES",
+    "WHOLE_TYPES",
+    "WHOLE_VECTOR_TYPES",
+    "Family",
+    "GridType",
+]
+
+Family = Literal["none", "float", "quantized", "integer", "bool", "mask", "vector", "color", "index", "point"]
+
+# In the order of NanoVDB's numbers.
+GRID_CLASSES = (
+    "unknown", "level set", "fog volume", "staggered", "point index", "point data", "topology", "voxel volume",
+    "index grid", "tensor grid",
+)  # fmt: skip
+DISTANCE = ("level set", "fog volume")
+COLORS = "voxel volume"
+
+
+@dataclass(frozen=True)
+class GridType:
+    """One grid type.
+
+    Attributes:
+        number: NanoVDB's number of it.
+        name: NanoVDB's name in lower case.
+        family: What its values are; a "quantized" type has float values and stores codes in its leaves.
+        value: NumPy type of a tile and of the background, with its shape for vectors; None where geokit reads none.
+        statistic_bytes: Size and alignment of an average or deviation in a node.
+        leaf_bits: Bits of a voxel in a leaf's table; 0 where leaves have no table, -1 where each has its own number.
+        openvdb: OpenVDB's name of the value type that geokit writes into .vdb files; None where OpenVDB has none.
+        has_openvdb_tools: Whether OpenVDB's own library has operations on such grids.
+        classes: Grid classes that NanoVDB allows for this type, beside "unknown".
+        align: Alignment of a value [bytes]; 0 for the size of one component.
+    """
+
+    number: int
+    name: str
+    family: Family
+    value: np.dtype[Any] | None = None
+    statistic_bytes: int = 0
+    leaf_bits: int = 0
+    openvdb: str | None = None
+    has_openvdb_tools: bool = False
+    classes: tuple[str, ...] = ()
+    align: int = 0
+
+    @property
+    def components(self) -> int:
+        """Numbers in a value."""
+        return self.value.shape[0] if self.value is not None and self.value.shape else 1
+
+    @property
+    def has_values(self) -> bool:
+        """Whether voxels have values: such grids can be sampled."""
+        return self.family not in ("none", "index", "point")
+
+    @property
+    def has_plain_leaves(self) -> bool:
+        """Whether leaves store values as an array of the value type, neither as codes nor as bits."""
+        return self.has_values and self.value is not None and self.leaf_bits == 8 * self.value.itemsize
+
+    @property
+    def has_isosurface(self) -> bool:
+        """Whether numbers between two values mean something: integers, bits and vectors have no isosurface."""
+        return self.family in ("float", "quantized")
+
+    @property
+    def pnanovdb(self) -> str:
+        """The name of the type in PNanoVDB.h, behind ``PNANOVDB_GRID_TYPE_``."""
+        return "BOOLEAN" if self.family == "bool" else self.name.upper()
+
+
+def _scalar(number: int, name: str, family: Family, code: str, statistic_bytes: int, **options: Any) -> GridType:
+    value = np.dtype(code)
+    return GridType(number, name, family, value, statistic_bytes, **{"leaf_bits": 8 * value.itemsize, **options})
+
+
+def _vector(number: int, name: str, code: str, components: int, statistic_bytes: int, **options: Any) -> GridType:
+    value = np.dtype((code, (components,)))
+    return GridType(number, name, "vector", value, statistic_bytes, 8 * value.itemsize, **options)
+
+
+def _quantized(number: int, name: str, leaf_bits: int) -> GridType:
+    return _scalar(number, name, "quantized", "<f4", 4, leaf_bits=leaf_bits, openvdb="float", classes=DISTANCE)
+
+
+# Leaves of index grids have no table: a leaf of 96 bytes, or one with a mask behind it, as if a voxel had one bit.
+def _index(number: int, name: str, leaf_bits: int) -> GridType:
+    return _scalar(number, name, "index", "<u8", 8, leaf_bits=leaf_bits)
+
+
+TYPES: tuple[GridType, ...] = (
+    GridType(0, "unknown", "none"),
+    _scalar(1, "float", "float", "<f4", 4, openvdb="float", has_openvdb_tools=True, classes=(*DISTANCE, COLORS)),
+    _scalar(2, "double", "float", "<f8", 8, openvdb="double", has_openvdb_tools=True, classes=(*DISTANCE, COLORS)),
+    _scalar(9, "half", "float", "<f2", 4, classes=DISTANCE),
+    _quantized(13, "fp4", 4),
+    _quantized(14, "fp8", 8),
+    _quantized(15, "fp16", 16),
+    _quantized(16, "fpn", -1),
+    _scalar(3, "int16", "integer", "<i2", 4),
+    _scalar(4, "int32", "integer", "<i4", 4, openvdb="int32", has_openvdb_tools=True),
+    _scalar(5, "int64", "integer", "<i8", 8, openvdb="int64", has_openvdb_tools=True),
+    _scalar(26, "uint8", "integer", "u1", 4),
+    _scalar(10, "uint32", "integer", "<u4", 4, openvdb="uint32", classes=("point index", "point data", COLORS)),
+    _scalar(11, "bool", "bool", "?", 1, leaf_bits=1, openvdb="bool", has_openvdb_tools=True),
+    _scalar(8, "mask", "mask", "?", 1, leaf_bits=0, openvdb="mask", classes=("topology",)),
+    _vector(6, "vec3f", "<f4", 3, 4, openvdb="vec3s", has_openvdb_tools=True, classes=("staggered", COLORS)),
+    _vector(7, "vec3d", "<f8", 3, 8, openvdb="vec3d", has_openvdb_tools=True, classes=("staggered", COLORS)),
+    _vector(24, "vec3u8", "u1", 3, 4),
+    _vector(25, "vec3u16", "<u2", 3, 4),
+    _vector(17, "vec4f", "<f4", 4, 4, openvdb="vec4s", classes=("staggered",)),
+    _vector(18, "vec4d", "<f8", 4, 8, openvdb="vec4d", classes=("staggered",)),
+    # Four bytes that are read and aligned as one word.
+    GridType(12, "rgba8", "color", np.dtype(("u1", (4,))), 4, 32, classes=(COLORS,), align=4),
+    _index(19, "index", 0),
+    _index(20, "onindex", 0),
+    _index(21, "indexmask", 1),
+    _index(22, "onindexmask", 1),
+    GridType(23, "pointindex", "point"),
+)
+
+BY_NAME: Mapping[str, GridType] = MappingProxyType({grid_type.name: grid_type for grid_type in TYPES})
+
+
+# The tables below are in the order of the rows above, but for the first: that is in the order of NanoVDB's numbers.
+GRID_TYPES = tuple(kind.name for kind in sorted(TYPES, key=lambda kind: kind.number))
+FLOAT = BY_NAME["float"].number
+INDEX_TYPES = tuple(kind.name for kind in TYPES if kind.family == "index")
+
+# Types whose voxels have values, and how many numbers each value is.
+COMPONENTS: Mapping[str, int] = MappingProxyType({kind.name: kind.components for kind in TYPES if kind.has_values})
+SCALAR_TYPES = tuple(name for name, count in COMPONENTS.items() if count == 1)
+ISOSURFACE_TYPES = tuple(kind.name for kind in TYPES if kind.has_isosurface)
+# An index grid's channels are of these types.
+CHANNEL_TYPES = tuple(kind.name for kind in TYPES if kind.has_plain_leaves)
+OPENVDB_TOOL_TYPES = tuple(kind.name for kind in TYPES if kind.has_openvdb_tools)
+
+QUANTIZED = tuple(kind.name for kind in TYPES if kind.family == "quantized")
+# Bits of a voxel of the quantized types whose leaves are all alike.
+FIXED_BITS: Mapping[str, int] = MappingProxyType(
+    {name: BY_NAME[name].leaf_bits for name in QUANTIZED if BY_NAME[name].leaf_bits > 0}
+)
+
+# Types that NanoVDB allows for each class of grid; every type may be "unknown".
+CLASS_TYPES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {name: tuple(kind.name for kind in TYPES if name in kind.classes) for name in GRID_CLASSES if name != "unknown"}
+)
+
+
+def _smallest_type(code: str) -> str | None:
+    """The scalar type of whole numbers that holds those of a NumPy type: its own, or the smallest that does."""
+    dtype = np.dtype(code)
+    fitting = [
+        kind
+        for kind in TYPES
+        if kind.family in ("integer", "bool") and kind.value is not None and np.can_cast(dtype, kind.value, "safe")
+    ]
+    best = min(fitting, key=lambda kind: (kind.value != dtype, kind.leaf_bits), default=None)
+    return best.name if best else None
+
+
+# What arrays of whole numbers become, by NumPy's code of their type, and by that and the number of components.
+_WHOLE = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
+WHOLE_TYPES: Mapping[str, str] = MappingProxyType(
+    {code: name for code in _WHOLE if (name := _smallest_type(code)) is not None}
+)
+WHOLE_VECTOR_TYPES: Mapping[tuple[str, int], str] = MappingProxyType(
+    {
+        (kind.value.base.str[1:], kind.components): kind.name
+        for kind in TYPES
+        if kind.value is not None and kind.value.shape and kind.value.base.kind in "iu"
+    }
+)
