@@ -1,7 +1,7 @@
 """The grid types of NanoVDB: one table, from which everything that must know a type is derived.
 
-To add a type, add a row here, say how a kernel reads a voxel (beside ``read_voxel_kernels``) and give the tests an example
-(``tests/support/typed_grids.py``); where OpenVDB has the type too, add it to ``native/src``.
+To add a type, add a row here, say how a kernel reads a voxel (beside ``read_voxel_kernels``) and give the tests an
+example (``tests/support/typed_grids.py``); where OpenVDB has the type too, add it to ``native/src``.
 tests/volume/nanovdb/test_types.py names each place that was forgotten.
 
 Source:
