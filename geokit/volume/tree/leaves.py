@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import (
     HEAD_SIZE,
@@ -103,7 +103,7 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
     if volume.info.grid_type not in QUANTISED:
         return volume
     buffer = volume.nanovdb
-    check_grid(buffer, f"volume {volume.info.name!r}")
+    check_volume(volume)
     reader = LeafReader(buffer)
     layout = LAYOUTS["float"]
     retyped = retype_tree(buffer, GRID_TYPES.index("float"), np.full(reader.count, layout.leaf_size))
