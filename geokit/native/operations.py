@@ -1,8 +1,8 @@
-"""OpenVDB's operations on volumes: NanoVDB buffers in, NanoVDB buffers out.
+"""OpenVDB's operations on volumes, as functions from NanoVDB buffers to NanoVDB buffers.
 
-Thin: arguments are checked by ``geokit.volume``. Every function raises ``MissingDependencyError`` where the extension
-is not there, ``UnsupportedGridError`` for a grid type that the operation does not have, and ``InputError`` for a buffer
-that is no NanoVDB grid. Quantised grids become float grids. Name, class and transform are those of the first buffer.
+A thin layer: ``geokit.volume`` checks the arguments. Every function raises ``MissingDependencyError`` without the
+extension, ``UnsupportedGridError`` for a grid type that the operation does not support, and ``InputError`` for a buffer
+that is not a NanoVDB grid. Quantized grids become float grids. Name, class and transform come from the first buffer.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def _run(function: Callable[[Any], _Result]) -> _Result:
 
 
 def csg(a: Buffer, b: Buffer, kind: str) -> Buffer:
-    """ "union", "intersection" or "difference" of level sets on one lattice with equal backgrounds."""
+    """Combine two level sets on one lattice with equal backgrounds: "union", "intersection" or "difference"."""
     first, second = _aligned(a), _aligned(b)
     return _run(lambda bridge: bridge.csg(first, second, kind))
 
 
 def smooth_csg(a: Buffer, b: Buffer, kind: str, blend: float) -> Buffer:
-    """The same with a smooth minimum; both bands must reach ``blend`` [values] beyond their surface."""
+    """As :func:`csg`, with a smooth minimum; both bands must reach ``blend`` [value units] beyond their surface."""
     first, second = _aligned(a), _aligned(b)
     return _run(lambda bridge: bridge.smooth_csg(first, second, kind, float(blend)))
 
@@ -52,14 +52,14 @@ def smooth_csg(a: Buffer, b: Buffer, kind: str, blend: float) -> Buffer:
 def redistance(
     buffer: Buffer, *, voxel_size: float, half_width: float, isovalue: float = 0.0, keeps_band: bool = False
 ) -> Buffer:
-    """Signed distances from the surface at ``isovalue`` [voxels], in a band of ``half_width`` [voxels].
+    """Recompute signed distances from the surface at ``isovalue`` [voxels], in a band of ``half_width`` [voxels].
 
     Args:
         buffer: Level set on cubic voxels.
-        voxel_size: Edge of a voxel in the unit of the values.
-        half_width: Of the new band [voxels].
+        voxel_size: Edge length of a voxel in the unit of the values.
+        half_width: Half width of the new band [voxels].
         isovalue: Value of the surface [voxels]; 0 with ``keeps_band``.
-        keeps_band: Active voxels keep their values; only voxels beyond them are computed.
+        keeps_band: Keep the values of active voxels and compute only the voxels beyond them.
     """
     first = _aligned(buffer)
     return _run(
@@ -68,32 +68,32 @@ def redistance(
 
 
 def smooth(buffer: Buffer, *, method: str, width: int, iterations: int, voxel_size: float) -> Buffer:
-    """OpenVDB's LevelSetFilter for level sets, its Filter for other grids."""
+    """Smooth with OpenVDB's LevelSetFilter (level sets) or Filter (other grids)."""
     first = _aligned(buffer)
     return _run(lambda bridge: bridge.smooth(first, method, int(width), int(iterations), float(voxel_size)))
 
 
 def prune(buffer: Buffer, tolerance: float) -> Buffer:
-    """Nodes whose values differ by at most ``tolerance`` and share their state become tiles."""
+    """Replace nodes by tiles if their values differ by at most ``tolerance`` and their states are equal."""
     first = _aligned(buffer)
     return _run(lambda bridge: bridge.prune(first, float(tolerance)))
 
 
 def clip(buffer: Buffer, bounds: NDArray[np.float64]) -> Buffer:
-    """Voxels whose centres are outside the box (2, 3) [world] become inactive background."""
+    """Make voxels inactive background if their centers are outside the box ``bounds`` (2, 3) [world]."""
     first = _aligned(buffer)
     lower, upper = bounds.tolist()
     return _run(lambda bridge: bridge.clip(first, lower, upper))
 
 
 def segment(buffer: Buffer, *, voxel_size: float, memory_limit: int) -> list[Buffer]:
-    """Connected components, largest first: of a level set's inside, of other grids' active voxels."""
+    """Connected components of a level set's inside, or of another grid's active voxels, largest first."""
     first = _aligned(buffer)
     return list(_run(lambda bridge: bridge.segment(first, float(voxel_size), float(memory_limit))))
 
 
 def voxelized(buffer: Buffer) -> Buffer:
-    """The same grid with leaves in place of active tiles, and floats in place of quantised values."""
+    """Replace active tiles by leaves, and quantized values by floats."""
     first = _aligned(buffer)
     return _run(lambda bridge: bridge.voxelized(first))
 
@@ -115,15 +115,15 @@ def from_leaves(
     name: str,
     grid_class: str,
 ) -> Buffer:
-    """A grid from its leaves; a level set's empty regions get their signs.
+    """Build a grid from its leaves; for a level set, also set the signs of empty regions.
 
     Args:
-        origins: First voxel of each leaf, multiples of 8, shape (L, 3), each once.
+        origins: First voxel of each leaf, multiples of 8, distinct, shape (L, 3).
         values: float32 or float64, shape (L, 512) or (L, 512, 3), z fastest.
         masks: Active voxels, shape (L, 64), bit z of byte ``8 x + y``.
-        background: A number, or three.
+        background: The background value, one number or three.
         transform: Index to world, shape (4, 4).
-        name: Of the grid.
+        name: Name of the grid.
         grid_class: "level set", "fog volume", "staggered" or "unknown".
     """
     is_double = values.dtype == np.float64

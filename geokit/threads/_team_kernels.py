@@ -1,4 +1,4 @@
-"""What a kernel sees of its team: which items are its own, and how it waits for the other threads."""
+"""Kernel functions of a team: a thread's share of the items, and a barrier."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -7,10 +7,10 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Warp has no barrier between threads of a CPU, since it has no such threads. The last to arrive opens the next round,
-# which the others wait for; counter and round lie in cache lines of their own. Who has waited in vain for long, since
-# there are more threads than processors, lets others run. A kernel's text cannot include headers: sched_yield, which
-# is POSIX, is declared by its name in the library.
+# Warp runs a CPU launch on one thread and so has no barrier between CPU threads. Here the last thread to arrive opens
+# the next round, and the others wait for it. Counter and round are in separate cache lines. A thread that has polled 50
+# times yields its processor, because there may be more threads than processors. The snippet cannot include headers, so
+# it declares POSIX's sched_yield by its symbol name.
 BARRIER = """
 #if !defined(__CUDA_ARCH__)
     if (share.threads > 1) {
@@ -41,18 +41,18 @@ BARRIER = """
 
 @wp.struct
 class Share:
-    """A thread's own part of a launch; the first parameter of a kernel that a :class:`Team` runs.
+    """One thread's part of a launch; the first parameter of a kernel that a :class:`Team` runs.
 
-    Its items are ``gk.threads.item(share, k)`` for each of ``range(wp.tid(), share.count, share.step)``: on a CPU a
-    loop over the blocks of rows that are this thread's, on a GPU one item.
+    The thread's items are ``gk.threads.item(share, k)`` for ``k`` in ``range(wp.tid(), share.count, share.step)``. On a
+    CPU this is a loop over the thread's blocks of items, on a GPU a single item.
 
     Attributes:
-        thread: Number of the thread of a CPU, from 0 on; 0 on a GPU.
-        threads: Threads of a CPU that share the launch; 1 on a GPU.
+        thread: Index of the CPU thread, from 0; 0 on a GPU.
+        threads: Number of CPU threads that share the launch; 1 on a GPU.
         count: End of the loop.
         step: Step of the loop.
-        block: Rows that follow each other and are one thread's; 1 on a GPU.
-        meeting: Of the barrier.
+        block: Number of consecutive items of one thread; 1 on a GPU.
+        meeting: Memory of the barrier.
     """
 
     thread: int
@@ -65,14 +65,14 @@ class Share:
 
 @wp.func
 def item(share: Share, k: int):
-    """In a kernel: the item that is number k of this share."""
+    """Index of item ``k`` of this share; call it in a kernel."""
     return (k // share.block * share.threads + share.thread) * share.block + k % share.block
 
 
 @wp.func_native(snippet=BARRIER)
 def barrier(share: Share):
-    """In a kernel: wait until all threads of the team are here; what any of them has written, all see.
+    """Wait until all threads of the team have arrived; afterwards each sees what the others wrote. Call it in a kernel.
 
-    Every thread has to pass it equally often. On a GPU it does nothing: there, what has to wait is a launch of its own.
+    Every thread must call it equally often. On a GPU it does nothing: work that has to wait needs a separate launch.
     """
     ...

@@ -118,7 +118,7 @@ def raycast(
         launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
-    return VolumeHits(*(rays.give(array) for array in found))
+    return VolumeHits(*(rays.to_caller(array) for array in found))
 
 
 def _neighbours(level: float) -> tuple[float, float]:

@@ -104,7 +104,7 @@ def sample(
     out = wp.empty(len(batch), dtype=dtype, device=target)
     inputs = [*query_inputs(volume, batch.array, space), background]
     launcher.launch(_sample_kernel(order, components, _is_staggered(volume)), len(batch), inputs, [out], target)
-    return batch.give(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
+    return batch.to_caller(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
 
 
 def gradient(
@@ -163,7 +163,7 @@ def gradient(
     zero = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components](0.0)
     inputs = [*query_inputs(volume, batch.array, space), zero]
     launcher.launch(_gradient_kernel(order, components, _is_staggered(volume)), count, inputs, [out], target)
-    return batch.give(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
+    return batch.to_caller(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
 
 
 def _sample_kernel(order: int, components: int, staggered: bool) -> Any:
