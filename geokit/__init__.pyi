@@ -1,10 +1,10 @@
 __version__: str
 
-# Meshes, volumes, point sets; figures; threads for kernels of one's own; accuracy against speed.
+# Meshes, volumes, point sets; figures; CPU threads for the user's own kernels; charts of accuracy against speed.
 from . import mesh as mesh, points as points, volume as volume
 from . import accuracy as accuracy, render as render, threads as threads
 
-# What geokit raises on purpose.
+# Exceptions.
 from . import errors as errors
 from .errors import (
     DeviceMemoryError as DeviceMemoryError,

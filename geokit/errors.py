@@ -1,15 +1,15 @@
-"""Exceptions that geokit raises on purpose.
+"""The exceptions of geokit.
 
     Exception
     └── GeokitError
-        ├── InputError (ValueError)             a value, shape, index or option that cannot be used
-        ├── FileAccessError (OSError)           a file that is missing, unreadable or unwritable
-        ├── FileFormatError                     a file whose content is damaged or not what its name says
-        ├── UnsupportedGridError                a grid type, class or transform that geokit cannot represent
-        ├── MissingDependencyError (ImportError) an optional part that is not installed
-        └── DeviceMemoryError (MemoryError)     a request that needs more memory than there is
+        ├── InputError (ValueError)             an unusable value, shape, index or option
+        ├── FileAccessError (OSError)           a missing, unreadable or unwritable file
+        ├── FileFormatError                     a file with damaged content, or with other content than its name says
+        ├── UnsupportedGridError                a grid type, class or transform without support in geokit
+        ├── MissingDependencyError (ImportError) an optional part of geokit that is not installed
+        └── DeviceMemoryError (MemoryError)     a request that exceeds the available memory
 
-A message says what was wrong, where (file, argument, first bad row) and what to do about it.
+Each message says what was wrong, where (file, argument, first bad row) and what to do about it.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ __all__ = [
 
 
 class GeokitError(Exception):
-    """Root of every exception that geokit raises on purpose."""
+    """Base class of all exceptions that geokit raises on purpose."""
 
 
 class InputError(GeokitError, ValueError):
-    """An argument that cannot be used: wrong shape, non-finite value, index out of range, unknown option."""
+    """An unusable argument: wrong shape, non-finite value, index out of range, unknown option."""
 
 
 class FileAccessError(GeokitError, OSError):
     """A file that does not exist, cannot be read, or cannot be written."""
 
-    # OSError formats itself from errno; geokit's own sentence is the better message.
+    # OSError builds its text from errno; geokit's message says more.
     def __str__(self) -> str:
         return str(self.args[0]) if self.args else ""
 
 
 class FileFormatError(GeokitError):
-    """A file whose content is damaged, truncated, or not what its name says."""
+    """A file with damaged or truncated content, or with other content than its name says."""
 
 
 class UnsupportedGridError(GeokitError):
@@ -54,4 +54,4 @@ class MissingDependencyError(GeokitError, ImportError):
 
 
 class DeviceMemoryError(GeokitError, MemoryError):
-    """A request that needs more memory than the device has; the message says what would fit."""
+    """A request that exceeds the memory of the device; the message says what would fit."""

@@ -1,4 +1,4 @@
-"""The command line: one file for each verb, thin over the API."""
+"""The command line: one file per verb, each a thin layer over the API."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    0 is success, 1 a request that could not be fulfilled, 2 a command line that makes no sense, 130 an interrupt.
-    Errors are one line on stderr; GEOKIT_DEBUG=1 shows where they came from.
+    0 is success, 1 a request that failed, 2 an invalid command line, 130 an interrupt, 141 a closed stdout. An error is
+    one line on stderr; GEOKIT_DEBUG=1 adds the traceback.
     """
     from geokit.cli._run import run
 

@@ -1,4 +1,4 @@
-"""Builds every kernel module ahead of its first use."""
+"""Compiles all kernel modules ahead of their first use."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import Any
 __all__ = ["compile_all", "kernel_modules"]
 
 _SUFFIX = "_kernels"
-# Processes rather than threads: warp builds one module at a time in a process. Its cache is made for several.
-# A builder takes names from its stdin and answers each with a line: "ok", or what went wrong.
+# Processes rather than threads, because warp compiles one module at a time in a process. Several processes can share
+# its cache. A builder reads module names from stdin and answers each with a line: "ok", or the error.
 _BUILDER = """
 import importlib, sys
 answers = sys.stdout
@@ -36,7 +36,7 @@ for line in sys.stdin:
 
 
 def kernel_modules() -> list[str]:
-    """Dotted names of every module of the package that holds kernels; packages are imported, kernels not."""
+    """Dotted names of all kernel modules of geokit; this imports packages but no kernel module."""
     import geokit
 
     modules = pkgutil.walk_packages(geokit.__path__, "geokit.")
@@ -44,12 +44,12 @@ def kernel_modules() -> list[str]:
 
 
 def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
-    """Build every kernel module for the CPU and for every CUDA device, on all CPU cores.
+    """Compile all kernel modules for the CPU and all CUDA devices, on all CPU cores.
 
     Args:
-        report: Called with a line for each module.
+        report: Called with one line per module.
     Returns:
-        Counts, seconds, devices and the modules that failed.
+        A dict with the number of compiled modules, the devices, the seconds and the modules that failed.
     """
     from geokit.core import launcher
 
@@ -88,7 +88,7 @@ def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
 def _build_all(
     waiting: "queue.SimpleQueue[str]", devices: list[str], finished: Callable[[str, str, float], None]
 ) -> None:
-    """Hand modules to a process until none is left; a process that dies is replaced."""
+    """Give modules to a builder process until none is left; start a new process if one dies."""
     while not waiting.empty():
         with subprocess.Popen(
             [sys.executable, "-c", _BUILDER, *devices],
@@ -103,14 +103,14 @@ def _build_all(
                 except queue.Empty:
                     break
                 started = time.perf_counter()
-                answer = _ask(process, name)
+                answer = _build_one(process, name)
                 finished(name, answer or "the compiler ended the process", time.perf_counter() - started)
                 if not answer:
                     break
 
 
-def _ask(process: "subprocess.Popen[str]", name: str) -> str:
-    """The builder's answer, "" where the process has ended."""
+def _build_one(process: "subprocess.Popen[str]", name: str) -> str:
+    """Send a module name to the builder and return its answer, or "" if the process has ended."""
     try:
         assert process.stdin is not None
         assert process.stdout is not None

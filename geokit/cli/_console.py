@@ -1,4 +1,4 @@
-"""What commands print: results on stdout, everything about the run on stderr."""
+"""Output of the commands: results on stdout, progress and notices on stderr."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_tab
 
 
 def note(message: str) -> None:
-    """A line about the run, for the person who watches."""
+    """Print a notice on stderr."""
     print(f"geokit: {message}", file=sys.stderr, flush=True)
 
 
 def announce_compiling() -> None:
-    """Have the first launch of a kernel that is not in the cache say why it takes so long."""
+    """Print a notice whenever a kernel module has to be compiled, because that takes seconds."""
     from geokit.core import launcher
 
     said: set[str] = set()
@@ -36,12 +36,12 @@ def announce_compiling() -> None:
 
 
 def print_json(value: Any) -> None:
-    """``value`` as JSON: arrays as lists, dataclasses as objects, numbers that JSON lacks as null."""
+    """Print ``value`` as JSON: arrays as lists, dataclasses as objects, infinities and NaN as null."""
     print(json.dumps(plain(value), indent=2))
 
 
 def plain(value: Any) -> Any:
-    """``value`` in terms of dict, list, str, int, float, bool and None."""
+    """Convert ``value`` to dict, list, str, int, float, bool and None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -60,7 +60,7 @@ def plain(value: Any) -> Any:
 
 
 def print_facts(facts: dict[str, Any], *, indent: str = "") -> None:
-    """Names and values in two columns."""
+    """Print names and values in two columns."""
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
         print(f"{indent}{name:<{width}}  {_shown(value)}")
@@ -81,7 +81,7 @@ def _shown(value: Any) -> str:
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:
-    """A table on stdout; numbers to the right."""
+    """Print a table on stdout, with numbers aligned to the right."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -93,25 +93,25 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
         table.add_column(column, justify="right" if numeric and rows else "left", no_wrap=True)
     for row in rows:
         table.add_row(*[Text(_shown(cell)) for cell in row])
-    # A pipe or a file has no width that could be too small.
+    # A pipe or a file has no line width, so rows must not be wrapped.
     console = Console() if sys.stdout.isatty() else Console(width=10_000, color_system=None)
     console.print(table)
 
 
 class Step:
-    """A running step; set ``result`` to say what came of it."""
+    """A running step; ``result`` is a short text that is printed when it ends."""
 
     result = ""
 
 
 @contextlib.contextmanager
 def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[Step]:
-    """Show on stderr that ``title`` runs, and how long it took.
+    """Show on stderr that a step is running, and then how long it took.
 
     Args:
-        title: What runs.
+        title: Name of the step.
         quiet: Show nothing.
-        lines: Where stderr is not a terminal, print a plain line nevertheless.
+        lines: Print a plain line at the end even if stderr is not a terminal.
     """
     current = Step()
     started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The pictures of the demo."""
+"""Figures of the demo."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "accuracy_chart", "draw_figures"]
 
 FIGURES = ("surface.png", "raycast.png", "slice.png", "neighbors.png")
-# As many projected points as can be told apart.
+# Number of projected points in the figure; more of them could not be told apart.
 SHOWN_POINTS = 400
-# Colours up to this share of the values: a few outliers would leave the rest in one colour.
+# The color map ends at this quantile of the values; otherwise a few outliers would leave the rest in one color.
 SHOWN_SHARE = 0.995
-# Counts have a longer tail.
+# The same for neighbor counts, which have a longer tail.
 SHOWN_SHARE_OF_COUNTS = 0.95
 
 
@@ -63,7 +63,7 @@ def draw_figures(
             folder / "neighbors.png",
             points=neighborhood.points,
             color=neighborhood.counts,
-            label="neighbours",
+            label="neighbors",
             point_size=3.0,
             value_limits=(0.0, float(np.quantile(neighborhood.counts, SHOWN_SHARE_OF_COUNTS))),
         )
@@ -83,7 +83,7 @@ def _draw_rays(path: Path, mesh: TriangleMesh, camera: Camera, hits: "RayHits") 
 
 
 def accuracy_chart(folder: Path, measured: list[AccuracyPoint], exact_seconds: float, sample_count: int) -> None:
-    """accuracy.csv with the numbers, accuracy.png with the picture."""
+    """Write accuracy.csv with the numbers and accuracy.png with the chart."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow((*AccuracyPoint.__dataclass_fields__, "samples", "exact_bvh_seconds"))

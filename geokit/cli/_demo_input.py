@@ -1,4 +1,4 @@
-"""The mesh that the demo works on, and points and rays around it."""
+"""Input of the demo: its mesh, and points and rays around it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from geokit.mesh._model import TriangleMesh
 
 __all__ = ["Camera", "camera_rays", "find_mesh", "load_mesh", "points_on"]
 
-# Faces across the generated mesh where no real one is found.
+# Segments around and across the torus that is generated if no mesh is found.
 TORUS_SEGMENTS = (160, 80)
 
-# The box's diagonal is seldom seen in full.
+# Share of the half diagonal that has to fit into the picture; the full diagonal is rarely visible.
 FRAMING = 0.85
 
 
 def find_mesh() -> Path | None:
-    """The Stanford bunny of the installed warp package, else a sample of the source tree, else None."""
+    """Path of the Stanford bunny in the installed warp package, else of a sample in the source tree, else None."""
     warp = importlib.util.find_spec("warp")
     candidates = (
         [Path(folder) / "examples/assets/bunny.usd" for folder in (warp.submodule_search_locations or ())]
@@ -37,7 +37,7 @@ def find_mesh() -> Path | None:
 
 
 def load_mesh(path: Path | None) -> tuple[TriangleMesh, str]:
-    """The mesh of a file, or a torus where there is none; and what it is."""
+    """Load a mesh, or generate a torus if there is no file; also return a text that says where it is from."""
     from geokit.mesh import load
 
     chosen = path or find_mesh()
@@ -71,17 +71,17 @@ def _torus() -> TriangleMesh:
 def points_on(
     mesh: TriangleMesh, count: int, random: np.random.Generator, *, by_area: bool = True
 ) -> NDArray[np.float64]:
-    """Random points on the surface, shape (count, 3): evenly, or equally many for each triangle."""
+    """Random points on the surface, shape (count, 3), uniform by area or with equal chances for each triangle."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     face = random.choice(len(area), size=count, p=area / area.sum() if by_area else None)
-    # The square root keeps points from crowding at the first corner.
+    # The square root makes the density uniform within a triangle.
     u, v = np.sqrt(random.random(count))[:, None], random.random(count)[:, None]
     return (1.0 - u) * a[face] + u * (1.0 - v) * b[face] + u * v * c[face]
 
 
 class Camera(NamedTuple):
-    """Rays of a pinhole camera, the top row first: origins and unit directions (height * width, 3)."""
+    """Rays of a pinhole camera, top row first: origins and unit directions, shape (height * width, 3)."""
 
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
@@ -90,7 +90,7 @@ class Camera(NamedTuple):
 
 
 def camera_rays(mesh: TriangleMesh, width: int, height: int) -> Camera:
-    """A camera that sees the whole mesh from the front, a little from the right and from above."""
+    """A camera in front of the mesh, slightly to the right and above, that sees the whole mesh."""
     lower, upper = mesh.bounds
     centre, radius = 0.5 * (lower + upper), 0.5 * mesh.diagonal * FRAMING
     towards = np.array([0.5, 0.32, 0.9])

@@ -1,4 +1,4 @@
-"""What the demo did, step by step, and its closing table."""
+"""Log of the demo's steps, and the closing table."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Entry:
     """One row of the closing table.
 
     Attributes:
-        step: What was done.
-        items: What was counted.
-        count: How many of them.
-        seconds: Wall time of the step alone, without that of its reference.
-        error: Largest deviation from the reference; None where nothing was compared.
-        reference: What it was compared with.
-        left_out: Why the step did not run, or "".
+        step: Name of the step.
+        items: Kind of items that were processed.
+        count: Number of items.
+        seconds: Wall time of the step alone, without its reference.
+        error: Largest deviation from the reference; None if nothing was compared.
+        reference: The reference of the comparison.
+        left_out: Reason why the step did not run, or "".
     """
 
     step: str
@@ -49,7 +49,7 @@ class Entry:
 
 
 class DemoLog:
-    """Collects entries, and shows each step while it runs."""
+    """Collects entries and shows each step while it runs."""
 
     def __init__(self, *, quiet: bool) -> None:
         self.entries: list[Entry] = []
@@ -71,7 +71,7 @@ class DemoLog:
             note(f"{title}: left out: {reason.partition(' (')[0]}; geokit doctor says more")
 
     def write(self, folder: Path) -> None:
-        """The table as summary.csv, with bare numbers, and as summary.md."""
+        """Write the table as summary.csv, with plain numbers, and as summary.md."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow([field.name for field in dataclasses.fields(Entry)])

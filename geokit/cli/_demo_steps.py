@@ -1,4 +1,4 @@
-"""The steps of the demo, each timed by itself and then held against an independent float64 answer."""
+"""The steps of the demo: each is timed, then compared with an independent float64 reference."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ POINT_COUNT = 1_000_000
 EXPORTED_COUNT = 200_000
 CLOUD_COUNT = 200_000
 IMAGE_SIZE = (640, 480)
-# Queries that brute force checks: a few milliseconds each.
+# Number of queries that are checked by brute force, at a few milliseconds each.
 CHECKED = 300
-# Voxels along the longest side.
+# Number of voxels along the longest side.
 RESOLUTION = 160
 CHART_RESOLUTIONS = (32, 48, 64, 96, 128, 192)
 CHART_POINTS = 200_000
-# Mean number of neighbours that the radius is chosen for.
+# The search radius is chosen for this mean number of neighbors.
 NEIGHBORS = 30
 HALF_WIDTH = 3.0
-# The picture of the slice shows more of the field.
+# The figure of the slice uses a wider band in larger voxels.
 SLICE_RESOLUTION = 96
 SLICE_HALF_WIDTH = 10.0
 
 
 class Projection(NamedTuple):
-    """queries (N, 3), closest points (N, 3), distance (N,) and triangle_id (N,)."""
+    """Closest points of random queries: queries (N, 3), points (N, 3), distance (N,) and triangle_id (N,)."""
 
     queries: NDArray[np.float64]
     points: NDArray[np.float64]
@@ -67,7 +67,7 @@ class Projection(NamedTuple):
 
 
 class Neighborhood(NamedTuple):
-    """points (N, 3), counts (N,) of those within radius."""
+    """A point cloud (N, 3), and for each point the number of points within ``radius``, counts (N,)."""
 
     points: NDArray[np.float64]
     counts: NDArray[np.int32]
@@ -76,7 +76,7 @@ class Neighborhood(NamedTuple):
 
 @dataclass(frozen=True)
 class AccuracyPoint:
-    """Cost and error of an SDF of one voxel size."""
+    """Cost and error of an SDF with one voxel size."""
 
     voxel_size: float
     active_voxels: int
@@ -87,12 +87,12 @@ class AccuracyPoint:
 
 
 def warm_up(log: DemoLog, surface: "Surface", device: Any) -> None:
-    """Load every kernel, so that the rates below are those of the second call and of every later one."""
+    """Load every kernel, so that the rates below do not include the cost of first calls."""
     from geokit.points import NeighborGrid
     from geokit.volume import from_mesh
 
     with log.step("load the kernels", "calls") as entry:
-        # Enough queries to take the sorted path.
+        # Enough queries that they are sorted, as in the steps below.
         few = surface.mesh.vertices[np.arange(4096) % len(surface.mesh.vertices)]
         surface.signed_distance(few)
         surface.raycast(few, np.ones_like(few))
@@ -125,7 +125,7 @@ def build_volume(log: DemoLog, surface: "Surface", device: Any) -> "SparseVolume
 
 
 def build_wide_volume(surface: "Surface") -> "SparseVolume":
-    """A wider band in larger voxels, for the picture of the slice."""
+    """Build an SDF with a wider band in larger voxels, for the figure of the slice."""
     from geokit.volume import from_mesh
 
     return from_mesh(surface, _voxel_size(surface.mesh, SLICE_RESOLUTION), half_width=SLICE_HALF_WIDTH)
@@ -136,14 +136,14 @@ def _voxel_size(mesh: TriangleMesh, resolution: int) -> float:
 
 
 def _stored_positions(volume: "SparseVolume") -> NDArray[np.float64]:
-    """Centres of the voxels that have a place in the buffer, active or not [world]."""
+    """Centers [world] of all voxels that the buffer stores, active or not."""
     voxels: Any = volume.on("cpu").get_voxels()
     indices = voxels.numpy().astype(np.float64)
     return indices @ volume.info.transform[:3, :3].T + volume.info.transform[:3, 3]
 
 
 def save_and_reload(log: DemoLog, volume: "SparseVolume", folder: Path) -> "SparseVolume":
-    """Write both formats and read them back; the grid that came through OpenVDB where that is built."""
+    """Write both formats and read them back; returns the grid read through OpenVDB if that is available."""
     from geokit.volume import load, save
 
     reloaded = volume
@@ -165,7 +165,7 @@ def save_and_reload(log: DemoLog, volume: "SparseVolume", folder: Path) -> "Spar
 
 
 def _difference(first: "SparseVolume", second: "SparseVolume") -> float:
-    """Largest difference between voxels that either stores; inf where transforms or active voxels differ."""
+    """Largest difference over all voxels that either grid stores; inf if transforms or active voxels differ."""
     here, there = first.info, second.info
     same = (
         np.array_equal(here.transform, there.transform)
@@ -201,7 +201,7 @@ def cast_image(log: DemoLog, surface: "Surface") -> tuple[Camera, "RayHits"]:
     with log.step(f"cast {camera.width} x {camera.height} rays", "rays") as entry:
         hits = surface.raycast(camera.origins, camera.directions)
         entry.count = len(camera.origins)
-    # As many hits as misses, spread over the picture.
+    # Check as many hits as misses, spread over the picture.
     random = np.random.default_rng(3)
     some = np.concatenate([random.permutation(np.flatnonzero(mask))[: CHECKED // 2] for mask in _hit_masks(hits)])
     mesh = surface.mesh
@@ -244,7 +244,7 @@ def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhoo
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     radius = float(np.sqrt(NEIGHBORS * area / (np.pi * len(cloud))))
-    with log.step("neighbours of a cloud", "queries") as entry:
+    with log.step("neighbors of a cloud", "queries") as entry:
         grid = NeighborGrid(cloud, radius, device=device)
         found = grid.radius_search(cloud)
         entry.count = len(cloud)
@@ -263,9 +263,9 @@ def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhoo
 def extract_surface(
     log: DemoLog, surface: "Surface", volume: "SparseVolume"
 ) -> tuple[TriangleMesh, NDArray[np.float64]]:
-    """The SDF's zero level as a mesh, and how far each of its vertices is from the original.
+    """Mesh the SDF's zero level; also return the distance of each vertex from the original mesh.
 
-    Without OpenVDB it is the original itself, with what the SDF says at its vertices.
+    Without OpenVDB, return the original mesh with the absolute SDF values at its vertices.
     """
     from geokit.mesh import from_volume
 
@@ -316,7 +316,7 @@ def export(log: DemoLog, surface: "Surface", volume: "SparseVolume", projection:
 
 
 def _thickness(surface: "Surface") -> NDArray[np.float64]:
-    """How far it is through the body from each vertex, along the inward normal; NaN where nothing is met."""
+    """Thickness of the body at each vertex along the inward normal; NaN where the ray hits nothing."""
     mesh = surface.mesh
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     face_normal = np.cross(b - a, c - a)
@@ -325,14 +325,14 @@ def _thickness(surface: "Surface") -> NDArray[np.float64]:
         np.add.at(normal, mesh.faces[:, corner], face_normal)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     inward = np.where(length > 0.0, -normal / np.where(length > 0.0, length, 1.0), [[0.0, 0.0, 1.0]])
-    # Started a little inside, so that the vertex's own faces are not what the ray meets.
+    # Start slightly inside, so that the ray does not hit the faces of its own vertex.
     start = 1e-4 * mesh.diagonal
     t = surface.raycast(mesh.vertices + start * inward, inward).t
     return np.where(np.isfinite(t), t + start, np.nan)
 
 
 def accuracy_over_voxel_size(log: DemoLog, surface: "Surface", device: Any) -> tuple[list[AccuracyPoint], float]:
-    """Error of trilinear SDF samples near the surface against exact distances; and the time of the latter."""
+    """Errors of trilinear SDF samples near the surface, and the time that exact distances take."""
     from geokit.volume import from_mesh
 
     mesh = surface.mesh

@@ -1,4 +1,4 @@
-"""What a file holds, and whether one may be written."""
+"""Kinds of files by name and content, and the check before one is replaced."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HEAD_BYTES = 1 << 16
 
 
 def kind_of_input(path: Path) -> Kind:
-    """What an existing file holds; .ply and .vtp without faces are point clouds.
+    """Return the kind of an existing file; .ply and .vtp files without faces are point clouds.
 
     Raises:
         FileAccessError: The file is missing or unreadable.
@@ -33,7 +33,7 @@ def kind_of_input(path: Path) -> Kind:
 
 
 def kind_of_output(path: Path) -> Kind:
-    """What a file of that name will hold.
+    """Return the kind of file that a name stands for.
 
     Raises:
         InputError: The extension is unknown.
@@ -63,7 +63,7 @@ def _lacks_faces(path: Path) -> bool:
 
 
 def may_write(path: Path, *, force: bool) -> None:
-    """Refuse to replace a file that was not meant to be replaced.
+    """Check that a file may be written.
 
     Raises:
         InputError: The file exists and ``force`` is not given.
@@ -73,15 +73,15 @@ def may_write(path: Path, *, force: bool) -> None:
 
 
 def load_grid(path: Path, name: str | None) -> "SparseVolume":
-    """The grid called ``name``, or the only one.
+    """Load the grid called ``name``, or the only grid of the file.
 
     Raises:
-        InputError: There are several and none was named, or there is none of that name.
+        InputError: No grid has that name, or no name was given and there are several grids.
     """
     from geokit.volume import load
 
     try:
         return load(path, grid=name)
     except InputError as error:
-        # The library's words name its own parameter.
+        # The library's message names its parameter; the user knows the option.
         raise InputError(str(error).replace("with grid=", "with --grid")) from error

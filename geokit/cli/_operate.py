@@ -1,4 +1,4 @@
-"""How the operations of ``geokit volume`` run: from files to a file, with a summary."""
+"""Runs the operations of ``geokit volume``: from files to a file, with a summary."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Flag = Annotated[bool, Parameter(negative="")]
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Common:
-    """Options of every operation that writes a volume."""
+    """Options of all operations that write a volume."""
 
     grid: str | None = None
-    """Name of the grid where a file holds several."""
+    """Name of the grid, if a file holds several."""
     codec: str | None = None
-    """Compression: none, zip or blosc; blosc for .vdb and none for .nvdb where not given."""
+    """Compression: none, zip or blosc; by default blosc for .vdb and none for .nvdb."""
     force: Flag = False
-    """Replace the output where it exists."""
+    """Replace an existing output."""
     json: Flag = False
     """Print a summary as JSON."""
 
@@ -40,17 +40,17 @@ DEFAULTS = Common()
 
 
 def operation(name: str) -> Callable[..., Any]:
-    """A function of ``geokit.volume``, of which nothing else is imported."""
+    """Return a function of ``geokit.volume`` without importing the rest of it."""
     import geokit.volume
 
     return getattr(geokit.volume, name)
 
 
 def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -> None:
-    """Run an operation on all files but the last, and write that.
+    """Run an operation on all files but the last, and write the result to the last.
 
     Raises:
-        InputError: There are fewer than three.
+        InputError: There are fewer than three files.
     """
     if len(files) < 3:
         raise InputError(f"{name}: {len(files)} files given; name at least two to read and then one to write")
@@ -58,7 +58,7 @@ def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -
 
 
 def apply(name: str, source: Path, target: Path, common: Common, *arguments: Any, **options: Any) -> None:
-    """Run an operation from file to file, with its arguments."""
+    """Run an operation on one file and write the result to another."""
     _run(name, (source,), target, common, *arguments, **options)
 
 
@@ -104,10 +104,10 @@ def _report(name: str, sources: tuple[Path, ...], target: Path, parts: list[Spar
 
 
 def require_volume_file(path: Path) -> None:
-    """Refuse what no volume can be read from.
+    """Check that a file is a volume.
 
     Raises:
-        InputError: The file's ending is none of a volume's.
+        InputError: The file does not have a volume's extension.
     """
     if kind_of_input(path) != "volume":
         raise InputError(f"{path}: not a volume; give a .vdb or .nvdb file, or make one with geokit convert")

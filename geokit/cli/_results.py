@@ -1,4 +1,4 @@
-"""Answers of a query: into a file, onto stdout, or summed up."""
+"""Writes the answers of a query to a file or stdout, or prints a summary."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from geokit.core.files import atomic_path, require_extension
 __all__ = ["OUTPUT_EXTENSIONS", "check_output", "deliver"]
 
 OUTPUT_EXTENSIONS = (".csv", ".npz", ".pcd", ".ply", ".vtp", ".xyz")
-# "-o -": CSV on stdout, for pipes.
+# "-o -" writes CSV to stdout, for pipes.
 STDOUT = Path("-")
 
 
 def check_output(output: Path | None, *, force: bool) -> None:
-    """Refuse a target before the work rather than after it.
+    """Check the output before the work starts.
 
     Raises:
-        InputError: An unknown extension, or a file that exists where ``force`` is not given.
+        InputError: The extension is unknown, or the file exists and ``force`` is not given.
     """
     if output is None or output == STDOUT:
         return
@@ -43,15 +43,15 @@ def deliver(
     json: bool,
     ragged: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
-    """Write the answers where they were asked for, and sum them up on stdout.
+    """Write the answers to the output, and print a summary on stdout.
 
     Args:
         points: The queries [world], shape (N, 3).
         data: Answers with N rows each, by name.
-        summary: What to print where the answers do not themselves go to stdout.
+        summary: Printed unless the answers themselves go to stdout.
         output: A file, ``-`` for CSV on stdout, or None for the summary alone.
         json: Print the summary as JSON.
-        ragged: Arrays of other lengths, which only .npz holds.
+        ragged: Arrays of other lengths, which only .npz can hold.
     """
     if output == STDOUT:
         _write_csv(sys.stdout, points, data)
@@ -79,7 +79,7 @@ def _write_csv(file: Any, points: NDArray[np.float64], data: Mapping[str, NDArra
         if values.ndim == 1:
             columns[name] = values
         else:
-            # The names that geokit.points.save gives them too.
+            # The same column names as geokit.points.save writes.
             columns.update({f"{name}_{axis}": column for axis, column in zip("xyz", values.T, strict=True)})
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(columns)

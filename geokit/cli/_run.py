@@ -1,4 +1,4 @@
-"""From arguments to an exit code: every way in which a command can end."""
+"""Runs a command line and turns every outcome into an exit code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from geokit.errors import GeokitError
 __all__ = ["run"]
 
 FAILURE, USAGE, INTERRUPTED = 1, 2, 130
-# What a shell reports for a command that SIGPIPE ended.
+# The exit code that a shell reports for a command killed by SIGPIPE.
 BROKEN_PIPE = 141
 
 
@@ -37,7 +37,8 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        # The reader has gone, as in `geokit info ... | head`. Python would complain once more when it flushes at exit.
+        # The reader has closed the pipe, as in `geokit info ... | head`. Without this, Python would fail again when it
+        # flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
@@ -49,12 +50,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """A warning as every other line about the run: where in the library it arose tells a command's user nothing."""
+    """Print a warning like other notices, without the place in the library that raised it."""
     print(f"geokit: warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
 
 
 def _usage_message(error: Exception) -> str:
-    # Cyclopts phrases some messages over several lines.
+    # Some messages of Cyclopts span several lines.
     return str(error).strip() or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""How a command stores volumes: what ``--codec`` and ``--tolerance`` say."""
+"""The options ``--codec`` and ``--tolerance``: compression and quantization of stored volumes."""
 
 from __future__ import annotations
 
@@ -14,54 +14,56 @@ if TYPE_CHECKING:
 __all__ = ["Storage"]
 
 COMPRESSIONS = ("none", "zip", "blosc")
-QUANTISATIONS = ("float", "fp4", "fp8", "fp16", "fpn")
+QUANTIZATIONS = ("float", "fp4", "fp8", "fp16", "fpn")
 
 
 @dataclass(frozen=True)
 class Storage:
-    """What is done to volumes before they are saved, and how the file is compressed.
+    """Quantization of volumes before they are saved, and compression of the file.
 
     Attributes:
-        compression: For :func:`geokit.volume.save`; None for its default.
-        quantisation: For :func:`geokit.volume.quantize`; None for none, or for what the tolerance allows.
-        tolerance: By how much a voxel may change [value units].
+        compression: Codec for :func:`geokit.volume.save`; None for its default.
+        quantization: Codec for :func:`geokit.volume.quantize`; None for no quantization, or for the smallest codec that
+            keeps the tolerance if one is given.
+        tolerance: Largest change of a voxel [value units].
     """
 
     compression: str | None
-    quantisation: str | None
+    quantization: str | None
     tolerance: float | None
 
     @classmethod
     def of(cls, codec: str | None, tolerance: float | None) -> Storage:
-        """The storage that the options name.
+        """Parse the two options.
 
         Raises:
-            InputError: A word of the codec is unknown, or there are two of a kind.
+            InputError: A word of the codec is unknown, the codec names two compressions or two quantizations, or it is
+                fpn without a tolerance.
         """
         words = [word.strip().lower() for word in (codec or "").split(",") if word.strip()]
         for word in words:
-            if word not in COMPRESSIONS + QUANTISATIONS:
-                known = ", ".join(COMPRESSIONS + QUANTISATIONS)
+            if word not in COMPRESSIONS + QUANTIZATIONS:
+                known = ", ".join(COMPRESSIONS + QUANTIZATIONS)
                 raise InputError(f"codec: {word!r} is unknown; use one of {known}, or two such as fp8,zip")
         compressions = [word for word in words if word in COMPRESSIONS]
-        quantisations = [word for word in words if word in QUANTISATIONS]
-        if len(compressions) > 1 or len(quantisations) > 1:
+        quantizations = [word for word in words if word in QUANTIZATIONS]
+        if len(compressions) > 1 or len(quantizations) > 1:
             raise InputError(f"codec: {codec!r} names two of a kind; use at most one compression and one quantisation")
-        if quantisations == ["fpn"] and tolerance is None:
+        if quantizations == ["fpn"] and tolerance is None:
             raise InputError("codec: fpn needs --tolerance; say by how much a voxel may change")
-        return cls(compressions[0] if compressions else None, quantisations[0] if quantisations else None, tolerance)
+        return cls(compressions[0] if compressions else None, quantizations[0] if quantizations else None, tolerance)
 
     def applied(self, volume: SparseVolume) -> SparseVolume:
-        """The volume as it is saved."""
-        if self.quantisation is None and self.tolerance is None:
+        """Quantize the volume as the options demand."""
+        if self.quantization is None and self.tolerance is None:
             return volume
         from geokit.volume._quantize import quantize
 
-        return quantize(volume, self.quantisation, tolerance=self.tolerance)
+        return quantize(volume, self.quantization, tolerance=self.tolerance)
 
     def described(self, volumes: Sequence[SparseVolume]) -> dict[str, Any]:
-        """What a summary says of it."""
-        if self.quantisation is None and self.tolerance is None:
+        """Entries of the summary: the stored types and the largest error."""
+        if self.quantization is None and self.tolerance is None:
             return {}
         from geokit.volume.nanovdb.provenance import ACHIEVED_ERROR
 

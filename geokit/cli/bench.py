@@ -1,4 +1,4 @@
-"""``geokit bench``: accuracy against speed, on the user's own data, and where methods fail."""
+"""``geokit bench``: charts of accuracy against speed on the user's data, and sweeps to where methods fail."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def bench(
     force: Flag = False,
     json: Flag = False,
 ) -> int:
-    """Chart accuracy against speed: results.csv, figures, and a page that says what to choose for which tolerance.
+    """Chart accuracy against speed: write results.csv, figures, and a page that recommends a method per tolerance.
 
     Args:
-        sources: Meshes, volumes and point clouds of your own; the samples where none is given.
-        out: Folder for the report; it is made where it is missing.
+        sources: Your meshes, volumes and point clouds; by default the samples.
+        out: Folder for the report; created if missing.
         quick: Fewer settings and shorter timing: under a minute for the samples on two cores.
-        device: Where to compute: cpu, cuda:0, ...; may be given several times; every device where not given.
-        chart: Name of a chart to make; may be given several times; all of them where not given.
-        grid: Name of the grid where a volume file holds several.
+        device: Device to compute on: cpu, cuda:0, ...; may be given several times; by default every device.
+        chart: Name of a chart to make; may be given several times; by default all charts.
+        grid: Name of the grid, if a volume file holds several.
         stability: Write stability.md instead: sweeps towards failure, and the envelope that each method promises.
         force: Replace an earlier report.
         json: Print the rows as JSON.
@@ -66,7 +66,7 @@ def bench(
         _print_fronts(results)
         print(f"{len(results)} rows, {len(results.failures)} failures: {page}")
     note(f"done in {time.perf_counter() - started:.1f} s")
-    # A page of failures alone is not what was asked for.
+    # A page with failures only does not count as success.
     return 0 if results else 1
 
 
@@ -103,7 +103,7 @@ def _facts(row: object) -> dict[str, object]:
 
 
 def _print_fronts(results: "Results") -> None:
-    """What each chart's front is made of."""
+    """Print the methods on each chart's Pareto front."""
     from geokit.accuracy.report.pareto import cost_of, front_of
     from geokit.accuracy.report.text import bytes_text, error_text, seconds_text, share_text
     from geokit.accuracy.trials.results import grouped

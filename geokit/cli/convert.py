@@ -1,4 +1,4 @@
-"""``geokit convert``: one format into another, meshes into volumes and back."""
+"""``geokit convert``: converts between file formats, and between meshes and volumes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geokit.errors import InputError
 
 __all__ = ["convert"]
 
-# Voxels along the longest side where no voxel size is given: fine enough to see, a second to make.
+# Default number of voxels along the longest side: enough detail to look at, built in about a second.
 DEFAULT_RESOLUTION = 128
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -47,30 +47,30 @@ def convert(
     Args:
         source: File to read.
         target: File to write; its extension names the format.
-        voxel_size: Mesh to volume: edge length of a voxel in world units; the longest side / 128 where neither this nor
+        voxel_size: Mesh to volume: edge length of a voxel in world units; by default the longest side / 128, unless
             tolerance is given.
-        half_width: Mesh to volume: width of the narrow band on each side, in voxels (3; with tolerance as little as
-            interpolation needs).
-        sign: Mesh to volume: how inside is told from outside: auto, winding, pseudonormal, parity, or none for unsigned
-            distances (auto).
+        half_width: Mesh to volume: width of the narrow band on each side, in voxels; by default 3, with tolerance the
+            least that interpolation needs.
+        sign: Mesh to volume: method that decides inside or outside: auto (default), winding, pseudonormal, parity, or
+            none for unsigned distances.
         thickness: Mesh to volume: make a solid shell of this thickness around the surface, in world units.
-        within: Mesh to volume with tolerance: how far from the surface it holds, in world units; the tolerance itself
-            where not given, a quarter of it where the mesh is open.
-        order: Mesh to volume with tolerance: the order of interpolation that will be used, 1, 2 or 3; the best where
-            not given.
-        isovalue: Volume to mesh: value of the surface (0).
-        adaptivity: Volume to mesh: 0 keeps every face, 1 merges as many as it can (0).
-        method: Mesh to volume: geokit or openvdb. Volume to mesh: auto, surface_nets, dual_contouring, marching_cubes
-            or openvdb (auto).
-        grid: Name of the grid to take where a file holds several.
-        codec: How a volume is stored: compressed (none, zip or blosc; blosc for .vdb and none for .nvdb where not
-            given), quantised (fp4, fp8, fp16, fpn, or float for 32 bits), or both, as in fp8,zip.
-        tolerance: Mesh to volume without voxel-size: by how much interpolated distances may be off near the surface, in
-            world units; takes the voxel size, order and codec of least memory. To a volume else: by how much a voxel
-            may change when it is quantised; takes the smallest codec that keeps it where none is given. To a mesh: how
-            far it may be from the mesh with every face, in world units; takes as few faces as keep it.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the target where it exists.
+        within: Mesh to volume with tolerance: distance from the surface up to which the tolerance holds, in world
+            units; by default the tolerance itself, or a quarter of it for an open mesh.
+        order: Mesh to volume with tolerance: order of the interpolation that will be used, 1, 2 or 3; by default the
+            best one.
+        isovalue: Volume to mesh: value of the surface; by default 0.
+        adaptivity: Volume to mesh: 0 (default) keeps every face, 1 merges as many as possible.
+        method: Mesh to volume: geokit or openvdb. Volume to mesh: auto (default), surface_nets, dual_contouring,
+            marching_cubes or openvdb.
+        grid: Name of the grid to read, if a file holds several.
+        codec: Storage of a volume: a compression (none, zip or blosc; by default blosc for .vdb and none for .nvdb), a
+            quantization (fp4, fp8, fp16, fpn, or float for 32 bits), or both, as in fp8,zip.
+        tolerance: Mesh to volume without voxel-size: largest error of interpolated distances near the surface, in world
+            units; the voxel size, order and codec of least memory are chosen. Otherwise to a volume: largest change of
+            a voxel when it is quantized; without a codec, the smallest one that keeps it is chosen. To a mesh: largest
+            distance from the mesh with every face, in world units; as few faces as possible are kept.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing target.
         json: Print a summary as JSON.
     """
     kinds = kind_of_input(source), kind_of_output(target)
@@ -136,7 +136,7 @@ _USES = {
 
 
 def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path) -> None:
-    """An option that would have no effect is a misunderstanding: say so before the work."""
+    """Raise an error for options that have no effect on this conversion."""
     if kinds not in _USES:
         raise InputError(f"{target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
     for name, value in options.items():
@@ -176,8 +176,8 @@ def _mesh_to_volume(
             note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
     with step("voxelising", quiet=quiet) as voxelising:
         if voxel_size is None:
-            # OpenVDB has no quantised grids: what is smaller in memory would not be in its file.
-            codec = storage.quantisation or ("float" if target.suffix.lower() == ".vdb" else None)
+            # OpenVDB has no quantized grids, so a codec that is smaller in memory would not be smaller in a .vdb file.
+            codec = storage.quantization or ("float" if target.suffix.lower() == ".vdb" else None)
             volume = from_mesh(mesh, tolerance=storage.tolerance, codec=codec, **_given(how))
         else:
             volume = storage.applied(from_mesh(mesh, voxel_size=voxel_size, **_given(how)))
@@ -197,12 +197,12 @@ def _mesh_to_volume(
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Those that were given: the library's own defaults hold for the others."""
+    """Keep the options that were given; the library's defaults apply to the others."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def _rounded(length: float) -> float:
-    """Two significant digits: a voxel size that can be typed again."""
+    """Round to two significant digits, so that the voxel size is easy to type again."""
     return float(f"{length:.1e}")
 
 

@@ -1,4 +1,4 @@
-"""``geokit demo``: the whole chain on a real mesh."""
+"""``geokit demo``: runs the whole chain on a real mesh."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def demo(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Run the whole chain on a real mesh and leave files, figures and a table of accuracy and speed.
+    """Run the whole chain on a real mesh; write files, figures and a table of accuracy and speed.
 
     Args:
-        out: Folder for the results; it is made where it is missing.
-        mesh: A mesh file of your own; the Stanford bunny where not given.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        out: Folder for the results; created if missing.
+        mesh: A mesh file; by default the Stanford bunny.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         force: Replace earlier results in the folder.
         json: Print the closing table as JSON.
     """
@@ -76,7 +76,7 @@ def demo(
 
 
 def run_chain(out: Path, mesh_path: Path | None, device: str | None, *, quiet: bool) -> "DemoLog":
-    """Every step of the demo; returns its log."""
+    """Run every step of the demo and return its log."""
     from geokit.cli import _demo_figures as figures
     from geokit.cli import _demo_steps as steps
     from geokit.cli._demo_input import load_mesh

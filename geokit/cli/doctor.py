@@ -1,4 +1,4 @@
-"""``geokit doctor``: what works on this machine."""
+"""``geokit doctor``: reports what works on this machine."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from geokit.cli._console import note, plain, print_facts, print_json
 
 __all__ = ["doctor"]
 
-# Packages whose versions matter to a report of a fault; the second group is optional.
+# Packages whose versions a bug report needs; the second group is optional.
 PACKAGES = ("warp-lang", "numpy", "trimesh", "meshio", "pyvista", "vtk", "cyclopts", "rich")
 OPTIONAL_PACKAGES = ("usd-core", "scipy", "blosc")
 # A software renderer on a busy machine takes seconds to start.
 GL_SECONDS = 60.0
-# Draws a triangle and looks whether it is there. In a process of its own: a GL library that fails may end the process.
+# Draws a plane and checks the pixels. It runs in a separate process, because a failing GL library may crash it.
 GL_PROBE = """
 import pyvista as pv
 plotter = pv.Plotter(off_screen=True, window_size=(64, 64))
@@ -43,7 +43,7 @@ def doctor(
     """Report versions, devices, libraries and the kernel cache.
 
     Args:
-        compile: Build every kernel for every device now, so that no later command has to.
+        compile: Compile every kernel for every device now, so that later commands start without delay.
         json: Print JSON.
     """
     report: dict[str, Any] = {
@@ -132,7 +132,7 @@ def _try_opengl(window: str) -> str:
     except subprocess.TimeoutExpired:
         return f"does not answer within {GL_SECONDS:.0f} s"
     answer = done.stdout.split(maxsplit=2)
-    # VTK quietly takes another class where the wanted one fails.
+    # VTK silently uses another class if the wanted one fails.
     if done.returncode != 0 or len(answer) < 2 or answer[0] != window:
         return "does not work"
     if int(answer[1]) > 128:

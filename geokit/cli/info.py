@@ -1,4 +1,4 @@
-"""``geokit info``: what is in a file."""
+"""``geokit info``: describes the content of a file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["info"]
 def info(file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> None:
     """Describe a mesh, a volume or a point cloud.
 
-    A mesh is audited: is it closed, manifold, consistently oriented. Of volumes, the voxels are not read where the
-    format allows.
+    The audit of a mesh says whether it is closed, manifold and consistently oriented. The voxels of a volume are not
+    read if the format allows that.
 
     Args:
         file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb) or a point cloud (.csv .xyz .pcd .las ...).

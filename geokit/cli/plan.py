@@ -1,4 +1,4 @@
-"""``geokit plan``: what a distance field within a tolerance would cost."""
+"""``geokit plan``: lists the costs of distance fields that keep a tolerance."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def plan(
 ) -> None:
     """List the distance fields of a mesh that keep a tolerance, with the memory, time and error to expect.
 
-    The first line is what ``geokit convert FILE OUT.nvdb --tolerance`` makes.
+    The first line is the field that ``geokit convert FILE OUT.nvdb --tolerance`` makes.
 
     Args:
         file: A mesh.
         tolerance: Largest error of the interpolated distance, in world units.
-        within: How far from the surface it holds, in world units; the tolerance itself where not given, a quarter of it
-            where the mesh is open.
-        order: Order of interpolation: 1, 2 or 3; all where not given.
-        codec: How values are stored: float, fp16, fp8, fp4 or fpn; all where not given.
-        half_width: Width of the band on each side, in voxels; as little as interpolation needs where not given.
-        sign: How inside is told from outside: auto, winding, pseudonormal, parity, or none.
-        thickness: Of a solid shell around the surface, in world units.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        within: Distance from the surface up to which the tolerance holds, in world units; by default the tolerance
+            itself, or a quarter of it for an open mesh.
+        order: Order of interpolation: 1, 2 or 3; by default all.
+        codec: Storage of the values: float, fp16, fp8, fp4 or fpn; by default all.
+        half_width: Width of the band on each side, in voxels; by default the least that interpolation needs.
+        sign: Method that decides inside or outside: auto, winding, pseudonormal, parity, or none.
+        thickness: Make a solid shell of this thickness around the surface, in world units.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         json: Print JSON.
     """
     if kind_of_input(file) != "mesh":

@@ -1,4 +1,4 @@
-"""``geokit query``: questions about a mesh, a volume or a point cloud, asked with points or rays from a file."""
+"""``geokit query``: queries a mesh, a volume or a point cloud with points or rays from a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from geokit.errors import InputError
 
 __all__ = ["app"]
 
-app = App(name="query", help="Ask for closest points, signed distances, ray hits, samples or neighbours.")
+app = App(name="query", help="Find closest points, signed distances, ray hits, samples or neighbors.")
 
 Flag = Annotated[bool, Parameter(negative="")]
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
@@ -35,15 +35,15 @@ def closest(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Closest point on a mesh for each point.
+    """Find the closest point on a mesh for each point.
 
     Args:
         mesh: A mesh file.
         points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the output where it exists.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
@@ -73,14 +73,14 @@ def signed(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Distance to a mesh for each point, negative inside.
+    """Compute the signed distance of each point to a mesh, negative inside.
 
     Args:
         mesh: A mesh file.
         points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the output where it exists.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
@@ -114,15 +114,15 @@ def ray(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """First hit on a mesh for each ray.
+    """Find the first hit of each ray on a mesh.
 
     Args:
         mesh: A mesh file.
         rays: Origins and directions: six columns (.csv .txt .xyz .npy), or two arrays (.npz).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the output where it exists.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
         json: Print the summary as JSON.
     """
     from geokit.points import load_rays
@@ -136,7 +136,7 @@ def ray(
     summary = _summary(len(origins), started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **_spread("t", found.t[hits]))
-    # inf * 0 on misses would be a warning and no position.
+    # Hits only: on misses t is inf, and inf * 0 would raise a warning.
     positions = np.full(origins.shape, np.nan)
     positions[hits] = origins[hits] + found.t[hits, None] * directions[hits]
     data = {
@@ -163,17 +163,17 @@ def sample(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Value of a volume at each point.
+    """Sample a volume at each point.
 
     Args:
         volume: A .vdb or .nvdb file.
         points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
-        grid: Name of the grid where the file holds several.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        grid: Name of the grid, if the file holds several.
         order: Interpolation: 0 nearest voxel, 1 trilinear.
-        gradient: Give the gradient as well.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the output where it exists.
+        gradient: Also write the gradient.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
@@ -207,20 +207,20 @@ def neighbors(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Points of a cloud within a radius of each query, its nearest ones, or the nearest within a radius.
+    """Find the points of a cloud within a radius of each query, the nearest ones, or the nearest within a radius.
 
-    Within a radius, a .npz output holds the neighbours themselves too, as offsets, indices and distance: those of
-    query i are indices[offsets[i]:offsets[i + 1]]. Of the nearest every output holds index and distance, a column for
-    each.
+    With a radius alone, the output holds the number of neighbors; a .npz output also holds the neighbors themselves, as
+    offsets, indices and distance: those of query i are indices[offsets[i]:offsets[i + 1]]. With nearest, every output
+    holds index and distance, in one column per neighbor.
 
     Args:
-        cloud: The points that are found (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        queries: Where to look; the cloud's own points where not given, each of which then finds itself.
-        radius: Search radius in world units; how far the nearest may be.
-        nearest: So many of the nearest points, 1 to 1024; -1 and inf where there are fewer.
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; only a summary where not given.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
-        force: Replace the output where it exists.
+        cloud: The points to search (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
+        queries: The query points; by default the points of the cloud, each of which then finds itself.
+        radius: Search radius in world units; with nearest, the largest distance.
+        nearest: Number of nearest points, 1 to 1024; missing ones have index -1 and distance inf.
+        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
         json: Print the summary as JSON.
     """
     from geokit.points import NeighborGrid
@@ -232,30 +232,30 @@ def neighbors(
 
     check_output(output, force=force)
     found_points = _points(cloud)
-    asked = found_points if queries is None else _points(queries)
+    query_points = found_points if queries is None else _points(queries)
     announce_compiling()
     started = time.perf_counter()
     grid = NeighborGrid(found_points, None if nearest else radius, device=device)
     ragged = None
     data: dict[str, Any] = {}
     if nearest is not None:
-        found = grid.knn(asked, nearest) if radius is None else grid.hybrid(asked, nearest, radius=radius)
+        found = grid.knn(query_points, nearest) if radius is None else grid.hybrid(query_points, nearest, radius=radius)
         counts = (found.indices >= 0).sum(axis=1, dtype=np.int32)
         data = {"index": found.indices, "distance": found.distance}
         if output is not None and output.suffix.lower() != ".npz":
-            # Tables name columns of three x, y and z, which these are not.
+            # In tables, an array of three columns would be named x, y and z.
             data = {f"{name}_{i}": column for name, array in data.items() for i, column in enumerate(array.T)}
     elif output is not None and output.suffix.lower() == ".npz":
-        rows = grid.radius_search(asked)
+        rows = grid.radius_search(query_points)
         counts = np.diff(rows.offsets).astype(np.int32)
         ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
     else:
-        counts = grid.count(asked)
-    summary = _summary(len(asked), started, grid.device)
+        counts = grid.count(query_points)
+    summary = _summary(len(query_points), started, grid.device)
     summary.update(
         cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **_spread("count", counts)
     )
-    deliver(asked, {"count": counts, **data}, summary, output, json=json, ragged=ragged)
+    deliver(query_points, {"count": counts, **data}, summary, output, json=json, ragged=ragged)
 
 
 def _surface(path: Path, device: str | None) -> Any:

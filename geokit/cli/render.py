@@ -1,4 +1,4 @@
-"""``geokit render``: a picture of a file."""
+"""``geokit render``: draws a file."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def render(
         source: A mesh, a volume or a point cloud.
         output: The .png file to write.
         size: Width and height in pixels.
-        color: A colour (steelblue, "#336699"), a coordinate (x, y, z), or for a point cloud one of its arrays.
-        grid: Name of the grid where the file holds several.
-        isovalue: Value of the surface that is drawn of a volume; level sets 0, other grids are drawn as fog.
-        slice: Draw a plane across this axis through the middle of a volume instead.
+        color: A color (steelblue, "#336699"), a coordinate (x, y, z), or for a point cloud the name of an array.
+        grid: Name of the grid, if the file holds several.
+        isovalue: Value of the volume's surface; by default 0 for level sets, while other grids are drawn as fog.
+        slice: Draw a slice through the middle of a volume instead, perpendicular to this axis.
         up: The axis that points up in the picture.
         transparent: Leave the background transparent.
-        force: Replace the output where it exists.
+        force: Replace an existing output.
     """
     kind = kind_of_input(source)
     pixels = _parse_size(size)

@@ -1,4 +1,4 @@
-"""``geokit volume``: operations on volumes, from file to file."""
+"""``geokit volume``: runs operations on volumes, from file to file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geokit.cli._operate import DEFAULTS, Common, Flag, apply, combine, operatio
 
 __all__ = ["app"]
 
-app = App(name="volume", help="Combine, move, smooth, resample, differentiate, take apart and measure volumes.")
+app = App(name="volume", help="Combine, offset, smooth, resample, differentiate, segment and measure volumes.")
 
 Source = Annotated[Path, Parameter(name="IN")]
 Target = Annotated[Path, Parameter(name="OUT")]
@@ -22,7 +22,7 @@ Files = Annotated[Path, Parameter(name="FILES")]
 
 @app.command
 def union(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """What is inside one of several level sets: IN IN ... OUT.
+    """Union of two or more level sets: IN IN ... OUT.
 
     Args:
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
@@ -33,7 +33,7 @@ def union(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None
 
 @app.command
 def intersection(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """What is inside all of several level sets: IN IN ... OUT.
+    """Intersection of two or more level sets: IN IN ... OUT.
 
     Args:
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
@@ -44,7 +44,7 @@ def intersection(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) 
 
 @app.command
 def difference(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """What is inside the first level set and outside all others: IN IN ... OUT.
+    """Difference of the first level set and all others: IN IN ... OUT.
 
     Args:
         files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
@@ -58,9 +58,9 @@ def offset(source: Source, target: Target, /, *, distance: float, common: Common
     """Move the surface of a level set outwards, or inwards by a negative distance.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        distance: In world units.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        distance: Distance in world units.
     """
     apply("offset", source, target, common, distance)
 
@@ -79,11 +79,11 @@ def dilate(
     """Grow a level set by a distance, or the active part of another grid by voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        distance: For level sets, in world units.
-        voxels: For other grids.
-        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        distance: Distance for level sets, in world units.
+        voxels: Number of steps of one voxel, for other grids.
+        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
     """
     apply("dilate", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
@@ -102,11 +102,11 @@ def erode(
     """Shrink a level set by a distance, or the active part of another grid by voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        distance: For level sets, in world units.
-        voxels: For other grids.
-        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        distance: Distance for level sets, in world units.
+        voxels: Number of steps of one voxel, for other grids.
+        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
     """
     apply("erode", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
@@ -122,14 +122,14 @@ def opening(
     neighbors: str = "faces",
     common: Common = DEFAULTS,
 ) -> None:
-    """Erode, then dilate: thin parts go.
+    """Erode, then dilate, which removes thin parts.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        distance: For level sets, in world units.
-        voxels: For other grids.
-        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        distance: Distance for level sets, in world units.
+        voxels: Number of steps of one voxel, for other grids.
+        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
     """
     apply("opening", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
@@ -145,14 +145,14 @@ def closing(
     neighbors: str = "faces",
     common: Common = DEFAULTS,
 ) -> None:
-    """Dilate, then erode: narrow gaps close.
+    """Dilate, then erode, which closes narrow gaps.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        distance: For level sets, in world units.
-        voxels: For other grids.
-        neighbors: Which of a voxel's neighbours count in a step of other grids: faces, edges or vertices.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        distance: Distance for level sets, in world units.
+        voxels: Number of steps of one voxel, for other grids.
+        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
     """
     apply("closing", source, target, common, distance, voxels=voxels, neighbors=neighbors)
 
@@ -161,12 +161,12 @@ def closing(
 def renormalize(
     source: Source, target: Target, /, *, half_width: float | None = None, common: Common = DEFAULTS
 ) -> None:
-    """Give a level set distances again, around the same surface.
+    """Recompute the distances of a level set around the same surface.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        half_width: Width of the band on each side in voxels; as it is where not given.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        half_width: Width of the band on each side in voxels; by default unchanged.
     """
     apply("renormalize", source, target, common, half_width=half_width)
 
@@ -185,11 +185,11 @@ def smooth(
     """Smooth a level set or another scalar volume.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
         method: gaussian, mean or median; for level sets also mean_curvature or laplacian.
         width: Half the filter's side in voxels.
-        iterations: How often.
+        iterations: Number of times that the filter is applied.
     """
     apply("smooth", source, target, common, method, width=width, iterations=iterations)
 
@@ -206,15 +206,15 @@ def resample(
     device: str | None = None,
     common: Common = DEFAULTS,
 ) -> None:
-    """Bring a volume to voxels of another size, or to those of another volume.
+    """Resample a volume to another voxel size, or to the voxels of another volume.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
         voxel_size: New edge length in world units.
-        like: A .vdb or .nvdb file with one grid whose transform is taken instead.
+        like: A .vdb or .nvdb file with one grid, whose transform is used instead.
         order: Interpolation: 0 nearest voxel, which labels and masks need, 1 trilinear.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     transform = None
     if like is not None:
@@ -227,12 +227,12 @@ def resample(
 
 @app.command
 def prune(source: Source, target: Target, /, *, tolerance: float = 0.0, common: Common = DEFAULTS) -> None:
-    """Replace nodes whose voxels are alike by tiles.
+    """Replace nodes of nearly constant value by tiles.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        tolerance: Largest difference of values in a tile.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        tolerance: Largest difference of the values that a tile replaces.
     """
     apply("prune", source, target, common, tolerance)
 
@@ -250,8 +250,8 @@ def clip(
     """Keep the part of a volume inside a box.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
         lower: Lower corner in world units: x y z.
         upper: Upper corner in world units: x y z.
     """
@@ -260,48 +260,48 @@ def clip(
 
 @app.command
 def gradient(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Gradient of a scalar volume at its active voxels.
+    """Compute the gradient of a scalar volume at its active voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     apply("gradient_field", source, target, common, device=device)
 
 
 @app.command
 def divergence(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Divergence of a vector volume at its active voxels.
+    """Compute the divergence of a vector volume at its active voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     apply("divergence", source, target, common, device=device)
 
 
 @app.command
 def curl(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Curl of a vector volume at its active voxels.
+    """Compute the curl of a vector volume at its active voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     apply("curl", source, target, common, device=device)
 
 
 @app.command
 def laplacian(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Laplacian of a scalar volume at its active voxels.
+    """Compute the Laplacian of a scalar volume at its active voxels.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
-        device: Where to compute: cpu, cuda:0, ...; the first GPU where not given.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     apply("laplacian", source, target, common, device=device)
 
@@ -311,19 +311,19 @@ def segment(source: Source, target: Target, /, *, common: Common = DEFAULTS) -> 
     """Write the connected components of a volume as grids of one file, largest first.
 
     Args:
-        source: A .vdb or .nvdb file.
-        target: A .vdb or .nvdb file.
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
     """
     apply("segment", source, target, common)
 
 
 @app.command
 def statistics(source: Source, /, *, grid: str | None = None, json: Flag = False) -> None:
-    """Count, extrema, mean and spread of the active voxels; area and volume of a level set.
+    """Print count, extrema, mean and standard deviation of the active voxels; area and volume of a level set.
 
     Args:
         source: A .vdb or .nvdb file.
-        grid: Name of the grid where the file holds several.
+        grid: Name of the grid, if the file holds several.
         json: Print JSON.
     """
     require_volume_file(source)

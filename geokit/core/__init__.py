@@ -1,1 +1,1 @@
-"""What every room stands on: arrays from outside, kernel launches, memory, files, C++ text."""
+"""Shared foundations: arrays from callers, kernel launches, memory, files and C++ text."""

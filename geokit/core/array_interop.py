@@ -1,4 +1,4 @@
-"""Arrays of other libraries, by DLPack and the CUDA-array interface: as warp arrays over the same memory, and back."""
+"""Zero-copy exchange of arrays with other libraries, through DLPack and the CUDA array interface."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["as_table", "imported", "is_exporter", "reexporter", "reinterpreted"]
+__all__ = ["as_table", "exporter_like", "import_array", "is_exporter", "reinterpreted"]
 
 
 def is_exporter(values: Any) -> bool:
-    # NumPy-like things (pandas columns, memory views) are read through NumPy; these two protocols are for the others.
+    # NumPy reads everything without these protocols (pandas columns, memory views, nested lists).
     return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
 
 
-def imported(values: Any, name: str) -> "wp.array":
+def import_array(values: Any, name: str) -> "wp.array":
     import warp as wp
 
     try:
@@ -45,7 +45,7 @@ def imported(values: Any, name: str) -> "wp.array":
 
 
 def _device_of_pointer(pointer: int) -> str:
-    # The protocol does not say which GPU: the driver does.
+    # The protocol does not name the GPU; the driver knows it.
     import ctypes
 
     driver = ctypes.CDLL("libcuda.so.1")
@@ -55,8 +55,11 @@ def _device_of_pointer(pointer: int) -> str:
     return f"cuda:{ordinal.value}" if status == 0 else "cuda:0"
 
 
-def reexporter(values: Any) -> Callable[["wp.array"], Any]:
-    """How a result becomes the caller's kind: the type's own ``from_dlpack``, else its library's, else a warp array."""
+def exporter_like(values: Any) -> Callable[["wp.array"], Any]:
+    """A function that converts a result into the kind of array that ``values`` is.
+
+    It uses ``from_dlpack`` of the array type, else of the type's library; without either it returns a warp array.
+    """
     kind = type(values)
     importer = getattr(kind, "from_dlpack", None)
     if importer is None and hasattr(values, "__array_namespace__"):
@@ -72,7 +75,7 @@ def reexporter(values: Any) -> Callable[["wp.array"], Any]:
 
 
 def as_table(out: "wp.array") -> "wp.array":
-    """(N,) of vec3 as (N, 3) of scalars over the same memory; scalars as they are."""
+    """View an (N,) array of vec3 as (N, 3) scalars over the same memory; return scalar arrays unchanged."""
     import warp as wp
 
     scalar = {wp.vec3f: wp.float32, wp.vec3d: wp.float64}.get(out.dtype)
@@ -80,7 +83,7 @@ def as_table(out: "wp.array") -> "wp.array":
 
 
 def reinterpreted(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
-    """The same contiguous memory under another type and shape; keeps its owner alive."""
+    """View contiguous memory under another type and shape; the view keeps the owner alive."""
     import warp as wp
 
     view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)

@@ -1,4 +1,7 @@
-"""How much memory there is before a request is made: a process that the system kills cannot say why."""
+"""Free memory of the host and of a device.
+
+It is checked before a large allocation, because a process that the system kills cannot report an error.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,12 @@ if TYPE_CHECKING:
 
 __all__ = ["available", "available_host"]
 
-# Where the system does not say: small enough for any machine that runs this, large enough for ordinary work.
+# Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
 ASSUMED_BYTES = 4 << 30
 
 
 def available_host() -> int:
-    """Bytes that the host can still give without swapping; the container's limit where there is one."""
+    """Bytes that the host can allocate without swapping, at most what the container's limit leaves."""
     free = ASSUMED_BYTES
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
@@ -41,5 +44,5 @@ def _control_group_rest() -> int:
 
 
 def available(device: "wp.Device") -> int:
-    """Bytes that ``device`` can still give."""
+    """Bytes that can still be allocated on ``device``."""
     return available_host() if device.is_cpu else int(device.free_memory)

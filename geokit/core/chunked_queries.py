@@ -1,4 +1,4 @@
-"""Queries in blocks: what goes to a device and comes back is bounded, and the caller hears how far it is."""
+"""Splits queries into chunks that fit in device memory, and reports progress."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from geokit.core import available_memory, user_arrays
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Progress", "in_blocks"]
+__all__ = ["Progress", "in_chunks"]
 
-# Called with the queries that are answered and those that there are.
+# Called with the number of queries answered so far and the total number.
 Progress = Callable[[int, int], None]
 
-# Queries of a block: some milliseconds of work on a GPU, some seconds on a CPU.
+# Bounds for the queries of a chunk: a full one is milliseconds of work on a GPU and seconds on a CPU.
 MOST_ROWS = 1 << 22
 FEWEST_ROWS = 1 << 14
-# What a query takes on its device, with its answers and its place in the order, rounded up.
+# Device memory of a query with its results and its entry in the query order, rounded up.
 BYTES_PER_ROW = 256
-# Share of the free memory that a block may take.
+# Share of the free memory that a chunk may take.
 SHARE = 0.25
 
 
-def in_blocks(
+def in_chunks(
     query: Callable[..., Any],
     values: Sequence[Any],
     names: Sequence[str],
@@ -35,25 +35,26 @@ def in_blocks(
     *,
     defer: bool = False,
 ) -> Any:
-    """``query(*batches)`` over all rows, in blocks where the rows lie on the host and pay for it.
+    """Run ``query(*batches)`` over all rows, in chunks where a GPU query reads many rows from the host.
 
-    Rows that lie on the query device already, or on the host of a CPU query, are not copied: they are one block unless
-    ``progress`` is asked for.
+    Rows that need no copy (they are on the query device, or the query runs on the CPU) form a single chunk. NumPy
+    rows of a CPU query are split as well if ``progress`` is given.
 
     Args:
-        query: Takes a Batch for each of ``values`` and gives an array or a NamedTuple of arrays, in the caller's kind;
-            passes the rows to nothing but kernels, as ``pin`` of :func:`geokit.core.user_arrays.read_vectors` wants it.
-        values: The caller's arrays, (N, 3) each.
-        names: Their names for messages.
+        query: Takes one Batch for each of ``values`` and returns an array or a NamedTuple of arrays, of the caller's
+            kind. It may pass the rows to kernels only; see ``pin`` of :func:`geokit.core.user_arrays.read_vectors`.
+        values: The caller's arrays, shape (N, 3) each.
+        names: Their names for error messages.
         device: The query device.
-        progress: Called after each block with (rows done, rows in all).
-        defer: As for :func:`geokit.core.user_arrays.read_vectors`.
+        progress: Called after each chunk with (rows done, rows in total).
+        defer: Leave the check for rows that are not finite to the query's kernel; see
+            :func:`geokit.core.user_arrays.read_vectors`.
     Returns:
-        What ``query`` gives, over all rows.
+        The result of ``query`` for all rows.
     """
     on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
     total = len(values[0]) if on_host else 0
-    rows = _block_rows(device, total) if on_host else 0
+    rows = _chunk_rows(device, total) if on_host else 0
     if not on_host or total <= rows or (device.is_cpu and progress is None) or any(len(v) != total for v in values):
         batches = [
             user_arrays.read_vectors(v, name, device, defer=defer, pin=True)
@@ -81,9 +82,9 @@ def in_blocks(
     return type(part)(*whole) if isinstance(part, tuple) else whole[0]
 
 
-def _block_rows(device: "wp.Device", total: int) -> int:
+def _chunk_rows(device: "wp.Device", total: int) -> int:
     if device.is_cpu:
         return MOST_ROWS
-    if total <= FEWEST_ROWS:  # to ask for the free memory takes a tenth of a small query
+    if total <= FEWEST_ROWS:  # reading the free memory takes a tenth of the time of a small query
         return FEWEST_ROWS
     return int(np.clip(SHARE * available_memory.available(device) / BYTES_PER_ROW, FEWEST_ROWS, MOST_ROWS))

@@ -1,7 +1,7 @@
-"""C++ of native kernel functions, kept in files of its own beside the kernel modules.
+"""C++ source of native kernel functions, kept in ``.inl`` files beside the kernel modules.
 
-A ``.inl`` file holds statements of a function body: warp writes the function's head and the braces around them. Its
-first comment says which names it expects in scope and what it defines. Files that are put together share one scope.
+A ``.inl`` file holds the statements of a function body; warp adds the function's signature and braces. The first
+comment of a file lists the names that it expects in scope and those that it defines. Concatenated files share a scope.
 
 A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that file; ``#include NAME`` for those of the
 file that ``defines`` gives a name: a hook of more than a line.
@@ -16,18 +16,18 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | float) -> str:
-    """Text of C++ files for ``wp.func_native``, one after the other.
+    """Concatenate C++ files into one text for ``wp.func_native``.
 
     Args:
-        files: Paths from the package's folder, as "mesh/bvh/nearest_bvh8_cpu.inl".
-        defines: Macros for these files, undefined again behind them: hooks, and names of types.
-        constants: Become ``constexpr``: a bool or an int an ``int``, a float a ``double``, a NumPy scalar the C++ type
-            of its width. Declared once, before the first file.
+        files: Paths relative to the package's folder, such as "mesh/bvh/nearest_bvh8_cpu.inl".
+        defines: Macros for these files (hooks, type names); they are undefined after the last file.
+        constants: Declared as ``constexpr`` before the first file. A bool or an int becomes an ``int``, a float a
+            ``double``, and a NumPy scalar the C++ type of its width.
     """
     lines = [f"constexpr {_type(value)} {name} = {_literal(value)};" for name, value in constants.items()]
     lines += [f"#define {name} {text}" for name, text in (defines or {}).items()]
     for file in files:
-        # Compilers and sanitizers then name the file and its line.
+        # With #line, compilers and sanitizers report the file and line of the .inl file.
         lines += _expanded(file, defines or {})
     lines += [f"#undef {name.partition('(')[0]}" for name in defines or {}]
     return "\n" + "\n".join(lines) + "\n"

@@ -1,6 +1,6 @@
-"""Arrays on a device that live for a few launches, all of them in one allocation.
+"""Scratch arrays for a few launches, all in one allocation.
 
-To make and drop an array of warp's takes as long as a small launch does, on either device.
+Creating and freeing a warp array takes as long as a small launch, on either device.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from geokit.core.host_array import Described, array_descriptor
+from geokit.core.host_array import KernelArray, array_descriptor
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,12 +20,12 @@ ALIGNMENT = 64
 
 
 class Scratch:
-    """Memory for arrays, which keep it alive.
+    """One allocation that holds several arrays; it lives as long as any of them.
 
     Args:
-        device: Where it is.
-        shapes: Shape and warp type of each array; (N,) or (N, M).
-        zeroed: Whether they begin as zeros, and hold anything otherwise.
+        device: The device of the memory.
+        shapes: Shape, (N,) or (N, M), and warp type of each array.
+        zeroed: Fill the arrays with zeros; otherwise they are uninitialized.
     """
 
     __slots__ = ("arrays", "device", "memory")
@@ -39,7 +39,7 @@ class Scratch:
             starts.append(total)
             total += -(-size // ALIGNMENT) * ALIGNMENT
         self.device = device
-        # Elements are counted in 31 bits: bytes would be too many of them.
+        # Warp counts elements in 31 bits, so a large arena cannot be an array of bytes.
         self.memory = (wp.zeros if zeroed else wp.empty)(total // 8, dtype=wp.uint64, device=device)
         begin = self.memory.ptr or 0
         self.arrays = [
@@ -48,8 +48,8 @@ class Scratch:
         ]
 
 
-class ScratchArray(Described):
-    """An array that :func:`geokit.core.launcher.launch` takes; for anything else there is :attr:`warp`."""
+class ScratchArray(KernelArray):
+    """An array of a :class:`Scratch`, for :func:`geokit.core.launcher.launch`; other code uses :attr:`warp`."""
 
     __slots__ = ("_descriptor", "_scratch", "_warp", "dtype", "ptr", "shape")
 
@@ -75,7 +75,7 @@ class ScratchArray(Described):
 
     @property
     def warp(self) -> "wp.array":
-        """The same memory as a warp array, which keeps it alive."""
+        """A warp array over the same memory, which it keeps alive."""
         import warp as wp
 
         if self._warp is None:

@@ -1,8 +1,8 @@
-"""Arrays from a GPU as NumPy arrays: in pinned memory, or through it, with several threads that copy on.
+"""Downloads GPU arrays to NumPy, into pinned memory or staged through it by several threads.
 
-The driver takes what goes to pageable memory through a small pinned buffer of its own and copies from there on one
-thread, to pages that it often touches for the first time: 1.5 to 10 GB/s, where the bus gives 50. Of 11 MB, ms on an
-H100's host: as warp does it 1.1 to 8, with threads 1.0, into pinned memory 0.22.
+A copy to pageable memory goes through a small pinned buffer of the driver. One thread empties that buffer, often into
+pages that are touched for the first time, at 1.5 to 10 GB/s; the bus delivers 50. Copying 11 MB on an H100's host takes
+1.1 to 8 ms with warp's copy, 1.0 ms with staging threads, and 0.22 ms into pinned memory.
 """
 
 from __future__ import annotations
@@ -16,30 +16,31 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.host_array import row_of
-from geokit.core.memory_pool import Loans
+from geokit.core.memory_pool import MemoryPool
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["download", "download_into"]
 
-# What is copied at a time, twice: the bus fills one half while threads empty the other. 32 MiB of pinned memory in all,
-# kept from the first large download on.
+# Size of each of the two halves of the staging memory: the bus fills one half while threads empty the other. The
+# 32 MiB of pinned memory are kept from the first large download on.
 HALF_BYTES = 1 << 24
-# Threads that empty a half, and the least that is worth one: to wake it takes as long as it copies a fifth of that.
+# Threads that empty a half, and the smallest share worth a thread: waking it takes as long as copying a fifth of that.
 THREADS = 6
 LEAST_PER_THREAD = 1 << 20
-# Less than this is quicker without other threads, and without lent memory.
-LEAST_STAGED = 1 << 21
-LEAST_LENT = 1 << 15
+# Smaller downloads are faster without staging, and without the memory pool.
+SMALLEST_STAGED = 1 << 21
+SMALLEST_POOLED = 1 << 15
 
-# Of all results in pinned memory, those in use and those that wait for others, and of one: four million closest points
-# with all that is said of them, or the mesh of a level set of 1024^3, and what a desktop's host can do without.
-LENT_BYTES = 1 << 28
-LARGEST_LENT = 1 << 27
-# To pin memory takes as long as five to ten copies lose that go through the halves (0.3 ms a MB, once; 48 MB take 3.9
-# ms instead of 1, 150 MB 7 instead of 3). So a large one is pinned for who has lost about that much: who reads a few
-# loses nothing, who reads many loses no more than twice what he must.
+# Bounds of the pool of pinned memory, for all arrays together (in use and idle) and for one array. They hold the full
+# results of four million closest points, or the mesh of a level set of 1024^3; a desktop can spare that much.
+POOL_BYTES = 1 << 28
+LARGEST_POOLED = 1 << 27
+# The ski-rental rule: pinning memory takes as long as five to ten staged copies lose against a pinned one (0.3 ms a MB,
+# once; staged, 48 MB take 3.9 ms instead of 1, 150 MB 7 instead of 3). So memory for an array above 16 MiB is pinned
+# once five times its size was copied without. A program that reads few results never pays for pinning; one that reads
+# many pays at most about twice the optimum.
 PINNED_AT_ONCE = 1 << 24
 PATIENCE = 5
 
@@ -51,10 +52,10 @@ def _host_bytes(size: int, *, pinned: bool = True) -> tuple["wp.array", int]:
     return memory, int(memory.ptr or 0)
 
 
-_loans = Loans(
+_pool = MemoryPool(
     _host_bytes,
-    most_bytes=LENT_BYTES,
-    largest_bytes=LARGEST_LENT,
+    most_bytes=POOL_BYTES,
+    largest_bytes=LARGEST_POOLED,
     ready_bytes=PINNED_AT_ONCE,
     patience=PATIENCE,
 )
@@ -62,43 +63,43 @@ _stages: dict[str, _Stage] = {}
 
 
 def download(*arrays: "wp.array") -> list[np.ndarray]:
-    """Arrays of one device on the host; those that are there already are not copied."""
+    """Copy arrays of one device to NumPy; arrays in host memory are not copied."""
     device = arrays[0].device
     total = sum(array.capacity for array in arrays)
-    if device.is_cpu or total < LEAST_LENT or not all(array.is_contiguous for array in arrays):
+    if device.is_cpu or total < SMALLEST_POOLED or not all(array.is_contiguous for array in arrays):
         return [array.numpy() for array in arrays]
-    return _lent(arrays, _loans) or _staged(arrays, total)
+    return _download_pooled(arrays, _pool) or _download_staged(arrays, total)
 
 
 def download_into(target: np.ndarray, array: "wp.array") -> None:
-    """The bytes of a contiguous array, to contiguous memory of the host that is as long."""
+    """Copy a contiguous array into a contiguous NumPy array of the same number of bytes."""
     import warp as wp
 
-    if array.device.is_cuda and target.nbytes >= LEAST_STAGED and _through_stage((array,), [target]):
+    if array.device.is_cuda and target.nbytes >= SMALLEST_STAGED and _through_stage((array,), [target]):
         return
-    there: Any = wp.array(target.reshape(-1).view(np.uint8), dtype=wp.uint8, device="cpu", copy=False)
-    wp.copy(there, _bytes_of(array, 0, target.nbytes))
-    wp.synchronize_device(array.device)  # the copy may still be under way
+    destination: Any = wp.array(target.reshape(-1).view(np.uint8), dtype=wp.uint8, device="cpu", copy=False)
+    wp.copy(destination, _bytes_of(array, 0, target.nbytes))
+    wp.synchronize_device(array.device)  # the copy is asynchronous
 
 
-def _lent(arrays: tuple["wp.array", ...], loans: Loans) -> list[np.ndarray] | None:
-    """Straight into pinned memory that is lent, as long as there is some."""
+def _download_pooled(arrays: tuple["wp.array", ...], pool: MemoryPool) -> list[np.ndarray] | None:
+    """Copy straight into the pool's pinned memory; None if the pool has no room."""
     import warp as wp
 
     rows = [row_of(array.dtype) for array in arrays]
-    lent = [loans.empty((*array.shape, *row.shape[1:]), row.dtype) for array, row in zip(arrays, rows, strict=True)]
-    found = [loan for loan in lent if loan is not None]
-    if len(found) < len(arrays):
+    pooled = [pool.empty((*array.shape, *row.shape[1:]), row.dtype) for array, row in zip(arrays, rows, strict=True)]
+    results = [pair for pair in pooled if pair is not None]
+    if len(results) < len(arrays):
         return None
-    for array, (result, memory) in zip(arrays, found, strict=True):
+    for array, (result, memory) in zip(arrays, results, strict=True):
         wp.copy(memory, _bytes_of(array, 0, result.nbytes), count=result.nbytes)
     if arrays[0].device.is_cuda:
         wp.synchronize_stream(arrays[0].device.stream)
-    return [result for result, _ in found]
+    return [result for result, _ in results]
 
 
-def _staged(arrays: tuple["wp.array", ...], total: int) -> list[np.ndarray]:
-    if total >= LEAST_STAGED:
+def _download_staged(arrays: tuple["wp.array", ...], total: int) -> list[np.ndarray]:
+    if total >= SMALLEST_STAGED:
         results = [_empty_like(array) for array in arrays]
         if _through_stage(arrays, results):
             return results
@@ -106,7 +107,7 @@ def _staged(arrays: tuple["wp.array", ...], total: int) -> list[np.ndarray]:
 
 
 def _through_stage(arrays: tuple["wp.array", ...], results: list[np.ndarray]) -> bool:
-    """Fills in the results, unless another thread is at it."""
+    """Copy the arrays into ``results``; False if another thread is using the staging memory."""
     device = arrays[0].device
     stage = _stages.setdefault(device.alias, _Stage(device))
     if not stage.lock.acquire(blocking=False):
@@ -119,7 +120,7 @@ def _through_stage(arrays: tuple["wp.array", ...], results: list[np.ndarray]) ->
 
 
 class _Stage:
-    """Pinned memory for one device, as two halves that are used in turn."""
+    """Staging memory for one device: two pinned halves, used in turn."""
 
     def __init__(self, device: "wp.Device") -> None:
         self.lock = threading.Lock()
@@ -131,19 +132,19 @@ class _Stage:
         first, second = self._halves
         try:
             for pieces in _pieces([result.nbytes for result in results]):
-                # The bus is at this half while threads are at the other.
+                # The bus fills this half while threads empty the other.
                 first.fill(arrays, results, pieces)
                 second.empty()
                 first, second = second, first
             second.empty()
         finally:
-            # Nothing may be under way when the halves go to the next download, also after an error.
+            # No copy may be running when the next download uses the halves, even after an error.
             for half in self._halves:
                 half.forget()
 
 
 class _Half:
-    """A part of the pinned memory, what is copied there, and the threads that take it out again."""
+    """One half of the staging memory, the pieces it holds, and the jobs that empty it."""
 
     def __init__(self, device: "wp.Device") -> None:
         import warp as wp
@@ -156,7 +157,7 @@ class _Half:
         self._jobs: list[Future[None]] = []
 
     def fill(self, arrays: Any, results: list[np.ndarray], pieces: list[tuple[int, int, int]]) -> None:
-        """Have pieces (array, first byte, bytes) copied here, one after the other."""
+        """Start copying the pieces (array, first byte, bytes) into this half."""
         import warp as wp
 
         at = 0
@@ -168,7 +169,7 @@ class _Half:
             arrays[0].device.stream.record_event(self._filled)
 
     def empty(self) -> None:
-        """Once it is filled, copy what is here to where it belongs: this thread takes a share, others take the rest."""
+        """Wait until the half is filled, then copy its pieces to the results; the calling thread takes a share."""
         import warp as wp
 
         if not self._parts:
@@ -199,7 +200,7 @@ class _Half:
 
 
 def _pieces(sizes: list[int]) -> Iterator[list[tuple[int, int, int]]]:
-    """What goes into one half after the other: pieces (array, first byte, bytes)."""
+    """Cut arrays of these sizes into pieces (array, first byte, bytes); yields the pieces of one half at a time."""
     pieces, room = [], HALF_BYTES
     for number, size in enumerate(sizes):
         start = 0
@@ -215,7 +216,7 @@ def _pieces(sizes: list[int]) -> Iterator[list[tuple[int, int, int]]]:
 
 
 def _bytes_of(array: "wp.array", start: int, size: int) -> "wp.array":
-    """A part of a contiguous array: warp counts no more than 2^31 elements."""
+    """View ``size`` bytes of a contiguous array; the whole may exceed warp's limit of 2^31 elements."""
     import warp as wp
 
     return wp.array(ptr=array.ptr + start, dtype=wp.uint8, shape=(size,), device=array.device)

@@ -1,4 +1,4 @@
-"""Equal rows found once: the corner merging of .stl and the topology of the audit."""
+"""Finds equal rows of an array, for merging .stl corners and for the mesh audit."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ _SCRAMBLE = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
 def merge_equal_points(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of exactly equal coordinates (-0.0 equals 0.0), shape (N, 3); see :func:`merge_equal_rows`."""
-    # Adding 0.0 turns -0.0 into 0.0, after which equal numbers have equal bits.
+    """:func:`merge_equal_rows` for points (N, 3) with exactly equal coordinates; -0.0 equals 0.0."""
+    # Adding 0.0 turns -0.0 into 0.0, so that equal numbers have equal bits.
     return merge_equal_rows((points + 0.0).view(np.uint64))
 
 
 def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Distinct rows in order of first appearance.
+    """Find the distinct rows, in order of first appearance.
 
     Args:
         rows: Shape (N, 3), any 64-bit integer type.
     Returns:
-        ``first`` (U,), ascending: the row at which each distinct row first appears; and ``group`` (N,), the distinct
-        row that each row equals: ``rows[first][group] == rows``.
+        ``first`` (U,), ascending: the index at which each distinct row first appears; and ``group`` (N,): the distinct
+        row that each row equals, so that ``rows[first][group] == rows``.
     """
     keys = np.ascontiguousarray(rows).view(np.uint64)
     count = len(keys)
     if count == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    # One sort of one hash is three times faster than np.lexsort and twenty times faster than np.unique(axis=0).
+    # Sorting a hash of each row is three times faster than np.lexsort and twenty times faster than np.unique(axis=0).
     mixed = _mixed(keys)
     if count > 1 and not _any_equal(mixed):
-        # Nothing is equal to anything, as in most indexed meshes: the values alone sort four times faster than indices.
+        # No two rows are equal, as in most indexed meshes. Sorting values alone is four times faster than argsort.
         rows_in_order = np.arange(count)
         return rows_in_order, rows_in_order.copy()
     order = np.argsort(mixed)
     ordered = keys[order]
     differs = _steps(ordered)
     if np.any(differs & (mixed[order[1:]] == mixed[order[:-1]])):
-        # Two different rows share a hash, and may alternate in the sorted order: sort by the rows themselves.
+        # Two different rows share a hash and may alternate in the sorted order, so sort by the rows themselves.
         order = np.lexsort(keys.T)
         ordered = keys[order]
         differs = _steps(ordered)
@@ -59,16 +59,16 @@ def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 def repeated_triples(rows: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows (N, 3) of the same three numbers as an earlier row, in any order.
+    """Find rows of ``rows`` (N, 3) that hold the same three numbers as an earlier row, in any order.
 
     Returns:
-        ``repeats`` (R,), ascending: rows that repeat an earlier one; and ``first`` (R,): the first that each repeats.
+        ``repeats`` (R,), ascending: rows that repeat an earlier one; and ``first`` (R,): the earliest equal row.
     """
     none = np.zeros(0, np.int64)
     if len(rows) < 2:
         return none, none
     mixed = _scrambled(int(rows.max()) + 1)
-    # A sum has no order.
+    # A sum does not depend on the order of the three numbers.
     sums = np.take(mixed, rows[:, 0])
     for column in (1, 2):
         sums += np.take(mixed, rows[:, column])
@@ -76,7 +76,7 @@ def repeated_triples(rows: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArra
     shared = ordered[1:][ordered[1:] == ordered[:-1]]
     if not len(shared):
         return none, none
-    # Rows that are alone with their sum repeat nothing; the others are compared.
+    # A row whose sum is unique repeats nothing; the others are compared.
     at = np.minimum(np.searchsorted(shared, sums), len(shared) - 1)
     candidates = np.flatnonzero(np.take(shared, at) == sums)
     first, group = merge_equal_rows(np.sort(rows[candidates], axis=1).astype(np.int64))
@@ -86,7 +86,7 @@ def repeated_triples(rows: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArra
 
 
 def _scrambled(count: int) -> NDArray[np.uint64]:
-    """A number for each of ``0 .. count - 1`` whose bits look random.
+    """Hash the numbers ``0 .. count - 1``.
 
     Source:
         Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators" (2014): the mixing of SplitMix64.
@@ -102,7 +102,7 @@ def _mixed(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """A hash of each row, (N,)."""
     mixed = np.zeros(len(keys), np.uint64)
     for column, factor in enumerate(_MIX):
-        # The low bits of coordinates of few digits are all zero, and stay so in products.
+        # The low bits of short decimal coordinates are often zero and stay zero in products, so mix in the high ones.
         key = keys[:, column] ^ (keys[:, column] >> np.uint64(32))
         key *= factor
         mixed ^= key

@@ -1,4 +1,4 @@
-"""Atomic writes, and what a file name says about its format."""
+"""Atomic file writes, and checks of file names and formats."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["atomic_path", "extension", "require_extension", "require_file"]
 
 
 def extension(path: str | os.PathLike[str]) -> str:
-    """Lower-case extension with its dot, ``""`` where there is none."""
+    """Lower-case extension of ``path`` with its dot; ``""`` if it has none."""
     return Path(path).suffix.lower()
 
 
 def require_extension(path: str | os.PathLike[str], known: tuple[str, ...] | frozenset[str], what: str) -> str:
-    """Extension of ``path``, which must be one of ``known``.
+    """Return the extension of ``path``, which must be one of ``known``.
 
     Raises:
         InputError: The extension is not among ``known``; the message lists them.
@@ -33,7 +33,7 @@ def require_extension(path: str | os.PathLike[str], known: tuple[str, ...] | fro
 
 
 def require_file(path: str | os.PathLike[str]) -> Path:
-    """``path`` as a Path to an existing, readable, regular file.
+    """Return ``path`` as a Path, which must name an existing, readable file.
 
     Raises:
         FileAccessError: The file is missing, a directory, or not readable.
@@ -50,9 +50,9 @@ def require_file(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``target`` that replaces it when the block ends well.
+    """Provide a temporary path beside ``target`` that replaces it if the block succeeds.
 
-    The temporary file has the target's extension, so that writers which choose a format by name work. It is fsynced
+    The temporary file has the target's extension, because some writers choose a format by name. It is fsynced
     and renamed over the target on success and removed on failure: a reader sees the old file or the new one.
 
     Raises:
@@ -82,13 +82,13 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _publish(part: Path, target: Path) -> None:
-    # mkstemp creates 0600; a new file gets what umask grants, a replaced one keeps its mode.
+    # mkstemp creates files with mode 0600. A new file gets the mode that umask allows, a replaced one keeps its mode.
     mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
     os.chmod(part, mode)
     with open(part, "rb+") as file:
         os.fsync(file.fileno())
     os.replace(part, target)
-    # The rename itself is durable only once the folder is synced; not every system lets a folder be opened.
+    # The rename is durable only once the folder is synced. Some systems cannot open a folder.
     with contextlib.suppress(OSError):
         folder = os.open(target.parent, os.O_RDONLY)
         try:

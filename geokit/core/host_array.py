@@ -1,4 +1,4 @@
-"""NumPy memory as kernels on the CPU take it, without a warp array around it."""
+"""NumPy arrays as arguments of CPU kernels, without the cost of a warp array."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Described", "HostArray", "array_descriptor", "row_of", "unwrapped"]
+__all__ = ["HostArray", "KernelArray", "array_descriptor", "launch_argument", "row_of"]
 
 
-class Described:
-    """What :func:`geokit.core.launcher.launch` takes for an array: it says where the rows are."""
+class KernelArray:
+    """Base of the array types that :func:`geokit.core.launcher.launch` takes besides warp arrays."""
 
     __slots__ = ()
 
-    if TYPE_CHECKING:  # not an ABC: to tell whether an argument is one of these would take four times as long
+    if TYPE_CHECKING:  # not an ABC, whose isinstance check takes four times as long
 
         @property
         def descriptor(self) -> Any:
-            """What a kernel's launch passes for an array: where it is and how long."""
+            """Warp's array descriptor: address, shape and strides."""
 
 
-class HostArray(Described):
-    """Contiguous rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) for what it takes as vec3d.
+class HostArray(KernelArray):
+    """Contiguous NumPy rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) where it takes vec3d.
 
-    To make and drop a warp array takes as long as a query of one point does; this takes a fifth of it. It goes where
-    :func:`geokit.core.launcher.launch` passes it on to a kernel; for anything else there is :attr:`warp`.
+    Creating and freeing a warp array takes as long as a query of one point; this takes a fifth of that. It is an
+    argument for :func:`geokit.core.launcher.launch`; other code uses :attr:`warp`.
     """
 
     __slots__ = ("_descriptor", "_warp", "values")
@@ -63,7 +63,7 @@ class HostArray(Described):
 
     @property
     def warp(self) -> "wp.array":
-        """The same memory as a warp array."""
+        """A warp array over the same memory."""
         import warp as wp
 
         if self._warp is None:
@@ -82,13 +82,13 @@ class HostArray(Described):
         return self._warp
 
 
-def unwrapped(argument: Any) -> Any:
-    """A kernel's argument as warp's launch takes it."""
-    return argument.descriptor if isinstance(argument, Described) else argument
+def launch_argument(argument: Any) -> Any:
+    """Replace a KernelArray by its descriptor; return any other kernel argument unchanged."""
+    return argument.descriptor if isinstance(argument, KernelArray) else argument
 
 
 def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
-    """What a launch passes for contiguous elements of ``size`` bytes at an address."""
+    """Warp's descriptor of a contiguous array at address ``data`` with elements of ``size`` bytes."""
     descriptor = _descriptor_type()()
     descriptor.data = data
     descriptor.ndim = len(shape)
@@ -101,7 +101,7 @@ def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
 
 @functools.lru_cache(maxsize=64)
 def row_of(dtype: Any) -> np.ndarray:
-    """No rows of a warp type, as NumPy has them: (0,) numbers, or (0, 3) for vectors."""
+    """An empty NumPy array with the dtype and row shape of a warp type: (0,) numbers, or (0, 3) for vectors."""
     import warp as wp
 
     none: np.ndarray = wp.empty(0, dtype=dtype, device="cpu").numpy()

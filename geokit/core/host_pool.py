@@ -1,7 +1,7 @@
-"""Memory of the host for the lists of a CPU's searches, used again once nobody holds the last ones.
+"""Pool of host buffers for search results on a CPU; a buffer returns to the pool when its array is freed.
 
-Of a radius search whose lists take 48 MB the system's clearing of pages is an eighth of the time. What a loop over
-frames or time steps throws away serves its next round.
+Clearing new pages takes the system an eighth of the time of a radius search whose lists take 48 MB. With the pool, a
+loop over frames or time steps reuses the memory of its previous results.
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core.host_array import HostArray
-from geokit.core.memory_pool import Loans
+from geokit.core.memory_pool import MemoryPool
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["empty", "room"]
+__all__ = ["empty", "empty_warp"]
 
-# Memory that results may hold: a few of some million numbers. What does not fit is NumPy's alone.
+# Bound of the pool: a few results of some million numbers. Arrays beyond it are ordinary NumPy arrays.
 KEPT_BYTES = 1 << 27
-# Smaller arrays come from pages that the allocator keeps by itself.
+# The allocator itself keeps pages for smaller arrays.
 SMALLEST_BYTES = 1 << 20
 
 
 def _pages(size: int) -> tuple[np.ndarray, int]:
-    # NumPy asks for large pages, which are cleared in a third of the time.
+    # NumPy asks the system for huge pages, which are cleared in a third of the time.
     memory = np.empty(size, np.uint8)
     return memory, memory.ctypes.data
 
 
-_loans = Loans(_pages, most_bytes=KEPT_BYTES, largest_bytes=KEPT_BYTES, smallest_bytes=SMALLEST_BYTES)
+_pool = MemoryPool(_pages, most_bytes=KEPT_BYTES, largest_bytes=KEPT_BYTES, smallest_bytes=SMALLEST_BYTES)
 
 
 def empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """An array of unknown numbers, as ``numpy.empty``; a large one in memory that may have been used before."""
-    lent = _loans.empty(shape, dtype)
-    return np.empty(shape, dtype) if lent is None else lent[0]
+    """An uninitialized array, as from ``numpy.empty``; a large one comes from the pool."""
+    pooled = _pool.empty(shape, dtype)
+    return np.empty(shape, dtype) if pooled is None else pooled[0]
 
 
-def room(count: int, dtype: Any, device: "wp.Device") -> "wp.array":
-    """``warp.empty`` of so many numbers; on a CPU in memory that may have been used before."""
+def empty_warp(count: int, dtype: Any, device: "wp.Device") -> "wp.array":
+    """An uninitialized warp array, as from ``warp.empty``; on a CPU a large one comes from the pool."""
     import warp as wp
 
     if device.is_cuda:

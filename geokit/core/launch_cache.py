@@ -1,7 +1,7 @@
-"""Launches that are prepared once for each kernel and device, and then only given their arguments.
+"""Cache of prepared launches: one per kernel and device, where later calls only set the arguments.
 
-warp's own launch looks at the kernel, the module and every argument anew, which takes longer than most small kernels
-run (25 us on an H100's host, for three arguments).
+``warp.launch`` inspects the kernel, its module and every argument anew. With three arguments that takes 25 us on an
+H100's host, longer than most small kernels run.
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ import ctypes
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from geokit.core.host_array import Described, unwrapped
+from geokit.core.host_array import KernelArray, launch_argument
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["run"]
 
+# Marks a kernel parameter that is a warp struct.
 STRUCT = object()
 
-# Recorded launches that no thread is using.
+# Recorded launches that no thread is using at the moment.
 _idle: dict[tuple[Any, str], list[_Recorded]] = {}
 
 
@@ -27,11 +28,12 @@ def run(kernel: Any, count: int, arguments: Sequence[Any], device: "wp.Device", 
     """Launch ``kernel`` for ``count`` items, as ``warp.launch`` does.
 
     Args:
-        kernel: A kernel whose module is loaded. Of a generic one the arguments choose the overload, at each launch.
+        kernel: A kernel whose module is loaded. For a generic kernel, each call goes to ``warp.launch``, which chooses
+            the overload by the arguments.
         count: Number of items, above 0.
-        arguments: What it takes; something Described where an array is.
-        device: Where to run it.
-        block_dim: Threads of a block; the same for each launch of a kernel on a device.
+        arguments: The kernel's arguments. Arrays are warp arrays or KernelArrays.
+        device: The device to run on.
+        block_dim: Threads of a block; must be the same for each launch of a kernel on a device.
     """
     if kernel.is_generic:
         _plain_launch(kernel, count, arguments, device, block_dim)
@@ -52,14 +54,14 @@ def _plain_launch(
 ) -> Any:
     import warp as wp
 
-    given = [unwrapped(argument) for argument in arguments]
+    given = [launch_argument(argument) for argument in arguments]
     return wp.launch(
         kernel, count, inputs=given, device=device, record_tape=False, record_cmd=record, block_dim=block_dim
     )
 
 
 class _Recorded:
-    """A launch of one thread at a time; it keeps no array alive."""
+    """A recorded launch. One thread uses it at a time; it keeps no array alive."""
 
     __slots__ = ("_command", "_count", "_kinds")
 
@@ -77,7 +79,7 @@ class _Recorded:
         for index, (kind, value) in enumerate(zip(self._kinds, arguments, strict=True), 1):
             passed = None
             if type(kind) is tuple:
-                if isinstance(value, Described):
+                if isinstance(value, KernelArray):
                     passed = value.descriptor
                 elif type(value) is array and value.dtype is kind[0] and value.ndim == kind[1]:
                     passed = value.__ctype__()
@@ -89,11 +91,11 @@ class _Recorded:
                 passed = value
             elif kind is STRUCT and hasattr(value, "__ctype__"):
                 passed = value.__ctype__()
-            if passed is None:  # not what the kernel expects: warp converts it, or says what is wrong
+            if passed is None:  # not of the expected type: warp converts it, or names the mistake
                 command.set_param_at_index(index - 1, value)
                 continue
             parameters[index] = passed
-            if addresses is not None:  # of a GPU, whose kernels are given each argument's place
+            if addresses is not None:  # on a GPU, kernels are launched with the address of each argument
                 addresses[index] = ctypes.addressof(passed)
         if count != self._count:
             command.set_dim(count)
@@ -102,8 +104,12 @@ class _Recorded:
 
 
 def _kind_of(kind: Any) -> Any:
-    """How an argument is passed on: (dtype, dimensions) of an array, types of a number that need no conversion, the
-    type of a vector, or STRUCT."""
+    """How arguments of a type are passed.
+
+    Returns:
+        (dtype, number of dimensions) for an array, the types that need no conversion for a number, the type itself for
+        a vector, STRUCT for a struct, and None where warp has to convert.
+    """
     import warp as wp
 
     if hasattr(kind, "ndim"):

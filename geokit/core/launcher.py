@@ -1,4 +1,7 @@
-"""The only place where kernels are launched: device, CPU threads, query order, blocks and the compile notice."""
+"""Launches kernels: devices, CPU threads, query order, chunks, and notice of compilation.
+
+All kernels of the package are launched here, except those of :mod:`geokit.threads`.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = [
     "cuda_devices",
     "identity",
-    "in_order",
     "launch",
     "launch_queries",
     "load_module",
@@ -31,28 +33,28 @@ __all__ = [
     "thread_count",
 ]
 
-# A launch costs about 30 us of Python: slices shorter than this would spend more on launching than on work.
+# A launch costs about 30 us of Python; shorter slices would spend more time on launching than on work.
 MINIMUM_SLICE = 512
-# More slices than threads, so that a slice of hard queries does not keep the others waiting.
+# More slices than threads, so that a slice of expensive queries does not delay the whole launch.
 SLICES_PER_THREAD = 8
-# Fewest groups of queries worth a slice.
+# Fewest groups of queries that are worth a slice.
 GROUP_GRAIN = 16
-# Sorting fewer queries than this costs more than their order gives back.
+# Sorting fewer queries than this costs more than their order saves.
 MINIMUM_ORDERED = 2048
-# Points that one thread orders as soon as two: to wake them takes as long as they save.
+# Points that one thread sorts as fast as two, because waking a thread takes as long as it saves.
 ORDER_SHARE = 1 << 18
-# Buckets of points worth a slice.
+# Fewest buckets of points that are worth a slice.
 BUCKET_GRAIN = 64
-# Threads of a block on a GPU. A block keeps its place until its slowest thread is done: queries are 5% quicker than in
-# blocks of 256, and no quicker in smaller ones (measured on an H100).
+# Threads of a block on a GPU. A block is resident until its slowest thread is done: queries are 5% faster than with
+# blocks of 256, and no faster with smaller ones (measured on an H100).
 BLOCK_DIM = 128
-# Queries per launch: bounds the memory of keys and order (16 bytes each, twice, or 24 on a CPU) to 128 MiB.
+# Queries per launch. This bounds the memory of keys and order (16 bytes each, twice, or 24 on a CPU) to 128 MiB.
 BLOCK = 1 << 22
-# A load from the kernel cache takes well under this; a build takes seconds.
+# Loading from the kernel cache takes well under this; compiling takes seconds.
 COMPILE_NOTICE_SECONDS = 0.7
 
-# Share of a GPU's memory that its pool keeps of arrays that are no longer used. By default it gives all back to the
-# driver, and to get the arrays of four million answers again takes a third of a millisecond, of a query that takes one.
+# Share of a GPU's memory that warp's pool keeps after arrays are freed. By default it returns all to the driver, and
+# allocating the arrays of four million answers again takes a third of a millisecond, of a query that takes one.
 POOL_SHARE = 0.25
 
 _loaded: set[tuple[str, str]] = set()
@@ -71,7 +73,7 @@ def _warp() -> Any:
 
 @contextlib.contextmanager
 def _quiet(wp: Any) -> Iterator[None]:
-    """Holds back warp's banner and load messages; the level that the user's own warp code runs under is put back."""
+    """Suppress warp's banner and load messages, then restore the user's log level."""
     level = wp.config.log_level
     wp.config.log_level = max(level, logging.WARNING)
     try:
@@ -82,15 +84,15 @@ def _quiet(wp: Any) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _silenced_stderr() -> Iterator[None]:
-    """Sends descriptor 2 to nowhere: warp's native start-up reports a missing CUDA driver there, past sys.stderr."""
+    """Redirect descriptor 2 to os.devnull: warp's native code reports a missing CUDA driver there, past sys.stderr."""
     try:
         saved = os.dup(2)
-    except OSError:  # a process without a stderr has nothing to silence
+    except OSError:  # the process has no stderr
         yield
         return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    os.close(nowhere)
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    os.close(null)
     try:
         yield
     finally:
@@ -99,15 +101,15 @@ def _silenced_stderr() -> Iterator[None]:
 
 
 def cuda_devices() -> list[str]:
-    """Aliases of the CUDA devices that can be used."""
+    """Aliases of the usable CUDA devices."""
     return [device.alias for device in _warp().get_cuda_devices()]
 
 
 def resolve_device(device: Any = None) -> "wp.Device":
-    """The warp device for an alias ("cpu", "cuda:0"), for a warp device, or for None: the first GPU, else the CPU.
+    """The warp device for an alias ("cpu", "cuda:0"), a warp device, or None (the first GPU, else the CPU).
 
     Raises:
-        InputError: There is no such device; the message lists those there are.
+        InputError: There is no such device; the message lists the existing ones.
     """
     wp = _warp()
     if device is None:
@@ -125,7 +127,7 @@ def resolve_device(device: Any = None) -> "wp.Device":
 
 @functools.lru_cache(maxsize=16)
 def _keep_pool(device: str) -> None:
-    """Let the device's pool keep what it has given out; more, if the user has said so."""
+    """Make warp's pool of the device keep freed memory; a larger threshold set by the user stays."""
     wp = _warp()
     kept = int(POOL_SHARE * wp.get_device(device).total_memory)
     if wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) < kept:
@@ -133,7 +135,7 @@ def _keep_pool(device: str) -> None:
 
 
 def thread_count() -> int:
-    """CPU threads that kernels use: GEOKIT_THREADS, else the processors that this process may run on.
+    """Number of CPU threads for kernels: GEOKIT_THREADS, else the processors that this process may run on.
 
     Raises:
         InputError: GEOKIT_THREADS is set to something that is not a positive whole number.
@@ -152,18 +154,18 @@ def _pool(threads: int) -> Pool:
 
 
 def pool() -> Pool:
-    """The threads that take slices of launches."""
+    """The thread pool that runs the slices of CPU launches."""
     return _pool(thread_count())
 
 
 def on_compile(listener: Callable[[str], None] | None) -> None:
-    """Have ``listener(module_name)`` called when a kernel module is being compiled rather than read from the cache."""
+    """Set ``listener(module_name)``, called when a kernel module is compiled rather than read from the cache."""
     global _compile_listener
     _compile_listener = listener
 
 
 def load_module(module: Any, device: "wp.Device") -> None:
-    """Build or load a kernel module before its first launch: slices of a launch must not each try to."""
+    """Compile or load a kernel module before its first launch, so that the slices of a launch do not each try to."""
     key = (module.name, device.alias)
     if key in _loaded:
         return
@@ -177,7 +179,7 @@ def load_module(module: Any, device: "wp.Device") -> None:
             notice.start()
         try:
             with _quiet(_warp()):
-                # Launches on the CPU run with blocks of one; another block size would be another build.
+                # CPU launches have blocks of one thread. Another block size would compile the module again.
                 module.load(device, block_dim=1 if device.is_cpu else BLOCK_DIM)
         finally:
             if notice:
@@ -188,42 +190,37 @@ def load_module(module: Any, device: "wp.Device") -> None:
 def launch(
     kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device", *, grain: int = 0
 ) -> None:
-    """Run ``kernel`` for the items ``0 .. count - 1``; its first parameter is the first item of the slice.
+    """Run ``kernel`` for the items ``0 .. count - 1``; on a CPU in slices, which the threads of a pool take in turn.
 
     Args:
-        kernel: A warp kernel ``(first: int, *inputs, *outputs)`` whose item is ``first + wp.tid()``.
+        kernel: A warp kernel ``(first: int, *inputs, *outputs)``. ``first`` is the first item of the slice; a thread's
+            item is ``first + wp.tid()``.
         count: Number of items, below 2^31.
         inputs: Arguments after ``first``.
         outputs: Arguments after the inputs.
-        device: Where the arrays are.
-        grain: Fewest items worth a slice of their own, for kernels whose items are large; 0 for the usual.
+        device: The device of the arrays.
+        grain: Fewest items of a slice, for kernels with expensive items; 0 for the default.
     """
     if count == 0:
         return
     load_module(kernel.module, device)
     if device.is_cuda:
-        _launch_slice(kernel, 0, count, inputs, outputs, device)
+        launch_cache.run(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)
         return
-    # Warp runs a CPU launch on one thread and lets go of the GIL meanwhile.
+    # Warp runs a CPU launch on one thread and releases the GIL, so slices can run side by side.
     threads = thread_count()
     size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
     if threads == 1 or count <= size:
-        _launch_slice(kernel, 0, count, inputs, outputs, device)
+        launch_cache.run(kernel, count, [0, *inputs, *outputs], device, 1)
         return
-    firsts = iter(range(0, count, size))
+    firsts = iter(range(0, count, size))  # shared by the threads; the GIL makes taking the next one safe
 
-    def work() -> None:
+    def run_slices() -> None:
         for first in firsts:
-            _launch_slice(kernel, first, min(size, count - first), inputs, outputs, device)
+            launch_cache.run(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)
 
     workers = _pool(threads)
-    wait_for([workers.submit(work) for _ in range(min(threads, -(-count // size)))], workers.ids)
-
-
-def _launch_slice(
-    kernel: Any, first: int, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device"
-) -> None:
-    launch_cache.run(kernel, count, [first, *inputs, *outputs], device, 1 if device.is_cpu else BLOCK_DIM)
+    wait_for([workers.submit(run_slices) for _ in range(min(threads, -(-count // size)))], workers.ids)
 
 
 def launch_queries(
@@ -239,55 +236,40 @@ def launch_queries(
     group: int = 0,
     flags: Sequence[Any] = (),
 ) -> None:
-    """Run a query kernel over ``points`` in blocks, each in Morton order where that pays.
+    """Run a query kernel over ``points`` in chunks; a large chunk is answered in Morton order.
 
-    Answers do not depend on the order: it only decides which queries share the caches.
+    Answers do not depend on the order; it only decides which queries share the caches.
 
     Args:
         kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
             Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
-            queries are ``order[k]`` for ``k`` from ``group * (first + wp.tid())`` on.
+            queries are ``order[k]`` for the ``group`` values of ``k`` from ``group * (first + wp.tid())`` on.
         points: Positions (N,) of vec3d that decide the order [world].
-        inputs: Arguments that every query shares.
+        inputs: Arguments that all queries share.
         outputs: Arrays with N rows.
-        device: Where the arrays are.
-        lower: Lower corner [world] of the box that the order resolves, three numbers; points outside are clamped to it.
+        device: The device of the arrays.
+        lower: Lower corner [world] of the box that the Morton keys resolve, three numbers; points outside are clamped.
         extent: Edge length [world] of that box.
-        streams: Further arrays with N rows that go with the points.
-        group: Queries of a thread, one after the other; neighbours then start from each other's answers.
+        streams: Further input arrays with one row per point.
+        group: Queries that one thread answers in sequence, each starting from its neighbor's answer; 0 for one each.
         flags: Further outputs, after the others, that all queries share.
     """
-
-    def answer(order: "wp.array", block: "wp.array", rows: list["wp.array"]) -> None:
-        inner, outer = rows[: len(streams)], rows[len(streams) :]
-        if group:
-            groups = -(-len(block) // group)
-            launch(kernel, groups, [group, order, block, *inner, *inputs], [*outer, *flags], device, grain=GROUP_GRAIN)
-        else:
-            launch(kernel, len(block), [order, block, *inner, *inputs], [*outer, *flags], device)
-
-    in_order(answer, points, [*streams, *outputs], device, lower, extent)
-
-
-def in_order(
-    answer: Callable[["wp.array", "wp.array", list["wp.array"]], None],
-    points: "wp.array",
-    arrays: Sequence["wp.array"],
-    device: "wp.Device",
-    lower: Any,
-    extent: float,
-) -> None:
-    """``answer(order, points, arrays)`` for blocks of the points and of the arrays that have a row for each."""
     total = len(points)
     for start in range(0, total, BLOCK):
         stop = min(total, start + BLOCK)
-        whole = stop - start == total
-        block = points if whole else points[start:stop]
-        rows = [a if whole else a[start:stop] for a in arrays]
-        answer(morton_order(block, lower, extent, device), block, rows)
+        block, *rows = (a if stop - start == total else a[start:stop] for a in (points, *streams, *outputs))
+        order = morton_order(block, lower, extent, device)
+        arguments = [order, block, *rows[: len(streams)], *inputs]
+        results = [*rows[len(streams) :], *flags]
+        if group:
+            groups = -(-len(block) // group)
+            launch(kernel, groups, [group, *arguments], results, device, grain=GROUP_GRAIN)
+        else:
+            launch(kernel, len(block), arguments, results, device)
 
 
 def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Device") -> "wp.array":
+    """Indices that put ``points`` in Morton order; the identity for fewer than MINIMUM_ORDERED points."""
     wp = _warp()
     from geokit.core.morton_order_kernels import morton_kernel
 
@@ -297,8 +279,8 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
     inverse = 1.0 / extent if extent > 0.0 else 0.0
     frame = [wp.vec3d(*map(float, lower)), wp.float64(inverse)]
     if device.is_cpu:
-        return _host_order(points, frame, device)
-    # radix_sort_pairs uses the second half of both arrays as scratch space.
+        return _morton_order_cpu(points, frame, device)
+    # radix_sort_pairs uses the second half of both arrays as scratch memory.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
     launch(morton_kernel, count, [points, *frame], [keys, order], device)
@@ -306,8 +288,11 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
     return order
 
 
-def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "wp.array":
-    """In half the time of one sort of all keys; of a million points, by two threads, in a third."""
+def _morton_order_cpu(points: "wp.array", frame: list[Any], device: "wp.Device") -> "wp.array":
+    """Morton order by a counting sort into buckets, then a sort of each bucket.
+
+    It takes half the time of one sort of all keys; for a million points and two threads, a third.
+    """
     import numpy as np
 
     from geokit.core import host_pool
@@ -322,7 +307,7 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
     start = HostArray(np.empty(kernels.BUCKETS + 1, np.int32))
     keys = HostArray(host_pool.empty((count,), np.uint32))
     pairs, spare = (HostArray(host_pool.empty((count,), np.uint64)) for _ in range(2))
-    order = host_pool.room(count, _warp().int32, device)
+    order = host_pool.empty_warp(count, _warp().int32, device)
     launch(kernels.count_kernel, rows, [share, points, *frame], [keys, counts], device, grain=1)
     launch(sum_kernel, 1, [rows, kernels.BUCKETS], [counts, start], device)
     launch(kernels.place_kernel, rows, [share, keys, counts], [pairs], device, grain=1)
@@ -332,7 +317,7 @@ def _host_order(points: "wp.array", frame: list[Any], device: "wp.Device") -> "w
 
 
 def identity(device: "wp.Device") -> "wp.array":
-    """The order of fewer than MINIMUM_ORDERED queries: as they come."""
+    """The identity order, used for fewer than MINIMUM_ORDERED queries."""
     return _identity(device.alias)
 
 

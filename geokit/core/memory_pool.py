@@ -1,7 +1,7 @@
-"""NumPy arrays in memory that goes on to other arrays once they are dropped.
+"""Memory pool behind NumPy arrays: when an array is freed, its memory serves the next one.
 
-To get memory anew takes as long as small kernels run: the system clears each page that it gives out, and to pin 11 MB
-takes 4 ms on an H100's host, four hundred times as long as to copy them there. So the memory is kept, within a bound.
+New memory costs as much time as a small kernel: the system clears every page, and pinning 11 MB takes 4 ms on an
+H100's host, four hundred times as long as copying them there. So the pool keeps memory, within a bound.
 """
 
 from __future__ import annotations
@@ -13,31 +13,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Loans", "Memory"]
+__all__ = ["Memory", "MemoryPool"]
 
+# Sizes of memory are multiples of this.
 ROUNDING_BYTES = 1 << 16
-# Memory is lent to arrays of a quarter of its size and more.
+# An array uses idle memory only if it fills at least this share of it.
 LEAST_SHARE = 0.25
 
 
 class Memory(NamedTuple):
-    """What owns the bytes, where they are, and how many."""
+    """A piece of memory: the object that owns it, its address and its size in bytes."""
 
     owner: Any
     address: int
     size: int
 
 
-class Loans:
-    """Memory that arrays are made in.
+class MemoryPool:
+    """A bounded pool of memory for NumPy arrays.
 
     Args:
-        make: Gives an owner of so many new bytes, and their address.
-        most_bytes: Of all arrays together, those that are in use and those whose memory waits for another.
-        largest_bytes: Of one array.
-        smallest_bytes: Of one array.
-        ready_bytes: Memory for an array of no more than this is made when it is first asked for, as for all by default.
-        patience: Memory for a larger one is made once so many times its size was asked for in vain.
+        make: Allocates a number of bytes; returns the owner of the memory and its address.
+        most_bytes: Bound of the pool: memory in use and idle memory together.
+        largest_bytes: Largest array that the pool serves.
+        smallest_bytes: Smallest array that the pool serves.
+        ready_bytes: Memory for arrays up to this size is allocated at the first request; by default for all sizes.
+        patience: Memory for a larger array is allocated once requests for ``patience`` times its size were refused (the
+            ski-rental rule).
     """
 
     def __init__(
@@ -54,13 +56,13 @@ class Loans:
         self._smallest, self._largest = smallest_bytes, largest_bytes
         self._ready = largest_bytes if ready_bytes is None else ready_bytes
         self._patience, self._missed = patience, 0
-        # An array may be dropped at any time, by any thread, and only adds to what is idle: that needs no lock.
+        # An array may be freed at any time, in any thread. That only appends to the idle list, which needs no lock.
         self._lock = threading.Lock()
         self._idle: list[Memory] = []
         self._bytes = 0
 
     def empty(self, shape: tuple[int, ...], dtype: Any) -> tuple[np.ndarray, Any] | None:
-        """An array that holds anything, and the owner of its memory; None where there is no memory for it."""
+        """An uninitialized array and the owner of its memory; None if the pool cannot serve it."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if not self._smallest <= size <= self._largest:
             return None
@@ -68,7 +70,7 @@ class Loans:
             memory = self._taken(size) or self._made(-(-size // ROUNDING_BYTES) * ROUNDING_BYTES)
         if memory is None:
             return None
-        return np.asarray(_Loan(self._idle, memory, shape, np.dtype(dtype))), memory.owner
+        return np.asarray(_PooledMemory(self._idle, memory, shape, np.dtype(dtype))), memory.owner
 
     def _taken(self, size: int) -> Memory | None:
         sizes = [memory.size for memory in self._idle]
@@ -87,14 +89,14 @@ class Loans:
             return None
         try:
             memory = Memory(*self._make(size), size)
-        except (MemoryError, RuntimeError):  # warp's, where there is none to pin: others do without
+        except (MemoryError, RuntimeError):  # warp raises RuntimeError where it cannot pin; the caller does without
             return None
         self._bytes += size
         return memory
 
 
-class _Loan:
-    """What an array in the memory keeps alive, and gives the memory back when it goes."""
+class _PooledMemory:
+    """The base object of a pooled array: when the last view is freed, it returns the memory to the pool."""
 
     __slots__ = ("__array_interface__", "_idle", "_memory")
 

@@ -1,6 +1,7 @@
-"""Pinned memory of the host, in which the kernels of a small query on a GPU read their rows and write their results.
+"""Pinned host memory, where the kernels of a small GPU query read their rows and write their results.
 
-To make an array on the device, or to copy one from there, takes as long as a small query does; here neither is needed.
+Creating an array on the device, or copying one to the host, takes as long as a small query. Pinned memory needs
+neither.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from geokit.core.host_array import HostArray
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "host_flags", "serves"]
+__all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "host_flags", "uses_pinned_memory"]
 
-# Rows from which on arrays on the device are quicker, and the order of queries pays.
+# From this number of rows on, arrays on the device are faster, and sorting the queries pays.
 FEWEST_ROWS = 2048
-# Rows and results of most queries of so many rows. What is larger gets pinned memory of its own, which is not kept.
+# Holds the rows and results of most queries below FEWEST_ROWS. Larger arrays get pinned memory that is not kept.
 BUFFER_BYTES = 1 << 18
 ALIGNMENT = 64
 
-# Buffers that nobody uses, each with the device whose kernels may still write to it, or None. They are kept for good.
+# Idle buffers, each with the device whose kernels may still write to it, or None. They are never freed.
 _idle: list[tuple[np.ndarray, Any]] = []
 
 
 class Pinned:
-    """Room for the rows and results of one query; its buffers go to another one when it is dropped.
+    """Memory for the rows and results of one query; its buffers serve other queries once it is freed.
 
     Args:
         device: A GPU.
@@ -44,12 +45,12 @@ class Pinned:
         self._event: Any = None
 
     def __del__(self, idle: list[tuple[np.ndarray, Any]] = _idle) -> None:
-        # A caller that was interrupted has not waited for its kernels.
+        # A query that was interrupted has not waited for its kernels.
         busy = self.device if self._pending else None
         idle.extend((buffer, busy) for buffer in self._buffers if len(buffer) == BUFFER_BYTES)
 
     def take(self, shape: tuple[int, ...], dtype: Any) -> PinnedArray:
-        """Rows that hold anything: (N,) numbers, or (N, 3) for what kernels take as vectors."""
+        """An uninitialized array: (N,) numbers, or (N, 3) for rows that kernels take as vectors."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         if not self._buffers or self._used + size > len(self._buffers[-1]):
             self._buffers.append(_buffer() if size <= BUFFER_BYTES else _made(size))
@@ -58,72 +59,75 @@ class Pinned:
         self._used += -(-size // ALIGNMENT) * ALIGNMENT
         return PinnedArray(values, self)
 
-    def given(self) -> None:
-        """Kernels get to know where the rows are."""
+    def mark_pending(self) -> None:
+        """Note that a kernel may write here; reading then waits for it."""
         self._pending = True
 
     def close(self) -> None:
-        """No kernel that is launched from now on writes here: reading waits for those that are."""
+        """Declare that later launches do not write here; reading then waits only for the launches so far."""
         if self.device.is_cuda:
             self._event = self.device.stream.record_event()
 
     def wait(self) -> None:
-        """Until all that was launched on the device's stream is done, or was when this was closed."""
+        """Wait for the kernels on the device's stream; after :meth:`close`, for those launched before it."""
         if self._pending:
             _synchronize(self.device, self._event)
             self._pending = False
 
 
 class PinnedArray(HostArray):
-    """Rows of a :class:`Pinned`, as arguments of :func:`geokit.core.launcher.launch` on its device."""
+    """Rows of a :class:`Pinned`, for :func:`geokit.core.launcher.launch` on its device."""
 
-    __slots__ = ("room",)
+    __slots__ = ("pinned",)
 
-    def __init__(self, values: np.ndarray, room: Pinned) -> None:
+    def __init__(self, values: np.ndarray, pinned: Pinned) -> None:
         super().__init__(values)
-        self.room = room
+        self.pinned = pinned
 
     def __getitem__(self, rows: slice) -> PinnedArray:
-        return PinnedArray(self.values[rows], self.room)
+        return PinnedArray(self.values[rows], self.pinned)
 
     def numpy(self) -> np.ndarray:
-        """A copy of the rows as kernels have left them."""
-        self.room.wait()
+        """Wait for the kernels and copy the rows."""
+        self.pinned.wait()
         return self.values.copy()
 
     @property
     def device(self) -> "wp.Device":
-        return self.room.device
+        return self.pinned.device
 
     @property
     def descriptor(self) -> Any:
-        self.room.given()
+        self.pinned.mark_pending()
         return super().descriptor
 
     @property
     def warp(self) -> "wp.array":
-        """A copy on the device."""
-        self.room.wait()
+        """A copy of the rows on the device."""
+        self.pinned.wait()
         return super().warp.to(self.device)
 
 
 def host_arrays(device: "wp.Device", *shapes: tuple[tuple[int, ...], Any]) -> list[HostArray]:
-    """Room for what kernels tell the host, of shapes and NumPy types: ``numpy()`` waits for the kernels."""
-    if serves(device):
-        room = Pinned(device)
-        return [room.take(*shape) for shape in shapes]
+    """Uninitialized arrays of NumPy shapes and types for kernel results that the host reads soon.
+
+    ``numpy()`` of such an array waits for the kernels.
+    """
+    if uses_pinned_memory(device):
+        pinned = Pinned(device)
+        return [pinned.take(*shape) for shape in shapes]
     return [HostArray(np.empty(*shape)) for shape in shapes]
 
 
 def host_flags(count: int, device: "wp.Device") -> HostArray:
-    """A few int32 that kernels raise for the host, zero until then: a row is not finite, a query is left undecided."""
+    """``count`` int32 flags, initially zero, that kernels raise: a row is not finite, a query is undecided."""
     (raised,) = host_arrays(device, ((count,), np.int32))
     raised.values.fill(0)
     return raised
 
 
-def serves(device: "wp.Device") -> bool:
-    """Whether rows for kernels of this device go into pinned memory."""
+def uses_pinned_memory(device: "wp.Device") -> bool:
+    """Whether small queries on this device use pinned memory."""
     return bool(device.is_cuda)
 
 
@@ -140,7 +144,7 @@ def _buffer() -> np.ndarray:
 def _made(size: int) -> np.ndarray:
     import warp as wp
 
-    # NumPy's array keeps warp's, whose memory it is.
+    # The NumPy array keeps the warp array alive, which owns the memory.
     pinned = bool(wp.is_cuda_available())
     made: np.ndarray = wp.empty(size, dtype=wp.uint8, device="cpu", pinned=pinned).numpy()
     return made

@@ -1,4 +1,4 @@
-"""Prefix sums on a device, and their totals on the host."""
+"""Prefix sums on a device, with their totals on the host."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-__all__ = ["counted", "summed"]
+__all__ = ["prefix_sum", "prefix_sum_async"]
 
 
-def counted(counts: "wp.array") -> tuple["wp.array", int]:
-    """Sums of the counts up to each, that one included, and of all."""
-    sums, total = summed(counts)
+def prefix_sum(counts: "wp.array") -> tuple["wp.array", int]:
+    """Inclusive prefix sum of int32 counts, and the total."""
+    sums, total = prefix_sum_async(counts)
     return sums, total()
 
 
-def summed(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]:
-    """As :func:`counted`, with a function that waits for the sum of all."""
+def prefix_sum_async(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]:
+    """Inclusive prefix sum of int32 counts, and a function that waits for the total and returns it."""
     import warp as wp
 
     from geokit.core.scan_kernels import last_kernel

@@ -1,7 +1,7 @@
-"""Threads that work side by side, each on a processor of its own.
+"""Moves worker threads off shared processors.
 
-Linux often wakes two threads on one processor while another is idle, and takes some milliseconds to notice: of calls of
-8 ms on two processors a third took 14. Whoever waits for the threads looks where they are, and moves one.
+Linux often wakes two threads on one processor while another is idle, and takes some milliseconds to notice. Of calls
+of 8 ms on two processors, a third took 14 ms. So the waiting thread checks the placement and moves one of the two.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from typing import Any
 
 __all__ = ["Pool", "wait_for"]
 
-# When to look [s]: once all have been woken, and once more when a thread that was moved has been moved back.
-LOOKS = (3e-4, 1e-3)
-# Of /proc/PID/task/TID/stat, counted from behind the name: the processor that the thread was on last.
+# When to check [s]: once all threads are awake, and again in case the system has moved one back.
+CHECK_SECONDS = (3e-4, 1e-3)
+# Field of /proc/PID/task/TID/stat, counted after the name: the processor that the thread last ran on.
 PROCESSOR_FIELD = 36
 
-# To look takes 15 us a thread. Of so many two on one processor matter less.
+# A check takes 15 us a thread. With more threads than these, two on one processor matter less.
 MOST_THREADS = 16
 
 _can_move = hasattr(os, "sched_setaffinity")
 
 
 class Pool(ThreadPoolExecutor):
-    """Threads whose native ids are known, also of those that have been woken and have not run yet."""
+    """A thread pool that knows the native ids of its threads, even of those that have not run a job yet."""
 
     def __init__(self, count: int, name: str) -> None:
         ids: list[int] = []
@@ -35,18 +35,18 @@ class Pool(ThreadPoolExecutor):
 
 
 def wait_for(jobs: Sequence[Future[Any]], threads: Sequence[int]) -> None:
-    """Wait until all jobs are done, which the threads of these native ids work at; their exceptions are raised."""
+    """Wait for all jobs, which run on threads with these native ids, and raise their exceptions."""
     if _can_move and len(threads) <= MOST_THREADS:
-        for seconds in LOOKS:
+        for seconds in CHECK_SECONDS:
             if not wait(jobs, timeout=seconds).not_done:
                 break
-            _spread(threads)
+            _separate(threads)
     for job in jobs:
         job.result()
 
 
-def _spread(threads: Sequence[int]) -> None:
-    """Moves threads that share a processor to those that none of them has. Where they may run stays as it is."""
+def _separate(threads: Sequence[int]) -> None:
+    """Move threads that share a processor to processors that none of them uses; affinity masks are restored."""
     global _can_move
     try:
         taken: set[int] = set()
@@ -60,7 +60,7 @@ def _spread(threads: Sequence[int]) -> None:
             allowed = os.sched_getaffinity(thread)
             free = allowed - taken
             if free:
-                # A thread that may no longer run where it is moves at once.
+                # A thread moves at once when its affinity mask excludes the processor it is on.
                 target = min(free)
                 taken.add(target)
                 os.sched_setaffinity(thread, {target})
@@ -68,7 +68,7 @@ def _spread(threads: Sequence[int]) -> None:
     except (ProcessLookupError, FileNotFoundError):
         return  # a thread has ended
     except (OSError, ValueError, IndexError):
-        _can_move = False  # a system that forbids it, or tells it otherwise
+        _can_move = False  # the system forbids it, or reports placement in another format
 
 
 def _processor_of(thread: int) -> int:

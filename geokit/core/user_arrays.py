@@ -1,8 +1,8 @@
-"""The only place where arrays from outside are checked, converted, and given back in their own kind.
+"""Checks and converts arrays from callers, and returns results as the caller's kind of array.
 
-NumPy in gives NumPy out, a warp array gives a warp array on its own device, and any other exporter of DLPack or
-``__cuda_array_interface__`` comes back as its own kind where its library has a ``from_dlpack``, without a copy through
-the host. Kernels see float64 rows of three; float32 in gives float32 out, everything else gives float64.
+A NumPy input returns NumPy arrays, and a warp array returns warp arrays on its device. Any other exporter of DLPack or
+``__cuda_array_interface__`` returns arrays of its own kind if its library has ``from_dlpack``, without a copy through
+the host. Kernels see float64 rows of three. float32 input returns float32; everything else returns float64.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.array_interop import as_table, imported, is_exporter, reexporter, reinterpreted
+from geokit.core.array_interop import as_table, exporter_like, import_array, is_exporter, reinterpreted
 from geokit.core.device_arena import Scratch, ScratchArray
 from geokit.core.download import download
 from geokit.core.host_array import HostArray, row_of
-from geokit.core.pinned import FEWEST_ROWS, Pinned, PinnedArray, serves
+from geokit.core.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,35 +27,35 @@ if TYPE_CHECKING:
 __all__ = [
     "Batch",
     "empty",
+    "empty_outputs",
     "full",
     "read_vectors",
     "reported_row",
     "require_finite",
     "require_finite_scalar",
     "require_length",
-    "several",
 ]
 
-# Numbers that are looked at one by one as quickly as warnings are held back around their sum.
+# Up to this size, checking each number is as fast as suppressing the warnings around their sum.
 SMALL = 4096
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Rows of three on the query device, and how results go back to where the rows came from.
+    """Query rows on the query device, and the way back to the caller's kind of array.
 
     Attributes:
         rows: The rows as kernels take them: vec3d (vec3f where float32 rows are kept), shape (N,), contiguous, on the
-            query device; a HostArray where they are NumPy's and stay on the host, a PinnedArray where a GPU reads them
-            there.
-        single: True where the caller's rows were float32 (results are then float32 too).
-        give: Turns a result of :func:`empty` or :func:`several` into the caller's kind of array.
-        first_row: Where the rows stand among the caller's, for messages.
+            query device. They are a HostArray for NumPy rows that stay on the host, and a PinnedArray where a GPU reads
+            them from the host.
+        is_float32: True if the caller's rows were float32; results are then float32 too.
+        to_caller: Converts a result of :func:`empty` or :func:`empty_outputs` to the caller's kind of array.
+        first_row: Index of the first row among the caller's rows, for error messages.
     """
 
     rows: Any
-    single: bool
-    give: Callable[["wp.array"], Any]
+    is_float32: bool
+    to_caller: Callable[["wp.array"], Any]
     first_row: int = 0
 
     def __len__(self) -> int:
@@ -74,58 +74,59 @@ def read_vectors(
     *,
     defer: bool = False,
     first_row: int = 0,
-    keep_single: bool = False,
+    keep_float32: bool = False,
     pin: bool = False,
 ) -> Batch:
-    """Rows of three from any supported container, on ``device``.
+    """Read an (N, 3) table from any supported container, as rows on ``device``.
 
     Args:
-        values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or a DLPack or CUDA-array exporter.
-        name: The argument's name for messages.
-        device: The query device; rows that live elsewhere are copied to it, results are copied back.
-        defer: Leave it to the query's kernel to see rows that are not finite, and to :func:`require_finite` to name
-            them: a pass over the rows, and on a GPU a wait for its answer, are saved.
-        first_row: Where the rows stand among the caller's, for messages.
-        keep_single: Leave float32 rows as they are, vec3f, for kernels that take both.
-        pin: Let a GPU read few rows of NumPy's from the host, and write what :func:`empty` makes for them there: for
-            queries that do nothing with either but pass them to kernels.
+        values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or an exporter of DLPack or the
+            CUDA array interface.
+        name: The argument's name for error messages.
+        device: The query device; rows elsewhere are copied to it, and results are copied back.
+        defer: Skip the check for rows that are not finite. The query's kernel then has to detect them, and
+            :func:`require_finite` names them. This saves a pass over the rows, and on a GPU a wait.
+        first_row: Index of the first row among the caller's rows, for error messages.
+        keep_float32: Keep float32 rows as vec3f, for kernels that take both types.
+        pin: Keep fewer than 2,048 NumPy rows of a GPU query, and the results of :func:`empty` for them, in pinned host
+            memory. Only for queries that pass both to kernels and do nothing else with them.
     Returns:
         A Batch.
     Raises:
-        InputError: A wrong shape or dtype, or a row that is not finite; the first bad row is named.
+        InputError: A wrong shape or dtype, or a row that is not finite; the message names the first bad row.
     """
     import warp as wp
 
     if isinstance(values, wp.array):
         source = values
         vectors = values.ndim == 1
-        give = _giver(source, lambda out: out if vectors else as_table(out))
+        finish = _on_device_of(source, lambda out: out if vectors else as_table(out))
     elif isinstance(values, np.ndarray) or not is_exporter(values):
-        return _read_numpy(values, name, device, first_row, defer, keep_single, pin)
+        return _read_numpy(values, name, device, first_row, defer, keep_float32, pin)
     else:
-        source = imported(values, name)
-        give = _giver(source, reexporter(values))
-    rows, single = _as_rows(source, name)
+        source = import_array(values, name)
+        finish = _on_device_of(source, exporter_like(values))
+    rows, is_float32 = _as_rows(source, name)
     if rows.device != device:
         rows = rows.to(device)
-    if single and not keep_single:
+    if is_float32 and not keep_float32:
         rows = _widen(rows)
     if not rows.is_contiguous:
         rows = rows.contiguous()
     if not defer:
         _require_finite(rows, name, first_row)
-    return Batch(rows, single, lambda out: give(_narrowed(_whole(out), single)), first_row)
+    return Batch(rows, is_float32, lambda out: finish(_narrowed(_as_warp(out), is_float32)), first_row)
 
 
 def empty(count: int, dtype: Any, like: Any) -> Any:
-    """Room for ``count`` results of a kernel, where ``like``, the rows of a Batch, are.
+    """An uninitialized array for ``count`` kernel results, in the same kind of memory as ``like``.
 
     Args:
         count: Number of results.
         dtype: ``wp.vec3d``, ``wp.vec3f``, or a warp scalar type.
         like: ``Batch.rows``.
     Returns:
-        A HostArray if ``like`` is one (in the same pinned memory, if it is pinned), else a warp array on its device.
+        A HostArray if ``like`` is one (in the same pinned memory if it is pinned), else a warp array on its device.
     """
     import warp as wp
 
@@ -133,15 +134,17 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
         return wp.empty(count, dtype=dtype, device=like.device)
     row = row_of(dtype)
     shape = count, *row.shape[1:]
-    return like.room.take(shape, row.dtype) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, row.dtype))
+    return (
+        like.pinned.take(shape, row.dtype) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, row.dtype))
+    )
 
 
-def several(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
-    """As :func:`empty`, room for results of several types.
+def empty_outputs(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
+    """Uninitialized arrays for ``count`` results of each type in ``dtypes``; see :func:`empty`.
 
-    Few results on a device are ScratchArrays of one allocation: to make an array takes a GPU's host as long as to
-    launch a kernel. ``Batch.give`` makes arrays of them, while the kernel runs. Many are arrays of their own, of which
-    the caller may drop some.
+    Fewer than 2,048 results on a device are ScratchArrays of one allocation, because creating an array takes as long as
+    launching a kernel. ``Batch.to_caller`` converts them to arrays while the kernel runs. Larger results have an
+    allocation each, so that the caller can free some of them.
     """
     if isinstance(like, HostArray) or not 0 < count < FEWEST_ROWS:
         return [empty(count, dtype, like) for dtype in dtypes]
@@ -149,7 +152,7 @@ def several(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
 
 
 def full(count: int, value: float, dtype: Any, like: Any) -> Any:
-    """As :func:`empty`, of a number that each result has."""
+    """An array of ``count`` results that all hold ``value``; see :func:`empty`."""
     import warp as wp
 
     if not isinstance(like, HostArray):
@@ -160,10 +163,10 @@ def full(count: int, value: float, dtype: Any, like: Any) -> Any:
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
-    """``value`` as a float that is a number, above ``low``, and finite unless ``infinite``.
+    """Return ``value`` as a float; it must be a number above ``low``, and finite unless ``infinite``.
 
     Raises:
-        InputError: It is none of that.
+        InputError: ``value`` is not such a number.
     """
     try:
         number = float(value)
@@ -177,19 +180,19 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
 
 
 def require_finite(batch: Batch, name: str) -> None:
-    """Refuse rows that are not finite.
+    """Raise an error for rows that are not finite.
 
     Raises:
-        InputError: There is such a row; the first is named.
+        InputError: A row is not finite; the message names the first one.
     """
     _require_finite(batch.rows, name, batch.first_row)
 
 
 def require_length(batch: Batch, name: str, shortest: float) -> None:
-    """Refuse rows all of whose components are smaller than ``shortest``.
+    """Raise an error for rows whose components are all smaller than ``shortest`` in magnitude.
 
     Raises:
-        InputError: There is such a row; the first is named.
+        InputError: There is such a row; the message names the first one.
     """
     import warp as wp
 
@@ -201,7 +204,7 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
 
 
 def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
-    """Lowest row that a checking kernel reports, -1 for none."""
+    """Lowest row that a checking kernel reports; -1 if it reports none."""
     import warp as wp
 
     none = np.iinfo(np.int32).max
@@ -212,14 +215,14 @@ def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
 
 
 def _read_numpy(
-    values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_single: bool, pin: bool
+    values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_float32: bool, pin: bool
 ) -> Batch:
     try:
-        given = np.asarray(values)
-        single = given.dtype == np.float32
-        if given.dtype.kind not in "fiu" and given.size:
-            raise InputError(f"{name}: dtype {given.dtype} is not a real number type; convert it to float64")
-        table = np.ascontiguousarray(given, dtype=np.float32 if single and keep_single else np.float64)
+        array = np.asarray(values)
+        is_float32 = array.dtype == np.float32
+        if array.dtype.kind not in "fiu" and array.size:
+            raise InputError(f"{name}: dtype {array.dtype} is not a real number type; convert it to float64")
+        table = np.ascontiguousarray(array, dtype=np.float32 if is_float32 and keep_float32 else np.float64)
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -230,19 +233,19 @@ def _read_numpy(
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
     if not defer and not _all_finite(table):
         _refuse_nonfinite(table, name, first_row)
-    if pin and len(table) < FEWEST_ROWS and serves(device):
+    if pin and len(table) < FEWEST_ROWS and uses_pinned_memory(device):
         rows: Any = Pinned(device).take(table.shape, table.dtype)
         rows.values[:] = table
     else:
         host = HostArray(table)
         rows = host if device.is_cpu else host.warp.to(device)
-    return Batch(rows, single, lambda out: _to_numpy(out, single), first_row)
+    return Batch(rows, is_float32, lambda out: _to_numpy(out, is_float32), first_row)
 
 
 def _all_finite(table: np.ndarray) -> bool:
     if table.size <= SMALL:
         return bool(np.isfinite(table).all())
-    # The sum is finite only if every entry is (or almost never the sum of huge ones overflows): one quick pass.
+    # One fast pass: a finite sum means finite entries. A sum of huge entries may overflow; then each row is checked.
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(table.sum()))
 
@@ -256,21 +259,21 @@ def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:
         )
 
 
-def _to_numpy(out: "wp.array", single: bool) -> np.ndarray:
-    result = out.numpy() if isinstance(out, HostArray) else download(_whole(out))[0]
-    return result.astype(np.float32) if single and result.dtype == np.float64 else result
+def _to_numpy(out: "wp.array", is_float32: bool) -> np.ndarray:
+    result = out.numpy() if isinstance(out, HostArray) else download(_as_warp(out))[0]
+    return result.astype(np.float32) if is_float32 and result.dtype == np.float64 else result
 
 
 def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
-    """The array as (N,) of vec3f or vec3d, and whether it is the former."""
+    """View the array as (N,) of vec3f or vec3d; also return whether it is vec3f."""
     import warp as wp
 
     if source.dtype in (wp.vec3f, wp.vec3d) and source.ndim == 1:
         return source, source.dtype == wp.vec3f
     if source.dtype in (wp.float32, wp.float64) and source.ndim == 2 and source.shape[1] == 3:
-        single = source.dtype == wp.float32
+        is_float32 = source.dtype == wp.float32
         table = source if source.is_contiguous else source.contiguous()
-        return reinterpreted(table, wp.vec3f if single else wp.vec3d, (source.shape[0],)), single
+        return reinterpreted(table, wp.vec3f if is_float32 else wp.vec3d, (source.shape[0],)), is_float32
     if source.size == 0:
         return wp.empty(0, dtype=wp.vec3d, device=source.device), source.dtype in (wp.vec3f, wp.float32)
     kind = getattr(source.dtype, "__name__", str(source.dtype))
@@ -310,16 +313,16 @@ def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
         raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")
 
 
-def _whole(out: Any) -> "wp.array":
+def _as_warp(out: Any) -> "wp.array":
     return out.warp if isinstance(out, ScratchArray) else out
 
 
-def _narrowed(out: "wp.array", single: bool) -> "wp.array":
-    """float64 results as float32 where the query was float32."""
+def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
+    """Convert float64 results to float32 if the query was float32."""
     import warp as wp
 
     narrow = {wp.float64: wp.float32, wp.vec3d: wp.vec3f}.get(out.dtype)
-    if not single or narrow is None:
+    if not is_float32 or narrow is None:
         return out
     if out.device.is_cpu:
         return wp.array(out.numpy().astype(np.float32), dtype=narrow, device="cpu")
@@ -332,6 +335,6 @@ def _narrowed(out: "wp.array", single: bool) -> "wp.array":
     return reinterpreted(result, narrow, out.shape)
 
 
-def _giver(source: "wp.array", finish: Callable[["wp.array"], Any]) -> Callable[["wp.array"], Any]:
+def _on_device_of(source: "wp.array", finish: Callable[["wp.array"], Any]) -> Callable[["wp.array"], Any]:
     home = source.device
     return lambda out: finish(out if out.device == home else out.to(home))

@@ -1,9 +1,9 @@
-"""OpenVDB <-> NanoVDB: reading and writing .vdb files, and OpenVDB's conversions between volumes and meshes.
+"""The OpenVDB bridge: reads and writes .vdb files as NanoVDB buffers, and converts between volumes and meshes.
 
-The only importer of the compiled extension, which is there where geokit was built with OpenVDB installed; elsewhere
+This package alone imports the compiled extension, which exists if geokit was built with OpenVDB. Without it,
 ``available()`` is False and every other function raises ``MissingDependencyError``.
 
-Files are read by a separate worker process by default: OpenVDB crashes on damaged files, and then only the worker does.
+By default a separate worker process reads files: OpenVDB crashes on damaged files, and then only the worker crashes.
 """
 
 from __future__ import annotations
@@ -55,16 +55,16 @@ _Result = TypeVar("_Result")
 
 
 class VdbGrid(NamedTuple):
-    """One grid.
+    """One grid of a .vdb file.
 
     Attributes:
         nanovdb: NanoVDB buffer: uint8, starting at a 32-byte boundary, one grid, no file header. It holds the values,
             the name, the class, the transform and the background.
-        metadata: The other OpenVDB metadata by name. The type of a value says its OpenVDB type, see
-            ``geokit.native._metadata``. Three keys are special: "name" overrides the buffer's name on writing; "class"
-            overrides its class, and is there after reading where a NanoVDB grid of this type cannot hold the class
-            (a level set of integers); "geokit:value_type" is "vec3i" where the file holds integer vectors, which
-            NanoVDB has not and the buffer holds as vec3d.
+        metadata: The other OpenVDB metadata by name. The Python type of a value stands for its OpenVDB type; see
+            ``geokit.native._metadata``. Three keys are special. "name" overrides the buffer's name on writing. "class"
+            overrides its class; after reading it is present if a NanoVDB grid of this type cannot hold the class (a
+            level set of integers). "geokit:value_type" is "vec3i" if the file holds integer vectors, which NanoVDB
+            lacks and the buffer holds as vec3d.
     """
 
     nanovdb: NDArray[np.uint8]
@@ -72,7 +72,7 @@ class VdbGrid(NamedTuple):
 
 
 class PolygonMesh(NamedTuple):
-    """Output of :func:`volume_to_mesh`: points (V, 3) float64 [world], triangles (T, 3) and quads (Q, 4) int32."""
+    """Mesh from :func:`volume_to_mesh`: points (V, 3) float64 [world], triangles (T, 3) and quads (Q, 4) int32."""
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int32]
@@ -102,10 +102,10 @@ def available() -> bool:
 
 
 def require() -> None:
-    """Does nothing where the extension is there.
+    """Check that the extension is available.
 
     Raises:
-        MissingDependencyError: It is not; the message names the packages to install and the command to build it.
+        MissingDependencyError: It is not; the message names the packages to install and the build command.
     """
     module, reason = _load()
     if module is None:
@@ -117,10 +117,10 @@ def require() -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions that the extension was built with, by "openvdb" and "nanovdb".
+    """Versions of "openvdb" and "nanovdb" that the extension was built with.
 
     Raises:
-        MissingDependencyError: The extension is not there.
+        MissingDependencyError: The extension is not available.
     """
     openvdb, nanovdb = _extension().versions()
     return {"openvdb": openvdb, "nanovdb": nanovdb}
@@ -134,18 +134,19 @@ def read_vdb(
     time_limit: float = 120.0,
     memory_limit: int | None = None,
 ) -> list[VdbGrid]:
-    """Grids of a .vdb file as NanoVDB buffers.
+    """Read grids of a .vdb file as NanoVDB buffers.
 
     Exact: every value (active or not), state, tile, transform and metadata item is kept bit for bit.
 
     Args:
         path: The file.
-        grids: Names of the grids wanted: all of a name where several share it, or "name[1]" for the second. None reads
-            every grid.
-        trusted: Read in this process. A little quicker; a damaged file can then crash it. Limits do not apply.
+        grids: Names of the grids to read. A name that several grids share means all of them, "name[1]" the second. None
+            reads every grid.
+        trusted: Read in this process. This is slightly faster, but a damaged file can crash the process. The limits do
+            not apply.
         time_limit: Wall-clock limit of the worker [s].
-        memory_limit: Memory limit of the worker, and of what it hands back [bytes]; three quarters of the machine's
-            memory by default.
+        memory_limit: Limit for the memory of the worker and for the size of its results [bytes]; by default three
+            quarters of the machine's memory.
 
     Returns:
         The grids in the order of the file.
@@ -153,10 +154,10 @@ def read_vdb(
     Raises:
         FileAccessError: The file is missing or not readable.
         FileFormatError: It is not a .vdb file, is damaged, or reading it exceeded a limit.
-        UnsupportedGridError: A wanted grid has a type (points, strings) or a transform (frustum) that NanoVDB has
-            not. A grid that was not asked for does not matter: name the others in ``grids``.
-        InputError: No grid has one of the names; the message lists those there are. A limit that is not positive.
-        MissingDependencyError: The extension is not there.
+        UnsupportedGridError: A requested grid has a type (points, strings) or a transform (frustum) that NanoVDB
+            lacks. To read the other grids of such a file, name them in ``grids``.
+        InputError: No grid has one of the names (the message lists the existing ones), or a limit is not positive.
+        MissingDependencyError: The extension is not available.
     """
     found = _read_unchecked(path, grids=grids, trusted=trusted, time_limit=time_limit, memory_limit=memory_limit)
     if not trusted:
@@ -194,7 +195,7 @@ def _read_unchecked(
 def inspect_vdb(
     path: str | os.PathLike[str], *, time_limit: float = 120.0, memory_limit: int | None = None
 ) -> list[dict[str, Any]]:
-    """Headers of a .vdb file's grids, read by the worker without their voxels.
+    """Read the headers of a .vdb file's grids, without the voxels, in the worker.
 
     Args:
         path: The file.
@@ -203,10 +204,10 @@ def inspect_vdb(
 
     Returns:
         A dict per grid, in the order of the file: "name", "grid_type" ("float", "vec3f", ...; OpenVDB's own name
-        for one that geokit does not read), "grid_class", "transform" ((4, 4) float64, None for a frustum),
-        "background" (None where unknown), "active_voxel_count" and "index_bounds" ((2, 3) int64) where the file
-        holds them, else None, "compression" (text from the file), "half", "convertible", "byte_count" (in the
-        file), "metadata".
+        for a type that geokit does not read), "grid_class", "transform" ((4, 4) float64, None for a frustum),
+        "background" (None if unknown), "active_voxel_count" and "index_bounds" ((2, 3) int64; both None if the file
+        does not hold them), "compression" (text from the file), "half", "convertible", "byte_count" (in the file),
+        "metadata".
 
     Raises:
         FileAccessError, FileFormatError, InputError, MissingDependencyError: As :func:`read_vdb`.
@@ -222,23 +223,23 @@ def inspect_vdb(
 def write_vdb(
     path: str | os.PathLike[str], grids: Sequence[VdbGrid], *, compression: str = "blosc", half: bool = False
 ) -> None:
-    """Writes grids into a .vdb file: the old file or the whole new one is there, whatever happens.
+    """Write grids into a .vdb file atomically: a reader sees the old file or the complete new one.
 
-    Exact, but for quantised grids (fp4, fp8, fp16, fpn), which become float grids of the values they stand for, and
-    with ``half``. Types vec4f, vec4d and uint32 are written although other programs may not know them.
+    Exact except with ``half`` and for quantized grids (fp4, fp8, fp16, fpn), which are written as float grids of the
+    decoded values. Types vec4f, vec4d and uint32 are written, although other programs may not read them.
 
     Args:
-        path: The file, replaced where it exists.
+        path: The file; an existing one is replaced.
         grids: At least one grid.
         compression: "blosc" (with OpenVDB's active mask), "zip" (the same) or "none".
-        half: Store real values with 16 bits.
+        half: Store floating-point values with 16 bits.
 
     Raises:
-        InputError: No grid, a buffer that is none, an unknown compression, metadata that has no OpenVDB type, or a
-            transform that OpenVDB takes as singular.
+        InputError: No grid, an invalid buffer, an unknown compression, metadata without an OpenVDB type, or a transform
+            that OpenVDB rejects as singular.
         UnsupportedGridError: A grid type without an OpenVDB counterpart.
         FileAccessError: The target cannot be written.
-        MissingDependencyError: The extension is not there.
+        MissingDependencyError: The extension is not available.
     """
     extension = _extension()
     if not grids:
@@ -251,24 +252,24 @@ def write_vdb(
 
 
 def volume_to_mesh(nanovdb: NDArray[np.uint8], *, isovalue: float = 0.0, adaptivity: float = 0.0) -> PolygonMesh:
-    """Isosurface by OpenVDB's dual contouring.
+    """Extract an isosurface with OpenVDB's dual contouring.
 
-    Points are computed in index space relative to the grid's corner as float32 and taken to world space in float64:
-    their rounding is about 1e-5 voxel wherever the grid lies.
+    Points are computed as float32 in index space relative to the grid's corner, then mapped to world space in float64.
+    Their rounding error is about 1e-5 voxel, wherever the grid is.
 
     Args:
-        nanovdb: Buffer of a float, double or quantised grid.
+        nanovdb: Buffer of a float, double or quantized grid.
         isovalue: Value of the surface.
         adaptivity: 0 keeps one point per voxel that the surface crosses, 1 merges the most.
 
     Returns:
-        PolygonMesh. Polygons run counter-clockwise seen from the side of greater values: the outside of a signed
-        distance field.
+        PolygonMesh. Polygons are counter-clockwise seen from the side of greater values, which is the outside of a
+        signed distance field.
 
     Raises:
         InputError: isovalue is not finite, adaptivity outside 0..1, or the buffer is not a NanoVDB grid.
-        UnsupportedGridError: A grid type that has no isosurface.
-        MissingDependencyError: The extension is not there.
+        UnsupportedGridError: The grid type has no isosurface.
+        MissingDependencyError: The extension is not available.
     """
     extension = _extension()
     if not math.isfinite(isovalue):
@@ -286,15 +287,15 @@ def volume_to_mesh(nanovdb: NDArray[np.uint8], *, isovalue: float = 0.0, adaptiv
 def mesh_to_level_set(
     vertices: ArrayLike, faces: ArrayLike, *, voxel_size: float, half_width: float = 3.0
 ) -> NDArray[np.uint8]:
-    """OpenVDB's own narrow-band signed distance field of a closed mesh: negative inside.
+    """Build a narrow-band signed distance field of a closed mesh with OpenVDB, negative inside.
 
-    For comparison. Its band is not exact: up to 0.4 voxel off after its renormalisation.
+    It serves as a comparison. The band is not exact: after OpenVDB's renormalization it is up to 0.4 voxel off.
 
     Args:
         vertices: Positions [world], shape (V, 3).
         faces: Vertex indices, shape (F, 3).
         voxel_size: Edge length of a voxel [world].
-        half_width: Width of the band on either side of the surface [voxels], at least 1.
+        half_width: Width of the band on each side of the surface [voxels], at least 1.
 
     Returns:
         NanoVDB buffer of a float level set.
@@ -302,8 +303,8 @@ def mesh_to_level_set(
     Raises:
         InputError: Wrong shapes, no faces, indices out of range, values that are not finite, a voxel size that is not
             positive or too small for OpenVDB or for the mesh's extent, or a half width below 1.
-        DeviceMemoryError: The field needs more memory than there is.
-        MissingDependencyError: The extension is not there.
+        DeviceMemoryError: The field needs more memory than is available.
+        MissingDependencyError: The extension is not available.
     """
     extension = _extension()
     points = np.ascontiguousarray(vertices, dtype=np.float64)
@@ -323,7 +324,7 @@ def mesh_to_level_set(
         raise InputError(f"voxel_size is {voxel_size}; pass a positive number")
     if not (math.isfinite(half_width) and half_width >= 1.0):
         raise InputError(f"half_width is {half_width}; pass a number of voxels of at least 1")
-    # OpenVDB's voxel coordinates are 32-bit integers; beyond them its flood fill runs over other memory.
+    # OpenVDB's voxel coordinates are 32-bit integers; beyond their range its flood fill writes out of bounds.
     if np.abs(points).max() / voxel_size + half_width > 2**30:
         raise InputError(
             f"voxel_size {voxel_size} is too small for vertices this far from the origin; use a larger one"
@@ -388,7 +389,7 @@ def _aligned(nanovdb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _call(what: str | os.PathLike[str], function: Callable[[], _Result], *, is_argument: bool = False) -> _Result:
-    """Runs a function of the extension and turns its errors into geokit's."""
+    """Run a function of the extension and convert its errors to geokit's exceptions."""
     extension = _extension()
     try:
         return function()

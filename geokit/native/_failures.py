@@ -1,4 +1,4 @@
-"""Errors of the extension and of the worker as geokit's exceptions."""
+"""Converts errors of the extension and of the worker to geokit's exceptions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["raise_failure"]
 
 
 def raise_failure(error: dict[str, Any], what: str, is_argument: bool = False) -> NoReturn:
-    """Raises the exception for a failure that the C++ side reports.
+    """Raise the exception for an error that the C++ code reports.
 
     Args:
-        error: "kind" and "message", as in src/errors.h, and "names" of the grids that are there where one is missing.
-        what: The file or the argument that it is about.
-        is_argument: Whether the caller passed the bytes at fault, instead of a file's name.
+        error: "kind" and "message", as in src/errors.h; for a missing grid also the "names" of the existing ones.
+        what: The file or the argument at fault.
+        is_argument: Whether the caller passed the data itself rather than a file name.
     """
     kind, message = error["kind"], error["message"]
     if kind == "missing":

@@ -1,4 +1,4 @@
-"""OpenVDB metadata as Python values whose types say which OpenVDB type they are.
+"""Converts OpenVDB metadata to Python values whose types stand for the OpenVDB types, and back.
 
 ==================================  ==========================================================
 OpenVDB                             Python
@@ -12,7 +12,7 @@ mat4d, mat4s                        tuple of 4 tuples of 4 float or np.float32
 any other                           RawMetadata(type, data); plain bytes where the type is "bytes"
 ==================================  ==========================================================
 
-The mapping is one to one, so a value read from a file is written with the type and the bits that it had.
+The mapping is one-to-one, so a value that was read from a file is written back with the same type and bits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["RawMetadata", "decode_all", "decode_header", "encode_all"]
 
 
 class RawMetadata(NamedTuple):
-    """A metadata value of a type that OpenVDB itself does not know, kept byte for byte."""
+    """A metadata value of a type that OpenVDB does not know, kept byte for byte."""
 
     type: str
     data: bytes
@@ -38,7 +38,7 @@ class RawMetadata(NamedTuple):
 # OpenVDB's value types whose names geokit.volume.GridInfo spells differently.
 _GRID_TYPES = {"vec3s": "vec3f", "vec4s": "vec4f"}
 
-# OpenVDB's type: struct code and number of values.
+# OpenVDB type -> struct code and number of values.
 _LAYOUTS = {
     "bool": ("?", 1),
     "int32": ("i", 1),
@@ -53,7 +53,7 @@ _LAYOUTS = {
 
 
 def text(raw: bytes) -> str:
-    """Names and strings of a .vdb file need not be UTF-8; what is not survives as surrogates."""
+    """Decode a name or string of a .vdb file; bytes that are not UTF-8 become surrogates."""
     return raw.decode("utf-8", "surrogateescape")
 
 
@@ -63,7 +63,7 @@ def raw(value: str) -> bytes:
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """Python value of serialised OpenVDB metadata."""
+    """Python value of serialized OpenVDB metadata."""
     if type_name == "string":
         return text(data)
     if type_name not in _LAYOUTS:
@@ -73,7 +73,7 @@ def decode(type_name: str, data: bytes) -> Any:
         return RawMetadata(type_name, data)
     values = struct.unpack(f"<{count}{code}", data)
     if code == "f":
-        # From the bytes, not through a double: a signalling NaN keeps its bits.
+        # Read from the bytes, not through a double, so that a signaling NaN keeps its bits.
         values = tuple(np.frombuffer(data, "<f4"))
     if type_name == "int32":
         return np.int32(values[0])
@@ -85,12 +85,12 @@ def decode(type_name: str, data: bytes) -> Any:
 
 
 def decode_all(items: list[dict[str, str]]) -> dict[str, Any]:
-    """Metadata by name from the items of the worker's JSON."""
+    """Decode the metadata items of the worker's JSON into a dict by name."""
     return {item["name"]: decode(item["type"], bytes.fromhex(item["hex"])) for item in items}
 
 
 def decode_header(description: dict[str, Any]) -> dict[str, Any]:
-    """A grid's description from the worker's JSON, with geokit's names and types."""
+    """Convert a grid's description in the worker's JSON to geokit's names and types."""
     header = dict(description)
     header["metadata"] = decode_all(description["metadata"])
     if description["convertible"]:
@@ -105,10 +105,10 @@ def decode_header(description: dict[str, Any]) -> dict[str, Any]:
 
 
 def encode_all(metadata: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
-    """(name, OpenVDB type, bytes) of each item.
+    """Encode metadata as (name, OpenVDB type, bytes) for each item.
 
     Raises:
-        InputError: A value of a type that the table above does not list, or an integer that does not fit.
+        InputError: The table of this module does not list the type of a value, or an integer does not fit its type.
     """
     items = []
     for name, value in metadata.items():

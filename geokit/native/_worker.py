@@ -1,4 +1,4 @@
-"""Runs the worker process that reads .vdb files which nobody vouches for."""
+"""Runs the worker process that reads untrusted .vdb files."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from geokit.native._metadata import raw
 
 __all__ = ["default_memory_limit", "map_file", "run_worker", "spool_folders"]
 
-# The worker may take this share of the machine's memory where the caller names no limit.
+# Default memory limit of the worker, as a share of the machine's memory.
 _MEMORY_SHARE = 0.75
 
-# A .vdb of compressed values becomes a NanoVDB buffer several times its size; where less than this times the file's
-# size is free in shared memory, the buffers go through a folder on disk from the start.
+# A compressed .vdb becomes a NanoVDB buffer several times its size. If shared memory has less than this times the file
+# size free, the buffers go through a folder on disk from the start.
 _EXPANSION = 8
 
-# The clock of the kernel's CPU limit is a second line, behind the wall clock here: it counts all threads and has to let
-# a run through that keeps this many busy.
+# The kernel's CPU time limit is a second line of defense behind the wall clock. It counts all threads, so it must allow
+# for a run that keeps this many of them busy.
 _MAX_THREADS = 8
 
 
 def default_memory_limit() -> int:
-    """Bytes that a worker may use where the caller names no limit."""
+    """Default memory limit of a worker, in bytes."""
     return int(_MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
 
 
 def spool_folders(file_size: int) -> list[str]:
-    """Parent folders for the worker's results, best first: shared memory where it has room, then the temporary one."""
+    """Parent folders for the worker's results, best first: shared memory if it has room, then the temporary folder."""
     folders = [tempfile.gettempdir()]
     with contextlib.suppress(OSError):
         if shutil.disk_usage("/dev/shm").free > _EXPANSION * file_size and os.access("/dev/shm", os.W_OK):
@@ -50,13 +50,13 @@ def spool_folders(file_size: int) -> list[str]:
 
 @contextlib.contextmanager
 def spool(parent: str) -> Iterator[str]:
-    """A folder for the worker's results that is gone afterwards; a file mapped meanwhile lives on without a name."""
+    """Provide a folder for the worker's results and delete it afterwards; mapped files stay readable."""
     with tempfile.TemporaryDirectory(prefix="geokit-vdb-", dir=parent) as folder:
         yield folder
 
 
 def map_file(path: str, size: int) -> NDArray[np.uint8]:
-    """A file's bytes without a copy; they outlive the file's name."""
+    """Map a file into memory without a copy; the bytes stay valid when the file is deleted."""
     with open(path, "r+b") as file:
         return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.uint8)
 
@@ -64,10 +64,10 @@ def map_file(path: str, size: int) -> NDArray[np.uint8]:
 def run_worker(
     worker: Path, verb: str, path: Path, arguments: Sequence[str], *, time_limit: float, memory_limit: int
 ) -> dict[str, Any]:
-    """The worker's JSON, which may hold an error.
+    """Run the worker and return its JSON, which may hold an error.
 
     Raises:
-        FileFormatError: The worker crashed, ran out of time, or wrote something else than JSON.
+        FileFormatError: The worker crashed, timed out, or wrote anything but JSON.
     """
     cpu_seconds = int(time_limit * min(os.cpu_count() or 1, _MAX_THREADS)) + 2
     command: list[str | bytes] = [str(worker), verb, str(memory_limit), str(cpu_seconds), os.fsencode(path)]
@@ -86,7 +86,7 @@ def run_worker(
                 "larger time_limit"
             ) from None
         finally:
-            process.kill()  # does nothing once it has ended; an interrupt must not leave it running
+            process.kill()  # an interrupt must not leave it running; no effect if it has ended
     return _parse(path, output, process.returncode)
 
 

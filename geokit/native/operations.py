@@ -1,8 +1,8 @@
-"""OpenVDB's operations on volumes: NanoVDB buffers in, NanoVDB buffers out.
+"""OpenVDB's operations on volumes, as functions from NanoVDB buffers to NanoVDB buffers.
 
-Thin: arguments are checked by ``geokit.volume``. Every function raises ``MissingDependencyError`` where the extension
-is not there, ``UnsupportedGridError`` for a grid type that the operation does not have, and ``InputError`` for a buffer
-that is no NanoVDB grid. Quantised grids become float grids. Name, class and transform are those of the first buffer.
+A thin layer: ``geokit.volume`` checks the arguments. Every function raises ``MissingDependencyError`` without the
+extension, ``UnsupportedGridError`` for a grid type that the operation does not support, and ``InputError`` for a buffer
+that is not a NanoVDB grid. Quantized grids become float grids. Name, class and transform come from the first buffer.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ def _run(function: Callable[[Any], _Result]) -> _Result:
 
 
 def csg(a: Buffer, b: Buffer, kind: str) -> Buffer:
-    """ "union", "intersection" or "difference" of level sets on one lattice with equal backgrounds."""
+    """Combine two level sets on one lattice with equal backgrounds: "union", "intersection" or "difference"."""
     first, second = _aligned(a), _aligned(b)
     return _run(lambda bridge: bridge.csg(first, second, kind))
 
 
 def smooth_csg(a: Buffer, b: Buffer, kind: str, blend: float) -> Buffer:
-    """The same with a smooth minimum; both bands must reach ``blend`` [values] beyond their surface."""
+    """As :func:`csg`, with a smooth minimum; both bands must reach ``blend`` [value units] beyond their surface."""
     first, second = _aligned(a), _aligned(b)
     return _run(lambda bridge: bridge.smooth_csg(first, second, kind, float(blend)))
 
 
 def smooth(buffer: Buffer, *, method: str, width: int, iterations: int, voxel_size: float) -> Buffer:
-    """OpenVDB's LevelSetFilter for level sets, its Filter for other grids."""
+    """Smooth with OpenVDB's LevelSetFilter (level sets) or Filter (other grids)."""
     first = _aligned(buffer)
     return _run(lambda bridge: bridge.smooth(first, method, int(width), int(iterations), float(voxel_size)))
 
 
 def segment(buffer: Buffer, *, voxel_size: float, memory_limit: int) -> list[Buffer]:
-    """Connected components, largest first: of a level set's inside, of other grids' active voxels."""
+    """Connected components of a level set's inside, or of another grid's active voxels, largest first."""
     first = _aligned(buffer)
     return list(_run(lambda bridge: bridge.segment(first, float(voxel_size), float(memory_limit))))
 

@@ -75,4 +75,4 @@ def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any =
         wp.utils.array_scan(mark, mark, inclusive=False)
     labels = counts
     launcher.launch(kernels.label_kernel, count, [grid, radius, core, root, lowest, mark], [labels], target)
-    return batch.give(labels)
+    return batch.to_caller(labels)

@@ -94,7 +94,7 @@ def density(
     for grid, arranged, number in asked.parts:
         given = [arranged, grid, wp.float64(radius), smoothing, wp.float64(factor), masses]
         launcher.launch(kernels.density_kernel, number, given, [result], target)
-    return home.give(result)
+    return home.to_caller(result)
 
 
 def _factor(norm: float, radius: float) -> float:

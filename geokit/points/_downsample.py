@@ -111,14 +111,14 @@ def downsample(
         batch = read_vectors(points, "points", target)
         from geokit.points.clouds.voxel_centroids import voxel_centroids
 
-        return Downsampled(*map(batch.give, voxel_centroids(batch.array, size)))
+        return Downsampled(*map(batch.to_caller, voxel_centroids(batch.array, size)))
     if chosen[0] in ("radius", "tolerance"):
         distance = require_finite_scalar(given[chosen[0]], chosen[0], low=0.0)
         seed = _require_whole(seed, "seed", 0)
         batch = read_vectors(points, "points", target)
         from geokit.points.clouds.poisson_disk import poisson_disk_subset
 
-        return Downsampled(*map(batch.give, poisson_disk_subset(batch.array, distance, seed)))
+        return Downsampled(*map(batch.to_caller, poisson_disk_subset(batch.array, distance, seed)))
     wanted = _require_whole(count, "count", 1)
     batch = read_vectors(points, "points", target)
     if wanted > len(batch):
@@ -126,7 +126,7 @@ def downsample(
     start = _require_whole(start, "start", 0, len(batch) - 1)
     from geokit.points.clouds.farthest_points import farthest_points
 
-    return Downsampled(*map(batch.give, farthest_points(batch.array, wanted, start)))
+    return Downsampled(*map(batch.to_caller, farthest_points(batch.array, wanted, start)))
 
 
 def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -> Cover:
@@ -166,7 +166,7 @@ def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -
     kept, indices = poisson_disk_subset(batch.array, distance, seed)
     apart = nearest(build_tree(kept), 1, batch.array)[0].numpy().reshape(-1)
     percentile = float(np.quantile(apart, 0.999, method="higher"))
-    return Cover(batch.give(kept), batch.give(indices), float(apart.max()), percentile)
+    return Cover(batch.to_caller(kept), batch.to_caller(indices), float(apart.max()), percentile)
 
 
 def _require_whole(value: Any, name: str, low: int, high: int | None = None) -> int:

@@ -106,10 +106,10 @@ class NeighborGrid:
 
         wanted = None if radius is None else require_radius(radius)
         self._device = launcher.resolve_device(device)
-        batch = read_vectors(points, "points", self._device, defer=True, keep_single=wanted is not None)
+        batch = read_vectors(points, "points", self._device, defer=True, keep_float32=wanted is not None)
         rows = batch.array
         # How answers about the points themselves go back; the rows are not kept.
-        self._home, self._count = Batch(None, batch.single, batch.give), len(rows)
+        self._home, self._count = Batch(None, batch.is_float32, batch.to_caller), len(rows)
         self._survey = survey(rows, lambda: require_finite(batch, "points"))
         self._spacing = usual_spacing(self._survey, self._count)
         # Points that all lie in one place have no spacing: any radius is as good.
@@ -173,7 +173,7 @@ class NeighborGrid:
                 other than one or Q; exclude_self with queries that are not as many as the points.
         """
         asked, home = self._ask(queries, radius, exclude_self)
-        return home.give(search.count(asked))
+        return home.to_caller(search.count(asked))
 
     def radius_search(
         self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, order: str = "index"
@@ -199,7 +199,9 @@ class NeighborGrid:
         """
         require_order(order)
         asked, home = self._ask(queries, radius, exclude_self)
-        return Neighbors(*map(home.give, self._filled(asked, search.count(asked, note=True), order, home.single)))
+        return Neighbors(
+            *map(home.to_caller, self._filled(asked, search.count(asked, note=True), order, home.is_float32))
+        )
 
     def radius_search_blocks(
         self,
@@ -268,7 +270,7 @@ class NeighborGrid:
         lengths = wp.empty(total, dtype=wp.float64, device=self._device)
         given = [offsets, indices, distance, starts]
         launcher.launch(kernels.pair_fill_kernel, self._count, given, [pairs, lengths], self._device)
-        return Pairs(home.give(pairs), home.give(lengths))
+        return Pairs(home.to_caller(pairs), home.to_caller(lengths))
 
     def knn(self, queries: Any = None, k: int = 1, *, exclude_self: bool = False) -> KNearest:
         """The k nearest points of each query, however far.
@@ -329,7 +331,7 @@ class NeighborGrid:
             squared = np.square(limit)
         if np.ndim(squared):
             squared = wp.array(squared, dtype=wp.float64, device=self._device)
-        rows, give = (None, self._home.give) if batch is None else (batch.array, batch.give)
+        rows, give = (None, self._home.to_caller) if batch is None else (batch.array, batch.to_caller)
         found = nearest(self._tree, k, rows, limit_squared=squared, exclude_self=exclude_self)
         return KNearest(*map(give, found))
 
@@ -338,7 +340,7 @@ class NeighborGrid:
         if queries is None:
             radii = self._radii(radius, self._count)
             return self._asked(None, self._count, radii, exclude_self), self._home
-        batch = read_vectors(queries, "queries", self._device, keep_single=self._device.is_cuda)
+        batch = read_vectors(queries, "queries", self._device, keep_float32=self._device.is_cuda)
         radii = self._radii(radius, len(batch))
         require_self(exclude_self, len(batch), self._count)
         return self._asked(batch.array, len(batch), radii, exclude_self), batch
@@ -368,10 +370,12 @@ class NeighborGrid:
             part = radii if np.ndim(radii) == 0 else radii[begin:end]
             asked = self._asked(batch.array[begin:end].contiguous(), end - begin, part, exclude_self, begin)
             known = wp.array(counts[begin:end], dtype=wp.int32, device=self._device)
-            yield NeighborBlock(begin, Neighbors(*map(batch.give, self._filled(asked, known, order, batch.single))))
+            yield NeighborBlock(
+                begin, Neighbors(*map(batch.to_caller, self._filled(asked, known, order, batch.is_float32)))
+            )
 
     def _own_batch(self) -> Batch:
-        return Batch(self._points(), self._home.single, self._home.give)
+        return Batch(self._points(), self._home.is_float32, self._home.to_caller)
 
     def _radii(self, radius: Any, count: int) -> Any:
         """One radius, or an array of one for each query."""

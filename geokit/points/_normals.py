@@ -124,7 +124,7 @@ def normals(
         launcher.launch(kernels.towards_kernel, count, [rows, wp.vec3d(*towards)], [normal], target)
     elif graph is not None and orientation == "propagation":
         propagate_signs(rows, normal, graph.order, graph.neighbor, target)
-    return PointNormals(batch.give(normal), batch.give(curvature))
+    return PointNormals(batch.to_caller(normal), batch.to_caller(curvature))
 
 
 class _Graph(NamedTuple):

@@ -75,13 +75,13 @@ def outliers(
             raise InputError("radius: missing; method 'radius' needs one")
         fewest = _require_whole(minimum_count, "minimum_count", 1, 2**31 - 1)
         batch = read_vectors(points, "points", target)
-        return batch.give(_sparse(batch.array, radius, fewest, target))
+        return batch.to_caller(_sparse(batch.array, radius, fewest, target))
     if radius is not None:
         raise InputError("radius: method 'statistical' takes none; give method='radius', or k and ratio")
     k = _require_whole(k, "k", 1, MAX_K)
     ratio = require_finite_scalar(ratio, "ratio")
     batch = read_vectors(points, "points", target)
-    return batch.give(_unusual(batch.array, k, ratio, target))
+    return batch.to_caller(_unusual(batch.array, k, ratio, target))
 
 
 def _sparse(rows: "wp.array", radius: float, fewest: int, device: "wp.Device") -> "wp.array":

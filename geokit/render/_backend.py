@@ -1,7 +1,7 @@
-"""Which OpenGL library draws without a display.
+"""Chooses the OpenGL library that renders without a display.
 
-VTK looks for one by itself, but where it finds none it crashes the process instead of raising: so the choice is made
-here, before the first window, from what can be loaded.
+VTK can search for one, but if it finds none it crashes the process. So the choice is made here, before the first
+window, among the libraries that can be loaded.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ BACKENDS = {"EGL": EGL, "OSMesa": OSMESA}
 
 _VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 _LIBRARIES = {EGL: ("libEGL.so.1",), OSMESA: ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")}
-# Where a GPU can be reached, EGL draws on it; elsewhere OSMesa starts faster than EGL's software path.
+# With a GPU, EGL renders on it. Without one, OSMesa starts faster than EGL's software renderer.
 _GPU_NODES = ("/dev/dri/renderD*", "/dev/nvidiactl")
 
 
 @functools.lru_cache(maxsize=1)
 def gl_backend() -> str:
-    """The render window class that this process uses ("vtkEGLRenderWindow" or "vtkOSOpenGLRenderWindow").
+    """The render window class of this process: "vtkEGLRenderWindow" or "vtkOSOpenGLRenderWindow".
 
-    VTK_DEFAULT_OPENGL_WINDOW, where it names a class, is tried first; otherwise it is set to what was found.
+    If VTK_DEFAULT_OPENGL_WINDOW names one of them, that class is tried first. The variable is set to the result.
 
     Returns:
         The name of the VTK class.
@@ -60,7 +60,7 @@ def _loads(name: str) -> bool:
 
 
 def _egl_draws() -> bool:
-    """Whether EGL can open a context: its library loads also where no driver stands behind it."""
+    """Whether EGL can open a context; its library loads even without a driver."""
     from vtkmodules.vtkCommonCore import vtkLogger, vtkObject
     from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
 

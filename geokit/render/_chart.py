@@ -16,7 +16,7 @@ from geokit.render._image import new_axes, save_figure
 
 __all__ = ["Series", "chart"]
 
-# Told apart by colour and by marker: Okabe and Ito's set, which colour-blind readers can tell apart.
+# Series differ in color and in marker. The colors are Okabe and Ito's set, which color-blind readers can distinguish.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
@@ -25,9 +25,10 @@ class Series(NamedTuple):
     """One line of a chart.
 
     Attributes:
-        name: Its entry in the legend.
-        x, y: Equally many numbers.
-        notes: A short text beside each point, or nothing.
+        name: Name in the legend.
+        x: Horizontal coordinates, shape (N,).
+        y: Vertical coordinates, shape (N,).
+        notes: A short text beside each point; empty for none.
     """
 
     name: str
@@ -46,20 +47,21 @@ def chart(
     logarithmic: bool = True,
     size: tuple[int, int] = (800, 600),
 ) -> Path:
-    """Draw lines with markers, on logarithmic axes where not told otherwise.
+    """Draw series of numbers as lines with markers, by default on logarithmic axes.
 
     Args:
         path: Target, a .png file.
-        series: The lines.
-        x_label: What the horizontal axis shows, with its unit.
-        y_label: The same for the vertical axis.
-        title: Text above.
-        logarithmic: Both axes; values must then be positive.
+        series: The lines to draw, at least one.
+        x_label: Label of the horizontal axis, with its unit.
+        y_label: Label of the vertical axis, with its unit.
+        title: Text above the chart.
+        logarithmic: Make both axes logarithmic; all values must then be positive.
         size: Width and height of the figure in pixels.
     Returns:
         The path that was written.
     Raises:
-        InputError: No series, lengths that differ, numbers that are not finite or not positive, a wrong file name.
+        InputError: No series, different lengths of x and y, numbers that are not finite or, on logarithmic axes, not
+            positive, a wrong size, or a file name without .png.
         FileAccessError: The target cannot be written.
     """
     target = checked_target(path)

@@ -1,4 +1,4 @@
-"""Checks that every figure shares."""
+"""Argument checks and color maps that all figures share."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from geokit.errors import InputError
 
 __all__ = ["DIVERGING", "SEQUENTIAL", "checked_size", "checked_target", "checked_values", "value_range"]
 
-# Perceptually uniform, readable in grey and by most colour-blind readers.
+# Perceptually uniform, readable in gray and by most color-blind readers.
 SEQUENTIAL = "viridis"
 # For signed quantities: white at zero.
 DIVERGING = "RdBu_r"
 
-# Below this nothing is readable; above it common software renderers refuse the frame buffer.
+# Smallest and largest side in pixels: below, nothing is readable; above, software renderers refuse the frame buffer.
 SMALLEST, LARGEST = 64, 8192
 
 
@@ -39,10 +39,16 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def checked_values(values: Any, name: str, counts: dict[str, int]) -> tuple[str, NDArray[np.float64]]:
-    """One number for each item of something, and what that something is.
+    """Match an array of values to the items that it describes, by their number.
 
+    Args:
+        values: One number for each item; it need not be finite.
+        name: The argument's name for error messages.
+        counts: Number of items by kind, such as vertices and faces.
+    Returns:
+        The kind of item, and the values as float64.
     Raises:
-        InputError: Not one finite-or-not number each, or as many as nothing in ``counts`` has.
+        InputError: The values are not numbers, or no kind in ``counts`` has as many items.
     """
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -59,7 +65,7 @@ def checked_values(values: Any, name: str, counts: dict[str, int]) -> tuple[str,
 def value_range(
     values: NDArray[np.float64], given: tuple[float, float] | None, *, centred: bool = False
 ) -> tuple[float, float]:
-    """Colour limits: the given ones, else those of the finite values, else (0, 1)."""
+    """Color limits: the given ones, else the range of the finite values, else (0, 1)."""
     if given is not None:
         low, high = float(given[0]), float(given[1])
         if not (np.isfinite(low) and np.isfinite(high) and low < high):

@@ -1,4 +1,4 @@
-"""A dense copy of a sparse volume, coarse enough to draw."""
+"""Samples a sparse volume densely for drawing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class DenseField(NamedTuple):
     """Samples on a regular box in world axes.
 
     Attributes:
-        values: Samples, shape (nx, ny, nz); the length of the vector where the grid holds vectors.
+        values: Samples, shape (nx, ny, nz); for vector grids, the length of the vectors.
         origin: Position of the first sample [world], shape (3,).
         spacing: Distance between samples along x, y and z [world], shape (3,).
     """
@@ -34,7 +34,7 @@ def dense_field(volume: "SparseVolume", *, resolution: int, margin: float = 0.0)
 
     Args:
         volume: The grid.
-        resolution: Samples along the longest side, at most; no finer than the grid's own voxels.
+        resolution: Largest number of samples along the longest side. Samples are never closer than the grid's voxels.
         margin: Extra space on each side, in samples.
     Raises:
         InputError: The grid has no active voxels.

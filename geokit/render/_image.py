@@ -1,4 +1,4 @@
-"""Pixel arrays as figures: one panel for each, with a colour bar where values are coloured."""
+"""Figures of pixel arrays: one panel each, with a color bar for arrays of values."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def image(
     value_limits: tuple[float, float] | None = None,
     label: str = "",
 ) -> Path:
-    """Draw pixel arrays side by side, the first row on top.
+    """Draw pixel arrays side by side; the first row of an array is at the top.
 
     Args:
         path: Target, a .png file.
-        panels: One array, or several by title: shape (H, W) of values, NaN where there is none, or (H, W, 3) of
-            colours in [0, 1].
+        panels: One array, or a mapping from titles to arrays. An array holds values, shape (H, W), NaN where there is
+            none, or colors in [0, 1], shape (H, W, 3).
         size: Width and height of the figure in pixels.
-        colormap: A matplotlib colour map for arrays of values.
-        value_limits: Values at the two ends of the colour map; None takes those of each array.
-        label: Text beside the colour bar.
+        colormap: A matplotlib color map for arrays of values.
+        value_limits: Values at the two ends of the color map; None uses the range of each array.
+        label: Text beside the color bar.
     Returns:
         The path that was written.
     Raises:
@@ -72,11 +72,11 @@ def _pixels(array: Any, title: str) -> NDArray[np.float64]:
 
 
 def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
-    """A figure that no window knows of, and ``count`` axes in a row."""
+    """Create a figure without a window, with ``count`` axes in a row."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    # Figure without pyplot: no global state, no choice of a window system.
+    # Without pyplot there is no global state and no choice of a window system.
     figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, count, squeeze=False)

@@ -1,4 +1,4 @@
-"""Settings by time and error, with the line through those that no other setting beats."""
+"""Scatter charts of time and error, with the Pareto front of each device."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from geokit.render._image import DPI, save_figure
 
 __all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "power_text"]
 
-# Lines of the fronts of the first, second, ... device.
+# Line styles of the fronts of the first, second, ... device.
 FRONT_STYLES = ("solid", "dashed", "dotted", "dashdot")
-# Height of an entry of the list beside the chart; a figure too low for its list is drawn higher.
+# Height of an entry of the list beside the chart; a figure that is too low for its list grows.
 ROW_PIXELS = 17
-# Width of that list, and what titles and labels take around the axes, in pixels: left, right, below, above.
+# Width of that list, and the margins of the axes for titles and labels, in pixels: left, right, below, above.
 LIST_PIXELS = 420
 BORDERS = (78, 14, 72, 34)
-# An axis with more decades leaves some without a label; one with fewer has lines at 2 and 5 too.
+# An axis with more decades labels only some of them; one with fewer decades has ticks at 2 and 5 too.
 MOST_LABELS, FEW_DECADES = 12, 2
 # Longest entry of the list beside the chart: longer ones would squeeze the axes.
 LONGEST_ENTRY = 60
@@ -35,11 +35,12 @@ class Cloud(NamedTuple):
     """Settings of one method on one device.
 
     Attributes:
-        name: Its entry in the legend; "" for none.
-        style: Number of its colour and marker.
-        x, y: Equally many positive numbers.
-        hollow: Which of them are drawn as outlines; none where empty.
-        ring: Whether they have a dark outline: those of the second device.
+        name: Name in the legend; "" for none.
+        style: Number of the color and marker.
+        x: Horizontal coordinates, positive, shape (N,).
+        y: Vertical coordinates, positive, shape (N,).
+        hollow: Whether each mark is drawn as an outline; empty for none.
+        ring: Whether the marks have a dark outline, as those of the second device do.
     """
 
     name: str
@@ -67,27 +68,27 @@ def pareto_chart(
     x_text: Callable[[float], str] | None = None,
     size: tuple[int, int] = (1060, 560),
 ) -> Path:
-    """Draw settings as marks on logarithmic axes and each front as steps with a letter at each of its settings.
+    """Draw settings as marks on logarithmic axes, and each Pareto front as a step line with a letter at each setting.
 
     Args:
         path: Target, a .png file.
         clouds: The marks.
         fronts: Name in the legend ("" for none), x, y and letters of each line, the fastest first.
-        x_label: What the horizontal axis shows, with its unit.
-        y_label: The same for the vertical axis.
+        x_label: Label of the horizontal axis, with its unit.
+        y_label: Label of the vertical axis, with its unit.
         x_range: Ends of the horizontal axis.
         y_range: Ends of the vertical axis.
-        y_ticks: Values that are named on it; None for powers of ten.
-        lines: Heights with a name, drawn across: where exact results lie.
-        entries: The list beside the chart: what the letters stand for.
-        title: Text above.
-        footer: Small text below: the machine.
-        x_text: Names a tick of the horizontal axis; None writes it as a power of ten.
-        size: Width and least height of the figure in pixels.
+        y_ticks: Tick values of the vertical axis; None for powers of ten.
+        lines: Height and name of horizontal lines, such as the level of exact results.
+        entries: The list beside the chart, which explains the letters.
+        title: Text above the chart.
+        footer: Small text below the chart, such as the machine.
+        x_text: Formats a tick of the horizontal axis; None writes a power of ten.
+        size: Width and minimum height of the figure in pixels.
     Returns:
         The path that was written.
     Raises:
-        InputError: Lengths that differ, numbers that are not finite and positive, a wrong file name.
+        InputError: Different lengths of x and y, numbers that are not finite and positive, a wrong size or file name.
         FileAccessError: The target cannot be written.
     """
     target = checked_target(path)
@@ -98,21 +99,21 @@ def pareto_chart(
     axis.set(xlim=x_range, ylim=y_range, xlabel=x_label, ylabel=y_label)
     x_ticks, y_ticks = decade_ticks(x_range), decade_ticks(y_range) if y_ticks is None else y_ticks
     for side, ticks, text in ((axis.xaxis, x_ticks, x_text or power_text), (axis.yaxis, y_ticks, power_text)):
-        # Of plain text: matplotlib's own powers of ten are formulas, whose parser takes most of a figure's time.
+        # Plain text: matplotlib's own powers of ten are formulas, whose parser takes most of a figure's time.
         side.set_ticks(ticks, [text(value) for value in ticks])
         side.set_ticks([], minor=True)
     axis.grid(visible=True, which="major", color="0.9", linewidth=0.6)
     axis.set_axisbelow(True)
     for height, name in lines:
         axis.axhline(height, color="0.55", linewidth=0.8, linestyle=(0, (2, 3)), zorder=1)
-        # At the left below and at the right above: where a chart has no marks.
+        # Lines low in the chart are named at the left, high ones at the right: there are no marks there.
         low = height * height < y_range[0] * y_range[1]
         axis.annotate(name, (0.0 if low else 1.0, height), xycoords=("axes fraction", "data"),
                       xytext=(4 if low else -4, 3), ha="left" if low else "right",
                       textcoords="offset points", fontsize=8, color="0.35")  # fmt: skip
     for number, (name, x, y, letters) in enumerate(fronts):
         xs, ys = _numbers(name or f"front {number}", x, y)
-        # A step, not a slope: with less time than the next setting takes, the error of this one is the best there is.
+        # A step, not a slope: until there is time for the next setting, the error of this one is the best.
         axis.step(xs, ys, where="post", color="0.3", linewidth=1.2, zorder=2,
                   linestyle=FRONT_STYLES[number % len(FRONT_STYLES)], label=_plain(name) or None)  # fmt: skip
         for letter, at_x, at_y in zip(letters, xs, ys, strict=True):
@@ -127,7 +128,7 @@ def pareto_chart(
 
 
 def decade_ticks(ends: tuple[float, float], most: int = MOST_LABELS) -> list[float]:
-    """Powers of ten within the ends of a logarithmic axis, at most ``most``; where there are few, 2 and 5 too."""
+    """Powers of ten within the ends of a logarithmic axis, at most ``most``; with few decades, 2 and 5 as well."""
     low, high = (math.log10(end) for end in ends)
     decades = range(math.ceil(low), math.floor(high) + 1)
     if len(decades) >= FEW_DECADES:
@@ -139,13 +140,13 @@ def decade_ticks(ends: tuple[float, float], most: int = MOST_LABELS) -> list[flo
 
 
 def power_text(value: float) -> str:
-    """A short number: "1e-7", "2e-4", "0.01", "1"."""
+    """Format a number briefly: "1e-7", "2e-4", "0.01", "1"."""
     text = f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}"
     return text.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 
 def _new_axis(size: tuple[int, int], list_length: int) -> tuple[Any, Any]:
-    """A figure that no window knows of, high enough for its list, and axes at the left of that."""
+    """Create a figure without a window, high enough for its list, with axes to the left of the list."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -153,7 +154,7 @@ def _new_axis(size: tuple[int, int], list_length: int) -> tuple[Any, Any]:
     figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     left, right, below, above = BORDERS
-    # A layout engine would draw everything twice to find the same.
+    # Fixed margins: a layout engine would draw everything twice for the same result.
     across, up = (width - LIST_PIXELS - left - right) / width, (height - below - above) / height
     return figure, figure.add_axes((left / width, below / height, across, up))
 
@@ -166,13 +167,13 @@ def _draw(axis: Any, cloud: Cloud) -> None:
     for part, face in ((~hollow, color), (hollow, "white")):
         axis.scatter(x[part], y[part], s=34, marker=marker, facecolor=face, edgecolor=edge, linewidth=1.1, zorder=3)
     if cloud.name:
-        # Of its own: the first mark may be hollow.
+        # The legend has a mark of its own, because the first mark may be hollow.
         axis.scatter([], [], s=34, marker=marker, facecolor=color, edgecolor=edge, linewidth=1.1,
                      label=_plain(cloud.name))  # fmt: skip
 
 
 def style_of(number: int) -> tuple[str, str]:
-    """Colour and marker of the method with that number: pairs repeat only after all combinations."""
+    """Color and marker of a method; they repeat only after all combinations."""
     count = len(COLORS)
     return COLORS[number % count], MARKERS[(number + number // count) % len(MARKERS)]
 
@@ -191,7 +192,7 @@ def _beside(figure: Any, axis: Any, entries: Sequence[str]) -> None:
 
 
 def _plain(text: str) -> str:
-    """Text that matplotlib does not read as a formula."""
+    """Escape text so that matplotlib does not parse it as a formula."""
     return text.replace("$", r"\$")
 
 

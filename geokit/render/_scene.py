@@ -25,31 +25,31 @@ SURFACE_COLOR = "#b9c4cf"
 POINT_COLOR = "#c0392b"
 # Edges sharper than this [degrees] stay sharp under smooth shading.
 FEATURE_ANGLE = 35.0
-# Samples along the longest side: fine enough for 800 pixels, 10 MB at most.
+# Samples along the longest side: enough for 800 pixels, at most 10 MB.
 SURFACE_RESOLUTION = 160
 FOG_RESOLUTION = 128
 # Share of the longest side over which the densest fog hides what is behind it.
 FOG_DEPTH = 0.05
-# Where the camera looks from, in units of right, up and towards the viewer.
+# Direction from the scene to the camera, in units of right, up and towards the viewer.
 VIEW = (0.55, 0.35, 1.0)
 VIEW_ANGLE = 28.0
-# The share of the picture's height or width that the scene's box may fill: plates have their corners there.
+# Share of the picture's height or width that the scene's bounding box may fill; a plate reaches to its corners.
 FILL = 0.97
-# The share of the width that belongs to the colour bar.
+# Share of the width for the color bar.
 BAR_SHARE = 0.14
 UP = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class _Look(NamedTuple):
-    """How values become colours."""
+    """Settings of the color map and its bar."""
 
     colormap: str
     limits: tuple[float, float] | None
     label: str
     height: int
 
-    def coloured(self, values: NDArray[np.float64]) -> dict[str, Any]:
-        """Keyword arguments of pyvista's add_mesh that colour by ``values``."""
+    def colored(self, values: NDArray[np.float64]) -> dict[str, Any]:
+        """Keyword arguments of pyvista's add_mesh for coloring by ``values``."""
         return {
             "scalars": values,
             "cmap": self.colormap,
@@ -93,32 +93,33 @@ def figure(
     up: str = "y",
     transparent: bool = False,
 ) -> Path:
-    """Draw a mesh, a volume, points, or several of them, into a PNG file, without a display.
+    """Draw a mesh, a volume, points, or several of them into a PNG file, without a display.
 
-    A level set is drawn as the surface at ``isovalue``, any other grid as fog (vectors by their length), or as the
-    surface at ``isovalue`` where one is given.
+    A level set is drawn as its surface at ``isovalue``. Any other grid is drawn as fog (vectors by their length), or as
+    its surface at ``isovalue`` if one is given.
 
     Args:
         path: Target, a .png file.
         mesh: Triangles to draw.
         volume: A grid to draw.
         points: Points to draw [world], shape (N, 3).
-        color: A colour name ("steelblue", "#336699") or one value for each vertex or face of the mesh, or for each
-            point where there is no mesh.
-        point_color: The same for the points, where there is a mesh or a volume as well.
+        color: A color name ("steelblue", "#336699"), or one value for each vertex or face of the mesh, or for each
+            point if only points are drawn.
+        point_color: A color name or one value for each point, if points are drawn together with a mesh or a volume.
         size: Width and height in pixels.
-        isovalue: Level of the surface that is drawn of a volume; None is 0 for level sets and fog otherwise.
-        label: Title of the colour bar.
-        colormap: A matplotlib colour map.
-        value_limits: Values at the ends of the colour map; None takes those of the values.
-        opacity: Of the mesh or the volume's surface, in (0, 1].
-        point_size: Diameter of a point in pixels; None chooses by their number.
+        isovalue: Value of the volume's surface; None means 0 for level sets, and fog for other grids.
+        label: Title of the color bar.
+        colormap: A matplotlib color map.
+        value_limits: Values at the ends of the color map; None uses the range of the values.
+        opacity: Opacity of the mesh or the volume's surface, in (0, 1].
+        point_size: Diameter of a point in pixels; None chooses it by the number of points.
         up: The world axis that points up in the picture: "x", "y" or "z".
         transparent: Leave the background transparent instead of white.
     Returns:
         The path that was written.
     Raises:
-        InputError: Nothing to draw, values that match nothing, a wrong size, axis, colour or file name.
+        InputError: Nothing to draw, values that match no vertices, faces or points, a wrong size, axis, color or file
+            name.
         FileAccessError: The target cannot be written.
         MissingDependencyError: No OpenGL library works here; the message names the packages.
     """
@@ -165,9 +166,9 @@ def _add_mesh(pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, opacity: 
     what, values = checked_values(color, "color", counts)
     data = surface.point_data if what == "vertices" else surface.cell_data
     data["value"] = values
-    # Splitting at sharp edges copies vertices and their values with them.
+    # Splitting at sharp edges copies vertices together with their values.
     shaded = _shaded(surface)
-    arguments = look.coloured(values)
+    arguments = look.colored(values)
     arguments["scalars"] = "value"
     plotter.add_mesh(shaded, opacity=opacity, **arguments, **_MATERIAL)
 
@@ -176,7 +177,7 @@ _MATERIAL = {"smooth_shading": True, "specular": 0.15, "specular_power": 20.0, "
 
 
 def _shaded(surface: Any) -> Any:
-    """The surface with vertex normals, split where it has a sharp edge."""
+    """The surface with vertex normals, split at sharp edges."""
     return surface.compute_normals(
         cell_normals=False,
         split_vertices=True,
@@ -206,7 +207,7 @@ def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
     try:
         mesh = from_volume(volume, isovalue=isovalue)
     except MissingDependencyError:
-        # Without the OpenVDB bridge: VTK's contour of a dense copy, as fine as the picture needs.
+        # Without OpenVDB, use VTK's contour of a dense copy that is fine enough for the picture.
         field = dense_field(volume, resolution=SURFACE_RESOLUTION, margin=1)
         return _image_data(pv, field).contour([isovalue], scalars="value")
     return pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
@@ -222,28 +223,28 @@ def _add_fog(pv: Any, plotter: Any, volume: "SparseVolume", look: _Look) -> None
         scalars="value",
         cmap=look.colormap,
         clim=(low, high),
-        # From nothing at the lowest value: any opacity there would show the box of the grid.
+        # Transparent at the lowest value: any opacity there would show the grid's bounding box.
         opacity=[0.0, 1.0],
         opacity_unit_distance=FOG_DEPTH * depth,
         shade=False,
-        # The mapper on the GPU draws nothing where the picture is super-sampled.
+        # The GPU mapper draws nothing when the picture is super-sampled.
         mapper="fixed_point",
         scalar_bar_args=named.bar(),
     )
-    # The mapper's own distance between samples along a ray is one world unit, whatever the size of the volume.
+    # By default the mapper samples a ray once per world unit, whatever the size of the volume.
     actor.mapper.SetAutoAdjustSampleDistances(False)
     actor.mapper.SetSampleDistance(0.5 * float(np.min(field.spacing)))
 
 
 def _fog_limits(values: np.ndarray) -> tuple[float, float] | None:
-    """From zero to what all but the densest hundredth of the fog stays below; None where there is no fog."""
+    """Color limits from 0 to the 99th percentile of the positive values; None if there is no fog."""
     fog = values[values > 0.0]
     return (0.0, float(np.quantile(fog, 0.99))) if fog.size and values.min() >= 0.0 else None
 
 
 def _image_data(pv: Any, field: Any) -> Any:
     grid = pv.ImageData(dimensions=field.values.shape, spacing=field.spacing, origin=field.origin)
-    # VTK's first axis runs fastest.
+    # In VTK the first axis varies fastest.
     grid.point_data["value"] = field.values.ravel(order="F")
     return grid
 
@@ -255,14 +256,14 @@ def _add_points(pv: Any, plotter: Any, points: Any, color: Any, point_size: floa
     if len(table) == 0:
         raise InputError("points: empty: there is nothing to draw")
     cloud = pv.PolyData(np.ascontiguousarray(table))
-    # Many points small, few large; super-sampling halves what VTK is told.
+    # Many points are drawn small, few large. Super-sampling halves the size that VTK is given.
     size = 2.0 * (point_size or float(np.clip(0.45 * look.height / np.sqrt(len(table)), 1.0, look.height / 80)))
     shape = {"point_size": size, "render_points_as_spheres": True, "ambient": 0.25}
     if color is None or isinstance(color, str):
         plotter.add_mesh(cloud, style="points", color=_named_color(pv, color, POINT_COLOR), **shape)
         return
     _, values = checked_values(color, "color", {"points": len(table)})
-    plotter.add_mesh(cloud, style="points", **look.coloured(values), **shape)
+    plotter.add_mesh(cloud, style="points", **look.colored(values), **shape)
 
 
 def _named_color(pv: Any, color: str | None, default: str) -> Any:
@@ -275,7 +276,7 @@ def _named_color(pv: Any, color: str | None, default: str) -> Any:
 def _aim(plotter: Any, up: str) -> None:
     """Look at the whole scene from the front, a little from the right and from above."""
     axis = np.array(UP[up])
-    # Right and towards the viewer in world axes: a right-handed frame for each choice of up.
+    # The right-hand direction in world axes, so that right, up and towards the viewer are a right-handed frame.
     right = np.array((0.0, 0.0, 1.0) if up == "x" else (1.0, 0.0, 0.0))
     view = VIEW[0] * right + VIEW[1] * axis + VIEW[2] * np.cross(right, axis)
     view /= np.linalg.norm(view)
@@ -287,7 +288,7 @@ def _aim(plotter: Any, up: str) -> None:
     centre = bounds.mean(axis=1)
     corners = np.array(np.meshgrid(*bounds, indexing="ij")).reshape(3, -1).T - centre
     x, y, depth = frame @ corners.T
-    # A colour bar takes its share of the width, and the scene moves over by half of it.
+    # A color bar takes its share of the width, and the scene shifts by half of that.
     share = 1.0 - BAR_SHARE if plotter.scalar_bars else 1.0
     width, height = plotter.window_size
     tangent = np.tan(np.radians(VIEW_ANGLE) / 2.0) * FILL

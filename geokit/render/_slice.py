@@ -1,4 +1,4 @@
-"""A plane through a volume, coloured by value, with contour lines."""
+"""Figures of a plane through a volume, colored by value, with contour lines."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["slice_figure"]
 
 AXES = "xyz"
-# Lines drawn where no levels are given; more of them hide the colours.
+# Default number of contour lines; more of them hide the colors.
 CONTOUR_COUNT = 9
-# A level this near to zero, relative to the range, is the zero contour up to rounding.
+# A level this close to zero, relative to the range, is the zero contour up to rounding.
 ZERO_LEVEL = 1e-9
 
-# Interpolated background differs from background by rounding.
+# An interpolated background value differs from the background by rounding.
 BAND_EDGE = 1.0 - 1e-6
-# Greys of the inside and the outside beyond a level set's narrow band.
+# Gray values of the inside and the outside, beyond the narrow band of a level set.
 INSIDE, OUTSIDE = 0.82, 1.0
 
 
@@ -42,22 +42,21 @@ def slice_figure(
     size: tuple[int, int] = (800, 600),
     device: Any = None,
 ) -> Path:
-    """Draw the values of ``volume`` on a plane across one world axis.
+    """Draw the values of ``volume`` on a plane perpendicular to a world axis.
 
-    Level sets are coloured around white at zero, with the zero contour drawn bold, and grey or white
-    inside or outside the narrow band; other grids from low to high.
-    Vectors are drawn by their length.
+    Level sets have a diverging color map, white at zero, and a bold zero contour. Beyond the narrow band the inside is
+    gray and the outside white. Other grids are colored from low to high, vectors by their length.
 
     Args:
         path: Target, a .png file.
         volume: The grid.
-        axis: "x", "y" or "z": the axis that the plane is across.
-        position: Where the plane cuts the axis [world]; None is the middle of the active voxels.
-        contours: Values of the contour lines; None spreads a few over the range.
-        label: Text beside the colour bar.
-        title: Text above.
+        axis: The axis that the plane is perpendicular to: "x", "y" or "z".
+        position: Coordinate of the plane on the axis [world]; None uses the middle of the active voxels.
+        contours: Values of the contour lines; None spreads nine over the range.
+        label: Text beside the color bar.
+        title: Text above the figure.
         size: Width and height of the figure in pixels.
-        device: Where the plane is sampled.
+        device: The device that samples the plane.
     Returns:
         The path that was written.
     Raises:
@@ -106,12 +105,12 @@ def slice_figure(
 
 
 def _beyond_band(values: Any, background: Any) -> Any:
-    """Where a level set says no more than which side a sample is on."""
+    """Whether each sample is beyond the narrow band, where a level set only holds the sign."""
     return np.abs(values) >= abs(float(background)) * BAND_EDGE
 
 
 def _samples(u_bounds: Any, v_bounds: Any, width: int, height: int) -> tuple[Any, Any]:
-    # About one sample a pixel: more would not be seen.
+    # About one sample per pixel; more would not be visible.
     extent_u, extent_v = float(np.ptp(u_bounds)) or 1.0, float(np.ptp(v_bounds)) or 1.0
     step = max(extent_u / width, extent_v / height)
     count_u, count_v = (max(2, int(extent / step) + 1) for extent in (extent_u, extent_v))

@@ -1,4 +1,4 @@
-"""One kernel of the user's on all threads of a CPU at once, or on a GPU."""
+"""Runs a kernel of the user on all threads of a CPU at once, or on a GPU."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from geokit.errors import InputError
 
 __all__ = ["Team"]
 
-# Counter and round of the barrier, each in a cache line of its own, and no line of anyone else's.
+# Size of the barrier's memory in int32: counter and round, each in a cache line that nothing else shares.
 MEETING_SIZE = 64
-# Of floats, two cache lines.
+# Default items of a block: two cache lines of floats.
 BLOCK = 32
 
 
 class Team:
-    """Threads of a CPU that run a kernel together and can wait for each other in it; on a GPU, plain launches.
+    """CPU threads that run a kernel together and can wait for each other inside it; on a GPU, plain launches.
 
     The kernel's first parameter is its :class:`Share` of the items::
 
@@ -28,23 +28,23 @@ class Team:
                 i = gk.threads.item(share, k)
                 values[i] *= factor
 
-    All threads of a launch run at the same time, so that ``gk.threads.barrier(share)`` may stand in the kernel: a loop
-    over many steps is then one launch. No more threads run than there are blocks of items. Which items a thread has
-    depends on nothing but their number and that of the threads: every so many blocks of rows, so that dear items that
-    lie together are shared by all.
+    All threads of a launch run at the same time, so the kernel may call ``gk.threads.barrier(share)``, and a loop over
+    many steps can be one launch. At most one thread runs per block of items. Blocks are dealt to the threads in turn,
+    so that expensive items that lie together are spread over all threads. The items of a thread depend only on the
+    numbers of items and threads and on the block size.
 
     Attributes:
-        device: Where the kernels run.
-        threads: How many run a kernel on a CPU; 1 on a GPU, whose own threads are not counted here.
+        device: The device that kernels run on.
+        threads: Number of CPU threads that run a kernel; 1 on a GPU, whose own threads are not counted here.
     """
 
     def __init__(self, threads: int | None = None, *, device: Any = None) -> None:
-        """Make a team; on a CPU its threads start with its first launch.
+        """Create a team; on a CPU its threads start with the first launch.
 
         Args:
-            threads: How many; None for GEOKIT_THREADS, or the processors that this process may run on. More than
-                there are processors work, slowly. A GPU pays no heed to it.
-            device: None for the first GPU if there is one, else the CPU.
+            threads: Number of CPU threads; None for GEOKIT_THREADS, or else the number of processors that this process
+                may run on. More threads than processors work, but slowly. Ignored on a GPU.
+            device: The device; None for the first GPU if there is one, else the CPU.
         Raises:
             InputError: threads is not a positive whole number, or there is no such device.
         """
@@ -55,24 +55,24 @@ class Team:
             raise InputError(f"threads: {threads!r} is not a positive whole number; leave it out for all processors")
         self.threads = 1 if self.device.is_cuda else threads or launcher.thread_count()
         self._meeting = wp.zeros(MEETING_SIZE, dtype=wp.int32, device=self.device)
-        # The first has one launch after the other. It is not the user's thread: were that interrupted between the
-        # starts of two threads, those that had begun would wait at their barrier for ever.
+        # One thread makes the launches, one after the other. The caller's thread must not: if it were interrupted after
+        # starting some of the threads only, these would wait at their barrier forever.
         self._first = ThreadPoolExecutor(1, thread_name_prefix="geokit-team")
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="geokit-team")
 
     def record(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> Callable[[], None]:
-        """Prepare a launch that will be made again and again.
+        """Prepare a launch that is made many times.
 
         Args:
             kernel: A warp kernel ``(share: gk.threads.Share, *inputs)``.
-            count: Number of items. On a GPU there is a thread for each.
-            inputs: Arguments after the share, kept with the function. What arrays hold counts when the launch is made;
-                numbers and structs must stay as they are now.
-            block: Items in a row that are one thread's. Fewer share their cache lines with other threads' items, more
-                are shared out less evenly.
+            count: Number of items. On a GPU each has a thread of its own.
+            inputs: Arguments after the share; the returned function keeps them. Arrays are read when the launch is
+                made; numbers and structs keep the values that they have now.
+            block: Number of consecutive items of one thread. Smaller blocks share cache lines with other threads;
+                larger blocks balance the load less evenly.
         Returns:
-            A function that makes the launch; on a CPU it returns when all threads are done. In a
-            ``wp.ScopedCapture`` it becomes part of the graph.
+            A function that makes the launch; on a CPU it returns when all threads are done. Inside a
+            ``wp.ScopedCapture`` the launch becomes part of the graph.
         Raises:
             InputError: kernel's first parameter is no Share, count is negative, or block is not positive.
         """
@@ -106,24 +106,29 @@ class Team:
         return run
 
     def run(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> None:
-        """Launch once: :meth:`record`, which says what to give, and what that returns.
+        """Launch a kernel once. The arguments are those of :meth:`record`.
 
+        Args:
+            kernel: A warp kernel ``(share: gk.threads.Share, *inputs)``.
+            count: Number of items.
+            inputs: Arguments after the share.
+            block: Number of consecutive items of one thread.
         Raises:
             InputError: kernel's first parameter is no Share, count is negative, or block is not positive.
         """
         self.record(kernel, count, inputs, block=block)()
 
     def sequence(self, calls: Sequence[Callable[[], Any]]) -> Callable[[], None]:
-        """Make one function of several; on a GPU it becomes a CUDA graph, which starts with one call of the driver.
+        """Combine several calls into one function; on a GPU they become a CUDA graph, launched by one driver call.
 
-        The first run makes the calls as they are, so that modules are loaded and memory is reserved; on a GPU the
-        second captures them, and later ones launch the graph.
+        The first run makes the calls directly, so that modules are loaded and memory is allocated. On a GPU the second
+        run captures them into a graph, and later runs launch the graph.
 
         Args:
-            calls: Recorded launches, and other functions without arguments whose work on the device may be captured:
-                copies, ``wp.HashGrid.build``. They run one after the other.
+            calls: Recorded launches, and other functions without arguments whose device work can be captured, such as
+                copies and ``wp.HashGrid.build``. They run in sequence.
         Returns:
-            A function that makes all calls.
+            A function that runs all calls.
         """
         import warp as wp
 
@@ -156,7 +161,7 @@ def _call_all(calls: Sequence[Callable[[], Any]]) -> None:
 
 
 def _items_of(thread: int, threads: int, count: int, block: int) -> int:
-    """How many items are in the blocks thread, thread + threads, ... of so many items in all."""
+    """Number of items in the blocks thread, thread + threads, ... of ``count`` items."""
     whole, rest = divmod(count, block)
     turns, left = divmod(whole, threads)
     return turns * block + (block if thread < left else rest if thread == left else 0)

@@ -1,4 +1,4 @@
-"""The team as a kernel sees it: the items of its share, and a barrier."""
+"""Kernel functions of a team: a thread's share of the items, and a barrier."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -12,18 +12,18 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Share:
-    """A thread's own part of a launch; the first parameter of a kernel that a :class:`Team` runs.
+    """One thread's part of a launch; the first parameter of a kernel that a :class:`Team` runs.
 
-    Its items are ``gk.threads.item(share, k)`` for each of ``range(wp.tid(), share.count, share.step)``: on a CPU a
-    loop over the blocks of rows that are this thread's, on a GPU one item.
+    The thread's items are ``gk.threads.item(share, k)`` for ``k`` in ``range(wp.tid(), share.count, share.step)``. On a
+    CPU this is a loop over the thread's blocks of items, on a GPU a single item.
 
     Attributes:
-        thread: Number of the thread of a CPU, from 0 on; 0 on a GPU.
-        threads: Threads of a CPU that share the launch; 1 on a GPU.
+        thread: Index of the CPU thread, from 0; 0 on a GPU.
+        threads: Number of CPU threads that share the launch; 1 on a GPU.
         count: End of the loop.
         step: Step of the loop.
-        block: Rows that follow each other and are one thread's; 1 on a GPU.
-        meeting: Of the barrier.
+        block: Number of consecutive items of one thread; 1 on a GPU.
+        meeting: Memory of the barrier.
     """
 
     thread: int
@@ -36,15 +36,14 @@ class Share:
 
 @wp.func
 def item(share: Share, k: int):
-    """In a kernel: the item that is number k of this share."""
+    """Index of item ``k`` of this share; call it in a kernel."""
     return (k // share.block * share.threads + share.thread) * share.block + k % share.block
 
 
 @wp.func_native(cpp("threads/barrier_cpu.inl"))
 def barrier(share: Share):
-    """In a kernel: wait until all threads of the team are here; all then see what any of them has written.
+    """Wait until all threads of the team have arrived; afterwards each sees what the others wrote. Call it in a kernel.
 
-    Every thread has to pass it equally often. On a GPU it does nothing: work that has to wait needs a launch of its
-    own.
+    Every thread must call it equally often. On a GPU it does nothing: work that has to wait needs a separate launch.
     """
     ...

@@ -46,4 +46,4 @@ def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device
     batch = read_vectors(points, "points", target)
     out = wp.empty(len(batch), dtype=wp.bool, device=target)
     launcher.launch(active_kernel, len(batch), query_inputs(volume, batch.array, space), [out], target)
-    return batch.give(out)
+    return batch.to_caller(out)

@@ -159,7 +159,7 @@ class AdaptiveSDF:
 
         target = launcher.resolve_device(device)
         table = self._table(target)
-        batch = user_arrays.read_vectors(points, "points", target, defer=True, keep_single=True)
+        batch = user_arrays.read_vectors(points, "points", target, defer=True, keep_float32=True)
         count, grouped = len(batch), target.is_cpu
         if gradient:
             choices = kernels.GRADIENT_GROUPS if grouped else kernels.GRADIENT_SINGLES
@@ -167,14 +167,14 @@ class AdaptiveSDF:
         else:
             choices = kernels.SAMPLE_GROUPS if grouped else kernels.SAMPLE_SINGLES
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
-        out = user_arrays.empty(count, kinds[0] if batch.single else kinds[1], batch.rows)
+        out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
         bad = host_flags(1, target)
         inputs = [table.levels, batch.rows, *world_to_index(self.levels[0]), outside]
         items = -(-count // kernels.GROUP) if grouped else count
-        launcher.launch(choices[batch.single], items, inputs, [out, bad], target, grain=GRAIN if grouped else 0)
+        launcher.launch(choices[batch.is_float32], items, inputs, [out, bad], target, grain=GRAIN if grouped else 0)
         if count and bad.numpy()[0]:
             user_arrays.require_finite(batch, "points")
-        return batch.give(out)
+        return batch.to_caller(out)
 
     def _table(self, device: Any) -> AdaptiveTable:
         if device.alias not in self._tables:

@@ -63,7 +63,7 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
     import warp as wp
 
     batch, _, second = _derivatives(volume, points, order, space, device)
-    return batch.give(view_as(second, wp.float64, (len(batch), 3, 3)))
+    return batch.to_caller(view_as(second, wp.float64, (len(batch), 3, 3)))
 
 
 def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
@@ -114,7 +114,7 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
     gaussian = wp.empty(count, dtype=wp.float64, device=slope.device)
     principal = wp.empty((count, 2), dtype=wp.float64, device=slope.device)
     launcher.launch(curvature_kernel, count, [slope, second], [mean, gaussian, principal], slope.device)
-    return Curvatures(batch.give(mean), batch.give(gaussian), batch.give(principal))
+    return Curvatures(batch.to_caller(mean), batch.to_caller(gaussian), batch.to_caller(principal))
 
 
 def _derivatives(

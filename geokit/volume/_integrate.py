@@ -91,7 +91,7 @@ def integrate(
     launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
-    return Transmittance(*(rays.give(array) for array in found))
+    return Transmittance(*(rays.to_caller(array) for array in found))
 
 
 def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> tuple[Any, list[Any]]:

@@ -117,7 +117,7 @@ def raycast(
         launcher.launch(RAYCAST[single], len(rays), inputs, [*found, bad], target)
     if bad.numpy()[0]:
         refuse_bad_rays(rays, heading)
-    return VolumeHits(*(rays.give(array) for array in found))
+    return VolumeHits(*(rays.to_caller(array) for array in found))
 
 
 def _neighbors(level: float) -> tuple[float, float]:

@@ -100,7 +100,7 @@ def sample(
     kernel, more = query_kernel("sample", order, components, _is_staggered(volume))
     inputs = [*query_inputs(volume, batch.array, space), background, *more]
     launcher.launch(kernel, len(batch), inputs, [out], target)
-    return batch.give(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
+    return batch.to_caller(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
 
 
 def gradient(
@@ -162,7 +162,7 @@ def gradient(
     kernel, more = query_kernel("gradient", order, components, _is_staggered(volume))
     inputs = [*query_inputs(volume, batch.array, space), zero, *more]
     launcher.launch(kernel, count, inputs, [out], target)
-    return batch.give(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
+    return batch.to_caller(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
 
 
 def is_scalar(volume: SparseVolume) -> bool:

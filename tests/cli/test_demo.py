@@ -48,7 +48,7 @@ def test_every_step_is_right(demo) -> None:
         "cast 640 x 480 rays": 1e-11,
         "sample the SDF": 1e-7,
         "sample its gradient": 1e-5,
-        "neighbours of a cloud": 1e-15,
+        "neighbors of a cloud": 1e-15,
         "export points.vtp": 0.0,
         "export mesh.vtu": 0.0,
     }

@@ -11,15 +11,15 @@ import warp as wp
 
 from geokit.core import download as _download
 from geokit.core.download import _Stage, download, download_into
-from geokit.core.memory_pool import Loans
+from geokit.core.memory_pool import MemoryPool
 from tests.support.devices import DEVICES
 
 KINDS = [(wp.vec3d, np.float64, (3,)), (wp.float64, np.float64, ()), (wp.int32, np.int32, ()), (wp.bool, np.bool_, ())]
 
 
-def lender(device, most_bytes=1 << 26):
+def pool_on(device, most_bytes=1 << 26):
     make = functools.partial(_download._host_bytes, pinned=device != "cpu")
-    return Loans(make, most_bytes=most_bytes, largest_bytes=1 << 24)
+    return MemoryPool(make, most_bytes=most_bytes, largest_bytes=1 << 24)
 
 
 def some(device, count, seed=0):
@@ -105,11 +105,11 @@ def test_every_byte_has_its_piece(monkeypatch):
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("count", [1, 41, 5000])
-def test_lent_memory_takes_the_arrays(count, device):
-    loans = lender(device)
+def test_pooled_memory_takes_the_arrays(count, device):
+    pool = pool_on(device)
     for seed in range(2):
         tables, arrays = some(device, count, seed)
-        found = _download._lent(tuple(arrays), loans)
+        found = _download._download_pooled(tuple(arrays), pool)
         assert found is not None
         for one, table in zip(found, tables, strict=True):
             assert one.dtype == table.dtype
@@ -117,19 +117,19 @@ def test_lent_memory_takes_the_arrays(count, device):
             np.testing.assert_array_equal(one, table)
 
 
-def test_without_memory_to_lend_nothing_is_lent():
+def test_a_full_pool_takes_no_arrays():
     _, arrays = some("cpu", 4000)
-    assert _download._lent(tuple(arrays), lender("cpu", 1 << 17)) is None
-    assert _download._lent((wp.zeros(0, dtype=wp.vec3d, device="cpu"),), lender("cpu", 1 << 17)) is None
+    assert _download._download_pooled(tuple(arrays), pool_on("cpu", 1 << 17)) is None
+    assert _download._download_pooled((wp.zeros(0, dtype=wp.vec3d, device="cpu"),), pool_on("cpu", 1 << 17)) is None
 
 
 def test_memory_for_one_of_two_goes_back_untouched():
-    loans = lender("cpu", 1 << 17)
+    pool = pool_on("cpu", 1 << 17)
     tables, arrays = some("cpu", 2000)
     first, second = arrays[0], arrays[1]
     for _ in range(3):
-        assert _download._lent((first, second, first), loans) is None
-        (found,) = _download._lent((first,), loans)
+        assert _download._download_pooled((first, second, first), pool) is None
+        (found,) = _download._download_pooled((first,), pool)
         np.testing.assert_array_equal(found, tables[0])
 
 

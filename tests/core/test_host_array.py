@@ -8,7 +8,7 @@ import warp as wp
 
 import geokit as gk
 from geokit.core import launcher, user_arrays
-from geokit.core.host_array import HostArray, unwrapped
+from geokit.core.host_array import HostArray, launch_argument
 from geokit.mesh.sign.parity_kernels import confidence_kernel
 from tests.support import mesh_catalog
 
@@ -53,7 +53,7 @@ def test_as_a_warp_array_it_is_the_same_memory(values, dtype):
 
 def test_other_arguments_pass_as_they_are():
     given = [1.0, None, wp.float64(2.0), np.zeros(3)]
-    assert all(unwrapped(argument) is argument for argument in given)
+    assert all(launch_argument(argument) is argument for argument in given)
 
 
 @pytest.mark.parametrize("dtype", [wp.vec3d, wp.float64, wp.int32, wp.bool])

@@ -45,7 +45,7 @@ def test_a_pinned_buffer_is_used_again(monkeypatch):
         return made[-1]
 
     cpu = wp.get_device("cpu")
-    monkeypatch.setattr(pinned, "serves", lambda device: True)
+    monkeypatch.setattr(pinned, "uses_pinned_memory", lambda device: True)
     monkeypatch.setattr(pinned, "_made", buffer)
     monkeypatch.setattr(pinned, "_idle", idle := [])
     monkeypatch.setattr(Pinned.__del__, "__defaults__", (idle,))

@@ -10,7 +10,7 @@ import warp as wp
 
 import geokit as gk
 from geokit.core import host_pool
-from geokit.core.host_pool import KEPT_BYTES, SMALLEST_BYTES, empty, room
+from geokit.core.host_pool import KEPT_BYTES, SMALLEST_BYTES, empty, empty_warp
 
 COUNT = 1 << 19
 
@@ -21,10 +21,10 @@ def address(array):
 
 @pytest.fixture(autouse=True)
 def nothing_kept(monkeypatch):
-    loans = host_pool.Loans(
+    pool = host_pool.MemoryPool(
         host_pool._pages, most_bytes=KEPT_BYTES, largest_bytes=KEPT_BYTES, smallest_bytes=SMALLEST_BYTES
     )
-    monkeypatch.setattr(host_pool, "_loans", loans)
+    monkeypatch.setattr(host_pool, "_pool", pool)
 
 
 def test_memory_is_used_again():
@@ -63,7 +63,7 @@ def test_what_is_held_is_not_given_away(hold):
 
 
 def test_arrays_of_kernels_hold_it():
-    array = room(COUNT, wp.float32, wp.get_device("cpu"))
+    array = empty_warp(COUNT, wp.float32, wp.get_device("cpu"))
     place, part = array.ptr, array[7:9]
     del array
     gc.collect()
@@ -76,7 +76,7 @@ def test_arrays_of_kernels_hold_it():
 @pytest.mark.parametrize("count", [0, 1, SMALLEST_BYTES - 1, KEPT_BYTES + 1])
 def test_other_sizes_are_numpys(count):
     assert empty((count,), np.uint8).shape == (count,)
-    assert not host_pool._loans._bytes
+    assert not host_pool._pool._bytes
 
 
 def test_lists_that_are_held_stay_as_they_are():

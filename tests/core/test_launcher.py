@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit.core import launcher
+from geokit.core import launch_cache, launcher
 
 COUNT = 5000
 
@@ -124,13 +124,13 @@ def test_every_item_is_visited_once(threads, count, cpu, monkeypatch):
 def slices(monkeypatch):
     """The (first, count, thread) of each slice that is launched."""
     seen = []
-    launch_slice = launcher._launch_slice
+    run = launch_cache.run
 
-    def spy(kernel, first, count, *rest):
-        seen.append((first, count, threading.current_thread().name))
-        launch_slice(kernel, first, count, *rest)
+    def spy(kernel, count, arguments, *rest):
+        seen.append((arguments[0], count, threading.current_thread().name))
+        run(kernel, count, arguments, *rest)
 
-    monkeypatch.setattr(launcher, "_launch_slice", spy)
+    monkeypatch.setattr(launch_cache, "run", spy)
     return seen
 
 

@@ -1,4 +1,4 @@
-"""Arrays in memory that goes on to other arrays: never while somebody sees them, and not without bound."""
+"""The memory pool reuses the memory of freed arrays, never that of live ones, and stays within its bound."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import threading
 import numpy as np
 import pytest
 
-from geokit.core.memory_pool import Loans
+from geokit.core.memory_pool import MemoryPool
 
 
 def place(array):
     return array.__array_interface__["data"][0]
 
 
-def empty(loans, count, dtype=np.uint8):
-    lent = loans.empty((count,), dtype)
-    return None if lent is None else lent[0]
+def empty(pool, count, dtype=np.uint8):
+    pooled = pool.empty((count,), dtype)
+    return None if pooled is None else pooled[0]
 
 
 def heap(size):
@@ -27,13 +27,13 @@ def heap(size):
 
 
 @pytest.fixture
-def loans():
-    return Loans(heap, most_bytes=1 << 26, largest_bytes=1 << 24)
+def pool():
+    return MemoryPool(heap, most_bytes=1 << 26, largest_bytes=1 << 24)
 
 
 @pytest.mark.parametrize(("shape", "dtype"), [((5, 3), np.float64), ((7,), np.int32), ((3,), np.bool_)])
-def test_arrays_are_like_any_other(shape, dtype, loans):
-    array, memory = loans.empty(shape, dtype)
+def test_arrays_are_like_any_other(shape, dtype, pool):
+    array, memory = pool.empty(shape, dtype)
     assert array.shape == shape
     assert array.dtype == dtype
     assert array.flags.writeable
@@ -43,84 +43,84 @@ def test_arrays_are_like_any_other(shape, dtype, loans):
     assert (pickle.loads(pickle.dumps(array)) == array).all()
 
 
-def test_memory_goes_on_when_the_last_view_is_dropped(loans):
-    array = empty(loans, 70_000)
+def test_memory_is_reused_once_the_last_view_is_freed(pool):
+    array = empty(pool, 70_000)
     first, view = place(array), array[10:20].reshape(2, 5)
     del array
     gc.collect()
-    assert place(empty(loans, 70_000)) != first
+    assert place(empty(pool, 70_000)) != first
     view[:] = 3
     del view
     gc.collect()
-    assert first in [place(a) for a in (empty(loans, 70_000), empty(loans, 70_000))]
+    assert first in [place(a) for a in (empty(pool, 70_000), empty(pool, 70_000))]
 
 
-def test_arrays_that_live_do_not_overlap(loans):
-    arrays = [empty(loans, 1000 + 10_000 * k) for k in range(8)]
+def test_arrays_that_live_do_not_overlap(pool):
+    arrays = [empty(pool, 1000 + 10_000 * k) for k in range(8)]
     for number, array in enumerate(arrays):
         array[:] = number
     for number, array in enumerate(arrays):
         assert (array == number).all()
 
 
-def test_large_memory_is_not_lent_to_small_arrays(loans):
-    large = empty(loans, 1 << 20)
+def test_small_arrays_do_not_take_large_memory(pool):
+    large = empty(pool, 1 << 20)
     first = place(large)
     del large
     gc.collect()
-    small = empty(loans, 1000)
+    small = empty(pool, 1000)
     assert place(small) != first
-    assert place(empty(loans, (1 << 20) - 5)) == first
+    assert place(empty(pool, (1 << 20) - 5)) == first
 
 
 def test_there_is_a_bound():
-    loans = Loans(heap, most_bytes=1 << 20, largest_bytes=1 << 19, smallest_bytes=1 << 10)
-    assert empty(loans, (1 << 10) - 1) is None
-    assert empty(loans, (1 << 19) + 1) is None
-    assert empty(loans, 0) is None
-    kept = [empty(loans, 1 << 19) for _ in range(3)]
+    pool = MemoryPool(heap, most_bytes=1 << 20, largest_bytes=1 << 19, smallest_bytes=1 << 10)
+    assert empty(pool, (1 << 10) - 1) is None
+    assert empty(pool, (1 << 19) + 1) is None
+    assert empty(pool, 0) is None
+    kept = [empty(pool, 1 << 19) for _ in range(3)]
     assert [array is None for array in kept] == [False, False, True]
     del kept
     gc.collect()
-    # What is idle and does not fit makes room.
-    small = [empty(loans, 1 << 16) for _ in range(16)]
+    # Idle memory of another size is freed to stay within the bound.
+    small = [empty(pool, 1 << 16) for _ in range(16)]
     assert all(array is not None for array in small)
-    assert empty(loans, 1 << 16) is None
-    assert loans._bytes == 1 << 20
+    assert empty(pool, 1 << 16) is None
+    assert pool._bytes == 1 << 20
 
 
-def test_large_memory_is_made_for_who_keeps_asking():
-    loans = Loans(heap, most_bytes=1 << 26, largest_bytes=1 << 24, ready_bytes=1 << 20, patience=3)
-    assert empty(loans, 1 << 20) is not None
+def test_large_memory_is_allocated_after_enough_refusals():
+    pool = MemoryPool(heap, most_bytes=1 << 26, largest_bytes=1 << 24, ready_bytes=1 << 20, patience=3)
+    assert empty(pool, 1 << 20) is not None
     large = 1 << 22
-    assert [empty(loans, large) is None for _ in range(5)] == [True, True, True, False, False]
-    # That of another size has to be paid for too, by what is asked for of any.
+    assert [empty(pool, large) is None for _ in range(5)] == [True, True, True, False, False]
+    # Memory of another size needs refusals of its own; requests of any size count.
     larger = 1 << 23
-    assert [empty(loans, larger) is None for _ in range(5)] == [True, True, True, False, False]
-    kept = [empty(loans, large) for _ in range(3)]  # both go on to arrays of half the size too
+    assert [empty(pool, larger) is None for _ in range(5)] == [True, True, True, False, False]
+    kept = [empty(pool, large) for _ in range(3)]  # both also serve arrays of half their size
     assert [array is None for array in kept] == [False, False, True]
 
 
-def test_where_no_memory_can_be_had_none_is_lent():
+def test_a_failed_allocation_serves_nothing():
     asked = []
 
     def refuse(size):
         asked.append(size)
         raise RuntimeError("Failed to allocate")
 
-    loans = Loans(refuse, most_bytes=1 << 20, largest_bytes=1 << 20)
-    for _ in range(3):  # and it does not count as lent
-        assert empty(loans, 1 << 20) is None
+    pool = MemoryPool(refuse, most_bytes=1 << 20, largest_bytes=1 << 20)
+    for _ in range(3):  # and it does not count towards the bound
+        assert empty(pool, 1 << 20) is None
     assert asked == 3 * [1 << 20]
 
 
-def test_threads_never_get_the_same_memory(loans):
+def test_threads_never_get_the_same_memory(pool):
     wrong = []
 
     def work(seed):
         rng = np.random.default_rng(seed)
         for _ in range(300):
-            array = empty(loans, int(rng.integers(1, 200_000)))
+            array = empty(pool, int(rng.integers(1, 200_000)))
             if array is None:
                 continue
             array[:] = seed

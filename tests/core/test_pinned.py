@@ -26,7 +26,7 @@ def pins(monkeypatch):
         taken.append(shape)
         return take(self, shape, dtype)
 
-    monkeypatch.setattr(user_arrays, "serves", lambda device: True)
+    monkeypatch.setattr(user_arrays, "uses_pinned_memory", lambda device: True)
     monkeypatch.setattr(Pinned, "take", spy)
     return taken
 
@@ -96,7 +96,7 @@ def test_what_is_closed_waits_only_for_its_own_kernels(device):
     )
     for _ in range(3):
         launcher.launch(confidence_kernel, 2, [winding], [confidence], target)
-        confidence.room.close()
+        confidence.pinned.close()
         launcher.launch(confidence_kernel, 2, [winding], [other], target)
         np.testing.assert_array_equal(confidence.numpy(), [0.0, 0.5])
         confidence.values.fill(7.0)
@@ -129,9 +129,9 @@ def test_queries_answer_the_same(device, single, monkeypatch):
         rays = surface.raycast(points, directions), surface.occluded(points, directions)
         return near, signs, rays, surface.crossing_count(points, directions), surface.sign_confidence(points)
 
-    monkeypatch.setattr(user_arrays, "serves", lambda device: False)
+    monkeypatch.setattr(user_arrays, "uses_pinned_memory", lambda device: False)
     expected = flat(answers())
-    monkeypatch.setattr(user_arrays, "serves", lambda device: True)
+    monkeypatch.setattr(user_arrays, "uses_pinned_memory", lambda device: True)
     found = flat(answers())
     assert len(found) == len(expected) == 29
     for one, other in zip(found, expected, strict=True):

@@ -80,7 +80,7 @@ def test_threads_on_one_processor_are_moved_apart():
                 original(thread, {together})
                 original(thread, processors)
             if thread_placement._processor_of(ids[0]) == thread_placement._processor_of(ids[1]):
-                thread_placement._spread(ids)
+                thread_placement._separate(ids)
                 moved.append(thread_placement._processor_of(ids[1]) != together)
         assert all(os.sched_getaffinity(thread) == processors for thread in ids)
     finally:
@@ -96,7 +96,7 @@ def test_a_thread_that_has_ended_is_no_error():
     thread = threading.Thread(target=lambda: None)
     thread.start()
     thread.join()
-    thread_placement._spread([thread.native_id, threading.get_native_id()])
+    thread_placement._separate([thread.native_id, threading.get_native_id()])
     assert thread_placement._can_move == hasattr(os, "sched_setaffinity")
 
 
@@ -106,7 +106,7 @@ def test_where_it_is_forbidden_nothing_is_tried_again(monkeypatch):
 
     monkeypatch.setattr(thread_placement, "_can_move", True)
     monkeypatch.setattr(thread_placement, "_processor_of", forbidden)
-    thread_placement._spread([threading.get_native_id()])
+    thread_placement._separate([threading.get_native_id()])
     assert not thread_placement._can_move
 
 

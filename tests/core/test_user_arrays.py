@@ -86,10 +86,10 @@ class WithNamespace(Exporter):
 )
 def test_numpy_and_its_kin(values, cpu):
     batch = read(values, cpu)
-    assert (len(batch), batch.single, batch.array.dtype) == (4, False, wp.vec3d)
+    assert (len(batch), batch.is_float32, batch.array.dtype) == (4, False, wp.vec3d)
     assert batch.array.is_contiguous
     np.testing.assert_array_equal(batch.array.numpy(), ROWS)
-    vectors, scalars, integers = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, integers = map(batch.to_caller, doubled(batch, cpu))
     assert {type(a) for a in (vectors, scalars, integers)} == {np.ndarray}
     assert (vectors.dtype, scalars.dtype, integers.dtype) == (np.float64, np.float64, np.int32)
     assert (vectors.shape, scalars.shape) == ((4, 3), (4,))
@@ -99,18 +99,18 @@ def test_numpy_and_its_kin(values, cpu):
 @pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int32, np.int64, np.float16])
 def test_other_number_types_give_float64(dtype, cpu):
     batch = read(np.arange(6).reshape(2, 3).astype(dtype), cpu)
-    assert not batch.single
-    assert batch.give(doubled(batch, cpu)[0]).dtype == np.float64
+    assert not batch.is_float32
+    assert batch.to_caller(doubled(batch, cpu)[0]).dtype == np.float64
     assert batch.array.numpy().tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
 def test_float32_gives_float32_but_kernels_see_float64(cpu):
     given = ROWS.astype(np.float32)
     batch = read(given, cpu)
-    assert batch.single
+    assert batch.is_float32
     assert batch.array.dtype == wp.vec3d
     np.testing.assert_array_equal(batch.array.numpy(), given.astype(np.float64))
-    vectors, scalars, integers = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, integers = map(batch.to_caller, doubled(batch, cpu))
     assert (vectors.dtype, scalars.dtype, integers.dtype) == (np.float32, np.float32, np.int32)
     np.testing.assert_array_equal(vectors, given * 2)
 
@@ -137,17 +137,17 @@ def test_the_batch_keeps_a_temporary_alive(cpu):
 def test_empty_numpy(values, cpu):
     batch = read(values, cpu)
     assert len(batch) == 0
-    vectors, scalars, _ = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, _ = map(batch.to_caller, doubled(batch, cpu))
     assert (vectors.shape, scalars.shape) == ((0, 3), (0,))
 
 
 @pytest.mark.parametrize("dtype", [wp.vec3f, wp.vec3d])
 def test_warp_vectors_come_back_as_warp_vectors(dtype, cpu):
     batch = read(wp.array(ROWS, dtype=dtype, device="cpu"), cpu)
-    assert batch.single == (dtype == wp.vec3f)
-    vectors, scalars, integers = map(batch.give, doubled(batch, cpu))
+    assert batch.is_float32 == (dtype == wp.vec3f)
+    vectors, scalars, integers = map(batch.to_caller, doubled(batch, cpu))
     assert vectors.dtype == dtype
-    assert scalars.dtype == (wp.float32 if batch.single else wp.float64)
+    assert scalars.dtype == (wp.float32 if batch.is_float32 else wp.float64)
     assert integers.dtype == wp.int32
     np.testing.assert_allclose(vectors.numpy(), ROWS * 2, rtol=1e-6)
 
@@ -155,7 +155,7 @@ def test_warp_vectors_come_back_as_warp_vectors(dtype, cpu):
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64])
 def test_warp_tables_come_back_as_warp_tables(dtype, cpu):
     batch = read(wp.array(ROWS, dtype=dtype, device="cpu"), cpu)
-    vectors, scalars, _ = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, _ = map(batch.to_caller, doubled(batch, cpu))
     assert isinstance(vectors, wp.array)
     assert (vectors.dtype, vectors.shape) == (dtype, (4, 3))
     assert (scalars.dtype, scalars.shape) == (dtype, (4,))
@@ -187,7 +187,7 @@ def test_warp_tables_with_gaps_between_the_columns(dtype, cpu):
 def test_empty_warp(dtype, cpu):
     batch = read(wp.empty(0, dtype=dtype, device="cpu"), cpu)
     assert len(batch) == 0
-    vectors, scalars, _ = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, _ = map(batch.to_caller, doubled(batch, cpu))
     assert vectors.shape == scalars.shape == (0,)
 
 
@@ -195,8 +195,8 @@ def test_empty_warp(dtype, cpu):
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_exporters_come_back_as_their_own_kind(kind, dtype, cpu):
     batch = read(kind(ROWS.astype(dtype)), cpu)
-    assert batch.single == (dtype == np.float32)
-    vectors, scalars, integers = map(batch.give, doubled(batch, cpu))
+    assert batch.is_float32 == (dtype == np.float32)
+    vectors, scalars, integers = map(batch.to_caller, doubled(batch, cpu))
     assert {type(a) for a in (vectors, scalars, integers)} == {kind}
     assert (vectors.array.dtype, vectors.array.shape, scalars.array.shape) == (dtype, (4, 3), (4,))
     np.testing.assert_allclose(vectors.array, ROWS * 2, rtol=1e-6)
@@ -212,14 +212,14 @@ def test_an_exporter_s_library_may_have_the_importer(cpu, monkeypatch):
     library.from_dlpack = lambda exported: ("from the library", np.from_dlpack(exported))
     monkeypatch.setitem(sys.modules, "made_up_arrays", library)
     kind = type("Array", (Exporter,), {"__module__": "made_up_arrays.core"})
-    label, array = read(kind(ROWS), cpu).give(wp.array(ROWS, dtype=wp.vec3d, device="cpu"))
+    label, array = read(kind(ROWS), cpu).to_caller(wp.array(ROWS, dtype=wp.vec3d, device="cpu"))
     assert label == "from the library"
     np.testing.assert_array_equal(array, ROWS)
 
 
 def test_an_exporter_without_an_importer_gets_warp_tables(cpu):
     batch = read(Exporter(ROWS), cpu)
-    vectors = batch.give(doubled(batch, cpu)[0])
+    vectors = batch.to_caller(doubled(batch, cpu)[0])
     assert isinstance(vectors, wp.array)
     assert (vectors.dtype, vectors.shape) == (wp.float64, (4, 3))
 
@@ -233,11 +233,11 @@ def test_an_exporter_with_gaps(cpu):
 def test_an_empty_exporter(dtype, cpu):
     batch = read(Importer(np.zeros((0, 3), dtype)), cpu)
     assert len(batch) == 0
-    assert batch.single == (dtype == np.float32)
+    assert batch.is_float32 == (dtype == np.float32)
 
 
 def test_results_outlive_the_batch(cpu):
-    vectors = read(Importer(ROWS), cpu).give(wp.array(ROWS * 2, dtype=wp.vec3d, device="cpu")).array
+    vectors = read(Importer(ROWS), cpu).to_caller(wp.array(ROWS * 2, dtype=wp.vec3d, device="cpu")).array
     _ = [np.zeros((4, 3)) for _ in range(200)]
     np.testing.assert_array_equal(vectors, ROWS * 2)
 
@@ -247,7 +247,7 @@ def test_torch(name, cpu):
     torch = pytest.importorskip("torch")
     given = torch.tensor(ROWS, dtype=getattr(torch, name))
     batch = read(given, cpu)
-    vectors, scalars, integers = map(batch.give, doubled(batch, cpu))
+    vectors, scalars, integers = map(batch.to_caller, doubled(batch, cpu))
     assert all(isinstance(a, torch.Tensor) for a in (vectors, scalars, integers))
     assert (vectors.dtype, tuple(vectors.shape), scalars.dtype) == (given.dtype, (4, 3), given.dtype)
     np.testing.assert_allclose(vectors.numpy(), ROWS * 2, rtol=1e-6)
@@ -364,11 +364,11 @@ def test_few_results_of_several_types_share_an_allocation(device, kind):
     """They are whole arrays for the caller: each keeps the memory that it is in."""
     rows = wp.array(np.arange(9.0).reshape(3, 3), dtype=kind, device=device)
     batch = user_arrays.read_vectors(rows, "rows", wp.get_device(device))
-    points, numbers = user_arrays.several(3, [wp.vec3d, wp.int32], batch.rows)
+    points, numbers = user_arrays.empty_outputs(3, [wp.vec3d, wp.int32], batch.rows)
     assert isinstance(points, ScratchArray)
     wp.copy(points.warp, wp.array(np.arange(9.0).reshape(3, 3), dtype=wp.vec3d, device=device))
     numbers.warp.fill_(7)
-    answers = batch.give(points), batch.give(numbers)
+    answers = batch.to_caller(points), batch.to_caller(numbers)
     del points, numbers
     gc.collect()
     taken = [wp.full(64, 5, dtype=wp.uint8, device=device) for _ in range(50)]
@@ -383,7 +383,9 @@ def test_few_results_of_several_types_share_an_allocation(device, kind):
 @pytest.mark.parametrize("count", [0, user_arrays.FEWEST_ROWS])
 def test_no_results_and_many_are_arrays_of_their_own(device, count):
     rows = wp.zeros(count, dtype=wp.vec3d, device=device)
-    for array, kind in zip(user_arrays.several(count, [wp.vec3d, wp.int32], rows), (wp.vec3d, wp.int32), strict=True):
+    for array, kind in zip(
+        user_arrays.empty_outputs(count, [wp.vec3d, wp.int32], rows), (wp.vec3d, wp.int32), strict=True
+    ):
         assert (type(array), len(array), array.dtype) == (wp.array, count, kind)
         assert array.device == rows.device
 
@@ -393,10 +395,10 @@ def test_no_results_and_many_are_arrays_of_their_own(device, count):
 def test_results_of_several_types_become_numpy_s(device, dtype):
     """Rows of NumPy's that were sent to a device, as those of a last block are."""
     batch = user_arrays.read_vectors(np.arange(6.0).reshape(2, 3).astype(dtype), "rows", wp.get_device(device))
-    points, numbers = user_arrays.several(2, [wp.vec3d, wp.int32], batch.array)
+    points, numbers = user_arrays.empty_outputs(2, [wp.vec3d, wp.int32], batch.array)
     wp.copy(points.warp, wp.array(np.arange(6.0).reshape(2, 3), dtype=wp.vec3d, device=device))
     numbers.warp.fill_(7)
-    answers = batch.give(points), batch.give(numbers)
+    answers = batch.to_caller(points), batch.to_caller(numbers)
     assert [(type(answer), answer.dtype) for answer in answers] == [(np.ndarray, dtype), (np.ndarray, np.int32)]
     np.testing.assert_array_equal(answers[0], [[0, 1, 2], [3, 4, 5]])
     np.testing.assert_array_equal(answers[1], [7, 7])
@@ -404,7 +406,7 @@ def test_results_of_several_types_become_numpy_s(device, dtype):
 
 def test_results_for_rows_on_the_host_stay_there():
     batch = user_arrays.read_vectors(np.zeros((5, 3)), "rows", wp.get_device("cpu"))
-    assert all(isinstance(array, HostArray) for array in user_arrays.several(5, [wp.vec3d, wp.int32], batch.rows))
+    assert all(isinstance(array, HostArray) for array in user_arrays.empty_outputs(5, [wp.vec3d, wp.int32], batch.rows))
 
 
 @pytest.mark.parametrize("device", DEVICES)

@@ -21,7 +21,7 @@ def gpu_ways(monkeypatch):
     """Has the CPU do as a GPU does."""
 
     def change():
-        monkeypatch.setattr(pinned, "serves", lambda device: True)
+        monkeypatch.setattr(pinned, "uses_pinned_memory", lambda device: True)
         monkeypatch.setattr(device_writer, "PARTS_CPU", device_writer.PARTS_CUDA)
         monkeypatch.setattr(signs, "ROUNDS_CPU", signs.ROUNDS_CUDA)
         monkeypatch.setattr(signs, "ROWS_CPU", signs.ROWS_CUDA)
@@ -86,7 +86,7 @@ def test_the_last_sum():
 @pytest.mark.parametrize("device", DEVICES)
 def test_sums(device):
     counts = wp.array([2, 0, 5, 1], dtype=wp.int32, device=device)
-    sums, total = tiles.counted(counts)
+    sums, total = tiles.prefix_sum(counts)
     np.testing.assert_array_equal(sums.numpy(), [2, 2, 7, 8])
     assert total == 8
-    assert tiles.counted(wp.zeros(0, dtype=wp.int32, device=device))[1] == 0
+    assert tiles.prefix_sum(wp.zeros(0, dtype=wp.int32, device=device))[1] == 0

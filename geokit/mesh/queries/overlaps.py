@@ -89,7 +89,7 @@ class OverlapQueries:
             launcher.launch(list_overlaps_kernel, len(low), [*boxes, offsets, *tree], [key], device, grain=LEAF_GRAIN)
             _sort(key, total)
             launcher.launch(triangle_of_key_kernel, total, [key], [triangle_id], device)
-        return BoxOverlaps(low.give(offsets), low.give(triangle_id))
+        return BoxOverlaps(low.to_caller(offsets), low.to_caller(triangle_id))
 
     def intersecting_triangles(self, other: "OverlapQueries") -> NDArray[np.int32]:
         """Pairs of triangles, one of this surface and one of another, that meet.

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_blocks
+from geokit.core.chunked_queries import Progress, in_chunks
 from geokit.core.pinned import host_flags
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -95,11 +92,11 @@ class PointQueries:
             bad = host_flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
             # A GPU is at work meanwhile: the flag waits for it.
-            answer = ClosestPoints(*(batch.give(array) for array in found))
+            answer = ClosestPoints(*(batch.to_caller(array) for array in found))
             refuse_raised(bad, batch)
             return answer
 
-        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
+        return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     def furthest_point(self, points: Any) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
@@ -124,7 +121,7 @@ class PointQueries:
             triangle_id=user_arrays.empty(len(batch), wp.int32, batch.rows),
         )
         self._query(furthest_point_kernel, batch.rows, [self._tree], list(found))
-        return FurthestPoints(*(batch.give(array) for array in found))
+        return FurthestPoints(*(batch.to_caller(array) for array in found))
 
     def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:
         """``bad`` is raised where a point is not finite: for such a one nothing is found."""
@@ -133,15 +130,10 @@ class PointQueries:
         from geokit.mesh.queries.closest_point_kernels import closest_point_kernel
 
         count, device = len(points), self._device
-        found = ClosestPoints(*user_arrays.several(count, [wp.vec3d, wp.float64, wp.int32, wp.vec3d], points))
+        found = ClosestPoints(*user_arrays.empty_outputs(count, [wp.vec3d, wp.float64, wp.int32, wp.vec3d], points))
         group = QUERY_GROUP if device.is_cpu else 1
         self._query(closest_point_kernel, points, [self._tree, wp.float64(max_distance)], list(found), group, bad)
         return found
-
-    def _order_box(self) -> tuple[NDArray[np.float64], float]:
-        """Lower corner and edge length [world] of the box that the order of queries resolves."""
-        half = ORDER_HALF_WIDTH * self._frame.scale
-        return self._frame.origin - half, 2.0 * half
 
     def _query(
         self,
@@ -153,7 +145,9 @@ class PointQueries:
         flag: Any = None,
     ) -> None:
         """``flag`` is a further output that all queries share."""
-        lower, extent = self._order_box()
+        # The box that the order of queries resolves [world].
+        half = ORDER_HALF_WIDTH * self._frame.scale
+        lower, extent = self._frame.origin - half, 2.0 * half
         flags = [] if flag is None else [flag]
         launcher.launch_queries(
             kernel, points, inputs, outputs, self._device, lower=lower, extent=extent, group=group, flags=flags

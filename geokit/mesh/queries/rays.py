@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_blocks
+from geokit.core.chunked_queries import Progress, in_chunks
 from geokit.core.host_array import HostArray
 from geokit.core.pinned import host_flags
 from geokit.errors import InputError
@@ -105,11 +105,11 @@ class RayQueries:
         require_measurable(self.mesh, self._frame)
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:
-            found = RayHits(*user_arrays.several(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
+            found = RayHits(*user_arrays.empty_outputs(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
             self._cast(raycast_kernel, rays, heading, t_min, max_distance, list(found))
-            return RayHits(*(rays.give(array) for array in found))
+            return RayHits(*(rays.to_caller(array) for array in found))
 
-        return self._in_blocks(query, origins, directions, progress)
+        return self._in_chunks(query, origins, directions, progress)
 
     def raycast_all(
         self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
@@ -152,7 +152,9 @@ class RayQueries:
         triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
         barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
         self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
-        return RayHitLists(rays.give(offsets), rays.give(t), rays.give(triangle_id), rays.give(barycentric))
+        return RayHitLists(
+            rays.to_caller(offsets), rays.to_caller(t), rays.to_caller(triangle_id), rays.to_caller(barycentric)
+        )
 
     def crossing_count(
         self,
@@ -178,9 +180,9 @@ class RayQueries:
         """
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
-            return rays.give(self._count_crossings(rays, heading, t_min, max_distance))
+            return rays.to_caller(self._count_crossings(rays, heading, t_min, max_distance))
 
-        return self._in_blocks(query, origins, directions, progress)
+        return self._in_chunks(query, origins, directions, progress)
 
     def occluded(
         self,
@@ -214,9 +216,9 @@ class RayQueries:
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
             occluded = user_arrays.empty(len(rays), wp.bool, rays.rows)
             self._cast(occluded_kernel, rays, heading, t_min, max_distance, [occluded])
-            return rays.give(occluded)
+            return rays.to_caller(occluded)
 
-        return self._in_blocks(query, origins, directions, progress)
+        return self._in_chunks(query, origins, directions, progress)
 
     @cached_property
     def _ray_tree(self) -> Any:
@@ -245,9 +247,9 @@ class RayQueries:
         self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
         return count
 
-    def _in_blocks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
+    def _in_chunks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
         names = ["origins", "directions"]
-        return in_blocks(query, [origins, directions], names, self._device, progress, defer=True)
+        return in_chunks(query, [origins, directions], names, self._device, progress, defer=True)
 
     def _cast(
         self,

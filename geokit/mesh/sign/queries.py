@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_blocks
+from geokit.core.chunked_queries import Progress, in_chunks
 from geokit.core.host_array import HostArray
 from geokit.core.pinned import host_flags
 from geokit.errors import InputError
@@ -93,11 +93,11 @@ class SignQueries(PointQueries):
                 refuse_raised(bad, batch)
             self._sign(method, batch.rows, closest, reach)
             found = closest.distance, closest.points, closest.triangle_id, closest.barycentric
-            answer = SignedDistances(*(batch.give(array) for array in found))
+            answer = SignedDistances(*(batch.to_caller(array) for array in found))
             refuse_raised(bad, batch)
             return answer
 
-        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
+        return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     def contains(self, points: Any, *, sign: str = "auto", progress: Progress | None = None) -> Any:
         """True for points inside, by the sign that :meth:`signed_distance` would give.
@@ -129,12 +129,12 @@ class SignQueries(PointQueries):
             self._sign(method, batch.rows, found, math.inf)
             refuse_raised(bad, batch)
             if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
-                return batch.give(HostArray(found.distance.numpy() < 0.0))
+                return batch.to_caller(HostArray(found.distance.numpy() < 0.0))
             inside = user_arrays.empty(count, wp.bool, batch.rows)
             launcher.launch(is_negative_kernel, count, [found.distance], [inside], device)
-            return batch.give(inside)
+            return batch.to_caller(inside)
 
-        return in_blocks(query, [points], ["points"], device, progress, defer=by_closest)
+        return in_chunks(query, [points], ["points"], device, progress, defer=by_closest)
 
     def winding_number(self, points: Any, *, progress: Progress | None = None) -> Any:
         """Generalised winding number: 1 inside a closed mesh, 0 outside, in between around holes.
@@ -159,9 +159,9 @@ class SignQueries(PointQueries):
             bad = host_flags(1, self._device)
             winding = self._winding(batch.rows, bad)
             refuse_raised(bad, batch)
-            return batch.give(winding)
+            return batch.to_caller(winding)
 
-        return in_blocks(query, [points], ["points"], self._device, progress, defer=True)
+        return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     def sign_confidence(self, points: Any) -> Any:
         """How firmly the winding number tells inside from outside: its distance from 1/2.
@@ -185,7 +185,7 @@ class SignQueries(PointQueries):
         winding = self._winding(batch.rows, bad)
         launcher.launch(confidence_kernel, len(batch), [winding], [confidence], self._device)
         refuse_raised(bad, batch)
-        return batch.give(confidence)
+        return batch.to_caller(confidence)
 
     @property
     def sign_method(self) -> str:

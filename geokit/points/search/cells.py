@@ -224,7 +224,7 @@ def _make_room(grid: Any, count: int, device: Any) -> None:
 
 def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
     """Room for ``padded`` entries of which those from ``count`` on are 0."""
-    array = host_pool.room(padded, dtype, device)
+    array = host_pool.empty_warp(padded, dtype, device)
     array[count:].zero_()
     return array
 
@@ -239,14 +239,14 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     device: Any = points.device
     count = len(points)
     share = -(-count // rows)
-    keys = host_pool.room(count, wp.int32, device)
+    keys = host_pool.empty_warp(count, wp.int32, device)
     counts = wp.zeros(rows * cell_count, dtype=wp.int32, device=device)
     given = [points, grid, share, cell_count]
     launcher.launch(kernels.COUNT_OF[points.dtype], rows, given, [keys, counts], device, grain=1)
     grid.start = wp.empty(cell_count + 2, dtype=wp.int32, device=device)
     launcher.launch(sum_kernel, 1, [rows, cell_count], [counts, grid.start], device)
     grid.key = wp.empty(0, dtype=wp.int64, device=device)
-    grid.index = host_pool.room(count, wp.int32, device)
+    grid.index = host_pool.empty_warp(count, wp.int32, device)
     launcher.launch(kernels.place_kernel, rows, [keys, share, cell_count, counts], [grid], device, grain=1)
     _gather(grid, points, grid.index)
 
@@ -269,7 +269,7 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
     device: Any = points.device
     count = len(points)
     keys, order = sorted_keys(grid, points, cell_count)
-    grid.index = host_pool.room(count, wp.int32, device)
+    grid.index = host_pool.empty_warp(count, wp.int32, device)
     if device.is_cpu:
         wp.copy(grid.index, order, count=count)
         _gather(grid, points, order)

@@ -201,7 +201,7 @@ def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
         return Notes(0, wp.empty(0, dtype=wp.int32, device=device))
     shares = -(-queries // int(SHARE))
     size = min(max(NOTED // shares, LEAST_NOTED * int(SHARE)), MOST_NOTED * int(SHARE))
-    return Notes(size, host_pool.room(size * min(shares, NOTED // size), wp.int32, device))
+    return Notes(size, host_pool.empty_warp(size * min(shares, NOTED // size), wp.int32, device))
 
 
 def _launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
@@ -249,8 +249,8 @@ def fill(
     refuse(total)
     single = single and device.is_cpu
     # NumPy asks for large pages: rows are written all over it.
-    indices = host_pool.room(total, wp.int32, device)
-    distance = host_pool.room(total, wp.float32 if single else wp.float64, device)
+    indices = host_pool.empty_warp(total, wp.int32, device)
+    distance = host_pool.empty_warp(total, wp.float32 if single else wp.float64, device)
     own = asked.first_point if asked.own else NOTHING_LEFT_OUT
     for part, (grid, queries, number) in enumerate(asked.parts):
         given = [queries, grid, asked.radius, own, offsets]

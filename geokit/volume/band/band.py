@@ -9,7 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.pinned import host_flags
-from geokit.core.scan import counted
+from geokit.core.scan import prefix_sum
 from geokit.volume.band.signs import inside_bits
 from geokit.volume.band.tiles import Lattice, Tiles, near_tiles
 from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
@@ -226,7 +226,7 @@ def _kept(leaves: Leaves, chosen: "wp.array", bits: list["wp.array"]) -> tuple[L
     from geokit.volume.band.band_kernels import keep_bits_kernel, keep_rows_kernel
 
     device = chosen.device
-    ends, count = counted(chosen)
+    ends, count = prefix_sum(chosen)
     rows = wp.empty(count, dtype=wp.int32, device=device)
     keys = wp.empty(count, dtype=wp.int64, device=device)
     launcher.launch(keep_rows_kernel, len(chosen), [chosen, ends, leaves.rows, leaves.keys], [rows, keys], device)

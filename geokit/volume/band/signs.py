@@ -9,7 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.device_arena import Scratch
-from geokit.core.scan import counted
+from geokit.core.scan import prefix_sum
 from geokit.volume.band.tiles import Lattice
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class _SurfaceSigns:
         device, count = self.lattice.device, len(bits)
         counts = wp.empty(count, dtype=wp.int32, device=device)
         launcher.launch(kernels.count_bits_kernel, count, [bits], [counts], device)
-        ends, total = counted(counts)
+        ends, total = prefix_sum(counts)
         if total == 0:
             return
         points = wp.empty(total, dtype=wp.vec3d, device=device)

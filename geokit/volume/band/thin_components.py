@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.scan import counted
+from geokit.core.scan import prefix_sum
 
 if TYPE_CHECKING:
     import warp as wp
@@ -58,7 +58,7 @@ def _mark(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArra
         part, rows = bits[start:stop], band.leaves.rows[start:stop]
         counts = wp.empty(stop - start, dtype=wp.int32, device=band.lattice.device)
         launcher.launch(kernels.count_bits_kernel, stop - start, [part], [counts], counts.device)
-        ends, total = counted(counts)
+        ends, total = prefix_sum(counts)
         if total == 0:
             continue
         points = wp.empty(total, dtype=wp.vec3d, device=counts.device)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import available_memory, launcher
-from geokit.core.scan import counted
+from geokit.core.scan import prefix_sum
 from geokit.errors import DeviceMemoryError
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
         inputs = [cells, 8 * span, *lattice.arguments, lattice.surface._tree]
         inputs += [wp.float64(lattice.reach), wp.float64(lattice.hollow)]
         launcher.launch(kernels.near_cells_kernel, count, inputs, [near], device, grain=32)
-        ends, near_count = counted(near)
+        ends, near_count = prefix_sum(near)
         if span == 1:
             break
         lattice.require_memory(8.0 * near_count * 20)

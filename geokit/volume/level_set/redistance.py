@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.scan import counted
+from geokit.core.scan import prefix_sum
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
 from geokit.volume.nanovdb.header import info_of
@@ -146,7 +146,7 @@ class _Band:
             self._launch(kernels.border_kernel, [self.held, enclosed, beside], [border])
         counts = wp.empty(8 * self.rows, dtype=wp.int32, device=self.device)
         self._launch(kernels.chosen_kernel, [border, inner, outer, leaves.inside, self.known, beside], [chosen, counts])
-        ends, count = counted(counts)
+        ends, count = prefix_sum(counts)
         made = self.features
         for name, kind in (
             ("voxel", wp.vec3i), ("normal", wp.vec3f), ("distance", wp.float64), ("curve", kernels.vec6f),

@@ -47,7 +47,7 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
         return None
     from geokit.volume.sampling import trilinear_table_kernels as kernels
 
-    batch = user_arrays.read_vectors(points, "points", device, defer=True, keep_single=True)
+    batch = user_arrays.read_vectors(points, "points", device, defer=True, keep_float32=True)
     count = len(batch)
     if gradient:
         choices = kernels.GRADIENT_GROUPS if device.is_cpu else kernels.GRADIENT_SINGLES
@@ -55,14 +55,14 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
     else:
         choices = kernels.SAMPLE_GROUPS if device.is_cpu else kernels.SAMPLE_SINGLES
         kinds, background = (wp.float32, wp.float64), wp.float64(volume.info.background)
-    out = user_arrays.empty(count, kinds[0] if batch.single else kinds[1], batch.rows)
+    out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
     bad = host_flags(1, device)
     inputs = [wp.uint64(volume.id(device)), table, batch.rows, *world_to_index(volume, space), background]
     items = -(-count // kernels.GROUP) if device.is_cpu else count
-    launcher.launch(choices[batch.single], items, inputs, [out, bad], device, grain=GRAIN if device.is_cpu else 0)
+    launcher.launch(choices[batch.is_float32], items, inputs, [out, bad], device, grain=GRAIN if device.is_cpu else 0)
     if count and bad.numpy()[0]:
         user_arrays.require_finite(batch, "points")
-    return batch.give(out)
+    return batch.to_caller(out)
 
 
 def _count(points: Any) -> int:

@@ -14,7 +14,7 @@ from geokit.core import launcher
 from geokit.core.device_arena import Scratch, ScratchArray
 from geokit.core.host_array import HostArray
 from geokit.core.pinned import PinnedArray, host_arrays
-from geokit.core.scan import summed
+from geokit.core.scan import prefix_sum_async
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
@@ -179,7 +179,7 @@ class _Nodes:
         outputs = [lower_keys, lower_first, upper_of, upper_keys, upper_first, first_leaf, self._few, self._counts]
         launcher.launch(kernels.nodes_kernel, count, inputs, outputs, device)
         if isinstance(self._few, PinnedArray):
-            self._few.room.close()
+            self._few.pinned.close()
         self._lower = lower_keys, lower_first, lower_first, ends[0]
         self._upper = upper_keys, upper_first, first_leaf, upper_of
 
@@ -300,4 +300,4 @@ def _statistics(
         found = of_nodes
         launcher.launch(of_node, level.count, inputs, [buffer, *found], device, grain=1)
     boxes, extrema = of_uppers
-    return boxes, extrema, summed(active.warp)[1]
+    return boxes, extrema, prefix_sum_async(active.warp)[1]
