@@ -179,8 +179,8 @@ def _directed(
     mesh: TriangleMesh, samples: NDArray[np.float64], target: Surface, gap: float, rounding: float
 ) -> DirectedDistance:
     search = DistanceSearch(target, gap, rounding)
-    vertices = search.ask_vertices(mesh)
-    distance = search.ask(samples)[0]
+    vertices = search.measure_vertices(mesh)
+    distance = search.measure(samples)[0]
     mean = rms = mean_error = rms_error = math.nan
     if len(samples):
         squared = distance * distance

@@ -78,38 +78,38 @@ class TriangleMesh:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __reduce__(self) -> Any:
-        return _known, (self.vertices, self.faces, self.name, self.parts)
+        return _trusted_mesh, (self.vertices, self.faces, self.name, self.parts)
 
     def _fetch(self) -> None:
         """Copy both arrays to the host, if they are still on the device, and free the memory there."""
-        held = self._on_device
-        if held is None:
+        device_arrays = self._on_device
+        if device_arrays is None:
             return
-        with held.lock:
+        with device_arrays.lock:
             if self._on_device is None:  # another thread copied them meanwhile
                 return
-            vertices, faces = held.download()
+            vertices, faces = device_arrays.download()
             self.__dict__.update(vertices=read_only(vertices), faces=read_only(faces))
             del self.__dict__["_on_device"]
 
     @property
     def vertex_count(self) -> int:
         """Number of vertices V."""
-        held = self._on_device
-        return len(self.vertices) if held is None else len(held.vertices)
+        device_arrays = self._on_device
+        return len(self.vertices) if device_arrays is None else len(device_arrays.vertices)
 
     @property
     def face_count(self) -> int:
         """Number of faces F."""
-        held = self._on_device
-        return len(self.faces) if held is None else len(held.faces) // 3
+        device_arrays = self._on_device
+        return len(self.faces) if device_arrays is None else len(device_arrays.faces) // 3
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Bounding box of the vertices that faces use [world], shape (2, 3); NaN for a mesh without faces."""
-        held = self._on_device
-        if held is not None:
-            return held.bounds()
+        device_arrays = self._on_device
+        if device_arrays is not None:
+            return device_arrays.bounds()
         if len(self.faces) == 0:
             return np.full((2, 3), np.nan)
         used = np.zeros(len(self.vertices), bool)
@@ -163,7 +163,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def _known(
+def _trusted_mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str, parts: tuple[MeshPart, ...]
 ) -> TriangleMesh:
     """A mesh from arrays that were checked before: validating each row again takes longer than copying them."""

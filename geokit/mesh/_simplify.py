@@ -140,7 +140,7 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
     found = original.collapsed(original.local, wanted)
     if found is not None and len(found.faces) <= wanted:
         simple, _ = original.measured(found, BOUND_SIZE)
-        if original.looks_alike(found, simple.deviation / original.scale):
+        if original.keeps_facing(found, simple.deviation / original.scale):
             return simple
     fewest = original.fewest(math.inf)
     reachable = len(mesh.faces) if fewest is None else len(fewest.faces)
@@ -187,11 +187,11 @@ class _Original:
         start = self.local
         while True:
             found = self.collapsed(start, len(start.faces) // STEP)
-            if found is None or not self._has_vertices_within(found, STEP_SHARE * limit):
+            if found is None or not self._has_vertices_within_limit(found, STEP_SHARE * limit):
                 return start
             start = found
 
-    def _has_vertices_within(self, found: TriangleMesh, limit: float) -> bool:
+    def _has_vertices_within_limit(self, found: TriangleMesh, limit: float) -> bool:
         from geokit.mesh._surface import Surface
 
         there = self.surface.closest_point(found.vertices).distance.max()
@@ -228,12 +228,12 @@ class _Original:
 
         if math.isinf(limit):
             return True
-        return within(self.surface, Surface(found, device=self.device), limit) and self.looks_alike(found, limit)
+        return within(self.surface, Surface(found, device=self.device), limit) and self.keeps_facing(found, limit)
 
-    def looks_alike(self, found: TriangleMesh, distance: float) -> bool:
-        from geokit.mesh.simplification.invariants import faces_as_before
+    def keeps_facing(self, found: TriangleMesh, distance: float) -> bool:
+        from geokit.mesh.simplification.invariants import has_similar_normals
 
-        return not self.shape.oriented or faces_as_before(found, self.surface, distance)
+        return not self.shape.oriented or has_similar_normals(found, self.surface, distance)
 
     def measured(self, found: TriangleMesh, width: float) -> tuple[Simplified, float]:
         """The mesh in world coordinates with its deviation, and the deviation before it is clamped to the tolerance."""

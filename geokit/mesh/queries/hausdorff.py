@@ -53,7 +53,7 @@ class DistanceSearch:
         self._target = Target()
         self._target.vertices, self._target.faces = target._vertices, target._faces
 
-    def ask(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Distances of points of the mesh and their closest triangles; updates the largest distance found."""
         found = self._surface.closest_point(points)
         if len(points):
@@ -63,12 +63,12 @@ class DistanceSearch:
                 self.point, self.closest = points[row].copy(), found.points[row].copy()
         return found.distance, found.triangle_id
 
-    def ask_vertices(self, mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    def measure_vertices(self, mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Distances and closest triangles of all vertices; NaN and -1 for vertices that no face uses."""
         used = np.zeros(len(mesh.vertices), bool)
         used[mesh.faces.ravel()] = True
         distance, triangle = np.full(len(used), math.nan), np.full(len(used), -1, np.int32)
-        distance[used], triangle[used] = self.ask(mesh.vertices[used])
+        distance[used], triangle[used] = self.measure(mesh.vertices[used])
         return distance, triangle
 
     def run(self, mesh: TriangleMesh, distance: NDArray[np.float64], triangle: NDArray[np.int32]) -> None:
@@ -100,7 +100,7 @@ class DistanceSearch:
         pieces = TrianglePieces(corners, distance, triangle, triangle[:, 0].copy(), *unknown)
         self._bound(pieces)
         pieces = self._undecided(pieces)
-        pieces.candidate[:] = self.ask(pieces.corners.mean(axis=1))[1]
+        pieces.candidate[:] = self.measure(pieces.corners.mean(axis=1))[1]
         self._bound(pieces)
         return self._undecided(pieces)
 
@@ -117,7 +117,7 @@ class DistanceSearch:
 
     def _halves(self, pieces: TrianglePieces) -> TrianglePieces:
         """Each piece cut in two, with new bounds."""
-        distance, triangle = self.ask(pieces.cut)
+        distance, triangle = self.measure(pieces.cut)
         both = joined_pieces([pieces, pieces])
         rows = np.arange(len(both.upper))
         replaced = np.concatenate([pieces.edge, (pieces.edge + 1) % 3])

@@ -27,10 +27,10 @@ def within(one: Surface, other: Surface, limit: float) -> bool:
         limit: Distance [world], above 0.
     """
     there, back = _Decision(one, limit), _Decision(other, limit)
-    there_vertices = there.ask_vertices(other.mesh)
+    there_vertices = there.measure_vertices(other.mesh)
     if there.lower > limit:
         return False
-    back_vertices = back.ask_vertices(one.mesh)
+    back_vertices = back.measure_vertices(one.mesh)
     if back.lower > limit:
         return False
     there.run(other.mesh, *there_vertices)
@@ -47,8 +47,8 @@ class _Decision(DistanceSearch):
         super().__init__(target, limit, 0.0)
         self._limit = limit
 
-    def ask(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        answer = super().ask(points)
+    def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        answer = super().measure(points)
         # All bounds up to the limit are good enough, so the gap is what the lower bound leaves to it.
         self._gap = max(SLACK * self._limit, self._limit - self.lower)
         return answer
@@ -56,6 +56,6 @@ class _Decision(DistanceSearch):
     def _undecided(self, pieces: TrianglePieces) -> TrianglePieces:
         if self.upper > self._limit:
             # Beyond the limit: the remaining pieces cannot change that.
-            nothing: NDArray[Any] = np.zeros(0, np.int64)
-            return pieces.take(nothing)
+            none_left: NDArray[Any] = np.zeros(0, np.int64)
+            return pieces.take(none_left)
         return super()._undecided(pieces)

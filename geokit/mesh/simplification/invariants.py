@@ -12,7 +12,7 @@ from geokit.mesh._surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
 
-__all__ = ["Shape", "faces_as_before", "shape_of"]
+__all__ = ["Shape", "has_similar_normals", "shape_of"]
 
 # Faces whose neighborhoods are listed at once.
 BLOCK = 1024
@@ -70,7 +70,7 @@ def _boundary_loops(whole: MeshTopology) -> int:
     return int(np.count_nonzero(label == np.arange(len(position))))
 
 
-def faces_as_before(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
+def has_similar_normals(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
     """Whether each face has an original face near its center whose normal differs by less than 90 degrees.
 
     Args:

@@ -32,7 +32,7 @@ def merge_near_points(points: NDArray[np.float64], tolerance: float) -> tuple[ND
         of the point itself, or of the first remaining point within the tolerance.
     """
     earlier, later = _pairs_within(points, tolerance)
-    taken = _taken(len(points), earlier, later)
+    taken = _absorbed(len(points), earlier, later)
     target = np.arange(len(points))
     stays = ~taken[earlier]
     np.minimum.at(target, later[stays], earlier[stays])
@@ -70,7 +70,7 @@ def _require_room(points: NDArray[np.float64], radius: float, tolerance: float) 
         )
 
 
-def _taken(count: int, earlier: NDArray[np.int64], later: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _absorbed(count: int, earlier: NDArray[np.int64], later: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Points that an earlier one absorbs, (count,) bool."""
     taken = np.zeros(count, bool)
     for _ in range(ROUNDS):

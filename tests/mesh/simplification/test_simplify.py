@@ -14,7 +14,7 @@ from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import Simplified, simplify
 from geokit.mesh._surface import Surface
 from geokit.mesh.simplification.deviation import within
-from geokit.mesh.simplification.invariants import faces_as_before, shape_of
+from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
 from geokit.mesh.simplification.quadric import decimate
 from tests.support import mesh_catalog
 from tests.support.reference import closest_point
@@ -238,17 +238,17 @@ class TestParts:
     def test_turned_faces_are_noticed(self):
         mesh = mesh_catalog.icosphere(2)
         original = Surface(mesh, device="cpu")
-        assert faces_as_before(mesh, original, 0.05)
+        assert has_similar_normals(mesh, original, 0.05)
         faces = mesh.faces.copy()
         faces[7] = faces[7][::-1]
-        assert not faces_as_before(TriangleMesh(mesh.vertices, faces), original, 0.05)
+        assert not has_similar_normals(TriangleMesh(mesh.vertices, faces), original, 0.05)
 
     def test_thin_walls_are_no_turned_faces(self):
         plate = mesh_catalog.box((0, 0, 0), (1, 1, 0.01))
         moved = mesh_catalog.moved(plate, (0, 0, -0.008))
         # The upper side now lies next to the lower side of the original.
-        assert faces_as_before(moved, Surface(plate, device="cpu"), 0.02)
-        assert not faces_as_before(moved, Surface(plate, device="cpu"), 0.001)
+        assert has_similar_normals(moved, Surface(plate, device="cpu"), 0.02)
+        assert not has_similar_normals(moved, Surface(plate, device="cpu"), 0.001)
 
     @pytest.mark.parametrize(
         "other",
