@@ -1,4 +1,4 @@
-"""simplify on small meshes: what is merged, what is kept, what comes back unchanged, and every error."""
+"""simplify on small meshes: merged parts, kept parts, unchanged meshes, and every error."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_deviation_and_percentile_are_those_of_brute_force():
     largest = max(d.max() for d in distances)
     assert largest <= found.deviation <= 0.03
     assert type(found.deviation) is type(found.deviation_p999) is float
-    # Bounds are 2% of the tolerance wide; samples miss the worst place by a little.
+    # Bounds are 2% of the tolerance wide; samples slightly underestimate the largest distance.
     assert found.deviation <= largest + 0.1 * 0.03
     p999 = max(np.quantile(d, 0.999) for d in distances)
     assert found.deviation_p999 == pytest.approx(p999, rel=0.1)
@@ -201,14 +201,14 @@ class TestRefused:
 
 
 class TestParts:
-    """The checks by themselves: each must notice what it is there for."""
+    """Each check on its own must notice the defect that it is for."""
 
     def test_within_is_decided_on_both_sides_and_between_vertices(self):
         low = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
         high = mesh_catalog.moved(low, (0, 0, 0.5))
         # Half of the triangle: near in one direction only.
         half = TriangleMesh([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]], [[0, 1, 2]])
-        # Its corners are on the box, its middle is not: no vertex tells.
+        # Its corners are on the box, its center is not: no vertex reveals the distance.
         inner = TriangleMesh([[0, 0, 0], [1, 1, 0], [0, 1, 1]], [[0, 1, 2]])
         low, high, half, inner, box = (Surface(m, device="cpu") for m in (low, high, half, inner, flat_box()))
         assert within(low, high, 0.51)
