@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["from_volume", "from_volume_with_deviation"]
 
 METHODS = ("auto", "surface_nets", "marching_cubes", "dual_contouring", "openvdb")
-# Types whose values can be interpolated; integers, bool and mask count or label voxels.
+# Types whose values mean something between the voxels; integers, bool and mask count things or name them.
 REAL_TYPES = ("float", "double", "half", "fp4", "fp8", "fp16", "fpn")
-# Bound of all voxel indices.
+# No voxel has an index beyond this.
 LARGEST_INDEX = 2.0**31
 
 

@@ -1,4 +1,4 @@
-"""Mesh files: reading and writing.
+"""Mesh files in and out.
 
 | extension          | read by  | written by | positions | data arrays |
 |--------------------|----------|------------|-----------|-------------|
@@ -14,7 +14,7 @@
 | .usd .usda .usdc   | usd-core | usd-core   | float32   | no          |
 | .usdz              | usd-core | -          | float32   | no          |
 
-Readers other than geokit's own run in a separate process (see ``formats/mesh_reader_process.py``).
+Readers other than geokit's own run in a process of their own (see ``formats/mesh_reader_process.py``).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["READABLE", "WRITABLE", "load", "save"]
 
 # Extension -> module and function of geokit's own readers and writers, imported when used.
 _OWN = {".obj": "obj", ".off": "off", ".ply": "ply_mesh", ".stl": "stl"}
-# Extension -> reader module that runs in a separate process.
+# Extension -> reader module that runs in a process of its own.
 _FOREIGN = {
     **dict.fromkeys((".glb", ".gltf", ".3mf"), "trimesh"),
     **dict.fromkeys((".vtk", ".vtp", ".vtu"), "vtk"),
@@ -60,7 +60,7 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
 
     Args:
         path: .obj .off .ply .stl .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
-        name: The mesh's name; None for the file's name without its extension.
+        name: The mesh's name; None is the file's name without its extension.
     Returns:
         TriangleMesh with at least one face.
     Raises:

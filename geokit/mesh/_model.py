@@ -48,7 +48,7 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     name: str = ""
     parts: tuple[MeshPart, ...] = ()
-    # The arrays on the device, until vertices or faces is first read.
+    # In place of vertices and faces until these are read.
     _on_device: ClassVar[DeviceArrays | None] = None
 
     def __init__(

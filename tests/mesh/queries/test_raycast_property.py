@@ -82,7 +82,7 @@ def test_slivers_are_hit_where_their_planes_are(foot, height):
             hits += 1
             assert abs(float(Fraction(float(found.t[row])) - t)) < 1e-13
             assert weights[row].min() >= -1e-15
-            # Rounding can move a point on a triangle thinner than that only across its height.
+            # For a triangle thinner than rounding only a loose bound holds.
             off = weights[row] @ triangle - (origins[row] + found.t[row] * directions[row])
             assert np.abs(off).max() < (1e-13 if height > 1e-13 else 1e-2)
     assert hits > 80
