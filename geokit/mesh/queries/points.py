@@ -96,7 +96,7 @@ class PointQueries:
             # The kernel itself checks for non-finite points: this saves a pass over them and, on a GPU, a wait for it.
             bad = host_flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
-            # Meanwhile the GPU is working: reading the flag waits for it.
+            # A GPU is at work meanwhile: the flag waits for it.
             answer = ClosestPoints(*(batch.give(array) for array in found))
             refuse_raised(bad, batch)
             return answer
@@ -143,7 +143,7 @@ class PointQueries:
         return found
 
     def _order_box(self) -> tuple[NDArray[np.float64], float]:
-        """Lower corner and edge length [world] of the cube that the Morton order resolves."""
+        """Lower corner and edge length [world] of the box that the order of queries resolves."""
         half = ORDER_HALF_WIDTH * self._frame.scale
         return self._frame.origin - half, 2.0 * half
 
@@ -156,7 +156,7 @@ class PointQueries:
         group: int = 0,
         flag: Any = None,
     ) -> None:
-        """Run a query kernel; ``flag`` is an additional output that all queries share."""
+        """``flag`` is a further output that all queries share."""
         lower, extent = self._order_box()
         flags = [] if flag is None else [flag]
         launcher.launch_queries(

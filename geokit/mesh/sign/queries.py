@@ -138,7 +138,7 @@ class SignQueries(PointQueries):
                 found = ClosestPoints(None, user_arrays.full(count, 1.0, wp.float64, batch.rows), None, None)
             self._sign(method, batch.rows, found, math.inf)
             refuse_raised(bad, batch)
-            if isinstance(found.distance, HostArray):  # NumPy is faster than a launch for thousands of points
+            if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
                 return batch.give(HostArray(found.distance.numpy() < 0.0))
             inside = user_arrays.empty(count, wp.bool, batch.rows)
             launcher.launch(is_negative_kernel, count, [found.distance], [inside], device)
