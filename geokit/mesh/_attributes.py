@@ -1,4 +1,4 @@
-"""Values of volumes at the vertices of a mesh."""
+"""Vertex attributes from volumes."""
 
 from __future__ import annotations
 
@@ -22,21 +22,20 @@ __all__ = ["sample_attributes"]
 def sample_attributes(
     mesh: TriangleMesh, volumes: Mapping[str, SparseVolume], *, order: int = 1, device: Any = None
 ) -> dict[str, NDArray[Any]]:
-    """Vertex attributes of a mesh from volumes, such as the temperature on an isosurface of the density.
+    """Sample volumes at the vertices of a mesh, such as the temperature on an isosurface of the density.
 
-    Each volume may have a transform, a resolution and a type of its own. Values are those of ``volume.sample``, with
-    its error bounds; outside the active voxels they are the volume's background. Held by
-    tests/mesh/test_attributes.py.
+    Volumes may differ in transform, resolution and type. Values are those of ``volume.sample``, with its error bounds;
+    outside the active voxels they are the volume's background.
 
     Args:
         mesh: The mesh.
         volumes: A grid for each attribute's name.
-        order: Of the interpolation, as in :func:`geokit.volume.sample`.
+        order: Order of the interpolation, as in :func:`geokit.volume.sample`.
         device: Where to compute; None for the first GPU, else the CPU.
 
     Returns:
-        An array for each name, in the order of the names: shape (V,) for scalar grids, (V, 3) or (V, 4) for grids of
-        vectors and colours, float64; ready for ``geokit.mesh.save(path, mesh, point_data=...)``.
+        A float64 array for each name, in the order of the names: shape (V,) for scalar grids, (V, 3) or (V, 4) for
+        grids of vectors and colors. Suits ``geokit.mesh.save(path, mesh, point_data=...)``.
 
     Raises:
         InputError: A name is empty or not text, a value is not a volume, or the order is not supported.
@@ -48,6 +47,8 @@ def sample_attributes(
         >>> distance = gk.mesh.attributes.sample_attributes(surface, {"distance": sdf})["distance"]
         >>> bool(abs(distance).max() < 0.5)
         True
+
+    Held by: tests/mesh/test_attributes.py
     """
     for name, volume in volumes.items():
         if not isinstance(name, str) or not name:

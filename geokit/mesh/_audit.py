@@ -1,4 +1,4 @@
-"""What a mesh is fit for: closedness, manifoldness, orientation, defects, volume."""
+"""Defects, topology and measures of a mesh."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ __all__ = ["audit"]
 
 
 def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
-    """Defects, topology and measures of a mesh; see :class:`MeshAudit` for each.
+    """Defects, topology and measures of a mesh; :class:`MeshAudit` describes each of them.
 
-    Counts are exact. Area and volume are summed in float64 relative to the middle of the bounds: relative error under
-    1e-12 for up to a million faces, also far away from the origin as far as the coordinates' own digits go. Aspect
-    ratios are good to 1e-12 of themselves for triangles that are not slivers (tests/mesh/topology/test_audit.py).
+    Counts are exact. Area and volume are summed in float64 relative to the center of the bounding box: the relative
+    error is under 1e-12 for up to a million faces, also far from the origin, as far as the coordinates' own digits
+    allow. Aspect ratios have a relative error of 1e-12 for triangles that are not slivers.
 
-    Aspect ratios and areas of slivers are good to 1e-15 times the aspect ratio; from 1e12 on they count as degenerate.
-    Held by tests/accuracy/stability/test_envelopes.py.
+    Aspect ratios and areas of slivers have a relative error of 1e-15 times the aspect ratio. Triangles with an aspect
+    ratio of 1e12 or more count as degenerate.
 
     Args:
         mesh: The mesh; it may be empty.
-        self_intersections: Count them as well, which takes longer than all the rest: a :class:`geokit.mesh.Surface` is
-            made for it.
+        self_intersections: Also count self-intersections. This takes longer than all the rest, because a
+            :class:`geokit.mesh.Surface` is built for it.
     Returns:
         MeshAudit.
     Example:
         >>> audit(geokit.mesh.load("data/samples/bracket.obj")).watertight
         True
+
+    Held by: tests/mesh/topology/test_audit.py, tests/accuracy/stability/test_envelopes.py
     """
     report = audit_topology(mesh, mesh_topology(mesh))
     return replace(report, self_intersection_count=_self_intersection_count(mesh)) if self_intersections else report

@@ -1,4 +1,4 @@
-"""Meshes whose arrays stay on the device where kernels made them, until they are first read."""
+"""Meshes whose arrays stay on the device that made them until they are first read."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 __all__ = ["DeviceArrays", "arrays_on", "box_of", "mesh_on_device", "vertices_near"]
 
-# Boxes that points are first put into, and those into which these are: what fills a GPU, and what the host looks at.
+# Boxes after each round of the reduction: enough to fill a GPU, then few enough for the host.
 ROUNDS = 1 << 16, 1 << 8
 
 
 class DeviceArrays:
-    """What a mesh holds instead of NumPy arrays.
+    """The arrays of a mesh on a device, in place of NumPy arrays.
 
     Args:
         vertices: Positions [world], (V,) of vec3d, finite, each used by a face.
-        faces: Their numbers, (3 F,) of int32.
+        faces: Vertex indices, (3 F,) of int32.
     """
 
     __slots__ = ("faces", "lock", "vertices")
@@ -42,7 +42,7 @@ class DeviceArrays:
         return vertices, faces
 
     def bounds(self) -> NDArray[np.float64]:
-        """Box around the vertices, shape (2, 3); NaN where there are no faces."""
+        """Bounding box of the vertices, shape (2, 3); NaN for a mesh without faces."""
         if len(self.faces) == 0:
             return np.full((2, 3), np.nan)
         if self.vertices.device.is_cuda:
@@ -52,7 +52,7 @@ class DeviceArrays:
 
 
 def box_of(points: "wp.array") -> NDArray[np.float64]:
-    """Box around points, (N,) of vec3d with N at least 1, as shape (2, 3): least and largest need no order."""
+    """Bounding box of points, (N,) of vec3d with N at least 1, as shape (2, 3); minimum and maximum need no order."""
     import warp as wp
 
     from geokit.core.frame_kernels import boxes_kernel
@@ -68,11 +68,11 @@ def box_of(points: "wp.array") -> NDArray[np.float64]:
 
 
 def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str) -> TriangleMesh:
-    """A mesh of arrays that kernels have made: nobody writes to them any more.
+    """A mesh over arrays on a device, which must not be written to afterwards.
 
     Args:
-        vertices: As :class:`DeviceArrays`.
-        faces: As :class:`DeviceArrays`.
+        vertices: Positions [world], (V,) of vec3d, finite, each used by a face.
+        faces: Vertex indices, (3 F,) of int32.
         name: The mesh's name.
     """
     mesh = TriangleMesh.__new__(TriangleMesh)
@@ -81,7 +81,7 @@ def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str) -> Triang
 
 
 def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.array"]:
-    """Vertices, (V,) of vec3d, and faces, (3 F,) of int32, on a device: the mesh's own if they are there."""
+    """Vertices, (V,) of vec3d, and faces, (3 F,) of int32, on a device: the mesh's own arrays if they are there."""
     import warp as wp
 
     held = mesh._on_device
@@ -92,6 +92,6 @@ def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.
 
 
 def vertices_near(mesh: TriangleMesh, device: Any) -> Any:
-    """The vertices for a query on a device: as a warp array if they are still there, else NumPy's."""
+    """The vertices for a query on a device: a warp array if they are still there, else a NumPy array."""
     held = mesh._on_device
     return mesh.vertices if held is None or held.vertices.device != launcher.resolve_device(device) else held.vertices

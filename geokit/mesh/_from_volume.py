@@ -31,57 +31,56 @@ def from_volume(
     method: str = "auto",
     device: Any = None,
 ) -> TriangleMesh:
-    """The surface on which a volume has a given value.
+    """Extract the isosurface of a sparse volume as a triangle mesh.
 
-    The surface is that of the interpolant which ``volume.sample`` has at order 1: voxels below the isovalue are inside,
-    and tiles count with their value. It ends where no voxel is active: a crossing between two voxels of which neither
-    is active gives no face. Elsewhere the mesh is watertight, oriented, and manifold at edges and vertices, whatever
-    the field. Normals point out of the body: to increasing values, as in a signed distance field, but in a fog volume
-    to decreasing ones. A field that does not cross the value gives a mesh without faces.
+    The surface is that of the interpolant of ``volume.sample`` at order 1: voxels below the isovalue are inside, and
+    tiles count with their value. It ends where no voxel is active: a crossing between two inactive voxels gives no
+    face. Elsewhere the mesh is watertight, oriented, and manifold at edges and vertices, for every field. Normals point
+    outward: toward increasing values, as in a signed distance field, but toward decreasing values in a fog volume. A
+    field that does not cross the isovalue gives a mesh without faces.
 
     - "surface_nets": one vertex for each sheet of the surface in a cell, at the mean of the crossings on the cell's
-      edges; quads, split along their shorter diagonal. Even triangles. The error falls with the square of the voxel
-      size where the surface is smooth (0.021 voxel on a sphere of 16 voxels); edges are rounded off by up to a voxel,
-      0.45 rms.
-    - "marching_cubes": a vertex at each crossing: these lie on the interpolant to 1e-6 voxel, and within 0.008 voxel on
-      the same sphere. As many triangles, thin ones among them; edges are cut off by up to a voxel, 0.4 rms.
-    - "dual_contouring": as surface nets, but a vertex lies where the planes through the crossings meet, which keeps
-      edges and corners that the field carries: exactly where they are square to the grid, else to 0.1 voxel rms and
-      0.75 at most. Made for distance fields. Sheets that touch may have vertices at one place.
-    - "openvdb": OpenVDB's own surface nets, the only ones that merge flat regions (``adaptivity``). Where voxels have
-      the isovalue itself, its vertices may coincide, and the mesh is not manifold for whoever merges them.
-    - "auto": "openvdb" where adaptivity is above 0, else "surface_nets".
+      edges; quads are split along their shorter diagonal. Triangles are evenly shaped. The error falls with the square
+      of the voxel size where the surface is smooth (0.021 voxel on a sphere of 16 voxels); edges are rounded off by up
+      to a voxel, 0.45 rms.
+    - "marching_cubes": a vertex at each crossing. Vertices lie on the interpolant to 1e-6 voxel, and within 0.008 voxel
+      on the same sphere. As many triangles, some of them thin; edges are cut off by up to a voxel, 0.4 rms.
+    - "dual_contouring": as surface nets, but each vertex lies where the planes through the crossings meet. This keeps
+      the edges and corners of the field: exactly where they are aligned with the grid, else to 0.1 voxel rms and 0.75
+      at most. Made for distance fields. Sheets that touch may have vertices at equal positions.
+    - "openvdb": OpenVDB's own surface nets, the only method that merges flat regions (``adaptivity``). Where voxels
+      equal the isovalue, its vertices may coincide; merging them makes the mesh non-manifold.
+    - "auto": "openvdb" if adaptivity is above 0, else "surface_nets".
 
-    ``tolerance`` asks for fewer triangles, large where the surface is flat: the mesh of the method is simplified as by
-    :func:`geokit.mesh.simplify`, and no point of either surface is farther than that from the other. What was achieved
-    is given by :func:`from_volume_with_deviation`. For the same distance that takes a fraction of the faces that
-    ``adaptivity`` leaves (docs/design/simplification.md).
+    ``tolerance`` reduces the number of triangles, with large ones where the surface is flat: the mesh is simplified as
+    by :func:`geokit.mesh.simplify`, and no point of either surface is farther than the tolerance from the other.
+    :func:`from_volume_with_deviation` also returns the deviation that was reached. At equal distance, this leaves a
+    fraction of the faces that ``adaptivity`` leaves (docs/design/simplification.md).
 
-    Results are the same for any number of threads. Held by tests/volume/isosurface/test_from_volume.py,
-    tests/volume/isosurface/test_from_volume_property.py and tests/volume/isosurface/test_from_volume_stability.py.
+    Results do not depend on the number of threads.
 
-    Of a distance field the surface is off by at most 1.5 voxel^2 (marching cubes 1.0) over the radius of curvature,
-    down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost. Isovalues are good up to half_width - 1
-    voxels from the surface; walls need 2 voxels. Held by tests/accuracy/stability/test_envelopes.py.
+    For a distance field the error of the surface is at most 1.5 voxel^2 (marching cubes 1.0) over the radius of
+    curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost. Isovalues are valid up to
+    half_width - 1 voxels from the surface; walls must be at least 2 voxels thick.
 
     Args:
-        volume: A scalar grid of floating point or quantised values.
+        volume: A scalar grid of floating point or quantized values.
         isovalue: Value of the surface, in the grid's units.
-        adaptivity: 0 keeps every face; towards 1, flat regions are merged into fewer and larger ones.
+        adaptivity: 0 keeps every face; toward 1, flat regions are merged into fewer and larger faces.
         tolerance: Largest distance from the mesh with every face [world]; None keeps every face.
         method: One of the above.
-        device: Where to compute; None for the first GPU, else the CPU. "openvdb" runs on the CPU in any case.
+        device: Where to compute; None for the first GPU, else the CPU. "openvdb" always runs on the CPU.
 
     Returns:
-        TriangleMesh with the grid's name. What a GPU makes stays there until it is read, and need not be complete when
-        the call returns: reading and queries wait for it.
+        TriangleMesh with the grid's name. A mesh made on a GPU stays there until its arrays are read. Its kernels may
+        still run when the call returns; reads and queries wait for them.
 
     Raises:
         InputError: The grid is not scalar, isovalue is not finite, adaptivity is outside [0, 1] or the method does not
-            have it, tolerance is not a positive finite number or was given with adaptivity, or the method or the device
-            does not exist.
+            support it, tolerance is not a positive finite number or was given with adaptivity, or the method or the
+            device does not exist.
         UnsupportedGridError: A scalar grid without an isosurface: integers, bool, mask.
-        MissingDependencyError: geokit was built without OpenVDB, and "openvdb" was asked for.
+        MissingDependencyError: The method is "openvdb", and geokit was built without OpenVDB.
         DeviceMemoryError: There is not enough memory.
 
     Source:
@@ -92,6 +91,9 @@ def from_volume(
         >>> bracket = gk.volume.from_mesh(gk.mesh.load("data/samples/bracket.obj"), 0.5)
         >>> gk.mesh.audit(gk.mesh.from_volume(bracket)).watertight
         True
+
+    Held by: tests/volume/isosurface/test_from_volume.py, tests/volume/isosurface/test_from_volume_property.py,
+    tests/volume/isosurface/test_from_volume_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     isovalue = _number(isovalue, "isovalue")
     if not np.isfinite(isovalue):
@@ -135,17 +137,16 @@ def from_volume(
 def from_volume_with_deviation(
     volume: SparseVolume, *, tolerance: float, isovalue: float = 0.0, method: str = "auto", device: Any = None
 ) -> Simplified:
-    """:func:`from_volume` with a tolerance, and how far the mesh is from the one with every face.
+    """Extract an isosurface within a tolerance, and return how far it deviates from the mesh with every face.
 
-    ``deviation`` bounds the distance between both meshes, and is at most the tolerance; how far the mesh with every
-    face is from the surface in the field is stated by :func:`from_volume`, and comes on top. Held by
-    tests/volume/isosurface/test_from_volume.py and tests/house/test_tolerances_property.py, against brute force.
+    ``deviation`` bounds the distance between both meshes and is at most the tolerance. The error of the mesh with every
+    face against the field comes on top; :func:`from_volume` states it.
 
     Args:
-        volume: A scalar grid of floating point or quantised values.
+        volume: A scalar grid of floating point or quantized values.
         tolerance: Largest distance from the mesh with every face [world].
         isovalue: Value of the surface, in the grid's units.
-        method: As for :func:`from_volume`.
+        method: "auto", "surface_nets", "marching_cubes", "dual_contouring" or "openvdb", as in :func:`from_volume`.
         device: Where to compute; None for the first GPU, else the CPU.
 
     Returns:
@@ -154,7 +155,7 @@ def from_volume_with_deviation(
     Raises:
         InputError: tolerance is not a positive finite number, or as for :func:`from_volume`.
         UnsupportedGridError: A scalar grid without an isosurface: integers, bool, mask.
-        MissingDependencyError: geokit was built without OpenVDB, and "openvdb" was asked for.
+        MissingDependencyError: The method is "openvdb", and geokit was built without OpenVDB.
         DeviceMemoryError: There is not enough memory.
 
     Example:
@@ -162,6 +163,8 @@ def from_volume_with_deviation(
         >>> found = gk.mesh.from_volume_with_deviation(torus, tolerance=0.01)
         >>> len(found.mesh.faces) < len(gk.mesh.from_volume(torus).faces), found.deviation <= 0.01
         (True, True)
+
+    Held by: tests/volume/isosurface/test_from_volume.py, tests/house/test_tolerances_property.py
     """
     from geokit.core import launcher
     from geokit.mesh._simplify import Simplified, within_tolerance
@@ -200,7 +203,7 @@ def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> Tri
 
 
 def _as_level_set(volume: SparseVolume) -> NDArray[np.uint8]:
-    """The buffer with the class of a level set: OpenVDB turns the faces of every other class around."""
+    """The buffer with grid class "level set": OpenVDB reverses the faces of every other class."""
     if volume.info.grid_class == "level set":
         return volume.nanovdb
     from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header
@@ -219,7 +222,7 @@ def _number(value: Any, name: str) -> float:
 
 
 def _split_quads(points: NDArray[np.float64], quads: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Two triangles for each quad (Q, 4), along its shorter diagonal, with the quad's winding: shape (2 Q, 3)."""
+    """Split quads (Q, 4) along their shorter diagonals into triangles (2 Q, 3) with the same winding."""
     a, b, c, d = quads.T
     first = np.sum((points[a] - points[c]) ** 2, axis=1)
     second = np.sum((points[b] - points[d]) ** 2, axis=1)

@@ -1,4 +1,4 @@
-"""How far two surfaces are from each other: the Hausdorff distance between proven bounds, mean and rms from samples."""
+"""The Hausdorff distance between two surfaces within proven bounds, and mean and rms distances from samples."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 __all__ = ["DirectedDistance", "HausdorffDistance", "hausdorff"]
 
-# Enough for a standard error of about 0.3% of the mean where distances vary as much as they are large; a tenth of a
-# second on a CPU.
+# This gives a standard error of about 0.3% of the mean where distances vary as much as they are large, and takes a
+# tenth of a second on a CPU.
 SAMPLES = 100_000
-# closest_point is good to 1e-12 of the diagonal: bounds cannot be told apart below a few times that, ...
+# closest_point is exact to 1e-12 of the diagonal: bounds closer than a few times that cannot be told apart, ...
 LEAST_TOLERANCE = 4e-12
-# ... nor below a few roundings of the coordinates, where triangles cannot be cut any more.
+# ... nor bounds closer than a few roundings of the coordinates, where triangles cannot be cut any more.
 COORDINATE_ROUNDINGS = 32.0 * np.finfo(np.float64).eps
-# Vertices come first, and samples and cuts lie on the surface only to some roundings of the coordinates: one that is
-# farther by no more than that does not take a vertex's place. A mesh is 0 away from itself.
+# Vertices come first. Samples and cuts lie on the surface only to some roundings of the coordinates, so one of them
+# replaces a vertex only if it is farther by more than that. The distance of a mesh from itself is thus 0.
 WITNESS_ROUNDINGS = 8.0 * np.finfo(np.float64).eps
 
 
@@ -36,13 +36,13 @@ class DirectedDistance(NamedTuple):
     """Distances from the points of one surface to another surface, all [world].
 
     Attributes:
-        max: The largest distance found, that of ``point``: a lower bound of the largest there is.
-        upper: An upper bound of the largest there is.
+        max: The largest distance found, attained at ``point``: a lower bound of the largest distance.
+        upper: An upper bound of the largest distance.
         mean: Mean over the area, from samples.
-        rms: Root of the mean squared distance over the area, from the same samples.
+        rms: Root mean square over the area, from the same samples.
         mean_error: Standard error of ``mean``.
         rms_error: Standard error of ``rms``.
-        point: The point of the first surface that is ``max`` away, shape (3,).
+        point: The point of the first surface at distance ``max``, shape (3,).
         closest_point: Its closest point on the other surface, shape (3,).
     """
 
@@ -57,17 +57,19 @@ class DirectedDistance(NamedTuple):
 
 
 class HausdorffDistance(NamedTuple):
-    """Distances between two surfaces, all [world]; ``max``, ``upper``, ``mean`` and ``rms`` are the larger direction's.
+    """Distances between two surfaces, all [world].
+
+    ``max``, ``upper``, ``mean`` and ``rms`` are the larger values of the two directions.
 
     Attributes:
         max: The largest distance found, between ``point_a`` and ``point_b``: a lower bound of the Hausdorff distance.
         upper: An upper bound of the Hausdorff distance.
         mean: The larger mean.
         rms: The larger root mean square.
-        point_a: On the first surface, shape (3,); one of the two is the closest point to the other on its surface.
-        point_b: On the second surface, shape (3,).
-        a_to_b: From the points of the first surface to the second surface.
-        b_to_a: From the points of the second surface to the first surface.
+        point_a: A point of the first surface, shape (3,). One of the two points is the closest point to the other.
+        point_b: A point of the second surface, shape (3,).
+        a_to_b: Distances from the points of the first surface to the second surface.
+        b_to_a: Distances from the points of the second surface to the first surface.
     """
 
     max: float
@@ -89,30 +91,29 @@ def hausdorff(
     seed: int = 0,
     device: Any = None,
 ) -> HausdorffDistance:
-    """Hausdorff distance between two surfaces, with bounds; also its two directions, their means and points.
+    """Hausdorff distance between two surfaces within proven bounds, with mean and rms for both directions.
 
-    The largest distance lies in ``[max, upper]``, and ``upper - max <= tolerance * diagonal``, the diagonal of the box
-    around both meshes; each bound is good to 1e-12 of the diagonal (tests/mesh/queries/test_hausdorff_property.py
-    against dense samples, tests/mesh/queries/test_hausdorff.py for known shapes). Both hold for all points of the
-    triangles, not for samples. A tolerance below 4e-12, or below some roundings of the coordinates, counts as that.
+    The Hausdorff distance lies in ``[max, upper]``, and ``upper - max <= tolerance * diagonal``, where the diagonal is
+    that of the bounding box of both meshes. Each bound is exact to 1e-12 of the diagonal. The bounds hold for all
+    points of the triangles, not only for samples. The tolerance has a floor: 4e-12, or some roundings of the
+    coordinates where these are larger.
 
-    Mean and rms come from samples that are uniform by area, and have the standard errors that are given with them; they
-    are NaN for a mesh without area and for ``samples=0``.
+    Mean and rms come from samples that are uniform by area, and have the given standard errors. They are NaN for a mesh
+    without area and for ``samples=0``.
 
-    The time goes into regions where distances come near the largest one: two meshes that run close to each other
+    Most of the time goes into regions whose distance is near the largest one. Two meshes that run close to each other
     everywhere take several times longer than others. Memory is bounded.
 
-    Bounds keep the tolerance down to 1e-11 diagonals; asked for to 1e-7, they stay within 4e-6 diagonals up to 1e8
-    diagonals from the origin. Held by tests/accuracy/stability/test_envelopes.py.
+    The bounds keep tolerances down to 1e-11 diagonals. With a tolerance of 1e-7 they stay within 4e-6 diagonals up to
+    1e8 diagonals from the origin.
 
     Args:
-        a: The first surface; one that is prepared already is used as it is, on its own device.
+        a: The first surface: a TriangleMesh, or a Surface, which is used as it is, on its own device.
         b: The second surface, likewise.
         tolerance: Largest width of ``[max, upper]``, as a share of the diagonal.
-        samples: Points on each surface for mean and rms.
-        seed: Seed of their random numbers, 0 or more.
-        device: Where surfaces that are not prepared yet are: "cpu", "cuda:0", ...; None for the first GPU, else the
-            CPU.
+        samples: Number of points on each surface for mean and rms.
+        seed: Seed of the random samples, 0 or more.
+        device: Device for meshes that are not Surfaces yet: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
         HausdorffDistance with max, upper, mean, rms, point_a (3,), point_b (3,), a_to_b, b_to_a.
     Raises:
@@ -129,6 +130,9 @@ def hausdorff(
         >>> distance = gk.mesh.hausdorff(low, high, device="cpu")
         >>> distance.max, distance.upper, distance.a_to_b.point.tolist()
         (2.0, 2.0, [0.0, 0.0, 0.0])
+
+    Held by: tests/mesh/queries/test_hausdorff.py, tests/mesh/queries/test_hausdorff_property.py,
+    tests/accuracy/stability/test_envelopes.py
     """
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     meshes = [_mesh_of(a, "a"), _mesh_of(b, "b")]
@@ -146,7 +150,7 @@ def hausdorff(
     if b_to_a.max > a_to_b.max:
         ends = (b_to_a.closest_point, b_to_a.point)
     both = [a_to_b, b_to_a]
-    # NaN where one of them is: there is no larger one then.
+    # NaN if either direction is NaN: there is no larger one then.
     mean, rms = (float(np.max([getattr(one, name) for one in both])) for name in ("mean", "rms"))
     largest, upper = max(one.max for one in both), max(one.upper for one in both)
     return HausdorffDistance(largest, upper, mean, rms, *ends, a_to_b, b_to_a)
@@ -166,7 +170,7 @@ def _surface_of(given: TriangleMesh | Surface, device: Any) -> Surface:
 
 
 def _samples(mesh: TriangleMesh, count: int, seed: int) -> NDArray[np.float64]:
-    """Points on the mesh; none where it has no area."""
+    """Points on the mesh; none if it has no area."""
     has_area = count > 0 and bool(scaled_areas(mesh)[1].any())
     return sample_surface(mesh, count if has_area else 0, seed=seed).points
 
@@ -175,8 +179,8 @@ def _directed(
     mesh: TriangleMesh, samples: NDArray[np.float64], target: Surface, gap: float, rounding: float
 ) -> DirectedDistance:
     search = DistanceSearch(target, gap, rounding)
-    vertices = search.ask_vertices(mesh)
-    distance = search.ask(samples)[0]
+    vertices = search.measure_vertices(mesh)
+    distance = search.measure(samples)[0]
     mean = rms = mean_error = rms_error = math.nan
     if len(samples):
         squared = distance * distance

@@ -18,14 +18,14 @@ __all__ = ["load", "save"]
 
 
 def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMesh:
-    """Triangle mesh from a file, its format told by the extension.
+    """Load a triangle mesh from a file; the extension determines the format.
 
     Positions are those of the file in float64, in the file's own units and axes. Nothing is merged, moved or dropped:
-    unused vertices, duplicates and triangles without area stay. Only .stl, which has no shared corners, gets exactly
-    equal corners merged. Polygons are cut into triangles that keep their winding, also concave ones. All bodies of a
-    file are joined, each moved by its transform (a mirrored body keeps its outside), and named in ``parts``. Of USD,
-    visible prims of the default and render purposes are taken, at the default time; of files with volume cells, the
-    surface cells.
+    unused vertices, duplicates and triangles without area stay. The one exception is .stl, which has no shared corners:
+    exactly equal corners are merged. Polygons, also concave ones, are split into triangles that keep their winding. All
+    bodies of a file are joined and named in ``parts``; each is moved by its transform (a mirrored body keeps its
+    outside). From USD, visible prims of the default and render purposes are read at the default time. From files with
+    volume cells, only the surface cells are read.
 
     Args:
         path: .obj .ply .stl .off .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
@@ -35,8 +35,8 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     Raises:
         InputError: The extension is none of these.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The file is truncated or damaged, holds no faces, an index out of range or a coordinate that
-            is not finite, or is not what its name says.
+        FileFormatError: The file is truncated or damaged, has no faces, has an index out of range or a coordinate that
+            is not finite, or its content does not match its extension.
         MissingDependencyError: A USD file without usd-core installed.
     Example:
         >>> load("data/samples/bracket.obj")
@@ -71,11 +71,11 @@ def save(
     point_data: Mapping[str, ArrayLike] | None = None,
     cell_data: Mapping[str, ArrayLike] | None = None,
 ) -> None:
-    """Write a mesh, and data on its vertices and faces, in the format that the extension names.
+    """Write a mesh, with optional data on its vertices and faces; the extension determines the format.
 
-    The file is replaced as a whole: a reader sees the old file or the new one. Positions keep float64 except in .stl,
-    .glb and USD, which hold float32 (relative precision 6e-8 of the largest coordinate). The names of parts are kept
-    in .obj only.
+    The file is replaced atomically: a reader sees either the old file or the new one. Positions keep float64 except in
+    .stl, .glb and USD, which store float32 (relative precision 6e-8 of the largest coordinate). Only .obj keeps the
+    names of parts.
 
     Args:
         path: .obj .ply .stl .off .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
@@ -83,8 +83,8 @@ def save(
         point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
         cell_data: Arrays (F,) or (F, k) by name, for the same formats.
     Raises:
-        InputError: An unknown extension, a mesh without faces, data for a format that has no place for them, data of
-            a wrong shape or type, or coordinates that float32 cannot hold for a format of float32.
+        InputError: An unknown extension, a mesh without faces, data for a format that cannot store it, data of a wrong
+            shape or type, or coordinates that float32 cannot hold for a format of float32.
         FileAccessError: The target cannot be written.
         MissingDependencyError: A USD file without usd-core installed.
     Example:
@@ -128,7 +128,7 @@ def _checked(data: Mapping[str, ArrayLike] | None, count: int, argument: str, ro
 
 
 def _storable(values: NDArray[Any], where: str) -> NDArray[Any]:
-    # The types that all of the formats have; .xdmf and legacy .vtk have no truth values and no 8-bit integers.
+    # The types that all of these formats support; .xdmf and legacy .vtk have neither bool nor 8-bit integers.
     if values.dtype in (np.float32, np.float64):
         return values
     if values.dtype.kind in "bui":

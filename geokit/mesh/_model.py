@@ -27,13 +27,12 @@ class MeshPart(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """Triangles over shared vertices, checked when made.
+    """Triangles over shared vertices; the arrays are checked on construction.
 
-    A mesh that was made on a GPU stays there: ``vertices`` and ``faces`` come to the host, both at once, when one of
-    them is first read (also by a copy, a pickle, or a function that works on the host); then its memory on the GPU is
-    free again. Until then a :class:`geokit.mesh.Surface` on that GPU uses the arrays where they are, and keeps them.
-    ``vertex_count``, ``face_count``, ``bounds``, ``diagonal`` and the text of a mesh leave it there. Held by
-    tests/mesh/test_device_mesh.py.
+    A mesh that was made on a GPU stays there until its arrays are read. The first access to ``vertices`` or ``faces``
+    (also by a copy, a pickle, or a function that works on the host) copies both to the host and frees the memory on
+    the GPU. Until then a :class:`geokit.mesh.Surface` on that GPU uses the arrays in place and keeps them alive.
+    ``vertex_count``, ``face_count``, ``bounds``, ``diagonal`` and ``repr`` do not trigger the copy.
 
     Args:
         vertices: Vertex positions [world], shape (V, 3); kept as read-only float64.
@@ -42,6 +41,8 @@ class TriangleMesh:
         parts: Named face ranges where several bodies were joined; empty for a single body.
     Raises:
         InputError: A wrong shape, a non-finite vertex, or an index outside ``[0, V)``; the first bad row is named.
+
+    Held by: tests/mesh/test_model.py, tests/mesh/test_device_mesh.py
     """
 
     vertices: NDArray[np.float64]
@@ -72,7 +73,7 @@ class TriangleMesh:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            # Only asked for what is not there: the arrays of a mesh that was made on a device.
+            # Python calls this only for missing attributes: the arrays of a mesh that is still on a device.
             if name in ("vertices", "faces"):
                 self._fetch()
                 if name in self.__dict__:
@@ -80,38 +81,38 @@ class TriangleMesh:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __reduce__(self) -> Any:
-        return _known, (self.vertices, self.faces, self.name, self.parts)
+        return _trusted_mesh, (self.vertices, self.faces, self.name, self.parts)
 
     def _fetch(self) -> None:
-        """Bring the arrays to the host, both at once, unless they are there; then free the device's."""
-        held = self._on_device
-        if held is None:
+        """Copy both arrays to the host, if they are still on the device, and free the memory there."""
+        device_arrays = self._on_device
+        if device_arrays is None:
             return
-        with held.lock:
-            if self._on_device is None:  # another thread has brought them
+        with device_arrays.lock:
+            if self._on_device is None:  # another thread copied them meanwhile
                 return
-            vertices, faces = held.download()
+            vertices, faces = device_arrays.download()
             self.__dict__.update(vertices=read_only(vertices), faces=read_only(faces))
             del self.__dict__["_on_device"]
 
     @property
     def vertex_count(self) -> int:
         """Number of vertices V."""
-        held = self._on_device
-        return len(self.vertices) if held is None else len(held.vertices)
+        device_arrays = self._on_device
+        return len(self.vertices) if device_arrays is None else len(device_arrays.vertices)
 
     @property
     def face_count(self) -> int:
         """Number of faces F."""
-        held = self._on_device
-        return len(self.faces) if held is None else len(held.faces) // 3
+        device_arrays = self._on_device
+        return len(self.faces) if device_arrays is None else len(device_arrays.faces) // 3
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Box around the vertices that faces use [world], shape (2, 3); NaN where there are no faces."""
-        held = self._on_device
-        if held is not None:
-            return held.bounds()
+        """Bounding box of the vertices that faces use [world], shape (2, 3); NaN for a mesh without faces."""
+        device_arrays = self._on_device
+        if device_arrays is not None:
+            return device_arrays.bounds()
         if len(self.faces) == 0:
             return np.full((2, 3), np.nan)
         used = np.zeros(len(self.vertices), bool)
@@ -122,7 +123,7 @@ class TriangleMesh:
 
     @property
     def diagonal(self) -> float:
-        """Length of the bounding box's diagonal [world]; NaN where there are no faces."""
+        """Length of the bounding box's diagonal [world]; NaN for a mesh without faces."""
         lower, upper = self.bounds
         return float(np.linalg.norm(upper - lower))
 
@@ -159,16 +160,16 @@ def _indices(values: ArrayLike, vertex_count: int) -> NDArray[np.int32]:
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    # A view, so that an array which belongs to the caller stays writable for the caller.
+    # A view, so that the caller's own array stays writable.
     view = array.view()
     view.flags.writeable = False
     return view
 
 
-def _known(
+def _trusted_mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str, parts: tuple[MeshPart, ...]
 ) -> TriangleMesh:
-    """A mesh of arrays that were those of a mesh: looking at each row again takes longer than to copy them."""
+    """A mesh from arrays that were checked before: validating each row again takes longer than copying them."""
     mesh = TriangleMesh.__new__(TriangleMesh)
     mesh.__dict__.update(vertices=read_only(vertices), faces=read_only(faces), name=name, parts=parts)
     return mesh

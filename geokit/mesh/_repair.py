@@ -1,4 +1,4 @@
-"""Repairs that keep the shape: one winding, one vertex for each place, no faces without area."""
+"""Repairs that keep the shape: consistent winding, merged vertices, no faces without area."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["OrientedMesh", "drop_degenerate", "merge_vertices", "orient"]
 
 
 class OrientedMesh(NamedTuple):
-    """A mesh and how it came to its winding.
+    """A mesh with consistent winding, and the faces that were flipped for it.
 
     Attributes:
-        mesh: The mesh with some faces turned.
-        flipped: The faces that were turned, (F,) bool.
-        consistent: Every piece winds alike; False where the mesh has a one-sided piece such as a Möbius strip.
+        mesh: The mesh with some faces flipped.
+        flipped: The flipped faces, (F,) bool.
+        consistent: True if every component has one winding; False if one is one-sided, such as a Möbius strip.
     """
 
     mesh: TriangleMesh
@@ -33,27 +33,25 @@ class OrientedMesh(NamedTuple):
 
 
 def orient(mesh: TriangleMesh) -> OrientedMesh:
-    """Turn faces so that each piece winds alike, solids outward and cavities inward.
+    """Flip faces so that each component has one winding, solids outward and cavities inward.
 
-    A piece is the faces that hang together through edges of exactly two faces, by position as in
-    :func:`geokit.mesh.audit`.
+    A component is a set of faces connected through edges of exactly two faces. Vertices at equal positions count as
+    one, as in :func:`geokit.mesh.audit`.
 
-    - The faces of a piece are made to wind alike by turning the fewest of them; where half of them would do either
-      way, the lowest face stays. One-sided pieces cannot wind alike: they are left as they are, and ``consistent`` is
-      False.
-    - Closed pieces, which bound a volume, are turned outward by the sign of that volume. Those within another closed
-      piece turn along with the outermost one around them, so that cavities remain cavities, and a solid that is inside
-      out as a whole is turned as a whole; but a cavity needs something to be a cavity in: a piece that would face
-      inward where no other winds around it is turned outward.
-    - Open pieces stay the way most of their faces wind.
+    - Within a component the smaller set of faces is flipped; with equal halves, the lowest face keeps its winding.
+      One-sided components have no consistent winding: they are left as they are, and ``consistent`` is False.
+    - Closed components, which bound a volume, are turned outward by the sign of that volume. Components inside another
+      closed component turn along with the outermost one around them: cavities remain cavities, and a solid that is
+      inside out as a whole is turned as a whole. A cavity must lie inside a solid: a component that would face inward
+      where no other one winds around it is turned outward.
+    - Open components keep the winding of the majority of their faces.
 
-    Copies of a face (the same three positions) turn along with the first of them; faces with two equal corners stay.
-    Vertices, the order of the faces, name and parts stay. What is oriented already stays as it is, and closed pieces
-    come out the same whichever way they are given (tests/mesh/topology/test_repair_property.py). Turned faces have
-    their corners in reverse.
+    Copies of a face (the same three positions) turn along with the first of them. Faces with two equal corners stay as
+    they are. Vertices, the order of the faces, name and parts do not change. Meshes that are oriented already do not
+    change, and the result for closed components does not depend on their winding in the input. Flipped faces have their
+    corners in reverse order.
 
-    Open pieces come out right while fewer than half of their faces were flipped, closed ones always. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    Open components come out right if fewer than half of their faces were flipped, closed ones always.
 
     Args:
         mesh: The mesh; it may be empty.
@@ -63,6 +61,8 @@ def orient(mesh: TriangleMesh) -> OrientedMesh:
         >>> gk.mesh.orient(gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]],
         ...     [[0, 2, 1], [0, 1, 3], [0, 3, 2], [3, 2, 1]])).flipped
         array([False, False, False,  True])
+
+    Held by: tests/mesh/topology/test_repair_property.py, tests/accuracy/stability/test_envelopes.py
     """
     from geokit.mesh._surface import Surface
     from geokit.mesh.topology.orientation import orient_faces
@@ -76,23 +76,22 @@ def orient(mesh: TriangleMesh) -> OrientedMesh:
 
 
 def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMesh:
-    """One vertex in place of several at the same position, or within a tolerance.
+    """Merge vertices at the same position, or within a tolerance of each other.
 
-    Vertices are taken in their order: each that is not yet taken stays where it is, and takes those after it that are
-    within the tolerance (distances are compared in float64, as :class:`geokit.points.NeighborGrid` does). So no corner
-    moves farther than the tolerance, no two vertices that remain are within it, and chains of near vertices do not run
-    together; a vertex within the tolerance of several that stay goes to the first of them
-    (tests/mesh/topology/test_repair_property.py).
+    Vertices are processed in order. A vertex that is not merged yet stays where it is, and absorbs all later ones
+    within the tolerance; distances are compared in float64, as in :class:`geokit.points.NeighborGrid`. So no corner
+    moves farther than the tolerance, no two remaining vertices are within it, and chains of near vertices do not
+    collapse. A vertex within the tolerance of several remaining ones is merged into the first.
 
-    Vertices that no face uses are vertices like the others. Faces keep their number, order and parts: some may have
-    lost their area (:func:`drop_degenerate`).
+    Vertices that no face uses are merged like the others. The number, order and parts of the faces do not change; some
+    may have lost their area (see :func:`drop_degenerate`).
 
-    Right for tolerances between the distance of vertices that belong together and 0.9 of the shortest edge. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    The result is right for tolerances between the distance of vertices that belong together and 0.9 of the shortest
+    edge.
 
     Args:
         mesh: The mesh; it may be empty.
-        tolerance: Distance [world] within which vertices become one; 0 for equal positions only (-0.0 equals 0.0).
+        tolerance: Distance [world] within which vertices are merged; 0 for equal positions only (-0.0 equals 0.0).
     Returns:
         TriangleMesh.
     Raises:
@@ -104,6 +103,8 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
         ...     [[0, 1, 2], [3, 4, 5]])
         >>> gk.mesh.merge_vertices(soup)
         TriangleMesh(4 vertices, 2 faces)
+
+    Held by: tests/mesh/topology/test_repair_property.py, tests/accuracy/stability/test_envelopes.py
     """
     tolerance = require_finite_scalar(tolerance, "tolerance")
     if tolerance < 0.0:
@@ -118,25 +119,26 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
 
 
 def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreferenced: bool = False) -> TriangleMesh:
-    """The mesh without its faces that have no area.
+    """Remove the faces without area.
 
-    Those are the faces that :func:`geokit.mesh.audit` counts as degenerate: with two corners at one position, or of a
-    height under 1e-12 of their longest edge. A needle whose corners differ may be the only face between its neighbours,
-    and then leaves a slit of no width between them: an open edge.
+    These are the faces that :func:`geokit.mesh.audit` counts as degenerate: two corners at one position, or a height
+    under 1e-12 of the longest edge. A needle with three different corners may be the only face between its neighbors.
+    Removing it leaves a slit of zero width between them: an open edge.
 
-    The faces that remain keep their order, and their parts, which may come out empty. Vertices stay as they are unless
-    asked for, so that data on vertices stays with them.
+    The remaining faces keep their order and their parts; a part may become empty. Vertices are kept unless
+    ``unreferenced`` is True, so that data on vertices stays valid.
 
     Args:
         mesh: The mesh; it may be empty.
-        duplicates: Drop also the faces on the same three positions as an earlier one, in any order, whichever way they
-            wind.
-        unreferenced: Drop also the vertices that no remaining face uses.
+        duplicates: Also remove faces with the same three positions as an earlier one, in any order and either winding.
+        unreferenced: Also remove the vertices that no remaining face uses.
     Returns:
         TriangleMesh.
     Example:
         >>> gk.mesh.drop_degenerate(gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 1]]))
         TriangleMesh(3 vertices, 1 faces)
+
+    Held by: tests/mesh/topology/test_repair.py
     """
     corners, _ = position_corners(mesh)
     keep = ~(faces_without_area(mesh) | collapsed_faces(corners))
@@ -151,7 +153,7 @@ def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreference
 
 
 def _kept_parts(parts: tuple[MeshPart, ...], keep: NDArray[np.bool_]) -> tuple[MeshPart, ...]:
-    """The ranges of faces that remain of each part."""
+    """The parts with the face ranges that remain of them."""
     before = np.concatenate([[0], np.cumsum(keep)])
     ends = [(int(before[p.first_face]), int(before[p.first_face + p.face_count])) for p in parts]
     return tuple(MeshPart(p.name, begin, end - begin) for p, (begin, end) in zip(parts, ends, strict=True))

@@ -1,4 +1,4 @@
-"""Points on a mesh's surface: uniform, or evenly spread with a least distance."""
+"""Points on a mesh's surface: uniform by area, or evenly spread with a minimum distance."""
 
 from __future__ import annotations
 
@@ -39,33 +39,31 @@ def sample_surface(
     radius: float | None = None,
     seed: int = 0,
 ) -> SurfaceSamples:
-    """Random points on the surface, the same for the same mesh, arguments and seed.
+    """Random points on the surface; the same mesh, arguments and seed give the same points.
 
-    - "uniform": independent, each triangle as likely as its share of the area, uniform within it
-      (tests/mesh/queries/test_sample_surface.py tests both against their distributions).
-    - "poisson_disk" with ``count``: so many points, spread evenly. What distance they have from each other is on the
-      result as ``radius``: about 0.8 times the square root of the area for each point, less on thin or folded shapes.
-    - "poisson_disk" with ``radius``: points at least that far from each other, as many as random throwing finds; less
-      than half a percent of the surface has room for another.
+    - "uniform": independent points. A triangle is chosen in proportion to its area, and the point is uniform in it.
+    - "poisson_disk" with ``count``: exactly that many points, evenly spread. Their minimum distance is returned as
+      ``radius``: about 0.8 times the square root of the area per point, less on thin or folded shapes.
+    - "poisson_disk" with ``radius``: points at least that far apart, as many as random throwing finds; less than half a
+      percent of the surface has room for another point.
 
-    Distances between points are straight lines through space, ``sqrt((dx * dx + dy * dy) + dz * dz)`` in float64, and
-    the least one holds for every pair but for the last digit of that square root. Points lie on their triangles to
-    4 roundings of the largest coordinate. Triangles without area are never chosen.
+    Distances between points are straight lines through space, ``sqrt((dx * dx + dy * dy) + dz * dz)`` in float64. The
+    minimum holds for every pair up to the last digit of that square root. Points lie on their triangles to 4 roundings
+    of the largest coordinate. Triangles without area are never chosen.
 
     Args:
         mesh: The triangles.
         count: Number of points; required by "uniform". "poisson_disk" takes either this or ``radius``.
         method: "uniform" or "poisson_disk".
-        radius: Least distance between any two points [world], for "poisson_disk".
+        radius: Minimum distance between any two points [world], for "poisson_disk".
         seed: Seed of the random numbers, 0 or more.
     Returns:
         SurfaceSamples with points (N, 3) [world], triangle_id (N,), barycentric (N, 3), radius.
     Raises:
-        InputError: mesh is not a TriangleMesh, or has no area to put a point on; there is no such method; count is
-            missing, negative or not a whole number; radius is not a positive finite number or does not go with the
-            method and count; seed is negative or not a whole number; or float64 does not have ``count`` different
-            points there.
-        DeviceMemoryError: The points that far apart would not fit in memory.
+        InputError: mesh is not a TriangleMesh, or its area is zero; there is no such method; count is missing, negative
+            or not a whole number; radius is not a positive finite number or does not go with the method and count; seed
+            is negative or not a whole number; or float64 does not have ``count`` different points on the surface.
+        DeviceMemoryError: Points that far apart would not fit in memory.
     Source:
         Turk, "Generating random points in triangles" (1990), by folding the square. Cook, "Stochastic sampling in
         computer graphics" (1986); for a given count McCool and Fiume, "Hierarchical Poisson disk sampling
@@ -76,6 +74,8 @@ def sample_surface(
         (1000, 3)
         >>> gk.mesh.sample_surface(triangle, 100, method="poisson_disk").radius > 0.05
         True
+
+    Held by: tests/mesh/queries/test_sample_surface.py
     """
     if not isinstance(mesh, TriangleMesh):
         raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
@@ -123,13 +123,13 @@ def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | 
 
 
 def require_whole(value: Any, name: str) -> int:
-    """``value`` as an int from 0 up.
+    """``value`` as an int of 0 or more.
 
     Raises:
-        InputError: It is none.
+        InputError: The value is not a whole number of 0 or more.
     """
     try:
-        # True is a whole number to Python.
+        # To Python, True is a whole number.
         number = -1 if isinstance(value, bool | np.bool_) else operator.index(value)
     except TypeError:
         number = -1
@@ -139,7 +139,7 @@ def require_whole(value: Any, name: str) -> int:
 
 
 def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:
-    """A power of two that brings the mesh to about unit size, and the areas (F,) of its triangles at that size."""
+    """A power of two that scales the mesh to about unit size, and the areas (F,) of its triangles at that size."""
     lower, upper = mesh.bounds
     # Halved before the difference: boxes as large as float64 must not overflow.
     half = float(np.max(upper * 0.5 - lower * 0.5)) if len(mesh.faces) else 0.0
@@ -157,13 +157,13 @@ def _draw(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
     """Uniform samples: triangle_id, barycentric, points. ``bounds`` are the cumulative areas."""
     choice, v, w = generator.random((3, count))
-    # The first triangle whose bound is above the number: one without area ends where the one before it does.
+    # The first triangle whose cumulative area exceeds the number; one without area is never the first.
     triangle_id = np.searchsorted(bounds, choice * bounds[-1], side="right").astype(np.int32)
     beyond = v + w > 1.0
     v, w = np.where(beyond, 1.0 - v, v), np.where(beyond, 1.0 - w, w)
     barycentric = np.stack([1.0 - (v + w), v, w], axis=1)
-    # take() is several times quicker than an index.
+    # take() is several times faster than fancy indexing.
     a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.faces.take(triangle_id, axis=0).T)
-    # From differences: coordinates that all corners share come out as they are.
+    # Built from differences: a coordinate that all corners share stays exactly the same.
     points = a + v[:, None] * (b - a) + w[:, None] * (c - a)
     return triangle_id, barycentric, points

@@ -1,4 +1,4 @@
-"""Fewer triangles for the same surface: as few as stay within a tolerance, or a given number of them."""
+"""Mesh simplification: as few triangles as a tolerance allows, or at most a given number."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ __all__ = ["Simplified", "simplify"]
 
 # Mapping into the unit frame and back rounds coordinates a few times.
 FRAME_ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
-# The number of faces is looked for to this ratio: a finer one costs more trials, and counts move by more than that
-# when a mesh is turned.
+# The search over face counts ends at this ratio. A smaller one costs more trials, and counts change by more than that
+# when a mesh is rotated.
 COUNT_RATIO = 1.02
-# In the first round, whose trials begin with the most faces and take longest; the next one makes up for it.
+# Ratio of the first round, whose trials start with the most faces and take longest; the next round makes up for it.
 FIRST_RATIO = 1.2
-# Before that, as long as a mesh with this part of the faces has its vertices within this share of the tolerance, it is
-# where trials begin, which take as long as it has faces. A larger share costs faces.
+# Before the search, meshes with this fraction of the faces are tried as starting points: trials take as long as the
+# start has faces. A start must have its vertices within this share of the tolerance. A larger share costs faces.
 STEP = 4
 STEP_SHARE = 0.1
-# Collapsing the outcome again, with new quadrics, goes on where the round before had its worst place: up to a third
-# fewer faces. Rounds end where one gains less than this share.
+# Collapsing the result again, with new quadrics, continues where the previous round reached its worst place: up to a
+# third fewer faces. Rounds end when one gains less than this share.
 ROUND_GAIN = 0.03
 # Width of the bounds of the deviation that is returned, as a share of the tolerance.
 BOUND_SHARE = 0.02
 # The same where only a number of faces is given, as a share of the mesh's size.
 BOUND_SIZE = 1e-4
-# Points on each surface for the percentile: fifty of them lie beyond.
+# Points on each surface for the percentile: fifty of them lie beyond it.
 SAMPLES = 50_000
-# Of their random numbers, other than any user's first choice.
+# Seed of these samples, unlike any that a user is likely to choose.
 SEED = 20_260_601
 
 
 class Simplified(NamedTuple):
-    """A mesh with fewer faces, and how far it is from what it was made of.
+    """A mesh with fewer faces, and its deviation from the original.
 
     Attributes:
-        mesh: The mesh.
-        deviation: Upper bound of the Hausdorff distance between both surfaces [world]: no point of either is farther
-            from the other. 0 for the mesh itself.
-        deviation_p999: The distance within which 99.9% of the area of each surface are from the other [world],
-            measured on random points.
+        mesh: The simplified mesh.
+        deviation: Upper bound of the Hausdorff distance between both surfaces [world]: no point of either surface is
+            farther from the other. 0 if the mesh is unchanged.
+        deviation_p999: Distance [world] within which 99.9% of the area of each surface lies from the other, measured on
+            random points.
     """
 
     mesh: TriangleMesh
@@ -59,27 +59,26 @@ class Simplified(NamedTuple):
 def simplify(
     mesh: TriangleMesh, *, tolerance: float | None = None, face_count: int | None = None, device: Any = None
 ) -> Simplified:
-    """A mesh with fewer faces: as few as are found to stay within a tolerance, or no more than a given number.
+    """Simplify a mesh: as few faces as found within a tolerance, or at most a given number of faces.
 
-    Exactly one of ``tolerance`` and ``face_count`` is given. Edges are collapsed in the order of their quadric error;
-    what comes of it counts only where
+    Exactly one of ``tolerance`` and ``face_count`` is given. Edges are collapsed in the order of their quadric error. A
+    result is accepted only if
 
     - no point of either surface is farther than the tolerance from the other one: ``deviation`` is an upper bound of
-      the Hausdorff distance, proven for all points of the triangles as by :func:`geokit.mesh.hausdorff`, and at most
+      the Hausdorff distance, proven for all points of the triangles as in :func:`geokit.mesh.hausdorff`, and at most
       the tolerance;
-    - it hangs together as before: watertight, manifold and oriented where the mesh was, with as many pieces, boundary
+    - the topology is unchanged: watertight, manifold and oriented where the mesh was, with as many components, boundary
       loops and handles, and no more faces without area;
-    - no face is turned over: each has a face of the mesh within the tolerance that looks the same way (where the mesh
-      is oriented).
+    - no face is flipped: for each face there is a face of the original within the tolerance with a similar normal (only
+      checked where the original is oriented).
 
-    The search over the number of faces ends within 2%; what it finds is not the fewest faces that exist. A mesh of
-    which nothing can be collapsed comes back as it is, with deviation 0. Faces may come to intersect where sheets are
-    nearer to each other than the tolerance. Held by tests/mesh/simplification/test_simplify.py and
-    tests/house/test_tolerances_property.py, against brute force.
+    The search over the number of faces ends within 2%; the result is not the minimum over all possible meshes. If
+    nothing can be collapsed, the mesh is returned unchanged, with deviation 0. Faces may intersect where sheets are
+    closer to each other than the tolerance.
 
-    Vertices at one position count as one, vertices that no face uses are left out, and parts are not kept. Vertices
-    that were not moved keep their coordinates to the bit; others are good to 5e-7 of the mesh's size, which the
-    deviation includes. The same for any number of threads.
+    Vertices at equal positions are merged, unreferenced vertices are removed, and parts are not kept. Vertices that
+    were not moved keep their coordinates to the bit. Others are exact to 5e-7 of the mesh's size, which the deviation
+    includes. Results do not depend on the number of threads.
 
     Args:
         mesh: The mesh, with at least one face.
@@ -91,8 +90,8 @@ def simplify(
         Simplified with mesh, deviation and deviation_p999 [world].
     Raises:
         InputError: mesh is not a TriangleMesh, or has no faces; not exactly one of tolerance and face_count is given;
-            tolerance is not a positive finite number; face_count is not a whole number, or so few faces would break
-            the mesh (the message says how many do not); there is no such device.
+            tolerance is not a positive finite number; face_count is not a whole number, or is too small to keep the
+            topology (the message names the smallest count found); there is no such device.
         DeviceMemoryError: The device cannot hold the surfaces.
     Source:
         Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), by VTK. Differs: the result
@@ -102,6 +101,8 @@ def simplify(
         >>> small = gk.mesh.simplify(torus, tolerance=0.01)
         >>> len(torus.faces) // len(small.mesh.faces) > 10, small.deviation <= 0.01
         (True, True)
+
+    Held by: tests/mesh/simplification/test_simplify.py, tests/house/test_tolerances_property.py
     """
     if not isinstance(mesh, TriangleMesh):
         raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
@@ -121,14 +122,14 @@ def simplify(
 
 
 def within_tolerance(mesh: TriangleMesh, tolerance: float, device: Any) -> Simplified:
-    """:func:`simplify` of checked arguments."""
+    """:func:`simplify` to a tolerance, with checked arguments."""
     original = _Original(mesh, device)
     limit = (tolerance - original.rounding) / original.scale
     found = original.fewest(limit) if limit > 0.0 else None
     if found is None:
         return Simplified(mesh, 0.0, 0.0)
     simple, bound = original.measured(found, BOUND_SHARE * limit)
-    # Decided to be within the limit already; the bound of the measurement is a little wider at times.
+    # Already proven to be within the limit; the measured bound is sometimes slightly wider.
     return simple._replace(deviation=min(bound, tolerance), deviation_p999=min(simple.deviation_p999, tolerance))
 
 
@@ -139,7 +140,7 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
     found = original.collapsed(original.local, wanted)
     if found is not None and len(found.faces) <= wanted:
         simple, _ = original.measured(found, BOUND_SIZE)
-        if original.looks_alike(found, simple.deviation / original.scale):
+        if original.keeps_facing(found, simple.deviation / original.scale):
             return simple
     fewest = original.fewest(math.inf)
     reachable = len(mesh.faces) if fewest is None else len(fewest.faces)
@@ -150,7 +151,7 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
 
 
 class _Original:
-    """The mesh that is simplified, at unit size, with all that candidates are held against."""
+    """The original mesh at unit size, with everything that candidates are compared against."""
 
     def __init__(self, mesh: TriangleMesh, device: Any) -> None:
         from geokit.core.frame import Frame
@@ -162,7 +163,7 @@ class _Original:
         lower, upper = mesh.bounds
         around = Frame.around(lower, upper)
         self.origin = around.origin
-        # A power of two rounds nothing; twice the half of the longest side.
+        # A power of two, so that scaling does not round: twice the half of the longest side, rounded up.
         self.scale = math.ldexp(1.0, min(math.frexp(around.scale)[1] + 1, 1023))
         self.rounding = FRAME_ROUNDINGS * float(max(np.abs(lower).max(), np.abs(upper).max()))
         self.local = TriangleMesh((self.vertices - self.origin) / self.scale, faces, name=mesh.name)
@@ -171,7 +172,7 @@ class _Original:
         self.surface = Surface(self.local, device=device)
 
     def fewest(self, limit: float) -> TriangleMesh | None:
-        """The mesh with the fewest faces that is found to be within the limit, at unit size; None if there is none."""
+        """The mesh with the fewest faces found within the limit, at unit size; None if nothing could be collapsed."""
         best, ratio = self._descended(limit), FIRST_RATIO
         while True:
             found = self._bisected(best, limit, ratio)
@@ -182,15 +183,15 @@ class _Original:
             ratio = COUNT_RATIO
 
     def _descended(self, limit: float) -> TriangleMesh:
-        """A mesh well within the limit, on which trials take less time than on the original."""
+        """A mesh well within the limit with fewer faces than the original, so that trials on it are faster."""
         start = self.local
         while True:
             found = self.collapsed(start, len(start.faces) // STEP)
-            if found is None or not self._has_vertices_within(found, STEP_SHARE * limit):
+            if found is None or not self._has_vertices_within_limit(found, STEP_SHARE * limit):
                 return start
             start = found
 
-    def _has_vertices_within(self, found: TriangleMesh, limit: float) -> bool:
+    def _has_vertices_within_limit(self, found: TriangleMesh, limit: float) -> bool:
         from geokit.mesh._surface import Surface
 
         there = self.surface.closest_point(found.vertices).distance.max()
@@ -199,7 +200,7 @@ class _Original:
 
     def _bisected(self, start: TriangleMesh, limit: float, ratio: float) -> TriangleMesh | None:
         best: TriangleMesh | None = None
-        # One face is always too few to ask for: the least count that is refused, and the most that is accepted.
+        # One face is always too few. `low` is a count that failed, `high` the smallest that was accepted.
         low, high = 1, len(start.faces)
         while high > low * ratio and high > low + 1:
             count = min(max(round(math.sqrt(low * high)), low + 1), high - 1)
@@ -212,7 +213,7 @@ class _Original:
         return best
 
     def collapsed(self, start: TriangleMesh, face_count: int) -> TriangleMesh | None:
-        """The mesh with that many faces, if it hangs together as the original does."""
+        """The mesh collapsed to that many faces, or None if its topology differs from the original's."""
         from geokit.mesh.simplification.invariants import shape_of
         from geokit.mesh.simplification.quadric import decimate
 
@@ -227,15 +228,15 @@ class _Original:
 
         if math.isinf(limit):
             return True
-        return within(self.surface, Surface(found, device=self.device), limit) and self.looks_alike(found, limit)
+        return within(self.surface, Surface(found, device=self.device), limit) and self.keeps_facing(found, limit)
 
-    def looks_alike(self, found: TriangleMesh, distance: float) -> bool:
-        from geokit.mesh.simplification.invariants import faces_as_before
+    def keeps_facing(self, found: TriangleMesh, distance: float) -> bool:
+        from geokit.mesh.simplification.invariants import has_similar_normals
 
-        return not self.shape.oriented or faces_as_before(found, self.surface, distance)
+        return not self.shape.oriented or has_similar_normals(found, self.surface, distance)
 
     def measured(self, found: TriangleMesh, width: float) -> tuple[Simplified, float]:
-        """The mesh in the world with its deviation, which is also given with nothing taken off."""
+        """The mesh in world coordinates with its deviation, and the deviation before it is clamped to the tolerance."""
         from geokit.mesh._hausdorff import hausdorff
         from geokit.mesh._surface import Surface
         from geokit.mesh.simplification.quadric import restored
@@ -266,7 +267,7 @@ def _one_vertex_a_position(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDA
 
 
 def _percentile(mesh: TriangleMesh, other: Any) -> float:
-    """The 99.9th percentile of the distances of points on a mesh."""
+    """The 99.9th percentile of the distances from points on a mesh to another surface."""
     from geokit.mesh._sample_surface import sample_surface, scaled_areas
 
     if not scaled_areas(mesh)[1].any():

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Surface"]
 
-# Triangles in a leaf of the warp Mesh: on a CPU a leaf of eight is one contiguous read, on a GPU one triangle a thread
-# diverges least.
+# Triangles in a leaf of the warp Mesh. On a CPU a leaf of eight is one contiguous read; on a GPU one triangle per
+# thread diverges least.
 LEAF_SIZE_CPU = 8
 LEAF_SIZE_CUDA = 1
-# Triangles in a leaf of the nodes that queries on a GPU walk, which are packed from that tree: closest points gain by
-# reading fewer nodes, rays lose by testing triangles that they pass (measured on an H100).
+# Triangles in a leaf of the packed nodes that GPU queries walk (made from the tree of the warp Mesh). Closest points
+# gain from reading fewer nodes; rays lose from testing triangles that they pass (measured on an H100).
 POINT_LEAF = 6
 RAY_LEAF = 1
 
@@ -37,20 +37,22 @@ RAY_LEAF = 1
 class Surface(SignQueries, RayQueries, OverlapQueries):
     """A mesh prepared once for many queries on one device.
 
-    On a CPU queries walk a tree of eight children a node; on a GPU they walk the tree of a warp ``Mesh``. Answers are
-    those of float64 triangles on either.
+    On a CPU queries walk a tree with eight children per node; on a GPU they walk the tree of a warp ``Mesh``. On either
+    device the answers are those of float64 triangles.
 
-    Arrays of a mesh that was made on the same GPU are used where they are.
+    Arrays of a mesh that was made on the same GPU are used in place.
 
     Args:
         mesh: The triangles; at least one.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
     Attributes:
         mesh: The triangles.
-        bounds: Box around them [world], shape (2, 3).
+        bounds: Bounding box of the vertices that faces use [world], shape (2, 3).
     Raises:
         InputError: The mesh has no faces, or there is no such device.
         DeviceMemoryError: The device cannot hold the mesh.
+
+    Held by: tests/mesh/test_surface.py
     """
 
     def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
@@ -110,7 +112,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         tree.ray_boxes, tree.ray_children = pack_nodes(self._warp_mesh, RAY_LEAF, RAY_PADDING, tree.leaves)
 
     def _place_triangles(self) -> None:
-        """The frame, and the triangles in the order of the slots: world corners, and planes in float32."""
+        """Store the frame, and the triangles in slot order: world corners in float64, and planes in float32."""
         import warp as wp
 
         from geokit.mesh.bvh.bvh8 import fill_leaves
@@ -128,7 +130,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
 
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":
-        """The mesh in local coordinates for warp's own queries; CPU queries do without, and make it when asked for."""
+        """The mesh in local coordinates for warp's own queries; CPU queries do not need it, so it is built lazily."""
         return self._make_warp_mesh(self._faces)
 
     def _make_warp_mesh(self, faces: "wp.array") -> "wp.Mesh":
@@ -136,7 +138,7 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
 
         from geokit.core.frame_kernels import local_kernel
 
-        # Vertices that no face uses may lie anywhere; in the frame of the faces they could overflow float32.
+        # Vertices that no face uses may lie anywhere: in the frame of the faces they could overflow float32.
         local = wp.empty(len(self._vertices), dtype=wp.vec3, device=self._device)
         corners = [wp.vec3d(*corner.tolist()) for corner in (*self.bounds, self._frame.origin)]
         inputs = [self._vertices, *corners, wp.float64(self._frame.scale)]
@@ -149,16 +151,24 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         )
 
     def update(self, vertices: ArrayLike) -> None:
-        """Move the vertices; the tree is refitted, which takes a fraction of building it.
+        """Move the vertices and refit the tree, which takes a fraction of the time of building it.
 
-        Answers are those of a new Surface, to the last bit, but for winding numbers, whose clusters follow the tree:
-        they stay within the error that they are given with (tests/mesh/test_surface_update.py). The tree of a new
-        Surface is made for the new shape and may be faster: build one after large deformations.
+        Afterwards answers equal those of a new Surface to the last bit, except for winding numbers: their clusters
+        depend on the tree, and they stay within the error bound of :meth:`winding_number`. The tree of a new Surface
+        fits the new shape and may be faster; build one after large deformations.
 
         Args:
-            vertices: New vertex positions [world], shape (V, 3), as many as before.
+            vertices: New vertex positions [world], shape (V, 3), with the same number of vertices V.
         Raises:
-            InputError: Another number of vertices, or a row that is not finite; the surface is then as it was.
+            InputError: The number of vertices differs, or a row is not finite; the surface is unchanged then.
+        Example:
+            >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+            >>> surface = gk.mesh.Surface(triangle, device="cpu")
+            >>> surface.update(triangle.vertices + [0, 0, 5])
+            >>> surface.closest_point([[0.25, 0.25, 7.0]]).distance
+            array([2.])
+
+        Held by: tests/mesh/test_surface_update.py
         """
         given, expected = np.shape(vertices), self.mesh.vertex_count
         if len(given) == 2 and given[0] != expected:
@@ -176,43 +186,47 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
             self._place_triangles()
             refit_wide_tree(self._tree, self._frame)
         else:
-            # A GPU builds as quickly as it would refit and copy.
+            # On a GPU a new build takes no longer than a refit and the copies for it.
             self._take_warp_tree()
 
     @classmethod
     def _cached_names(cls) -> list[str]:
-        """What is derived from the vertices and computed when first asked for."""
+        """Names of the cached properties, all of which are derived from the vertices."""
         return [
             name for base in cls.__mro__ for name, value in vars(base).items() if isinstance(value, cached_property)
         ]
 
     @property
     def device(self) -> str:
-        """Alias of the device that answers: "cpu", "cuda:0", ..."""
+        """Alias of the surface's device: "cpu", "cuda:0", ..."""
         return self._device.alias
 
     @property
     def id(self) -> int:
-        """Handle for the user's own kernels: pass it as ``wp.uint64`` to warp's ``mesh_query_*`` built-ins.
+        """Handle of the warp ``Mesh`` for the user's own kernels: pass it as ``wp.uint64`` to warp's ``mesh_query_*``.
 
-        The mesh behind it is in local coordinates: ``(world - origin) / scale``. On a CPU it is made when first asked
-        for. After :meth:`update` there is another one.
+        This mesh is in local coordinates: ``(world - origin) / scale``. On a CPU it is built at the first access.
+        :meth:`update` replaces it, so that the handle changes.
         """
         return int(self._warp_mesh.id)
 
     @property
     def origin(self) -> np.ndarray:
-        """Origin of the local frame [world], shape (3,)."""
+        """Origin of the local frame, the center of ``bounds`` in float64 [world], shape (3,).
+
+        ``local = (world - origin) / scale``; the mesh lies in [-1, 1] there. Kernels that use :attr:`id` work in this
+        frame.
+        """
         return self._frame.origin.copy()
 
     @property
     def scale(self) -> float:
-        """Length of one local unit [world]."""
+        """Length of one local unit [world]; ``local = (world - origin) / scale``."""
         return self._frame.scale
 
     @cached_property
     def audit(self) -> MeshAudit:
-        """What :func:`geokit.mesh.audit` says of the mesh; computed when first asked for."""
+        """The :func:`geokit.mesh.audit` of this mesh, computed at the first access."""
         from geokit.mesh.topology.audit import audit_topology
 
         return audit_topology(self.mesh, self._topology)

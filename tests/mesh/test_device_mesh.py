@@ -1,4 +1,4 @@
-"""Meshes that lie where kernels have made them: on a GPU, or here in arrays of warp's on the CPU."""
+"""Meshes that stay on the device where kernels made them: a GPU, or warp arrays on the CPU."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.parametrize("device", DEVICES)
 
 
 def placed(mesh, device):
-    """The mesh as kernels on a device would have made it."""
+    """The mesh as if kernels had made it on a device."""
     vertices = wp.array(mesh.vertices, dtype=wp.vec3d, device=device)
     faces = wp.array(mesh.faces.reshape(-1), dtype=wp.int32, device=device)
     return mesh_on_device(vertices, faces, mesh.name)
@@ -36,7 +36,7 @@ def placed(mesh, device):
 
 @pytest.fixture
 def journeys(monkeypatch):
-    """What was brought to the host since, one entry for each time."""
+    """The copies to the host since the start of the test, one entry for each."""
     made = []
     download = _device_mesh.download
 
@@ -107,7 +107,7 @@ def test_threads_wait_for_one_journey(device, monkeypatch):
 
     def slow(*arrays):
         made.append(arrays)
-        arrived.wait(0.2)  # the others come meanwhile
+        arrived.wait(0.2)  # the other threads arrive meanwhile
         return download(*arrays)
 
     monkeypatch.setattr(_device_mesh, "download", slow)
@@ -189,7 +189,7 @@ def test_a_surface_takes_the_arrays_over(device, journeys):
             np.testing.assert_array_equal(part, other)
     assert repr(surface) == repr(expected)
     assert journeys == []
-    # Signs look at how the faces hang together, on the host.
+    # Signs need the connectivity of the faces, on the host.
     np.testing.assert_array_equal(surface.signed_distance(points).distance, expected.signed_distance(points).distance)
     np.testing.assert_allclose(surface.winding_number(points), expected.winding_number(points), rtol=0.0, atol=1e-5)
     assert surface.sign_method == expected.sign_method
@@ -278,7 +278,7 @@ def test_a_volume_on_a_device_stays_there_too(method, kind, device):
 @pytest.mark.parametrize("method", ["surface_nets", "marching_cubes"])
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
 def test_every_vertex_is_used_and_in_its_place(method, share, device):
-    # Where neither end of a crossed edge is active there is no face, and a vertex may be left alone.
+    # Where neither end of a crossed edge is active there is no face, and a vertex may remain without one.
     rng = np.random.default_rng(5)
     blocks = 8 * np.array(list(np.ndindex(3, 3, 3)), np.int32)
     values = rng.normal(size=(27, 512)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""TriangleMesh: what it keeps, what it refuses, what the package shows."""
+"""TriangleMesh: its stored arrays, its errors, and the names of the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moved vertices: the refitted surface answers as a new one would."""
+"""Moved vertices: a refitted surface answers as a new one does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.support import mesh_catalog
 
 
 def bent(mesh, amount):
-    """The mesh sheared and twisted, moved and grown: another frame and other boxes everywhere."""
+    """The mesh sheared, twisted, moved and enlarged: another frame and other boxes everywhere."""
     x, y, z = mesh.vertices.T
     angle = amount * z
     return (1.0 + amount) * np.stack(
@@ -42,8 +42,8 @@ def test_refit_equals_rebuild(make, amount):
     for one, other in zip(surface.raycast(points, directions), fresh.raycast(points, directions), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(surface.furthest_point(points).distance, fresh.furthest_point(points).distance)
-    # The winding number's far field goes by clusters, which are others in a new tree: where it hovers around 1/2, in
-    # the opening of a shell, either sign may come out.
+    # The far field of the winding number depends on the clusters, which differ in a new tree: where it is near 1/2, in
+    # the opening of a shell, either sign may result.
     clear = fresh.sign_confidence(points) > 0.01
     assert clear.mean() > 0.95
     signed = [s.signed_distance(points).distance[clear] for s in (surface, fresh)]

@@ -1,1 +1,1 @@
-"""Bounding volume hierarchies: eight children a node on a CPU (bvh8), two on CUDA (bvh2), and how queries walk them."""
+"""Bounding volume hierarchies and their traversal: eight children per node on a CPU (bvh8), two on CUDA (bvh2)."""

@@ -3,6 +3,6 @@
 // Expects closest_on_triangle.inl and p, a, b, c; returns.
 double v, w;
 closest_on_triangle(p - a, b - a, c - a, v, w);
-// Exactly zero on the edge opposite the first corner: a caller that looks up a normal must see that it is an edge.
+// Exactly zero on the edge opposite the first corner: a caller that looks up a normal must recognize the edge.
 const double rest = 1.0 - w;
 return point(v == rest ? 0.0 : rest - v, v, w);

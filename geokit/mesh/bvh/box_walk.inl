@@ -1,4 +1,4 @@
-// Visits the triangles of a surface whose boxes meet a box.
+// Visits the triangles of a surface whose boxes overlap a box.
 //
 // Expects core/simd.inl and load_node_bvh2.inl; tree; low and high (three floats each, local); visit(first), which is
 // called with the first slot of each leaf of eight slots on a CPU, and with each slot of a leaf on CUDA; STACK.

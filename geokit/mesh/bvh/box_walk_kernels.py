@@ -1,4 +1,4 @@
-"""A walk that visits the triangles of a surface whose boxes meet a box; and the boxes that it compares."""
+"""Traversal that visits the triangles of a surface whose boxes overlap a box, and the boxes it compares."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -11,14 +11,14 @@ from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# Boxes end here, in local units: the mesh lies in [-1, 1], and the boxes of absent children beyond this.
+# Boxes end here, in local units: the mesh lies in [-1, 1], and the boxes of absent children lie beyond this.
 FARTHEST = 1.0e18
 
 LOCAL_BOX = "mesh/bvh/local_box.inl"
 
 
 def box_walk(*files: str, defines: dict[str, str] | None = None, **constants: float) -> str:
-    """The text of a walk; the files define low, high and visit, see box_walk.inl."""
+    """The C++ text of a box traversal; ``files`` define low, high and visit, see box_walk.inl."""
     return cpp(
         "core/simd.inl",
         LOCAL_BOX,

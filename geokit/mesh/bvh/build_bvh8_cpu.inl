@@ -1,5 +1,5 @@
-// Building the tree of width eight on a CPU: a range of references is split in two by a binned surface area heuristic,
-// and a node is opened by splitting its largest range again until it has eight.
+// Builds the CPU tree: a range of references is split in two by a binned surface area heuristic, and a node is formed
+// by splitting its largest range again until it has eight.
 //
 // A reference is eight floats: lower x y z, triangle, upper x y z, unused. Expects core/simd.inl; references, boxes;
 // BINS, WIDTH. Defines Range; empty(range), add(range, i), split(range, halve, left, right); open(range, halve, child),
@@ -26,7 +26,7 @@ auto swap = [&](int i, int j) {
     data[2 * i] = data[2 * j]; data[2 * i + 1] = data[2 * j + 1];
     data[2 * j] = l; data[2 * j + 1] = u;
 };
-// Splits a range in two, both not empty, by the cheapest plane between bins, blocks of a leaf being the cost.
+// Splits a range into two non-empty ones at the cheapest plane between bins; costs count blocks of a leaf.
 auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
     const int count = range.end - range.begin;
     const v4 extent = range.high_center - range.low_center;
@@ -87,7 +87,7 @@ auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
     }
     left.begin = range.begin; left.end = middle; right.begin = middle; right.end = range.end;
 };
-// Children of one node; returns how many.
+// Splits a range into the children of one node; returns their number.
 auto open = [&](const Range& range, bool halve, Range* child) {
     int count = 1;
     child[0] = range;

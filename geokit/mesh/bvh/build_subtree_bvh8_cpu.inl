@@ -1,5 +1,5 @@
-// One subtree. Its nodes get the numbers from node_base on, parents before their children; its leaves are written from
-// place `begin` on, which has room for one leaf a reference.
+// Builds one subtree. Its nodes get numbers from node_base on, parents before children. Its leaves are written from
+// position `begin` on, which has room for one leaf per reference.
 //
 // Expects build_bvh8_cpu.inl; subtree, begin, end, start_depth, node_base, children, leaf_begin, leaf_end, out_size;
 // WIDTH, STACK, HALVING_DEPTH, NO_CHILD.

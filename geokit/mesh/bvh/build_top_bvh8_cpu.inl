@@ -1,5 +1,5 @@
-// The top of the tree: nodes are opened in the order of their numbers until their children hold at most `limit`
-// references; those are left to build_subtree_bvh8_cpu.inl, child number -1 - subtree.
+// Builds the top of the tree: nodes are opened in the order of their numbers until their children hold at most `limit`
+// references. Those children are left to build_subtree_bvh8_cpu.inl, as child number -1 - subtree.
 //
 // Expects build_bvh8_cpu.inl; count, limit, capacity, scratch, children, out_subtree, out_size; WIDTH, HALVING_DEPTH,
 // NO_CHILD.

@@ -1,4 +1,4 @@
-"""The tree of a warp Mesh laid out for queries on a GPU."""
+"""The tree of a warp Mesh, packed for queries on a GPU."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["pack_nodes"]
 
 
 def pack_nodes(mesh: "wp.Mesh", most: int, padding: float, leaves: "wp.array") -> tuple["wp.array", "wp.array"]:
-    """The tree with its small subtrees as leaves.
+    """The tree with its small subtrees turned into leaves.
 
     Args:
         mesh: The mesh.
-        most: Triangles in a leaf, 7 at most.
-        padding: What boxes are wider on each side than warp has them [local].
-        leaves: The triangles' rows; those of leaves that warp has left larger are given their number.
+        most: Most triangles in a leaf, at most 7.
+        padding: Added to warp's boxes on each side [local].
+        leaves: The rows of the triangles. A larger leaf of warp's has its triangle count stored in its first row.
     Returns:
-        Its nodes in rows, float32, and the reference of its root, (1,) of int32.
+        The nodes as rows of float32, and the reference of the root, (1,) of int32.
     """
     import warp as wp
 

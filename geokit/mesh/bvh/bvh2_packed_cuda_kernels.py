@@ -1,8 +1,8 @@
 """The tree of a warp Mesh as CUDA queries read it: both children's boxes in one row of 64 bytes.
 
-Warp keeps a node's lower and upper corner in two arrays, and its children anywhere in them: a step down reads four
-places and wastes half of each sector, and a node from the stack must be read before its children can be. Here a step
-reads one place, and small subtrees are leaves, as large as suits the query.
+Warp keeps the lower and upper corners of nodes in two arrays, with children at arbitrary indices. So a step down reads
+four places and wastes half of each sector, and a node from the stack must be read before its children can be. In the
+packed tree a step reads one place, and small subtrees are leaves whose size suits the query.
 """
 
 # mypy: ignore-errors
@@ -17,16 +17,16 @@ wp.set_module_options({"enable_backward": False})
 # Floats of a node: left lower x y z, left upper x y z, right lower x y z, right upper x y z, left and right child (as
 # the bits of integers), two unused.
 NODE_FLOATS = 16
-# A child that is a leaf is -1 - (slot << LEAF_BITS | triangles - 1). Warp ends branches at a certain depth, with all
-# triangles that are left in one leaf: where that is MANY or more, their number stands in the last word of the first
-# one's row in the leaves.
+# A child that is a leaf is -1 - (slot << LEAF_BITS | triangles - 1). Warp ends branches at a certain depth and puts all
+# remaining triangles into one leaf. If there are MANY or more, their number is in the last word of the first triangle's
+# row in the leaves.
 LEAF_BITS = 3
 MANY = 1 << LEAF_BITS
 
 NODE_CONSTANTS = {"NODE_FLOATS": NODE_FLOATS, "LEAF_BITS": LEAF_BITS, "MANY": MANY, "SLOT_WORDS": SLOT_WORDS}
 
 
-# Warp's builders on a GPU leave the number of nodes at zero: they make one less than twice the triangles.
+# Warp's GPU builders leave the number of nodes at zero: it is twice the number of triangles minus one.
 @wp.func_native(
     """
     const wp::BVH& bvh = wp::mesh_get(id).bvh;
@@ -41,7 +41,7 @@ _NODE_RANGE = "mesh/bvh/node_range_bvh2_cuda.inl"
 
 @wp.func_native(cpp(_NODE_RANGE) + "return !is_leaf(node) && end_of(node) - begin_of(node) > most;")
 def is_kept(id: wp.uint64, node: int, most: int) -> bool:
-    """Whether a node has more triangles than a leaf may."""
+    """Whether a node keeps its own row because it has too many triangles for a leaf."""
     ...
 
 
@@ -66,7 +66,7 @@ def node_count_kernel(first: int, mesh: wp.uint64, out_count: wp.array(dtype=int
 
 @wp.kernel
 def mark_kept_kernel(first: int, mesh: wp.uint64, most: int, out_kept: wp.array(dtype=int)):
-    """1 for nodes that get a row, 0 for those that are leaves or within one."""
+    """1 for nodes that get a row, 0 for leaves and nodes inside a leaf."""
     node = first + wp.tid()
     out_kept[node] = wp.where(is_kept(mesh, node, most), 1, 0)
 
@@ -83,5 +83,5 @@ def pack_nodes_kernel(
     out_nodes: wp.array(dtype=wp.float32),
     out_root: wp.array(dtype=int),
 ):
-    """Rows of the nodes that are kept at their places (counted from one), and the reference of the root."""
+    """Write the rows of the kept nodes to their places (counted from one), and the reference of the root."""
     pack_node(mesh, first + wp.tid(), most, padding, kept, place, out_leaves, out_nodes, out_root)

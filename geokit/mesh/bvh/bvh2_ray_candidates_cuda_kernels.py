@@ -1,8 +1,8 @@
-"""First hits on CUDA: a float32 walk that leaves a few candidates, then float64 for those.
+"""First hits on CUDA: a float32 traversal that collects a few candidates, then float64 tests of those.
 
-Deciding in float64 on the way would make threads wait for each other at every triangle. A triangle that the ray meets
-well inside ends the search behind it; one that it meets within the margins of an edge does not, and is decided with
-the others.
+Float64 tests during the traversal would make threads wait for each other at every triangle. A triangle that the ray
+hits well inside ends the search behind it. One that it hits within the margin of an edge does not, and is decided
+together with the other candidates.
 """
 
 # mypy: ignore-errors
@@ -15,12 +15,12 @@ from geokit.mesh.bvh.tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it. With 16 one ray
-# of four million had too many among 3 million triangles, and the second walk took a sixth of the first one's time.
+# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it. With 16, one of
+# four million rays had too many among 3 million triangles, and the second pass took a sixth of the first one's time.
 CANDIDATES = 32
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Register limit of a GPU thread; see docs/design/launches-and-memory.md.
 REGISTERS = 48
-# Bit of a candidate's slot; slots are fewer.
+# Flag bit in a candidate's slot; slot numbers are below it.
 IS_SLIVER = 1 << 30
 
 
@@ -66,7 +66,7 @@ def first_hit_kernel(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """First hits; rays with more candidates than fit, or from too far away for float32, are UNDECIDED."""
+    """First hits; rays with too many candidates, or from too far away for float32, become UNDECIDED."""
     ray = first + wp.tid()
     start = origins[ray]
     direction = directions[ray]
@@ -75,6 +75,6 @@ def first_hit_kernel(
         t_max = length_in_t(max_distance, direction)
         first_hit(tree, start, direction, t_min, t_max, ray, out_t, out_triangle_id, out_barycentric, out_bad)
     else:
-        # The host refuses the whole batch and names the row.
+        # The host rejects the whole batch and names the row.
         out_bad[0] = 1
         out_triangle_id[ray] = NO_CANDIDATE

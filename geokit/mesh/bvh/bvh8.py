@@ -1,4 +1,4 @@
-"""The wide tree that CPU queries walk: eight children a node, eight triangles a leaf, one vector operation for all."""
+"""The tree of CPU queries: eight children per node, eight triangles per leaf, one vector operation for all eight."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 
 __all__ = ["build_wide_tree", "fill_leaves", "ray_leaves", "refit_wide_tree"]
 
-# References of a subtree that one thread builds. Smaller ones balance better, larger ones leave less to the top,
-# which one thread builds alone.
+# References of a subtree that one thread builds. Smaller subtrees balance better; larger ones leave less to the top,
+# which a single thread builds.
 SMALLEST_SUBTREE = 2048
 SUBTREES = 128
-# Nodes of the top; with more, its last subtrees are larger instead.
+# Capacity of the top in nodes; a larger top ends here, and its last subtrees are larger instead.
 TOP_CAPACITY = 4096
-# 32-bit words of a range that waits to be opened, and its depth.
+# 32-bit words of a range that waits to be opened, with its depth.
 WAITING_WORDS = 19
-# A node of at least nine references that is lowest, or one of seven leaves and a node: fewer than this many nodes.
+# Lower bound of references per node: a lowest node has at least nine, any other one at least seven leaves and a node.
 NODE_SHARE = 3
 # Triangles side by side in a leaf on a CPU.
 WIDTH = 8
 
 
 def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> dict[str, Any]:
-    """Boxes, children and slots of the wide tree over triangles, on the CPU.
+    """Boxes, children and slots of the tree with eight children per node over triangles, on the CPU.
 
     Args:
         vertices: Vertex positions [world], (V,) of vec3d.
         faces: Vertex indices, (3 F,) of int32, F at least 1.
         frame: The local frame.
     Returns:
-        ``boxes``, ``children`` and ``slot_triangle``, as :class:`SurfaceTree` describes them.
+        ``boxes``, ``children`` and ``slot_triangle``, as described in :class:`SurfaceTree`.
     Source:
         Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007), for the bins; Wald, Benthin,
         Boulos, "Getting rid of packets" (2008), for wide nodes by opening the child of largest area.
@@ -68,7 +68,7 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     top_count, subtrees = (int(n) for n in top_size.numpy())
     ranges = subtree.numpy()[: 3 * subtrees].reshape(-1, 3)
 
-    # Untouched pages of these arrays cost nothing: only what is used is ever written.
+    # Oversized arrays are free: memory pages that are never written take no space.
     room = (ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2
     node_base = _offsets(room)
     parts = empty(48 * int(node_base[-1]), wp.float32), empty(8 * int(node_base[-1]))
@@ -99,7 +99,7 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
 
 
 def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *, wide: bool) -> "wp.array":
-    """The float32 frames of the triangles in the slots, from their world ``corners``: by eights where ``wide``."""
+    """The triangles of the slots in float32 frames, from their world ``corners``; in blocks of eight if ``wide``."""
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
@@ -115,7 +115,7 @@ def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *,
 
 
 def ray_leaves(tree: Any) -> "wp.array":
-    """The leaves of a tree on the CPU as rays read them."""
+    """The packed ray leaves of a tree on the CPU."""
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
@@ -130,7 +130,7 @@ def ray_leaves(tree: Any) -> "wp.array":
 
 
 def refit_wide_tree(tree: Any, frame: Frame) -> None:
-    """New boxes for the tree's nodes after its ``corners`` have moved."""
+    """Recompute the boxes of the tree's nodes after its ``corners`` have moved."""
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_build_cpu_kernels import block_boxes_kernel, refit_kernel

@@ -1,7 +1,7 @@
-"""Building the wide tree of a surface on the CPU: binned surface area heuristic, eight children a node.
+"""Build of the CPU tree: binned surface area heuristic, eight children per node.
 
-Warp's host builders run on one thread and read boxes through an index; here the boxes themselves are moved, and
-subtrees are built by all threads. Numbers of nodes do not depend on the number of threads.
+Warp's host builders run on one thread and read boxes through an index. Here the boxes themselves are moved, and all
+threads build subtrees. The node numbers do not depend on the number of threads.
 """
 
 # mypy: ignore-errors
@@ -12,23 +12,23 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# Children of a node and triangles of a leaf: lanes of one vector operation.
+# Children of a node and triangles of a leaf: the lanes of one vector operation.
 WIDTH = 8
-# Bins an axis. More than 16 gain nothing on smooth meshes.
+# Bins per axis. More than 16 gain nothing on smooth meshes.
 BINS = 16
-# From this many levels of nodes on, ranges are halved by count: no input can make the tree deeper than a stack.
+# From this depth on, ranges are halved by count, so that no input makes the tree deeper than the stack.
 HALVING_DEPTH = 20
-# Nodes in flight while a tree is walked: seven siblings a level, HALVING_DEPTH levels and those that halving adds
+# Most nodes on the stack of a traversal: seven siblings per level, for HALVING_DEPTH levels and those that halving adds
 # for 2^31 triangles.
 STACK = 256
 
-# A reference is a box and the triangle in it: lower x y z, triangle, upper x y z, unused.
+# A reference is a box and its triangle: lower x y z, triangle, upper x y z, unused.
 REFERENCE = 8
 
 
 @wp.func
 def rounded_down(x: wp.float64) -> wp.float32:
-    """A float32 at most x, one unit in the last place or less below the nearest one."""
+    """A float32 at most x, within one unit in the last place of the nearest one."""
     f = wp.float32(x)
     return f - wp.float32(1.2e-7) * wp.abs(f) - wp.float32(1.0e-30)
 
@@ -42,7 +42,7 @@ def references_kernel(
     scale: wp.float64,
     out_references: wp.array(dtype=wp.float32),
 ):
-    """The local box of each triangle, rounded outwards."""
+    """The local box of each triangle, rounded outward."""
     i = first + wp.tid()
     a = vertices[faces[3 * i]] - origin
     b = vertices[faces[3 * i + 1]] - origin
@@ -56,7 +56,7 @@ def references_kernel(
     out_references[8 * i + 7] = wp.float32(0.0)
 
 
-# The number of an absent child, whose box is empty; the root is never a child.
+# Sentinel for an absent child, whose box is empty: 0, because the root is never a child.
 NO_CHILD = 0
 
 _FILES = ["core/simd.inl", "mesh/bvh/build_bvh8_cpu.inl"]
@@ -106,7 +106,7 @@ def top_kernel(
     out_subtree: wp.array(dtype=int),
     out_size: wp.array(dtype=int),
 ):
-    """Run for one item: the top of the tree is one thread's work."""
+    """Launched for one item: a single thread builds the top of the tree."""
     build_top(references, count, limit, capacity, scratch, out_boxes, out_children, out_subtree, out_size)
 
 
@@ -155,7 +155,7 @@ def join_kernel(
     out_children: wp.array(dtype=int),
     out_slot_triangle: wp.array(dtype=int),
 ):
-    """Moves the nodes and leaves of one subtree to their final places."""
+    """Move the nodes and leaves of one subtree to their final places."""
     i = first + wp.tid()
     for n in range(size[2 * i]):
         source = node_base[i] + n
@@ -192,7 +192,7 @@ def link_top_kernel(
     out_boxes: wp.array(dtype=wp.float32),
     out_children: wp.array(dtype=int),
 ):
-    """Copies a node of the top and points its children at the roots of their subtrees."""
+    """Copy a node of the top and link its children to the roots of their subtrees."""
     node = first + wp.tid()
     for k in range(48):
         out_boxes[48 * node + k] = boxes[48 * node + k]
@@ -216,7 +216,7 @@ def block_boxes_kernel(
     scale: wp.float64,
     out_boxes: wp.array(dtype=wp.float32),
 ):
-    """The local box of the triangles in each block, rounded outwards: lower x y z, upper x y z."""
+    """The local box of the triangles in each block, rounded outward: lower x y z, upper x y z."""
     block = first + wp.tid()
     big = wp.float64(1.0e30)
     lower = wp.vec3d(big, big, big)
@@ -250,5 +250,5 @@ def refit_kernel(
     block_boxes: wp.array(dtype=wp.float32),
     out_boxes: wp.array(dtype=wp.float32),
 ):
-    """Run for one item: nodes are few against triangles."""
+    """Launched for one item: there are few nodes compared with triangles."""
     refit_nodes(count, children, block_boxes, out_boxes)

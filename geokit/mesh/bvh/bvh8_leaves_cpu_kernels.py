@@ -1,9 +1,9 @@
-"""Leaves of the wide tree: eight triangles side by side, each in a float32 frame of its own.
+"""Leaves of the CPU tree: eight triangles side by side, each in a float32 frame of its own.
 
-A triangle's frame has its origin at a corner, x along its longest edge, y in its plane and z along its normal. There a
-distance is that of a point from a flat triangle, and every step is a rotation or a projection: the error is that of
-moving the query by a few rounding errors, for slivers and triangles without area as for any other. (From the corners,
-barycentric coordinates of far or thin triangles lose digits with the square of what makes them far or thin.)
+A triangle's frame has its origin at a corner, x along its longest edge, y in its plane and z along its normal. In this
+frame a distance is that of a point from a flat triangle, and every step is a rotation or a projection. So the error is
+that of moving the query by a few roundings, also for slivers and triangles without area. (Barycentric coordinates from
+the corners lose digits with the square of the distance or of the thinness.)
 """
 
 # mypy: ignore-errors
@@ -18,22 +18,22 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 # Rows of eight in a block: origin 0-2, x 3-5, y 6-8, z 9-11, length of the edge along x 12, third corner 13 14,
 # 1 / squared length of the edges first to third corner 15 and second to third corner 16.
 PLANE_ROWS = 17
-# On CUDA each slot has its numbers in a row, filled up to whole 16-byte words.
+# On CUDA each slot is one row of numbers, padded to whole 16-byte words.
 SLOT_WORDS = 20
-# Words of a leaf as rays read it: nine rows of eight 16-bit numbers, then the HEAD; see pack_ray_leaf_bvh8_cpu.inl.
+# Words of a ray leaf: nine rows of eight 16-bit numbers, then the HEAD; see pack_ray_leaf_bvh8_cpu.inl.
 LEAF_WORDS = 48
 HEAD = 36
-# Height of a triangle over its longest edge, below which t is that of the plane; see refine_sliver.inl.
+# Ratio of a triangle's height to its longest edge, below which t is that of the plane; see refine_sliver.inl.
 SLIVER = np.float32(1e-3)
-# What rounding moves a ray by across its direction, in local units: coordinates up to 2, differences up to 3, and
-# slopes times those, rounded by 6e-8 each, come to 1.3e-6 in the worst case.
+# Rounding error of a ray across its direction, in local units: coordinates up to 2, differences up to 3, and slopes
+# times those, each rounded by 6e-8, add up to 1.3e-6 in the worst case.
 RAY_ERROR = 2.5e-6
-# A quantum is not smaller than this: 1 / quantum, and its products with what RAY_ERROR leaves, stay small in float32.
+# Least quantum: 1 / quantum, and its products with what RAY_ERROR leaves, stay small in float32.
 LEAST_QUANTUM = 2.0**-30
-# Where an empty slot stands: its square is finite in float32 and beyond any search.
+# Position of an empty slot: its square is finite in float32 and beyond any search radius.
 NOWHERE = 1.0e18
-# Height of a triangle, as a share of its longest edge, below which it is taken for a segment: its points are then off
-# by less than float64 rounds coordinates.
+# Ratio of a triangle's height to its longest edge, below which it counts as a segment: the error of its points is then
+# less than the rounding of float64 coordinates.
 FLAT = wp.constant(wp.float64(1.0e-13))
 
 
@@ -44,7 +44,7 @@ def put(out: wp.array(dtype=wp.float32), start: int, row: int, lanes: int, value
 
 @wp.func
 def reciprocal_or_zero(x: wp.float64) -> wp.float64:
-    # Lengths below this are those of a point: their reciprocal would overflow float32.
+    # Shorter lengths count as zero, because their reciprocal would overflow float32.
     r = wp.float64(0.0)
     if x > wp.float64(1.0e-36):
         r = wp.float64(1.0) / x
@@ -62,7 +62,7 @@ def unit_or(v: wp.vec3d, fallback: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def across(x: wp.vec3d) -> wp.vec3d:
-    """Some unit vector square to the unit vector x."""
+    """A unit vector perpendicular to the unit vector x."""
     one = wp.float64(1.0)
     zero = wp.float64(0.0)
     axis = wp.vec3d(one, zero, zero)
@@ -83,7 +83,7 @@ def leaf_planes_kernel(
     out_leaves: wp.array(dtype=wp.float32),
 ):
     slot = first + wp.tid()
-    # Blocks of `lanes` slots side by side, `rows` numbers each.
+    # Blocks of `lanes` slots side by side, `rows` numbers for each slot.
     start = slot / lanes * rows * lanes + slot % lanes
     zero = wp.float64(0.0)
     a = wp.vec3d(wp.float64(NOWHERE), zero, zero)
@@ -93,7 +93,7 @@ def leaf_planes_kernel(
         a = (corners[3 * slot] - origin) / scale
         b = (corners[3 * slot + 1] - origin) / scale
         c = (corners[3 * slot + 2] - origin) / scale
-        # Turned so that the longest edge runs from a to b: what is left of c is then well away from both.
+        # Rotated so that the longest edge runs from a to b: then c is well away from both.
         ab = wp.length_sq(b - a)
         bc = wp.length_sq(c - b)
         ca = wp.length_sq(a - c)
@@ -111,10 +111,10 @@ def leaf_planes_kernel(
     cx = wp.dot(c - a, x)
     rest = (c - a) - cx * x
     y = across(x)
-    # What is left of a triangle without area is rounding, in any direction: then any plane through the edge will do.
+    # Without area, the component of c off the edge is rounding in any direction: any plane through the edge will do.
     if wp.length(rest) > FLAT * wp.length(b - a):
         y = wp.normalize(rest)
-        # Once more against x: what rounding left of it would tilt the plane of a sliver.
+        # Orthogonalized against x once more: a remaining component along x would tilt the plane of a sliver.
         y = wp.normalize(y - wp.dot(y, x) * x)
     z = wp.cross(x, y)
     cy = wp.dot(c - a, y)
@@ -167,5 +167,5 @@ def ray_leaves_kernel(
     scale: wp.float64,
     out_leaves: wp.array(dtype=wp.float32),
 ):
-    """The same leaves as rays read them."""
+    """Pack the leaves into the form that rays read."""
     pack_leaf(first + wp.tid(), slot_triangle, corners, leaves, origin, scale, out_leaves)

@@ -1,10 +1,10 @@
-"""Multipole moments of the wide tree's nodes: what a cluster of triangles looks like from afar.
+"""Multipole moments of the CPU tree's nodes: the far field of a cluster of triangles.
 
 The winding number of a cluster around a point q is ``w = -1/(4 pi) sum over l of (2l-1)!! / (l-1)! * H_l(r) /
 |r|^(2l+1)``, r = q - center: H_l is the harmonic part of the homogeneous polynomial ``S_l(v) = integral of (N . v)
-(x . v)^(l-1)`` over the cluster's area, N its unit normals and x places relative to the center (a dipole for l = 1).
-Three orders are kept. A harmonic polynomial is fixed by its terms without z and with z to the first power, so that
-order l costs 2l + 1 numbers: 15 in all, where the symmetric tensors have 19 and plain ones 39.
+(x . v)^(l-1)`` over the cluster's area, N its unit normals and x positions relative to the center (a dipole for l = 1).
+Three orders are kept. A harmonic polynomial is determined by its terms without z and with z to the first power, so that
+order l takes 2l + 1 numbers: 15 in all, where symmetric tensors have 19 and full ones 39.
 """
 
 # mypy: ignore-errors
@@ -20,11 +20,11 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 # Rows of eight in a node, a column for each child: center 0-2, squared radius 3; x y z 4-6; xx xy yy xz yz 7-11;
 # xxx xxy xyy yyy xxz xyz yyz 12-18.
 MOMENT_ROWS = 19
-# float64 numbers of a node that are kept until its parent is done: center, area, radius, S_1 (3), S_2 (6), S_3 (10).
+# float64 numbers of a node, kept until its parent is done: center, area, radius, S_1 (3), S_2 (6), S_3 (10).
 RAW_SIZE = 24
 # Added to all radii: float32 moves centers and queries by a few 1e-8, and a cluster of radius zero would be a pole.
 RADIUS_SLACK = 1.0e-7
-# Where the center of an absent child stands: far, and finite to the seventh power in float32.
+# Center of an absent child: far, and finite to the seventh power in float32.
 NOWHERE = np.float32(1.0e5)
 
 
@@ -60,7 +60,7 @@ def moments_kernel(
 ):
     """Moments of the children of some nodes, whose own inner nodes must be done.
 
-    ``flipped`` tells which triangles count as wound the other way; an array without elements means none. ``out_areas``
-    gets, for each slot below these nodes, minus twice the area, its sign changed for flipped triangles.
+    ``flipped`` marks triangles whose winding counts as reversed; an empty array means none. ``out_areas`` gets, for
+    each slot below these nodes, minus twice the area, with the opposite sign for flipped triangles.
     """
     node_moments(tree, flipped, nodes[first + wp.tid()], raw, out_moments, out_areas)

@@ -1,8 +1,8 @@
-// The point of a triangle that is closest to a query, in float64.
+// Closest point of a triangle to a query, in float64.
 //
 // Expects SLIVER_SINE_SQUARED. Defines point (a vec3d) and closest_on_triangle(p - a, b - a, c - a, v, w): returns the
-// squared distance and sets the weights v of b and w of c. A lambda, so that the search of the tree and the evaluation
-// of its winner are one piece of code and agree to the last bit. Also defines squared_at and closest_on_sliver.
+// squared distance and sets the weights v of b and w of c. A lambda, so that the tree search and the evaluation of its
+// winner share one piece of code and agree to the last bit. Also defines squared_at and closest_on_sliver.
 typedef wp::vec_t<3, wp::float64> point;
 auto squared_at = [](const point& ap, const point& ab, const point& ac, double v, double w) {
     const double x = ap[0] - v * ab[0] - w * ac[0];
@@ -24,8 +24,8 @@ auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, 
     if (squared < least) { least = squared; v = 0.0; w = on_ac; }
     squared = squared_at(ap, ab, ac, 1.0 - on_bc, on_bc);
     if (squared < least) { least = squared; v = 1.0 - on_bc; w = on_bc; }
-    // The inside, by cross products, and once more for what is left over: the first solution of a thin system
-    // has few right digits, its correction gives the rest.
+    // The interior, by cross products and one refinement step for the residual: the first solution of a thin system
+    // has few correct digits, and its correction gives the rest.
     const point n = wp::cross(ab, ac);
     const double nn = wp::dot(n, n);
     if (nn > 0.0) {

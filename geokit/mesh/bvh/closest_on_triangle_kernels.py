@@ -1,4 +1,4 @@
-"""The point of a triangle that is closest to a query, in float64, slivers and triangles without area included."""
+"""Closest point of a triangle to a query in float64, including slivers and triangles without area."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -8,8 +8,8 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False})
 
-# Squared sine of the angle at a corner below which a triangle counts as a sliver. The region tests lose digits with
-# its square: at 1e-4 the error is 1e-12 of an edge.
+# Squared sine of a corner's angle below which a triangle counts as a sliver. The region tests lose digits with the
+# square of this sine: at 1e-4 the error is 1e-12 of an edge.
 SLIVER_SINE_SQUARED = 1.0e-4
 
 _FILES = ["mesh/bvh/closest_on_triangle.inl", "mesh/bvh/barycentric_of_closest.inl"]
@@ -19,8 +19,8 @@ _FILES = ["mesh/bvh/closest_on_triangle.inl", "mesh/bvh/barycentric_of_closest.i
 def closest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Barycentric coordinates of the point of the triangle abc that is closest to p.
 
-    Regions by the signs of edge functions (Ericson, Real-Time Collision Detection, 2005, 5.1.5). Differs: slivers are
-    the closest of their edges and their inside, so that a triangle without area answers as the segment or point it is.
+    Regions by the signs of edge functions (Ericson, Real-Time Collision Detection, 2005, 5.1.5). Differs: for a sliver
+    the closest of its edges and its interior is used, so that a triangle without area acts as a segment or point.
     """
     ...
 

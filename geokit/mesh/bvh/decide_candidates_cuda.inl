@@ -1,4 +1,4 @@
-// The nearest of a ray's candidates, decided in float64.
+// Decides the nearest of a ray's candidates in float64.
 //
 // Expects ray_candidates_bvh2_cuda.inl, ray_triangle.inl and refine_sliver.inl; tree, start, direction, t_min, t_max,
 // ray, out_t, out_triangle_id, out_barycentric, out_bad; CANDIDATES, IS_SLIVER, UNDECIDED.

@@ -1,9 +1,9 @@
-// Products, sums and differences in float64 that are never fused into one rounding: what is proven of rounded results
-// holds for rounded results only.
+// Products, sums and differences in float64 that are never fused into one rounding: the proofs hold for rounded
+// results only.
 //
 // Expects nothing. Defines point (a vec3d), product, plus, minus, fused (x * y + z, rounded once), OUT_OF_LINE.
 typedef wp::vec_t<3, wp::float64> point;
-// For long functions that are seldom reached: inlined a dozen times each they take half a minute to compile.
+// For long functions that are seldom called: inlined a dozen times each, they take half a minute to compile.
 #define OUT_OF_LINE __attribute__((noinline))
 #if defined(__CUDA_ARCH__)
 auto product = [](double x, double y) { return __dmul_rn(x, y); };

@@ -1,10 +1,10 @@
-// Whether the winding number around p exceeds 1/2 and p is not on the surface: a coarse sum first, a fine one where the
-// coarse sum is in doubt.
+// Whether the winding number around p exceeds 1/2 and p is not on the surface: a coarse sum first, then a fine one if
+// the coarse sum is too close to 1/2.
 //
 // Expects winding_bvh8_cpu.inl; empty (half width of the cube outside of which nothing is inside, local); FAR, OPENING,
 // OPENING_SIGN, SIGN_MARGIN, SIGN_SPREAD. Returns.
 #if !defined(__CUDA_ARCH__)
-// A point at a great distance, or one that overflowed in the local frame, has nothing around it.
+// A point at a great distance, or one that overflowed in the local frame, has winding number zero.
 if (!(size <= wp::min(empty, FAR))) return false;
 float spread;
 const double coarse = walk(OPENING_SIGN, &spread);

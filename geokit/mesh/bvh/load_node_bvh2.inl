@@ -1,4 +1,4 @@
-// A node of the tree that bvh2_packed_cuda_kernels writes.
+// Loads a node of the tree that bvh2_packed_cuda_kernels writes.
 //
 // Expects tree; NODE_FLOATS, LEAF_BITS, MANY, SLOT_WORDS. Defines Node, load_node(nodes, node), first_slot(child) and
 // end_slot(child) of a child that is a leaf. The CPU branch is for tests, which run a CUDA search there.

@@ -1,4 +1,4 @@
-// A world box in a tree's local frame, rounded outwards to float32.
+// A world box in a tree's local frame, rounded outward to float32.
 //
 // Expects BOX_PADDING, FARTHEST. Defines local_box(tree, lower, upper, low, high), low and high being three floats
 // each, and rounded_down. Rounding is monotone: boxes that touch in the world touch here. The boxes of a warp Mesh are

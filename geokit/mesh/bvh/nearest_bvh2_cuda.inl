@@ -1,10 +1,10 @@
-// Nearest triangle over the tree of a warp Mesh, on CUDA: a float32 walk that keeps what its rounding leaves possible;
-// those triangles are evaluated in float64, where ties go to the lowest.
+// Nearest triangle in the tree of a warp Mesh, on CUDA: a float32 traversal keeps the triangles that are possible
+// within its rounding error; those are evaluated in float64, where ties go to the lowest triangle.
 //
 // Expects closest_on_triangle.inl and load_node_bvh2.inl; tree, p, max_squared [world]; DISTANCE_ERROR, FAR, UNBOUNDED,
-// BOX_PADDING, SLOT_WORDS, CUDA_CANDIDATES; and the macro ANY_WITHIN, if any triangle within the distance will do:
-// whichever the walk meets first. Returns a slot or -1. The stack holds what warp's own queries need: its builders
-// bound the depth of the tree by 32.
+// BOX_PADDING, SLOT_WORDS, CUDA_CANDIDATES; optionally the macro ANY_WITHIN, which accepts any triangle within the
+// distance: the first in traversal order. Returns a slot or -1. The stack is as deep as that of warp's own queries:
+// warp's builders bound the depth of the tree by 32.
 #if defined(__CUDA_ARCH__)
 const float* nodes = tree.boxes.data;
 double exact = max_squared;  // world units squared
@@ -15,7 +15,7 @@ auto evaluate = [&](int slot) {
     double v, w;
     const double squared = closest_on_triangle(p - a, b - a, c - a, v, w);
     if (squared > exact) return;
-    // Ties go to the lowest triangle: the answer must not depend on the order of the walk.
+    // Ties go to the lowest triangle: the answer must not depend on the traversal order.
     if (squared == exact && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) return;
     exact = squared;
     winner = slot;
@@ -25,7 +25,7 @@ const double qx = (p[0] - tree.origin[0]) / tree.scale, qy = (p[1] - tree.origin
 const double size = wp::max(wp::max(wp::abs(qx), wp::abs(qy)), wp::abs(qz));
 int stack[64], depth = 0, node = tree.children.data[0];
 if (size > FAR) {
-    // Far queries are walked in float64, with the boxes' own rounding as slack.
+    // Far queries are searched in float64, with the boxes' own rounding as slack.
     const double padding = BOX_PADDING + 3e-15 * size;
     double entry[64];
     auto box_squared = [&](double lx, double ly, double lz, double ux, double uy, double uz) {
@@ -61,7 +61,7 @@ if (size > FAR) {
 }
 const float X = (float)qx, Y = (float)qy, Z = (float)qz;
 const float slack = 2.f * DISTANCE_ERROR * ((float)size + 1.f);
-// Anything nearer than this, in float32, can be the nearest.
+// Any triangle nearer than this, in float32, can be the nearest.
 auto widened = [&](float squared) {
     const float reach = sqrtf(squared) + slack;
     return reach * reach;
@@ -122,7 +122,7 @@ auto box_squared = [&](float lx, float ly, float lz, float ux, float uy, float u
 };
 float entry[64];
 while (true) {
-    // Down to a leaf first: threads that have reached one wait for the others, and all test triangles together.
+    // Descend to a leaf first: threads that have reached one wait for the others, and all test triangles together.
     bool reached = true;
     while (node >= 0 && reached) {
         const Node n = load_node(nodes, node);

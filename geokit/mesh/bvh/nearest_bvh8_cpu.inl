@@ -1,8 +1,8 @@
-// Nearest triangle over the tree of width eight, on the CPU: eight boxes or triangles at a time.
+// Nearest triangle in the CPU tree: eight boxes or triangles at a time.
 //
-// The search runs in float32 and keeps every triangle that its rounding errors leave possible; those few are evaluated
-// in float64, where ties go to the lowest triangle. The answer is therefore the float64 one, whatever the order of the
-// walk.
+// The search runs in float32 and keeps every triangle that is possible within its rounding error. Those few are
+// evaluated in float64, where ties go to the lowest triangle. The answer is therefore the float64 one, whatever the
+// traversal order.
 //
 // Expects core/simd.inl and closest_on_triangle.inl; tree, p, max_squared [world], seed (a slot that is probably near,
 // or -1); DISTANCE_ERROR, FAR, UNBOUNDED, CPU_CANDIDATES, PLANE_ROWS, STACK. Returns a slot or -1.
@@ -20,7 +20,7 @@ auto evaluate = [&](int slot) {
     double v, w;
     const double squared = closest_on_triangle(p - a, b - a, c - a, v, w);
     if (squared > exact) return;
-    // Ties go to the lowest triangle: the answer must not depend on the order of the walk.
+    // Ties go to the lowest triangle: the answer must not depend on the traversal order.
     if (squared == exact && winner >= 0 && triangle > tree.slot_triangle.data[winner]) return;
     exact = squared;
     winner = slot;
@@ -31,7 +31,7 @@ double size = 0.0;
 for (int k = 0; k < 3; ++k) size = wp::max(size, q[k] < 0.0 ? -q[k] : q[k]);
 int stack[STACK], height = 1;
 if (size > FAR) {
-    // Far queries are walked in float64, with the boxes' own rounding as slack.
+    // Far queries are searched in float64, with the boxes' own rounding as slack.
     const d8 X = q[0], Y = q[1], Z = q[2], zero = 0.0;
     double entry[STACK];
     auto reach_of = [&](double squared) {
@@ -69,16 +69,16 @@ if (size > FAR) {
     return winner;
 }
 {
-// The rest only selects candidates: fused products round less, and are quicker.
+// The rest only selects candidates: fused products round less, and are faster.
 #pragma clang fp contract(fast)
-// One instruction each; the built-ins take three, because a number must win over NaN. Here the number wins if only the
-// first operand may be NaN: callers put that one first.
+// One instruction each; the built-ins take three, because they must prefer a number to NaN. These prefer the number
+// only if the NaN is the first operand, so callers put the operand that may be NaN first.
 auto larger = [](v8 a, v8 b) { return a > b ? a : b; };
 auto smaller = [](v8 a, v8 b) { return a < b ? a : b; };
 const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
 const v8 zero = 0.f, one = 1.f;
 const i8 number = {0, 1, 2, 3, 4, 5, 6, 7};
-// Squares are not negative and never NaN: their bits sort as they do, and integers compare quicker.
+// Squares are never negative or NaN: their bits sort as the floats do, and integer comparisons are faster.
 auto bits_of = [](v8 squares) { return __builtin_bit_cast(i8, squares); };
 auto least_of = [](i8 a) {
     i4 low = __builtin_shufflevector(a, a, 0, 1, 2, 3), other = __builtin_shufflevector(a, a, 4, 5, 6, 7);
@@ -90,7 +90,7 @@ auto least_of = [](i8 a) {
     return (int)low[0];
 };
 const float slack = 2.f * DISTANCE_ERROR * ((float)size + 1.f);
-// Anything nearer than this, in float32, can be the nearest.
+// Any triangle nearer than this, in float32, can be the nearest.
 auto widened = [&](float squared) {
     const float reach = __builtin_sqrtf(squared) + slack;
     return reach * reach;
@@ -114,7 +114,7 @@ auto leaf = [&](int block) {
     const v8 y = ax * row[6] + ay * row[7] + az * row[8];
     const v8 z = ax * row[9] + ay * row[10] + az * row[11];
     const v8 length = row[12], cx = row[13], cy = row[14];
-    // The three edges, then the inside; the edge from a to b is the x axis from 0 to length.
+    // The three edges, then the interior; the edge from a to b is the x axis from 0 to length.
     const v8 ex = x - smaller(larger(x, zero), length);
     const v8 yy = y * y;
     v8 flat = ex * ex + yy;
@@ -151,7 +151,7 @@ auto leaf = [&](int block) {
         const int j = __builtin_ctz(mask);
         candidate[candidates] = 8 * block + j;
         candidate_squared[candidates++] = squared[j];
-        // The float64 evaluation reads these at the end.
+        // Prefetch for the float64 evaluation at the end.
         const char* corners = (const char*)(tree.corners.data + 3 * (8 * block + j));
         __builtin_prefetch(corners);
         __builtin_prefetch(corners + 64);
@@ -171,8 +171,8 @@ for (;;) {
         const v8 d2 = dx * dx + dy * dy + dz * dz;
         unsigned mask = mask_of(d2 <= reach);
         if (mask) {
-            // The nearest child is next, its number in place of the last bits of its distance. The others wait:
-            // sorting them costs more than their order saves.
+            // The nearest child is next; its number replaces the last bits of its distance. The others wait: sorting
+            // them costs more than their order saves.
             const int first = least_of((bits_of(d2) & -8) | number) & 7;
             const int* child = children + 8 * node;
             float distance[8];
@@ -180,7 +180,7 @@ for (;;) {
             for (mask &= ~(1u << first); mask; mask &= mask - 1) {
                 const int j = __builtin_ctz(mask), next = child[j];
                 entry[height] = distance[j]; stack[height++] = next;
-                // A node, or as much of a leaf, of which the hardware prefetcher fetches the rest.
+                // Prefetch a node, or that much of a leaf; the hardware prefetcher fetches the rest.
                 const float* place = next < 0 ? leaves + PLANE_ROWS * 8 * (-1 - next) : boxes + 48 * next;
                 for (int line = 0; line < 3; ++line) __builtin_prefetch(place + 16 * line);
                 __builtin_prefetch(next < 0 ? (const void*)(place + 48) : children + 8 * next);

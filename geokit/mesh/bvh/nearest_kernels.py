@@ -1,4 +1,4 @@
-"""The slot of the nearest triangle, for every query that starts from it."""
+"""The slot of the nearest triangle, shared by all queries that need it."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -14,17 +14,17 @@ from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# Half the float32 error of a distance, in local units for each unit of |q|_inf + 1: coordinates up to that size are
-# rounded once (6e-8), subtracted, and projected by unit vectors that were rounded themselves; 30 roundings in the
-# worst case, of which seldom more than 3 add up.
+# Half the float32 error of a distance, in local units per unit of |q|_inf + 1: coordinates up to that size are rounded
+# once (6e-8), subtracted, and projected on unit vectors that were rounded themselves. The worst case is 30 roundings,
+# of which seldom more than 3 add up.
 DISTANCE_ERROR = np.float32(2.0e-6)
-# Queries farther out than this are walked in float64: their rounding alone would leave most triangles possible.
+# Queries farther out than this are searched in float64: their own rounding would leave most triangles possible.
 FAR = 8.0
-# Squares of local distances start here where there is no search radius; any real one is smaller.
+# Initial squared local distance without a search radius; any real one is smaller.
 UNBOUNDED = 1.0e34
-# Candidates that wait for float64. A query has two to six, unless it is equally far from many triangles.
+# Capacity for candidates that wait for float64. A query has two to six, unless it is equally far from many triangles.
 CPU_CANDIDATES = 64
-# The same in a GPU thread's local memory.
+# The same in the local memory of a GPU thread.
 CUDA_CANDIDATES = 8
 
 _FILES = [
@@ -50,7 +50,7 @@ _CONSTANTS = {
 
 @wp.func_native(cpp(*_FILES, **_CONSTANTS))
 def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
-    """Slot of the triangle nearest to p [world], -1 where none is within the squared distance.
+    """Slot of the triangle nearest to p [world]; -1 if none is within the squared distance.
 
     ``seed`` is a slot that may be near, such as a neighbor's answer, or -1; it saves time and changes no answer.
     """
@@ -59,8 +59,8 @@ def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: 
 
 @wp.func_native(cpp(*_FILES, defines={"ANY_WITHIN": "1"}, **_CONSTANTS))
 def slot_within(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
-    """Slot of some triangle within the squared distance of p [world], -1 where there is none.
+    """Slot of any triangle within the squared distance of p [world]; -1 if there is none.
 
-    Which one depends on the device: on a GPU the first that the walk meets, on a CPU the nearest.
+    The choice depends on the device: on a GPU the first one in traversal order, on a CPU the nearest.
     """
     ...

@@ -1,14 +1,13 @@
-// Multipole moments of a node's children, and its own raw moments for its parent. bvh8_moments_kernels says what they
-// are.
+// Multipole moments of a node's children, and its own raw moments for its parent. bvh8_moments_kernels.py defines them.
 //
 // Expects core/simd.inl; tree, raw, moments, areas, flipped, node; RAW_SIZE, MOMENT_ROWS, RADIUS_SLACK, NOWHERE.
 #if !defined(__CUDA_ARCH__)
 {
-// Fused products round less, and are quicker.
+// Fused products round less, and are faster.
 #pragma clang fp contract(fast)
 typedef wp::vec_t<3, wp::float64> point;
 const double inverse = 1.0 / tree.scale;
-// Products with the linear form (x, y, z) . v; the terms of polynomials go by rising powers of z, then of y.
+// Products with the linear form (x, y, z) . v; the terms of polynomials are ordered by rising powers of z, then of y.
 auto add_linear_by_linear = [](const d8* d, const d8* p, d8* out) {
     out[0] += d[0] * p[0]; out[1] += d[0] * p[1] + d[1] * p[0]; out[2] += d[1] * p[1];
     out[3] += d[0] * p[2] + d[2] * p[0]; out[4] += d[1] * p[2] + d[2] * p[1]; out[5] += d[2] * p[2];
@@ -33,7 +32,7 @@ auto of_leaf = [&](int block, double* out) {
     int filled = 0;
     while (filled < 8 && tree.slot_triangle.data[8 * block + filled] >= 0) ++filled;
     for (int j = 0; j < 8; ++j) {
-        // Empty slots are points at the first corner.
+        // Empty slots become points at the first corner.
         const int slot = 8 * block + (j < filled ? j : 0);
         const point* from = tree.corners.data + 3 * slot;
         const bool turned = flipped.data && flipped.data[tree.slot_triangle.data[slot]];
@@ -69,7 +68,7 @@ auto of_leaf = [&](int block, double* out) {
         squared[0], __builtin_elementwise_max(squared[1], squared[2]))));
     d8 s2[6] = {}, s3[10] = {}, second[6] = {};
     add_linear_by_linear(centroid, normal, s2);
-    // The mean of x x over a triangle is the sum over its corners and nine times its centroid, by twelve.
+    // The mean of x x over a triangle is the sum over its corners and nine times its centroid, divided by twelve.
     for (int k = 0; k < 3; ++k) {
         ab[k] += a[k];
         ac[k] += a[k];
@@ -107,7 +106,7 @@ for (int k = 0; k < 3; ++k) {
     reach += shift[k] * shift[k];
 }
 reach = __builtin_elementwise_sqrt(reach) + s[4];
-// No child reaches farther than its ball, nor than the far corner of its box.
+// A child lies within its ball, and within the far corner of its box.
 double radius = 0.0;
 const float* box = tree.boxes.data + 48 * node;
 for (int j = 0; j < 8; ++j) {
@@ -123,7 +122,7 @@ for (int j = 0; j < 8; ++j) {
     radius = least > radius ? least : radius;
 }
 out[4] = radius;
-// Moved to the common center: S_2 gains d S_1, and S_3 gains 2 d S_2 + d d S_1.
+// Shifted to the common center: S_2 gains d S_1, and S_3 gains 2 d S_2 + d d S_1.
 d8 product[6] = {}, s2[6], s3[10];
 add_linear_by_linear(shift, s + 5, product);
 for (int k = 0; k < 6; ++k) {

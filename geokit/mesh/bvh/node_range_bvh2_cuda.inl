@@ -1,5 +1,5 @@
-// The triangles under a node of warp's tree stand in consecutive slots: from the leftmost leaf's first to the rightmost
-// leaf's last.
+// The triangles under a node of warp's tree are in consecutive slots: from the first slot of the leftmost leaf to the
+// last slot of the rightmost one.
 //
 // Expects id (of a warp Mesh). Defines bvh, is_leaf, begin_of and end_of.
 const wp::BVH& bvh = wp::mesh_get(id).bvh;

@@ -1,4 +1,4 @@
-// Writes a node of warp's tree as a row of NODE_FLOATS floats, where it is kept, and the reference of the root.
+// Writes a node of warp's tree, if it is kept, as a row of NODE_FLOATS floats, and the reference of the root.
 //
 // Expects node_range_bvh2_cuda.inl; node, most, padding, kept, place, out_leaves, out_nodes, out_root; NODE_FLOATS,
 // LEAF_BITS, MANY, SLOT_WORDS.

@@ -1,8 +1,8 @@
 // Packs a leaf for rays, on the CPU: eight triangles in three cache lines, corners in 16 bits an axis.
 //
-// A ray waits longest for the lines of a leaf. Corners count quanta, a power of two, from the leaf's lower corner:
-// rounding moves them by half a quantum, which is no more than float32 rounds coordinates by where a leaf is smaller
-// than 1/512 of the mesh, and part of the margin anywhere.
+// Rays wait longest for the cache lines of leaves. Corners are counted in quanta, a power of two, from the leaf's lower
+// corner. Rounding moves them by half a quantum: where a leaf is smaller than 1/512 of the mesh, no more than float32
+// rounds coordinates; elsewhere the margin includes it.
 //
 // A leaf is nine rows of eight 16-bit numbers (x, y, z of three corners), then a head: lower corner 0-2, quanta per
 // unit 3, margin of the edge functions 4 and of depths 5, bits 6 (of filled lanes 0-7, of slivers 8-15).
@@ -62,8 +62,8 @@ for (int i = 0; i < 3; ++i) {
 }
 float most = longest2[0];
 for (int lane = 1; lane < 8; ++lane) most = longest2[lane] > most ? longest2[lane] : most;
-// Shearing moves a corner that is off by half a quantum an axis by 1.42 at most, and makes an edge longer by 1.74
-// at most; rounding in products of up to 2^17 quanta each comes to 3e3.
+// Shearing moves a corner with an error of half a quantum per axis by at most 1.42, and lengthens an edge by at most
+// 1.74; rounding in products of up to 2^17 quanta each adds up to 3e3.
 const double moved = 2.0 + RAY_ERROR * quanta;
 head[3] = (float)quanta;
 head[4] = (float)(1.74 * moved * wp::sqrt((double)most) + 1e4);

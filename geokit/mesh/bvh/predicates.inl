@@ -5,7 +5,7 @@
 // counterclockwise seen along axis k, -1 clockwise, 0 on a line; likely_orientation and likely_turn: the same from the
 // filter alone, 2 where it cannot decide. Exact unless a product underflows: coordinates of a scale near 1 with
 // differences above 1e-80 are safe. Also defines Sum, add, add_product, sign_of, split_difference, exact_orientation.
-// An exact sum: parts that do not overlap, smallest first; the last has its sign.
+// Sum is an exact sum: parts that do not overlap, smallest first; the last one has the sign of the sum.
 struct Sum { double part[PARTS]; int count; };
 auto add = [&](Sum& sum, double value) {
     if (value == 0.0) return;
@@ -56,7 +56,7 @@ auto exact_orientation = [&](const point& a, const point& b, const point& c, con
     }
     return sign_of(sum);
 };
-// Sign of the orientation where rounding leaves no doubt, else 2.
+// Sign of the orientation if rounding leaves no doubt, else 2.
 auto likely_orientation = [&](const point& a, const point& b, const point& c, const point& d) {
     const point ad = a - d, bd = b - d, cd = c - d;
     double det = 0.0, bound = 0.0;

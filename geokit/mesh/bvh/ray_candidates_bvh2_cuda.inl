@@ -1,14 +1,14 @@
-// Candidates of a ray on CUDA: a float32 walk that leaves the few triangles that the ray may hit first.
+// Candidates of a ray on CUDA: a float32 traversal that collects the few triangles that the ray may hit first.
 //
-// A triangle that the ray meets well inside ends the search behind it; one that it meets within the margins of an edge
-// does not, and is decided in float64 with the others.
+// A triangle that the ray hits well inside ends the search behind it. One that it hits within the margin of an edge
+// does not, and is decided in float64 together with the other candidates.
 //
 // Expects load_node_bvh2.inl; tree, start, direction, t_min, t_max; CANDIDATES, IS_SLIVER, NO_CANDIDATE, UNDECIDED,
 // NEAR_START, PLANE_MARGIN, ENDLESS, LEAST_COMPONENT, SLOT_WORDS, SLIVER. Defines found: the candidates' slots, with
 // the bit IS_SLIVER, up to NO_CANDIDATE; found[0] is UNDECIDED where they do not fit or the ray starts too far away for
 // float32. Also defines search and Four.
 #if !defined(__CUDA_ARCH__)
-// Warp's CPU compiler has these as built-ins only; tests run this search on a CPU.
+// Warp's CPU compiler has these only as built-ins; tests run this search on a CPU.
 auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
 auto fmaxf = [](float a, float b) { return __builtin_fmaxf(a, b); };
 auto fabsf = [](float a) { return __builtin_fabsf(a); };
@@ -34,7 +34,7 @@ auto search = [&]() {
             return;
         }
         if (far > (float)NEAR_START) {
-            // How far in the ray is near the cube, for certain before it enters: far from it nothing is missed.
+            // Start near the cube, but safely before the ray enters it: there is nothing to hit farther out.
             const float length = sqrtf(tx * tx + ty * ty + tz * tz);
             const float middle = -((float)fx * tx + (float)fy * ty + (float)fz * tz) / (length * length);
             enter = wp::max(enter, (double)(middle - (1.75f + 1e-5f * far) / length));
@@ -42,7 +42,7 @@ auto search = [&]() {
         sx = (float)(fx + enter * ax); sy = (float)(fy + enter * ay); sz = (float)(fz + enter * az);
         last = fminf((float)(t_max * unit - enter) * 1.000001f + PLANE_MARGIN, ENDLESS);
         if (last < 0.f) return;
-        // Beside the ball around the cube; or still so far from it that float32 has too few digits.
+        // The ray misses the ball around the cube, or is still so far from it that float32 has too few digits.
         const float beside = fmaxf(fmaxf(fabsf(sx), fabsf(sy)), fabsf(sz));
         if (beside > 4.f) {
             found[0] = far > 1e4f ? UNDECIDED : NO_CANDIDATE;
@@ -54,7 +54,7 @@ auto search = [&]() {
     };
     const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
     const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
-    // Where the ray enters a box, or infinity.
+    // Distance at which the ray enters a box, or infinity.
     auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
         const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
         const float z0 = lz * iz + oz, z1 = uz * iz + oz;
@@ -75,7 +75,7 @@ auto search = [&]() {
             }
         count = kept;
     };
-    // Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+    // Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
     auto test = [&](int slot) {
         const Four* row = (const Four*)(tree.leaves.data + SLOT_WORDS * slot);
         const Four r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];

@@ -1,18 +1,18 @@
-// Set-up of rays for the tree of width eight, on the CPU: eight rays, one lane each.
+// Set-up of rays for the CPU tree: eight rays, one lane each.
 //
-// One at a time, a ray's set-up is a chain of divisions and conversions that took a quarter of a random ray's time.
-// Half of those rays miss the mesh's box altogether, which costs no more to see for eight rays than for one. The
-// numbers that the walk reads of a ray are transposed into 16 floats and 8 row numbers: copying them one by one took a
-// tenth of a random ray's time. Doubles go by fours: vectors of 512 bits lower the clock of some processors for a
-// while, and all walks took 5 to 7 % longer.
+// For a single ray the set-up is a chain of divisions and conversions that took a quarter of a random ray's time. Half
+// of those rays miss the mesh's box altogether, which costs no more to detect for eight rays than for one. The numbers
+// that the traversal reads of a ray are transposed into 16 floats and 8 row numbers: copying them one by one took a
+// tenth of a random ray's time. Doubles are processed in fours: vectors of 512 bits lower the clock of some processors
+// for a while, and all traversals took 5 to 7 % longer.
 //
 // Expects core/simd.inl and exact_arithmetic.inl (point, OUT_OF_LINE); tree, origins, directions, t_min, max_distance,
 // out_bad; finish(r), called for rays that miss the box; AHEAD, SHORTEST_DIRECTION, NEAR_START, BOX_MARGIN,
-// PLANE_MARGIN, ENDLESS, LEAST_COMPONENT. Defines larger, smaller, greatest, least, Found, the places of a ray's
+// PLANE_MARGIN, ENDLESS, LEAST_COMPONENT. Defines larger, smaller, greatest, least, Found, the offsets of a ray's
 // numbers, group, and next_group(first, count), which fills group. Also defines local, lower, upper, columns, joined,
 // transpose, set_up.
 #if !defined(__CUDA_ARCH__)
-// One instruction each; the built-in functions take more, because a number must win over NaN.
+// One instruction each; the built-in functions take more, because they must prefer a number to NaN.
 auto larger = [](auto a, auto b) { return a > b ? a : b; };
 auto smaller = [](auto a, auto b) { return a < b ? a : b; };
 auto greatest = [&](v8 a) {
@@ -27,9 +27,9 @@ struct Found {
     double best, weight_b, weight_c;
     int id, winner, count;
 };
-// Numbers of a ray in local units: reciprocals of its direction; those times where it starts, moved by BOX_MARGIN
-// against near planes and far ones; where it starts and its slopes, along the axes of leaves; 1 or -1 along their
-// z; its length. Rows of a node's boxes that it meets first and last; which axis is the z of leaves.
+// Numbers of a ray in local units: reciprocals of its direction; those times its start, moved by BOX_MARGIN against
+// near planes and far ones; its start and its slopes, along the axes of leaves; 1 or -1 along their z; its length. Then
+// row numbers: the near and far rows of a node's boxes; the axis that is the z of leaves.
 enum { RATE = 0, TO_NEAR = 3, TO_FAR = 6, AT = 9, SHEAR = 12, FORWARD = 14, LAST = 15 };
 enum { NEAR_ROW = 0, FAR_ROW = 3, AXIS = 6 };
 struct Group {
@@ -42,7 +42,7 @@ struct Group {
 Group group;
 group.waiting = 0;
 const double local = 1.0 / tree.scale;
-// The box of the mesh, and twice what a ray may be moved by.
+// The box of the mesh, and twice the rounding error of a ray.
 float lower[3], upper[3];
 for (int k = 0; k < 3; ++k) {
     lower[k] = least(*(const v8*)(tree.boxes.data + 8 * k)) - 2.f * BOX_MARGIN;
@@ -56,7 +56,7 @@ auto columns = [](const double* row, d4* column) {
     column[2] = __builtin_shufflevector(__builtin_shufflevector(a, b, 2, 5, 5, 5), c, 0, 1, 4, 7);
 };
 auto joined = [](const v4* half) { return __builtin_shufflevector(half[0], half[1], 0, 1, 2, 3, 4, 5, 6, 7); };
-// Eight vectors to eight rows, `stride` numbers apart.
+// Eight vectors into eight rows, `stride` numbers apart.
 auto transpose = [](const v8* from, float* to, int stride) {
     v8 pair[8], four[8];
     for (int i = 0; i < 4; ++i) {
@@ -74,10 +74,10 @@ auto transpose = [](const v8* from, float* to, int stride) {
         *(v8*)(to + (i + 4) * stride) = __builtin_shufflevector(four[i], four[i + 4], 4, 5, 6, 7, 12, 13, 14, 15);
     }
 };
-// The next rays, up to eight, as from + s * along in local units, the largest component of along being 1:
+// The next rays, up to eight, as from + s * along in local units with the largest component of along being 1:
 // s = unit * t.
 auto set_up = [&](int first, int count) {
-    // The result only selects candidates: fused products round less, and are quicker.
+    // The result only selects candidates: fused products round less, and are faster.
     #pragma clang fp contract(fast)
     const double* place = (const double*)(origins.data + first);
     const double* heading = (const double*)(directions.data + first);
@@ -101,15 +101,15 @@ auto set_up = [&](int first, int count) {
     }
     unsigned left = 0xffu >> (8 - count);
     v4 toward[3][2], reciprocal[3][2], start[3][2], length[2];
-    // Unrolled, its results stay in registers: eight floats that were stored as two halves are loaded as one vector
-    // with a stall.
+    // Unrolled, so that the results stay in registers: loading eight floats as one vector stalls if they were stored as
+    // two halves.
     #pragma unroll
     for (int h = 0; h < 2; ++h) {
         d4 from[3], along[3], largest = 0.0, far = 0.0, none = 0.0;
         columns(place + 12 * h, from);
         columns(heading + 12 * h, along);
         for (int k = 0; k < 3; ++k) {
-            // A number minus itself is zero, unless it is infinite or NaN.
+            // x - x is zero, unless x is infinite or NaN.
             none += (from[k] - from[k]) + (along[k] - along[k]);
             largest = larger(largest, __builtin_elementwise_abs(along[k]));
             from[k] = (from[k] - tree.origin[k]) * local;
@@ -117,7 +117,7 @@ auto set_up = [&](int first, int count) {
         }
         const unsigned good = mask_of_four((largest >= SHORTEST_DIRECTION) & (none == 0.0));
         if (good != 15u) {
-            // The host refuses the whole batch and names the row.
+            // The host rejects the whole batch and names the row.
             out_bad.data[0] = 1;
             left &= good << 4 * h | 15u << 4 * (1 - h);
         }
@@ -132,7 +132,7 @@ auto set_up = [&](int first, int count) {
         d4 enter = t_min * unit;
         const auto outside = far > NEAR_START;
         if (mask_of_four(outside)) {
-            // A little early and late: these reciprocals have the digits of float32, and the cube has a margin.
+            // Slightly early and late: these reciprocals have the precision of float32, and the cube has a margin.
             const d4 edge = 1.0 + 1e-5 + 1e-6 * far;
             d4 in = enter, out = (double)INFINITY;
             for (int k = 0; k < 3; ++k) {
@@ -150,7 +150,7 @@ auto set_up = [&](int first, int count) {
         length[h] = __builtin_convertvector(reach[h] * unit - enter, v4);
         for (int k = 0; k < 3; ++k) start[k][h] = __builtin_convertvector(from[k] + enter * along[k], v4);
     }
-    // As length_of of the walk, for eight rays.
+    // As length_of in raycast_bvh8_cpu.inl, for eight rays.
     const v8 last = smaller(joined(length) * 1.000001f + PLANE_MARGIN, (v8)ENDLESS);
     v8 field[16], in = 0.f, out = last, at[3], way[3];
     i8 back[3];
@@ -170,7 +170,7 @@ auto set_up = [&](int first, int count) {
     group.first = first;
     group.waiting = left & mask_of(in <= out);
     if (!group.waiting) return;
-    // The largest component, 1 or -1, is the z of leaves.
+    // The axis of the largest component, 1 or -1, is the z of leaves.
     const auto z_is_x = __builtin_elementwise_abs(way[0]) == 1.f;
     const auto z_is_y = ~z_is_x & (__builtin_elementwise_abs(way[1]) == 1.f);
     const auto z_is_z = ~(z_is_x | z_is_y);
@@ -189,7 +189,7 @@ auto set_up = [&](int first, int count) {
                        (v8)(40 - back[2]), (v8)axis, (v8)axis};
     transpose(row, (float*)group.row[0], 8);
 };
-// Out of line: the walk needs its registers.
+// Out of line, because the traversal needs the registers.
 auto next_group = [&](int first, int count) OUT_OF_LINE {
     set_up(first, count);
     for (unsigned passed = ~group.waiting & (0xffu >> (8 - count)); passed; passed &= passed - 1) {

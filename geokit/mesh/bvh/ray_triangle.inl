@@ -1,20 +1,20 @@
 // Exact test of a ray against a triangle, in float64 (Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT
-// 2013). Differs: all in float64, no fall-back needed.
+// 2013). Differs: all in float64, no fallback needed.
 //
-// Edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
+// The edge functions of the two triangles at an edge must be exact negatives of each other: a fused multiply-add would
 // round the two products of each differently, and a ray through the edge could miss both.
 //
-// Without CROSSINGS a ray through an edge or a vertex hits all triangles there: what is closed has no hole. With
-// CROSSINGS it hits as many triangles there as one moved by an infinitesimal (e, e^2) in x and y of the sheared frame:
-// each passage through the surface counts once, a touch from one side twice or not at all (Edelsbrunner, Muecke,
-// "Simulation of Simplicity", 1990). Signs are those of the exact determinants of the sheared corners, so that they
-// belong to one arrangement of points in the plane and a closed surface is crossed an even number of times by any line.
+// Without CROSSINGS a ray through an edge or a vertex hits all triangles there, so that closed surfaces have no holes.
+// With CROSSINGS it hits as many triangles there as a ray displaced by an infinitesimal (e, e^2) in x and y of the
+// sheared frame: each passage through the surface counts once, a touch from one side twice or not at all (Edelsbrunner,
+// Muecke, "Simulation of Simplicity", 1990). Signs are those of the exact determinants of the sheared corners, so that
+// they belong to one arrangement of points in the plane, and any line crosses a closed surface an even number of times.
 //
-// Expects exact_arithmetic.inl; tree; the macro CROSSINGS or not. Defines pick(point, axis) and hit_at_all(start,
-// direction, slot, t, v, w): false where the line misses the triangle in a slot; t in units of the direction, v and w
-// the weights of b and c.
+// Expects exact_arithmetic.inl; tree; optionally the macro CROSSINGS. Defines pick(point, axis) and hit_at_all(start,
+// direction, slot, t, v, w): false if the line misses the triangle in a slot; t in units of the direction, v and w the
+// weights of b and c.
 #if defined(__CUDA_ARCH__)
-// A GPU indexes memory only: with an index that is not known at compile time it would keep all points there.
+// A GPU can index only memory: an index that is not known at compile time would keep all points there.
 auto pick = [&](const point& p, int k) { return k == 0 ? p[0] : k == 1 ? p[1] : p[2]; };
 #else
 auto pick = [&](const point& p, int k) { return p[k]; };
@@ -23,13 +23,13 @@ auto hit_at_all = [&](const point& start, const point& direction, int slot, doub
     double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
                       direction[1] < 0 ? -direction[1] : direction[1],
                       direction[2] < 0 ? -direction[2] : direction[2]};
-    // The axis along which the ray moves most becomes z of a sheared frame in which the ray is the z axis.
+    // The axis of the ray's largest component becomes z of a sheared frame in which the ray is the z axis.
     const int kz = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
     const double most = pick(direction, kz);
     const int kx = most < 0.0 ? (kz + 2) % 3 : (kz + 1) % 3;
     const int ky = most < 0.0 ? (kz + 1) % 3 : (kz + 2) % 3;
     const double sz = 1.0 / most, sx = pick(direction, kx) * sz, sy = pick(direction, ky) * sz;
-    // From the start of the ray, along the axes of that frame.
+    // Relative to the start of the ray, along the axes of that frame.
     auto from_start = [&](int corner) {
         const point p = tree.corners.data[3 * slot + corner] - start;
         return point(pick(p, kx), pick(p, ky), pick(p, kz));
@@ -55,7 +55,7 @@ auto hit_at_all = [&](const point& start, const point& direction, int slot, doub
     };
     const int ea = side(cx, cy, bx, by, fa), eb = side(ax, ay, cx, cy, fb), ec = side(bx, by, ax, ay, fc);
     if (ea == 0 || ea != eb || eb != ec) return false;
-    // Rounding may have left a function on the wrong side of zero.
+    // Rounding may have moved a function to the wrong side of zero.
     if (fa * ea < 0.0) fa = 0.0;
     if (fb * ea < 0.0) fb = 0.0;
     if (fc * ea < 0.0) fc = 0.0;

@@ -1,4 +1,4 @@
-"""Walks along rays over a prepared surface, on both devices, and what they have in common."""
+"""Traversals of rays over a prepared surface, and the constants that both devices share."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -12,25 +12,25 @@ from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 
 wp.set_module_options({"enable_backward": False})
 
-# Directions shorter than this would lose digits as denormal numbers inside the edge functions.
+# Shorter directions would lose digits as denormal numbers inside the edge functions.
 SHORTEST_DIRECTION = 1e-150
-# Rays that start farther out than this, in local units, are tested from where they enter the cube around the mesh.
+# A ray that starts farther out than this, in local units, is tested from where it enters the cube around the mesh.
 NEAR_START = 2.0
-# What rounding moves a box or a ray by, in local units: coordinates up to NEAR_START are rounded by 1.2e-7, and four
-# such roundings meet in a slab test.
+# Rounding error of a box or a ray, in local units: coordinates up to NEAR_START are rounded by 1.2e-7, and four such
+# roundings add up in a slab test.
 BOX_MARGIN = 1.0e-6
-# The boxes of the nodes that rays walk on CUDA are wider by this [local]: what rounding may move a ray by, twice.
+# Padding of the node boxes for rays on CUDA [local]: twice the rounding error of a ray.
 RAY_PADDING = 2.0 * BOX_MARGIN
-# What rounding moves a point on the ray by in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR.
-# A ray's length has as much to spare.
+# Rounding error of a point on the ray in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR. The
+# length of a ray has the same slack.
 PLANE_MARGIN = 8.0e-6
-# Rays without an end are this long, in local units.
+# Length of rays without an end, in local units.
 ENDLESS = 1.0e30
-# Direction components, where the largest is 1, that are smaller count as this: its reciprocal must not overflow.
+# Smaller direction components (relative to the largest) count as this: their reciprocals must not overflow.
 LEAST_COMPONENT = 1.0e-18
-# Rays in flight on a thread of a CPU.
+# Rays in flight on a CPU thread.
 IN_FLIGHT = 32
-# Rays that are prefetched ahead of those that are set up: the hardware prefetcher stops at pages.
+# Rays are prefetched this far ahead of their set-up: the hardware prefetcher stops at page boundaries.
 AHEAD = 32
 
 RAY_CONSTANTS = {
@@ -44,12 +44,12 @@ RAY_CONSTANTS = {
 
 
 def ray_walk(results: str, *defines: str) -> str:
-    """The text of a walk along rays.
+    """The C++ text of a traversal along rays.
 
     Args:
-        results: The file that says what is done with a hit, and with a ray at its end: it defines ``take_hit`` and
-            ``finish``, see raycast_bvh8_cpu.inl.
-        defines: Macros of the test of a triangle: CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA.
+        results: The file that defines ``take_hit`` (handles a hit) and ``finish`` (ends a ray), see
+            raycast_bvh8_cpu.inl.
+        defines: Macros of the triangle test: CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA.
     """
     return cpp(
         "core/simd.inl",
@@ -82,7 +82,7 @@ def ray_walk(results: str, *defines: str) -> str:
 """
 )
 def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
-    """Whether all is finite (a number minus itself is zero, unless it is infinite or NaN) and the ray has a length."""
+    """Whether all numbers are finite (x - x is zero, unless x is infinite or NaN) and the direction is long enough."""
     ...
 
 

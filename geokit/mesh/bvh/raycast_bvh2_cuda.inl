@@ -1,4 +1,4 @@
-// Rays over the tree of a warp Mesh, on CUDA: float32 tests with margins, decided in float64. A thread has one ray.
+// Rays in the tree of a warp Mesh, on CUDA: float32 tests with margins, decided in float64. One ray per thread.
 //
 // Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
 //
@@ -11,10 +11,10 @@ auto fetch = [&](int number, int& id, point& start, point& direction, double& t_
     start = origins.data[id];
     direction = directions.data[id];
     const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
-    // A number minus itself is zero, unless it is infinite or NaN.
+    // x - x is zero, unless x is infinite or NaN.
     const point none = (start - start) + (direction - direction);
     if (!(largest >= SHORTEST_DIRECTION && none[0] + none[1] + none[2] == 0.0)) {
-        // The host refuses the whole batch and names the row; until then the walk must stay within its arrays.
+        // The host rejects the whole batch and names the row; until then the traversal must stay within its arrays.
         out_bad.data[0] = 1;
         start = tree.origin;
         direction = point(1.0, 0.0, 0.0);
@@ -31,7 +31,7 @@ struct Ray {
 Ray r;
 r.winner = -1; r.count = 0; r.weight_b = 0.0; r.weight_c = 0.0; r.height = 0;
 fetch(begin, r.id, r.start, r.direction, r.best);
-// The ray as from + s * along in local units, the largest component of along being 1: s = unit * t.
+// The ray as from + s * along in local units with the largest component of along being 1: s = unit * t.
 const double largest = wp::max(wp::max(wp::abs(r.direction[0]), wp::abs(r.direction[1])), wp::abs(r.direction[2]));
 const double local = 1.0 / tree.scale, shrink = 1.0 / largest;
 const point from = (r.start - tree.origin) * local, along = r.direction * shrink;
@@ -48,7 +48,7 @@ const float ix = reciprocal_of(along[0]), iy = reciprocal_of(along[1]), iz = rec
 const double far = wp::max(wp::max(wp::abs(from[0]), wp::abs(from[1])), wp::abs(from[2]));
 bool reached = true;
 if (far > NEAR_START) {
-    // A little early and late: these reciprocals have the digits of float32, and the cube has a margin.
+    // Slightly early and late: these reciprocals have the precision of float32, and the cube has a margin.
     const double edge = 1.0 + 1e-5 + 1e-6 * far;
     double leave = INFINITY;
     const double rate[3] = {ix, iy, iz};
@@ -64,7 +64,7 @@ const float sx = (float)(from[0] + r.enter * along[0]), sy = (float)(from[1] + r
             sz = (float)(from[2] + r.enter * along[2]);
 const float tx = (float)along[0], ty = (float)along[1], tz = (float)along[2];
 const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
-// Where the ray enters a box, or infinity.
+// Distance at which the ray enters a box, or infinity.
 auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
     const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
     const float z0 = lz * iz + oz, z1 = uz * iz + oz;
@@ -72,7 +72,7 @@ auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) 
     const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), r.last));
     return in <= out ? in : (float)INFINITY;
 };
-// Everything times dz and turned so that dz is positive: grazing rays lose no digits in a division.
+// Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
 auto may_hit = [&](int slot) {
     const float4* row = (const float4*)(tree.leaves.data + SLOT_WORDS * slot);
     const float4 r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
@@ -89,7 +89,7 @@ auto may_hit = [&](int slot) {
 };
 int stack[64], node = tree.ray_children.data[0];
 float entry[64];
-// Below zero where the walk is over.
+// Negative once the traversal is over.
 r.height = reached ? 0 : -1;
 while (r.height >= 0) {
     bool in_box = true;

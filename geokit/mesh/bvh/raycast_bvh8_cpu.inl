@@ -1,26 +1,27 @@
-// Rays over the tree of width eight, on the CPU: eight boxes or triangles at a time.
+// Rays in the CPU tree: eight boxes or triangles at a time.
 //
-// Boxes and triangles are tested in float32 with margins that cover its rounding; what passes is decided in float64 by
+// Boxes and triangles are tested in float32 with margins that cover its rounding. What passes is decided in float64 by
 // edge functions that are exact opposites on the two sides of an edge, so that no ray leaks.
 //
-// A thread has many rays in flight. Rays that are at a node, at a leaf, or at triangles to be decided wait in a queue
-// each, and one queue is worked off at a time: data of a ray is fetched while others are worked on, and no branch
-// depends on what a ray meets. No processor predicts those branches: mispredicted, they took as long as the tests.
+// A thread has many rays in flight. Rays that are at a node, at a leaf, or at triangles to be decided wait in one queue
+// each, and one queue is processed at a time. So the data of a ray is prefetched while others are processed, and no
+// branch depends on what a ray meets. Such branches are unpredictable: mispredicted, they took as long as the tests.
 //
 // Leaves are packed by pack_ray_leaf_bvh8_cpu.inl. The test projects corners along the ray (its largest component is z,
-// x and y are sheared) and tests whether the ray's place is within the triangle, either way around. A ray that hits the
-// true triangle at weights u, v, w is as far from the point of those weights in the rounded triangle as the corners and
-// the ray itself were moved, d at most; then no edge function, from the ray, is further on the wrong side than d times
-// the length of that edge. That is the margin: no hit is missed, for slivers and triangles without area as for others.
+// x and y are sheared) and tests whether the ray's point is within the triangle, of either winding. Let a ray hit the
+// true triangle at weights u, v, w. Its distance from the point with those weights in the rounded triangle is at most
+// d, by which rounding moved the corners and the ray. Then each edge function, seen from the ray, is on the wrong side
+// by at most d times the length of that edge. That is the margin: no hit is missed, also for slivers and triangles
+// without area.
 //
 // Expects core/simd.inl and ray_setup_bvh8_cpu.inl; tree, origins, directions, begin and end (of the rays' numbers);
 // hit(start, direction, slot, t, v, w) in float64; take_hit(r, slot, t, v, w, shorten), called at a hit no farther than
-// r.best: it may lower r.best and call shorten(r), and returns true to end the ray's walk; finish(r), called when a
-// walk is over, hit or not. Both may use r.id, r.winner (-1 at first), r.count (0), r.weight_b and r.weight_c.
-// IN_FLIGHT, STACK, LEAF_WORDS, HEAD, PLANE_MARGIN, ENDLESS.
+// r.best: it may lower r.best and call shorten(r), and returns true to end the ray's traversal; finish(r), called when
+// a traversal is over, with or without a hit. Both may use r.id, r.winner (-1 at first), r.count (0), r.weight_b and
+// r.weight_c. IN_FLIGHT, STACK, LEAF_WORDS, HEAD, PLANE_MARGIN, ENDLESS.
 #if !defined(__CUDA_ARCH__)
 {
-// The walk only selects candidates: fused products round less, and are quicker.
+// The traversal only selects candidates: fused products round less, and are faster.
 #pragma clang fp contract(fast)
 struct Ray : Found {
     alignas(32) float field[16];
@@ -33,13 +34,13 @@ struct Ray : Found {
 };
 Ray rays[IN_FLIGHT];
 int next = begin;
-// What is left of a ray up to `best`; finite, so that its product with a zero is zero.
+// Length of a ray up to `best`; finite, so that its product with a zero is zero.
 auto length_of = [&](double best, double unit, double enter) {
     return smaller((float)(best * unit - enter) * 1.000001f + PLANE_MARGIN, ENDLESS);
 };
 auto shorten = [&](Ray& r) {
     r.field[LAST] = length_of(r.best, r.unit, r.enter);
-    // Waiting nodes that are now beyond its reach are dropped.
+    // Drop waiting nodes that are now beyond the ray's end.
     int kept = 1;
     for (int i = 1; i < r.height; ++i) {
         const float entry = r.entry[i];
@@ -58,7 +59,7 @@ static_assert(4 * LEAF_WORDS == 48 * sizeof(float), "a leaf is as long as the bo
 int at_node[IN_FLIGHT], at_leaf[IN_FLIGHT], at_hits[IN_FLIGHT], idle[IN_FLIGHT];
 int nodes = 0, leaves = 0, hits = 0, idles = IN_FLIGHT;
 for (int i = 0; i < IN_FLIGHT; ++i) idle[i] = IN_FLIGHT - 1 - i;
-// Puts a ray into the queue of what it meets next, and prefetches that.
+// Puts a ray into the queue of its next step, and prefetches the data for it.
 auto go_on = [&](int number, int node) {
     const int leaf = node < 0, done = node == DONE, index = node ^ (node >> 31);
     const char* const data = body[leaf] + 4 * LEAF_WORDS * (wp::int64)index;
@@ -72,7 +73,7 @@ auto go_on = [&](int number, int node) {
 const v8 zero = 0.f;
 const u8 lane = {0, 1, 2, 3, 4, 5, 6, 7};
 while (true) {
-    // Rays that may hit something take the places of those that are done.
+    // Rays that may hit something replace finished ones.
     while (idles > 0) {
         if (!group.waiting) {
             if (next >= end) break;
@@ -110,15 +111,15 @@ while (true) {
         out = smaller(out, (v8)r.field[LAST]);
         const auto reached = in <= out;
         const unsigned mask = mask_of(reached);
-        // The nearest child goes first; the order of the others costs more than it saves. Bits of floats that are
-        // not negative sort as the floats do, and the lowest three make room for the lane.
+        // The nearest child goes first; sorting the others costs more than it saves. Bits of non-negative floats sort
+        // as the floats do, and the lowest three hold the lane.
         const u8 key = reached ? ((u8)in & ~7u) | lane : (u8)~0u;
         u4 first = smaller(key.lo, key.hi);
         first = smaller(first, __builtin_shufflevector(first, first, 2, 3, 0, 1));
         first = smaller(first, __builtin_shufflevector(first, first, 1, 0, 3, 2));
         const int nearest = first[0] & 7, height = r.height, none = mask == 0;
         const unsigned rest = mask & ~(1u << nearest);
-        // The other children and their entries go on the stack, side by side.
+        // The other children and their entry distances go on the stack, side by side.
         #if defined(__AVX512VL__) && __has_builtin(__builtin_ia32_compresssf256_mask)
         *(v8*)(r.entry + height) = __builtin_ia32_compresssf256_mask(in, zero, rest);
         *(i8*)(r.stack + height) = __builtin_ia32_compresssi256_mask(*(const i8*)child, (i8)zero, rest);
@@ -142,7 +143,7 @@ while (true) {
         const int* const onward[2] = {child + nearest, r.stack + height - 1};
         go_on(at_node[q], *onward[none]);
     }
-    // Before leaves are tested: the triangles that those pass on have a round to arrive in the cache.
+    // Before leaves are tested, so that the triangles that those pass on have a round to arrive in the cache.
     const int hit_count = hits;
     hits = 0;
     for (int q = 0; q < hit_count; ++q) {
@@ -165,12 +166,12 @@ while (true) {
         const int number = at_leaf[q];
         Ray& r = rays[number];
         const int block = -1 - r.node;
-        // Which triangles of the leaf the ray may hit: lanes.
+        // The triangles of the leaf that the ray may hit, as a bit mask of lanes.
         const float* const words = tree.ray_leaves.data + LEAF_WORDS * (wp::int64)block;
         const unsigned short* const row = (const unsigned short*)words;
         const float* const head = words + HEAD;
         const int kz = r.row[AXIS], kx = kz == 0, ky = 2 - (kz == 2);
-        // The ray's start in the leaf's quanta.
+        // The ray's start in the quanta of the leaf.
         const float rate = head[3], sx = r.field[SHEAR], sy = r.field[SHEAR + 1], az = (r.field[AT + 2] - head[kz]) * rate;
         const float ax = (r.field[AT] - head[kx]) * rate - sx * az, ay = (r.field[AT + 1] - head[ky]) * rate - sy * az;
         auto coordinate = [&](int i) {
@@ -189,7 +190,7 @@ while (true) {
         const unsigned lanes = ((const unsigned*)head)[6] & 0xffu
                                & mask_of(((low >= -head[4]) | (high <= head[4])) & (farthest >= depth - head[5])
                                          & (nearest <= depth + limit + head[5]));
-        // As go_on, or into the queue of triangles that float64 decides.
+        // As in go_on, or into the queue of triangles for float64.
         const int none = lanes == 0, slot = 8 * block + __builtin_ctz(lanes | 128u), node = r.stack[r.height - 1];
         const int leaf = node < 0, done = node == DONE, index = node ^ (node >> 31);
         r.hits = lanes; r.block = block; r.node = node; r.height -= none;

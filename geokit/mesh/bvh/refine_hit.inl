@@ -1,7 +1,7 @@
-// A hit with its distance refined where the triangle is a sliver, before the distance is compared with anything.
+// A hit whose distance is refined, if the triangle is a sliver, before the distance is compared with anything.
 //
-// The leaf's own numbers say which triangles are slivers, by the height over the longest edge. On a CPU they have
-// become a bit of the leaf that the walk has just read.
+// The leaf's own numbers tell which triangles are slivers, by the ratio of height to longest edge. On a CPU they are
+// already a bit of the leaf that the traversal has just read.
 //
 // Expects refine_sliver.inl; tree; SLIVER, SLOT_WORDS, LEAF_WORDS, HEAD. Defines is_sliver(slot) and refine(start,
 // direction, slot, t, v, w).

@@ -1,10 +1,10 @@
 // Distance and weights of a hit on a sliver, to full precision.
 //
-// Weights of a sliver lose digits along its longest edge, as many as the edge is longer than the height, and t with
-// them. Its plane does not: from the corner between the two shorter edges, with a normal whose components are right to
-// a few roundings (Kahan's difference of products), t is off by roundings of the longest edge. t is kept within the
-// triangle; where the triangle is seen edge-on, t comes from its longest edge. The weights then are those of a point
-// that lies as far along that edge as t says.
+// The weights of a sliver, and t with them, lose as many digits along its longest edge as that edge exceeds its height.
+// Its plane does not lose them: from the corner between the two shorter edges, with a normal whose components are exact
+// to a few roundings (Kahan's difference of products), the error of t is some roundings of the longest edge. t is kept
+// within the triangle; if the triangle is seen edge-on, t comes from its longest edge. The weights are then those of
+// the point that lies as far along that edge as t says.
 //
 // Expects exact_arithmetic.inl and ray_triangle.inl (pick); tree. Defines difference_of_products and
 // refine_sliver(start, direction, slot, t, v, w).
@@ -26,7 +26,7 @@ auto refine_sliver = [&](const point& start, const point& direction, int slot, d
                        difference_of_products(e[0], f[1], e[1], f[0]));
     const double length2 = wp::dot(edge, edge);
     if (length2 == 0.0) return;
-    // From the start of the ray to the ends of the edge and the corner opposite.
+    // From the start of the ray to the ends of the edge and to the opposite corner.
     const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
     const point last = first + edge;
     const int axis = wp::abs(direction[0]) >= wp::abs(direction[1])
@@ -38,7 +38,7 @@ auto refine_sliver = [&](const point& start, const point& direction, int slot, d
     if (slope != 0.0) {
         t = wp::dot(normal, opposite) / slope;
     } else {
-        // Seen along the ray: where the edge passes by it.
+        // Seen along the ray: the point of the edge that is closest to it.
         const double along2 = wp::dot(direction, direction);
         const point seen = edge - direction * (wp::dot(edge, direction) / along2);
         const double seen2 = wp::dot(seen, seen), share = seen2 > 0.0 ? -wp::dot(first, seen) / seen2 : 0.5;

@@ -1,4 +1,4 @@
-// Writes the local box of a slot's triangle to its column among blocks of eight slots; an empty slot's is inside out.
+// Writes the local box of a slot's triangle to its column in a block of eight slots; an empty slot's box is inverted.
 //
 // Expects local_box.inl; tree, slot, out_boxes.
 float* row = out_boxes.data + 48 * (slot / 8) + slot % 8;

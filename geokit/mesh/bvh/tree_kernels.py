@@ -1,4 +1,4 @@
-"""The handle through which kernels reach a prepared surface."""
+"""The handle through which kernels access a prepared surface."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -6,42 +6,42 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) an axis;
-# 2e-7 covers that in three axes, and the rounding of the box distance itself, about twice over.
+# Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) per axis;
+# 2e-7 covers three axes and the rounding of the box distance itself, about twice over.
 BOX_PADDING = 2.0e-7
 
-# In the first place of a ray's candidates: there is none; and: the walk that does all at once must decide.
+# First entry of a ray's candidate list: no candidate; and: the complete traversal must decide.
 NO_CANDIDATE = wp.constant(-1)
 UNDECIDED = wp.constant(-2)
 
 
 @wp.struct
 class SurfaceTree:
-    """A surface as its kernels see it: on a CPU through the wide tree, on CUDA through the tree of the warp Mesh.
+    """A surface as kernels see it: on a CPU its tree has eight children per node, on CUDA it is that of the warp Mesh.
 
-    A slot is a place in a leaf: triangles that are near each other in space stand in slots that are near each other.
+    A slot is a position in a leaf: triangles that are near each other in space have slots that are near each other.
     """
 
     # Local frame: local = (world - origin) / scale lies in [-1, 1].
     origin: wp.vec3d
     scale: wp.float64
-    # World corners of the triangle in each slot, three a slot, and its number; -1 and NaN where a slot is empty.
+    # World corners of the triangle in each slot, three per slot, and its number; NaN and -1 for empty slots.
     corners: wp.array(dtype=wp.vec3d)
     slot_triangle: wp.array(dtype=int)
     # Handle of the warp Mesh; 0 on a CPU.
     mesh: wp.uint64
-    # Wide tree: for each node the boxes of its eight children, six rows of eight (lower x, y, z, upper x, y, z), local.
-    # On CUDA: the nodes of bvh2_packed_cuda_kernels.
+    # CPU: for each node the boxes of its eight children, six rows of eight (lower x, y, z, upper x, y, z), local.
+    # CUDA: the nodes of bvh2_packed_cuda_kernels.
     boxes: wp.array(dtype=wp.float32)
-    # Eight a node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
-    # On CUDA: one, the root as a child would be referred to.
+    # CPU: eight per node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
+    # CUDA: one entry, the root, in the form of a child reference.
     children: wp.array(dtype=int)
-    # The same for rays, on CUDA only: with smaller leaves.
+    # The same for rays, on CUDA only, with smaller leaves.
     ray_boxes: wp.array(dtype=wp.float32)
     ray_children: wp.array(dtype=int)
-    # For each block PLANE_ROWS rows of eight: the triangles in frames of their own; see bvh8_leaves_cpu_kernels.
+    # For each block PLANE_ROWS rows of eight: the triangles in their own frames; see bvh8_leaves_cpu_kernels.
     leaves: wp.array(dtype=wp.float32)
-    # The same for rays, on the CPU only: LEAF_WORDS words a block; see pack_ray_leaf_bvh8_cpu.inl.
+    # The leaves for rays, on the CPU only: LEAF_WORDS words per block; see pack_ray_leaf_bvh8_cpu.inl.
     ray_leaves: wp.array(dtype=wp.float32)
 
 

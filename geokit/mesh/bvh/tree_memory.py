@@ -1,4 +1,4 @@
-"""Memory of trees: on a CPU whole cache lines, and huge pages where the system gives them."""
+"""Memory of trees: on a CPU aligned to cache lines, and in huge pages where the system provides them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 __all__ = ["tree_array"]
 
-# Bytes of a cache line: nodes and leaves are as long as three of them.
+# Bytes of a cache line; nodes and leaves are three lines long.
 LINE = 64
 
 
 def tree_array(size: int, dtype: Any, device: "wp.Device") -> "wp.array":
-    """``warp.empty`` of so many items; on a CPU it starts with a cache line.
+    """``warp.empty`` for trees; on a CPU the array is aligned to a cache line.
 
     Queries read a tree at random places: with pages of 4 KiB the address translation takes as long as the data. NumPy
-    asks Linux for huge pages from 4 MiB on, where the system gives them on request; warp and malloc do not. The host
-    pool (core/host_pool.py) is not used: trees live long.
+    asks Linux for huge pages from 4 MiB on, where the system provides them on request; warp and malloc do not. The host
+    pool (core/host_pool.py) is not used, because trees live long.
     """
     import warp as wp
 

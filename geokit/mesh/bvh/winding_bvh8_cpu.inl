@@ -1,14 +1,14 @@
-// The winding number around a point, over the tree of width eight on a CPU: clusters that are far enough away count by
-// their multipole moments, triangles nearby by their solid angles, eight at a time.
+// The winding number around a point, in the CPU tree: clusters far enough away contribute by their multipole moments,
+// nearby triangles by their solid angles, eight at a time.
 //
 // Expects core/simd.inl; tree, winding, p; ON_SURFACE, PLANE_ROWS, MOMENT_ROWS, QUEUE, LEAVES, STACK, NEAR, SMALL.
-// Defines size (the largest local coordinate of p), on_surface, and walk(opening, spread): the winding number where
-// clusters count by moments from `opening` radii on. spread, if not null, gets the sum of the absolute terms of the
-// last order; walk sets on_surface where p is on a triangle. Also defines point, append, total, zero, q, X, Y, Z,
+// Defines size (the largest local coordinate of p), on_surface, and walk(opening, spread): the winding number, with
+// clusters counted by moments from `opening` radii on. spread, if not null, gets the sum of the absolute terms of the
+// last order; walk sets on_surface if p is on a triangle. Also defines point, append, total, zero, q, X, Y, Z,
 // half_angle.
 #if !defined(__CUDA_ARCH__)
 typedef wp::vec_t<3, wp::float64> point;
-// Appends the chosen lanes; writes up to eight places beyond the end.
+// Appends the selected lanes; writes up to eight entries beyond the end.
 auto append = [](int* to, i8 values, unsigned lanes) {
     #if defined(__AVX512VL__)
     typedef int x86 __attribute__((__vector_size__(32)));
@@ -37,13 +37,13 @@ auto half_angle = [&](int slot) {
     const double inverse = 1.0 / tree.scale;
     const point a = (corner[0] - p) * inverse, b = (corner[1] - p) * inverse, c = (corner[2] - p) * inverse;
     const double la = wp::length(a), lb = wp::length(b), lc = wp::length(c);
-    // The edges, not the corners: from nearby they are the longer ones.
+    // The edges, not the corners: nearby, the edges are the longer vectors.
     const double volume = wp::dot(a, wp::cross(b - a, c - a));
     const double cosine = lc * (la * lb + wp::dot(a, b)) + wp::dot(b, c) * la + wp::dot(c, a) * lb;
     const float area = winding.areas.data[slot];
     if (area == 0.f) return 0.0;
     if (volume == 0.0) {
-        // In its plane; on the triangle both sides are equally near.
+        // In the triangle's plane; on the triangle both sides are equally near.
         on_surface = on_surface || cosine <= ON_SURFACE * (la * lb * lc);
         return 0.0;
     }
@@ -51,7 +51,7 @@ auto half_angle = [&](int slot) {
     return area > 0.f ? -angle : angle;
 };
 auto walk = [&](float opening, float* spread) -> double {
-    // Fused products round less, and are quicker: the sum is approximate in any case.
+    // Fused products round less, and are faster: the sum is approximate in any case.
     #pragma clang fp contract(fast)
     int queue[QUEUE + STACK + 8], head = 0, tail = 1;
     int list[LEAVES + 16], leaves = 0;
@@ -73,7 +73,7 @@ auto walk = [&](float opening, float* spread) -> double {
             const v8 volume = z * *(const v8*)(winding.areas.data + 8 * block);
             const v8 lab = la * lb;
             const v8 cosine = lc * (lab + (x * bx + yz)) + (bx * ex + yez) * la + (x * ex + yez) * lb;
-            // Eight arctangents of volume / cosine, by their octants; the polynomial is off by 4e-7 at most.
+            // Eight arctangents of volume / cosine, by octants; the error of the polynomial is at most 4e-7.
             const v8 rise = __builtin_elementwise_abs(volume), run = __builtin_elementwise_abs(cosine);
             const v8 more = __builtin_elementwise_max(rise, run), less = __builtin_elementwise_min(rise, run);
             const v8 t = less / more, tt = t * t;
@@ -99,7 +99,7 @@ auto walk = [&](float opening, float* spread) -> double {
             angles += angle;
         }
         leaves = 0;
-        // Terms of one sign and as many as here leave enough digits of float32; more of them might not.
+        // This many terms of one sign leave enough digits of float32; more of them might not.
         sum += total(far_sum + angles * 0.159154943f);
         far_sum = angles = zero;
     };

@@ -1,7 +1,7 @@
 """Generalized winding numbers and the signs that follow from them.
 
-On a CPU the wide tree is walked, eight children or triangles at a time: clusters that are far enough count by their
-multipole moments, triangles nearby by their solid angles. On CUDA warp's tree of solid angles answers.
+On a CPU the tree is traversed with eight children or triangles at a time: clusters far enough away contribute by their
+multipole moments, nearby triangles by their solid angles. On CUDA warp's own tree of solid angles is used.
 """
 
 # mypy: ignore-errors
@@ -18,43 +18,43 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# A cluster counts by its moments where the query is farther away than this many of its radii. The error of three
-# orders falls with the fourth power or so: 0.005 at 2, 0.002 at 2.5, 0.001 at 3, which opens half as many nodes again.
+# A cluster contributes by its moments if the query is farther away than this many of its radii. The error of three
+# orders falls with about the fourth power: 0.005 at 2, 0.002 at 2.5, 0.001 at 3, which opens half as many nodes again.
 OPENING = np.float32(2.5)
-# A sign needs much less: this opens a quarter of the nodes, and is off by 0.05 at most on simple surfaces.
+# A sign needs much less: this opens a quarter of the nodes, with an error of at most 0.05 on simple surfaces.
 OPENING_SIGN = np.float32(1.25)
-# Where the coarse sum is nearer to 1/2 than this, the fine one decides.
+# If the coarse sum is nearer to 1/2 than this, the fine sum decides.
 SIGN_MARGIN = 0.1
-# ... widened by this times the sum of the last order's sizes, which the error of the coarse sum is about as large as:
-# many surfaces on top of each other err together.
+# ... widened by this times the sum of the last order's absolute terms, about as large as the error of the coarse sum:
+# the errors of many coincident surfaces add up.
 SIGN_SPREAD = 2.0
-# Nearer than this many local units to a triangle (to its rectangle, in its plane), its solid angle is taken in float64:
-# in float32 places are off by 4e-7, which turns the angle at an edge by up to 4e-7 / NEAR.
+# Nearer than this many local units to a triangle (to its rectangle, in its plane), its solid angle is computed in
+# float64: float32 positions have an error of 4e-7, which changes the angle at an edge by up to 4e-7 / NEAR.
 NEAR = np.float32(1.0e-4)
-# So it is where the sine and the cosine that give the angle are smaller than this, being differences of larger terms:
-# close to an edge in relation to its length, and about slivers farther out. Their rounding errors are some 5e-7.
+# The same applies if the sine and the cosine of the angle are smaller than this, being differences of larger terms:
+# close to an edge in relation to its length, and farther out around slivers. Their rounding errors are some 5e-7.
 SMALL = np.float32(1.0e-3)
-# In the plane of a triangle, the cosine (of an angle of 0 or pi) is negative inside, and zero on its edges but for the
-# rounding of its terms in float64, which this share of them covers.
+# In the plane of a triangle, the cosine (of an angle of 0 or pi) is negative inside, and zero on the edges except for
+# the rounding of its terms in float64; this share of them covers it.
 ON_SURFACE = 1.0e-15
-# Farther away than this many local units, the winding number is zero to float32.
+# Farther away than this many local units, the winding number is zero in float32.
 FAR = 1.0e6
-# On CUDA a node of warp's tree is taken as one dipole when the query is farther away than this many of its radii. 2
-# agrees with exact sums on clean, holed and overlapping meshes; 0.5 is wrong for a quarter of near points, 4 costs 2.4
-# times as much.
+# On CUDA a node of warp's tree counts as one dipole if the query is farther away than this many of its radii. 2 agrees
+# with exact sums on clean, holed and overlapping meshes; 0.5 is wrong for a quarter of near points; 4 takes 2.4 times
+# as long.
 ACCURACY = np.float32(2.0)
-# Nodes that wait in the order they were found, which lets the processor work on several at once; what does not fit is
-# walked depth first.
+# Queue of nodes in breadth-first order, so that the processor works on several at once; nodes that do not fit are
+# visited depth first.
 QUEUE = 1024
-# Leaves that wait for the nodes to be done.
+# Leaves that are deferred until the nodes are done.
 LEAVES = 512
 
 
 @wp.struct
 class WindingTree:
-    """What winding numbers read beside the tree of a surface; on CUDA the handle alone is filled."""
+    """Data for winding numbers beside the tree of a surface; on CUDA only the handle is set."""
 
-    # Handle of the warp Mesh whose faces wind as they count.
+    # Handle of the warp Mesh whose faces have the winding that counts.
     mesh: wp.uint64
     # For each node MOMENT_ROWS rows of eight; see bvh8_moments_kernels.
     moments: wp.array(dtype=wp.float32)
@@ -82,7 +82,7 @@ _CONSTANTS = {
 def winding_number_at(tree: SurfaceTree, winding: WindingTree, empty: wp.float64, p: wp.vec3d) -> wp.float64:
     """Winding number around the world point p.
 
-    Outside the cube of half width ``empty`` local units it is zero exactly: 1 for a closed mesh, infinite for others.
+    It is exactly zero outside the cube of half width ``empty`` local units: 1 for closed meshes, infinite for others.
     """
     ...
 
@@ -99,7 +99,7 @@ def winding_number_at(tree: SurfaceTree, winding: WindingTree, empty: wp.float64
     )
 )
 def is_inside(tree: SurfaceTree, winding: WindingTree, empty: wp.float64, p: wp.vec3d) -> wp.bool:
-    """Whether the winding number exceeds 1/2 and p is not on the surface; several times quicker than the number."""
+    """Whether the winding number exceeds 1/2 and p is not on the surface; several times faster than the number."""
     ...
 
 
@@ -114,7 +114,7 @@ def winding_number_kernel(
     out_winding: wp.array(dtype=wp.float64),
     out_nonfinite: wp.array(dtype=int),
 ):
-    """A query that is not finite has no number, and raises ``out_nonfinite`` for the host to see which row it is."""
+    """A query that is not finite has no winding number and raises ``out_nonfinite``; the host then finds the row."""
     prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     p = points[i]
@@ -135,7 +135,7 @@ def sign_kernel(
     empty: wp.float64,
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Turns the distance of inside points negative, in place."""
+    """Negate the distances of inside points in place."""
     prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     if is_inside(tree, winding, empty, points[i]):

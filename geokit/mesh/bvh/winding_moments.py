@@ -1,4 +1,4 @@
-"""Winding numbers of a prepared surface: the moments of its tree's nodes, once for many queries."""
+"""Winding number data of a prepared surface: the moments of its tree's nodes, computed once for many queries."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 __all__ = ["build_winding_tree", "winding_tree_of_mesh"]
 
-# Nodes worth a slice of their own: the moments of one, its leaves included, take a few microseconds.
+# Nodes per slice of a launch: the moments of one node, with its leaves, take a few microseconds.
 NODE_GRAIN = 64
 
 
 def build_winding_tree(tree: Any, flipped: NDArray[np.bool_] | None = None) -> Any:
-    """What winding numbers read beside the wide tree, on the CPU.
+    """Data for winding numbers beside the CPU tree.
 
     Args:
         tree: The :class:`SurfaceTree` with boxes, children, corners and slots.
-        flipped: Triangles that count as wound the other way, shape (F,); None for none.
+        flipped: Triangles whose winding counts as reversed, shape (F,); None for none.
     Returns:
-        A :class:`WindingTree`. After the tree's corners have moved it must be built anew.
+        A :class:`WindingTree`. It must be rebuilt after the tree's corners have moved.
     Source:
         Barill, Dickson, Schmidt, Levin, Jacobson, "Fast Winding Numbers for Soups and Clouds" (2018). Differs: harmonic
         moments of three orders, of exact integrals over triangles.
@@ -53,7 +53,7 @@ def build_winding_tree(tree: Any, flipped: NDArray[np.bool_] | None = None) -> A
 
 
 def winding_tree_of_mesh(mesh: "wp.Mesh") -> Any:
-    """What winding numbers read on CUDA: warp's tree of a Mesh with ``support_winding_number``."""
+    """Data for winding numbers on CUDA: warp's tree of a Mesh with ``support_winding_number``."""
     import warp as wp
 
     from geokit.mesh.bvh.winding_kernels import WindingTree
@@ -64,7 +64,7 @@ def winding_tree_of_mesh(mesh: "wp.Mesh") -> Any:
 
 
 def _levels(children: NDArray[np.int32]) -> list[NDArray[np.int32]]:
-    """The inner nodes by their distance from the root."""
+    """The inner nodes, grouped by their distance from the root."""
     levels = []
     level = np.zeros(1, np.int32)
     while len(level):

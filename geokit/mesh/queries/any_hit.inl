@@ -1,4 +1,4 @@
-// Occlusion: the first hit that a walk meets ends it.
+// Occlusion: the first hit in traversal order ends the ray.
 //
 // Expects out_occluded. Defines take_hit and finish as raycast_bvh8_cpu.inl describes.
 auto take_hit = [&](auto& r, int slot, double, double, double, const auto&) {

@@ -1,6 +1,6 @@
-// Writes a pair of triangles, the lower one first where both are of one surface.
+// Writes a pair of triangles; within one surface, the lower one first.
 //
-// Expects at (the place), itself, surface, tree, out_pairs. Defines append_pair(slot, other).
+// Expects at (the position), itself, surface, tree, out_pairs. Defines append_pair(slot, other).
 auto append_pair = [&](int slot, int other) {
     const int one = surface.slot_triangle.data[slot], another = tree.slot_triangle.data[other];
     const bool turned = itself && one > another;

@@ -9,10 +9,10 @@ from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, off
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
-# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+# Without fused multiply-adds a GPU gives the same bits as a CPU, and the same ties between triangles.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Register limit of a GPU thread; see docs/design/launches-and-memory.md.
 REGISTERS = 80
 
 
@@ -30,9 +30,9 @@ def closest_point_kernel(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_nonfinite: wp.array(dtype=int),
 ):
-    """A group of queries that are near each other a thread: each starts from the answer of the one before.
+    """One thread answers a group of queries that are near each other: each starts from the previous answer.
 
-    A query that is not finite is a miss, and raises ``out_nonfinite`` for the host to see which row it is.
+    A query that is not finite is a miss and raises ``out_nonfinite``; the host then finds the row.
     """
     begin = (first + wp.tid()) * group
     slot = int(-1)

@@ -1,4 +1,4 @@
-// The number of a ray's crossings.
+// Counts a ray's crossings.
 //
 // Expects out_count. Defines take_hit and finish as raycast_bvh8_cpu.inl describes.
 auto take_hit = [&](auto& r, int, double, double, double, const auto&) {

@@ -1,4 +1,4 @@
-"""All crossings of rays with a surface: their number, then their places in order."""
+"""All crossings of rays with a surface: first their number, then the ordered list."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,7 +9,7 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Register limit of a GPU thread; see docs/design/launches-and-memory.md.
 REGISTERS = 64
 
 

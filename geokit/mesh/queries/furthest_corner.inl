@@ -1,4 +1,4 @@
-// The corner of a triangle that is furthest from p, through the tree by the far corners of its boxes.
+// The corner of a triangle that is furthest from p; the tree is pruned by the far corners of its boxes.
 //
 // Ties go to the lowest triangle and its first corner. Expects tree, p; BOX_PADDING, STACK. Returns three times the
 // slot plus the corner.
@@ -19,7 +19,7 @@ auto evaluate = [&](int slot) {
 };
 const point q = (p - tree.origin) / tree.scale;
 const double far = wp::max(wp::max(wp::abs(q[0]), wp::abs(q[1])), wp::abs(q[2]));
-// Squared distance of the far corner of a box in world units, widened by what rounding can have taken.
+// Squared distance of a box's far corner in world units, widened by the rounding error.
 auto reach_of = [&](const float* lower, const float* upper, int stride) {
     double sum = 0.0;
     for (int k = 0; k < 3; ++k) {

@@ -1,4 +1,4 @@
-"""Furthest point of a surface: a vertex, found through the tree by the far corners of its boxes."""
+"""Furthest point of a surface, always a vertex; the tree is pruned by the far corners of its boxes."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func_native(cpp("mesh/queries/furthest_corner.inl", BOX_PADDING=BOX_PADDING, STACK=STACK))
 def furthest_corner(tree: SurfaceTree, p: wp.vec3d) -> int:
-    """Three times the slot plus the corner."""
+    """The furthest corner from p, as three times the slot plus the corner."""
     ...
 
 

@@ -21,16 +21,16 @@ __all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_
 
 
 class TrianglePieces(NamedTuple):
-    """Parts of triangles, P of them, and what is known of their distances."""
+    """Pieces of triangles, P of them, with the distances and bounds known for them."""
 
     corners: NDArray[np.float64]  # (P, 3, 3): piece, corner, axis [world]
     distance: NDArray[np.float64]  # (P, 3), of the corners
     triangle: NDArray[np.int32]  # (P, 3), the corners' closest triangles
     candidate: NDArray[np.int32]  # (P,), the triangle that gave the bound
     upper: NDArray[np.float64]  # (P,), bound of the distance anywhere in the piece
-    depth: NDArray[np.int32]  # (P,), cuts that it came from
+    depth: NDArray[np.int32]  # (P,), number of cuts that led to the piece
     edge: NDArray[np.int32]  # (P,), the edge to cut if that bound is too large; edge k starts at corner k
-    cut: NDArray[np.float64]  # (P, 3), where [world]
+    cut: NDArray[np.float64]  # (P, 3), point on that edge where it is cut [world]
 
     def take(self, rows: NDArray[Any]) -> TrianglePieces:
         return TrianglePieces(*(column[rows] for column in self))
@@ -39,8 +39,8 @@ class TrianglePieces(NamedTuple):
 class DistanceSearch:
     """Branch and bound for the largest distance of a mesh from a surface.
 
-    Pieces whose bound does not exceed the largest distance found by more than the gap are done: all that is kept of
-    them is the largest such bound.
+    A piece is done once its bound exceeds the largest distance found by no more than the gap. Of all done pieces only
+    the largest bound is kept.
     """
 
     def __init__(self, target: Surface, gap: float, rounding: float) -> None:
@@ -53,8 +53,8 @@ class DistanceSearch:
         self._target = Target()
         self._target.vertices, self._target.faces = target._vertices, target._faces
 
-    def ask(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Distances of points of the mesh and their closest triangles; the largest distance is remembered."""
+    def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Distances of points of the mesh and their closest triangles; updates the largest distance found."""
         found = self._surface.closest_point(points)
         if len(points):
             row = int(np.argmax(found.distance))
@@ -63,16 +63,16 @@ class DistanceSearch:
                 self.point, self.closest = points[row].copy(), found.points[row].copy()
         return found.distance, found.triangle_id
 
-    def ask_vertices(self, mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """As :meth:`ask`, for all vertices; NaN and -1 for those that no face uses."""
+    def measure_vertices(self, mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Distances and closest triangles of all vertices; NaN and -1 for vertices that no face uses."""
         used = np.zeros(len(mesh.vertices), bool)
         used[mesh.faces.ravel()] = True
         distance, triangle = np.full(len(used), math.nan), np.full(len(used), -1, np.int32)
-        distance[used], triangle[used] = self.ask(mesh.vertices[used])
+        distance[used], triangle[used] = self.measure(mesh.vertices[used])
         return distance, triangle
 
     def run(self, mesh: TriangleMesh, distance: NDArray[np.float64], triangle: NDArray[np.int32]) -> None:
-        """Close the gap between ``lower`` and ``upper`` over all triangles; takes what the vertices' answers are."""
+        """Close the gap between ``lower`` and ``upper`` over all triangles, given the answers for the vertices."""
         waiting: list[TrianglePieces] = []
         for start in range(0, len(mesh.faces), BLOCK):
             faces = mesh.faces[start : start + BLOCK]
@@ -94,13 +94,13 @@ class DistanceSearch:
     def _first_pieces(
         self, corners: NDArray[np.float64], distance: NDArray[np.float64], triangle: NDArray[np.int32]
     ) -> TrianglePieces:
-        """Whole triangles that are not decided by their corners, nor by the triangle closest to their middle."""
+        """The whole triangles that neither their corners nor the triangle closest to their center decide."""
         count = len(corners)
         unknown = np.full(count, math.inf), np.zeros(count, np.int32), np.empty(count, np.int32), np.empty((count, 3))
         pieces = TrianglePieces(corners, distance, triangle, triangle[:, 0].copy(), *unknown)
         self._bound(pieces)
         pieces = self._undecided(pieces)
-        pieces.candidate[:] = self.ask(pieces.corners.mean(axis=1))[1]
+        pieces.candidate[:] = self.measure(pieces.corners.mean(axis=1))[1]
         self._bound(pieces)
         return self._undecided(pieces)
 
@@ -116,8 +116,8 @@ class DistanceSearch:
         return np.argpartition(pieces.upper, count - BLOCK)[count - BLOCK :]
 
     def _halves(self, pieces: TrianglePieces) -> TrianglePieces:
-        """Each piece cut in two, bounded."""
-        distance, triangle = self.ask(pieces.cut)
+        """Each piece cut in two, with new bounds."""
+        distance, triangle = self.measure(pieces.cut)
         both = joined_pieces([pieces, pieces])
         rows = np.arange(len(both.upper))
         replaced = np.concatenate([pieces.edge, (pieces.edge + 1) % 3])
@@ -143,7 +143,7 @@ class DistanceSearch:
         return host if self._device.is_cpu else host.warp.to(self._device)
 
     def _launch(self, kernel: Any, count: int, inputs: list[Any], results: list[NDArray[Any]]) -> None:
-        """Run the kernel; ``results`` go in as they are and hold what it has made of them."""
+        """Run the kernel; it updates the arrays in ``results`` in place."""
         if count == 0:
             return
         outputs = [self._sent(array) for array in results]
@@ -153,16 +153,16 @@ class DistanceSearch:
                 array[:] = output.numpy()
 
 
-# Pieces that are cut at once, about 60 MB with their halves.
+# Pieces that are cut in one round, about 60 MB with their halves.
 BLOCK = 1 << 17
 
 
 # While fewer pieces than this wait (152 bytes each), those with the largest bounds are cut first, which raises the
-# lower bound soonest; from there on the newest, of which there can be no more than a block for each halving of an edge.
+# lower bound soonest. Above it the newest are cut first: they number at most a block for each halving of an edge.
 MOST_WAITING = 1 << 20
 
 
-# Edges are cut where closest triangles change if their distances differ by this share of what is still allowed.
+# An edge is cut where its closest triangles change, if their distances differ by this share of the remaining gap.
 CUT_SHARE = 0.25
 
 

@@ -1,9 +1,9 @@
 """Bounds for the distance of a triangle's points from a surface, and where to cut triangles whose bound is too wide.
 
-The distance from one triangle of the surface is convex over a piece, so it is largest at a corner of the piece; and the
-distance from the surface is not above the one from any of its triangles. A piece all of whose corners have the same
-closest triangle is thus known exactly. Where two corners have different ones, the edge between them is cut where both
-are equally far: each half then has one of them.
+The distance from one triangle of the surface is convex over a piece, so it is largest at a corner of the piece. The
+distance from the surface is at most the distance from any of its triangles. So the largest distance of a piece is known
+exactly if all its corners have the same closest triangle. If two corners have different ones, the edge between them is
+cut at the point equally far from both triangles: each half then has one of them.
 """
 
 # mypy: ignore-errors
@@ -12,16 +12,16 @@ import warp as wp
 
 from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 
-# Unfused, a GPU gives the same bits as a CPU, and pieces are cut alike.
+# Without fused multiply-adds a GPU gives the same bits as a CPU, and the same cuts.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Any point of a triangle is within longest edge / sqrt(3) of a corner, in the worst case, which is the equilateral one.
+# Any point of a triangle is within longest edge / sqrt(3) of a corner; the equilateral triangle is the worst case.
 # Rounded up.
 COVERING_RATIO = wp.constant(wp.float64(0.5773502691896259))
-# Steps towards the point where two triangles are equally far; most end sooner. It need not be exact: a bound is too
-# wide by no more than what the two distances differ by at the cut.
+# Steps toward the point equally far from two triangles; most searches end sooner. The point need not be exact: the
+# bound is too wide by no more than the difference of the two distances at the cut.
 CUT_STEPS = wp.constant(8)
-# Of every so many cuts in a row one halves the longest edge, so that pieces shrink whatever the others do.
+# One of this many successive cuts halves the longest edge, so that pieces shrink whatever the other cuts do.
 HALVE_EVERY = wp.constant(4)
 
 
@@ -65,10 +65,10 @@ def equally_far(
     gap_q: wp.float64,
     least_gap: wp.float64,
 ) -> wp.vec2d:
-    """Where between p, nearer to triangle t, and q, nearer to u, both are equally far, or differ by under least_gap.
+    """The point between p (nearer to triangle t) and q (nearer to u) that is equally far from both, to ``least_gap``.
 
-    The gaps are how much farther the other triangle is, and not negative. Returns the place as a share of the way, and
-    the larger of the two distances there.
+    ``gap_p`` and ``gap_q``, not negative, are how much farther the other triangle is at each end. Returns the position
+    as a fraction of the way from p to q, and the larger of the two distances there.
     """
     low = wp.float64(0.0)
     high = wp.float64(1.0)
@@ -77,7 +77,7 @@ def equally_far(
     cut = wp.float64(0.5)
     distance = wp.float64(wp.inf)
     for step in range(CUT_STEPS):
-        # Every third step halves: the secant may creep along where one of the distances bends.
+        # Every third step bisects: the secant may converge slowly where one of the distances has a kink.
         cut = wp.float64(0.5) * (low + high)
         if step % 3 != 2 and at_low + at_high > wp.float64(0.0):
             cut = low + (high - low) * (at_low / (at_low + at_high))
@@ -107,7 +107,7 @@ def corner_distances(
     i: wp.int32,
     target: Target,
 ) -> wp.mat33d:
-    """Row k: how far corner k of piece i is from the closest triangles of the three corners."""
+    """Matrix whose row k has the distances of corner k of piece i from the closest triangles of the three corners."""
     table = wp.mat33d()
     for k in range(3):
         for j in range(3):
@@ -120,7 +120,7 @@ def corner_distances(
 
 @wp.func
 def edge_gap(table: wp.mat33d, k: wp.int32) -> wp.float64:
-    """How much the closest triangles of the ends of edge k differ: 0 where each is as near to the other end."""
+    """How much the closest triangles of edge k's ends differ in distance; 0 if each is as near to the other end."""
     j = (k + 1) % 3
     return wp.min(table[k, j] - table[k, k], table[j, k] - table[j, j])
 
@@ -136,11 +136,11 @@ def straddling_bound(
     enough: wp.float64,
     least_gap: wp.float64,
 ) -> wp.vec2d:
-    """What the bound would be if piece i were cut between the closest triangles of its corners; inf if above enough.
+    """The bound that piece i would have if it were cut between its corners' closest triangles; inf if above ``enough``.
 
-    Each part is a polygon that has one of the triangles for itself, so that the distance is largest at its corners:
-    the piece's own, a point on each edge between two triangles and, where there are three, one in the middle. Returns
-    the bound, and where the edge ``start`` is cut, which is looked at first.
+    Each part is a polygon that belongs to one of the triangles, so that the distance is largest at its corners: the
+    piece's own corners, a point on each edge between two triangles and, with three triangles, one in the middle.
+    Returns the bound, and where the edge ``start`` is cut; that edge is examined first.
     """
     bound = wp.max(table[0, 0], wp.max(table[1, 1], table[2, 2]))
     share = wp.float64(0.5)
@@ -151,9 +151,9 @@ def straddling_bound(
         j = (k + 1) % 3
         t = triangle[3 * i + k]
         u = triangle[3 * i + j]
-        # Where one edge is cut too far away there is no bound to be had.
+        # Once a cut on one edge is too far away, there is no bound.
         if t != u and bound <= enough:
-            # Rounding may have the closest triangle a trifle farther than another.
+            # Rounding may make the closest triangle slightly farther than another one.
             gap_p = wp.max(table[k, j] - table[k, k], wp.float64(0.0))
             gap_q = wp.max(table[j, k] - table[j, j], wp.float64(0.0))
             p = corners[3 * i + k]
@@ -188,11 +188,11 @@ def bound_kernel(
     out_edge: wp.array(dtype=int),
     out_cut: wp.array(dtype=wp.vec3d),
 ):
-    """Lowers the bound of a piece, and says where to cut it if that is above ``enough``.
+    """Lower the bound of a piece, and choose where to cut it if the bound is above ``enough``.
 
-    ``out_candidate`` goes in as a triangle of the surface that may be near the whole piece, and comes out as the best.
-    ``out_cut`` lies on edge ``out_edge``: between the two closest triangles that differ most, or in the middle of the
-    longest edge.
+    On input ``out_candidate`` is a triangle of the surface that may be near the whole piece; on output it is the best
+    one found. ``out_cut`` lies on edge ``out_edge``: between the two closest triangles that differ most, or at the
+    middle of the longest edge.
     """
     i = first + wp.tid()
     table = corner_distances(corners, distance, triangle, i, target)

@@ -1,4 +1,4 @@
-"""Pairs of triangles that meet: their number for each leaf, then the pairs."""
+"""Pairs of intersecting triangles: first their number for each leaf, then the list."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,14 +9,14 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# Relative to |axis|_1 times the largest coordinate: a dot product of differences is off by five roundings, and two of
-# them are compared; about twice that.
+# Relative to |axis|_1 times the largest coordinate. A dot product of differences has an error of five roundings, and
+# two of them are compared; this is about twice that.
 PAIR_GAP_ERROR = 2.5e-15
-# Relative to the sum of the absolute products: (7 + 56 e) e and (3 + 16 e) e for e = 2^-53 (Shewchuk 1997), with room
+# Relative to the sum of the absolute products: (7 + 56 e) e and (3 + 16 e) e for e = 2^-53 (Shewchuk 1997), with slack
 # for the rounding of that sum.
 VOLUME_ERROR = 8.0e-16
 AREA_ERROR = 3.4e-16
-# Six products of three differences of two parts each, every one of them four parts.
+# Six triple products of differences. A difference has two parts, so each product has eight terms of four parts each.
 PARTS = 192
 
 
@@ -36,7 +36,7 @@ def _pairs(on_pair: str, *files: str) -> str:
 
 
 _COUNT = "wp::int64 count = 0;" + _pairs("++count") + "out_count.data[item] = count;"
-# Another thread may have found one.
+# Another thread may have found a pair already.
 _ANY = "if (out_found.data[0]) return;" + _pairs("out_found.data[0] = 1")
 _FILL = "wp::int64 at = offset;" + _pairs("append_pair(slot, other)", "mesh/queries/append_pair.inl")
 
@@ -103,7 +103,7 @@ def fill_pairs_kernel(
     unit: wp.float64,
     out_pairs: wp.array(dtype=int),
 ):
-    """For the items that have pairs, from their place in the list on."""
+    """Write the pairs of the items that have any, each item from its offset in the list."""
     i = first + wp.tid()
     fill_pairs(items[i], offsets[i], surface, tree, slot_boxes, itself, unit, out_pairs)
 
@@ -118,5 +118,5 @@ def find_pair_kernel(
     unit: wp.float64,
     out_found: wp.array(dtype=int),
 ):
-    """Whether there is a pair; the others stop once one is found."""
+    """Whether there is any pair; all threads stop once one is found."""
     find_pair(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_found)

@@ -1,8 +1,8 @@
-// A ray's crossings in order, by t and then by triangle: inserted as they come, because rays have few.
+// Lists a ray's crossings in order, by t and then by triangle; by insertion, because rays have few.
 //
-// The limits of the ray were applied before t is refined, as they were for the number of crossings. Expects
-// refine_hit.inl; origins, directions, offsets, tree, out_t, out_triangle_id, out_barycentric. Defines take_hit and
-// finish as raycast_bvh8_cpu.inl describes.
+// The limits of the ray were applied before t is refined, as in the count of the crossings. Expects refine_hit.inl;
+// origins, directions, offsets, tree, out_t, out_triangle_id, out_barycentric. Defines take_hit and finish as
+// raycast_bvh8_cpu.inl describes.
 auto take_hit = [&](auto& r, int slot, double t, double v, double w, const auto&) {
     refine(origins.data[r.id], directions.data[r.id], slot, t, v, w);
     const int triangle = tree.slot_triangle.data[slot];

@@ -2,7 +2,7 @@
 //
 // Expects tree, out_t, out_triangle_id, out_barycentric. Defines take_hit and finish as raycast_bvh8_cpu.inl describes.
 auto take_hit = [&](auto& r, int slot, double t, double v, double w, const auto& shorten) {
-    // Ties go to the lowest triangle: the answer must not depend on the order of the walk.
+    // Ties go to the lowest triangle: the answer must not depend on the traversal order.
     if (t == r.best && r.winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[r.winner]) return false;
     r.best = t;
     r.weight_b = v;

@@ -1,4 +1,4 @@
-"""Which triangles of a prepared surface meet boxes, another surface, or each other."""
+"""Triangles of a prepared surface that intersect boxes, another surface, or each other."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["BoxOverlaps", "OverlapQueries"]
 
-# Leaves of a tree, or boxes, that a thread takes at least at once.
+# Least number of leaves, or boxes, in a thread's share.
 LEAF_GRAIN = 16
 WIDTH = 8
 
 
 class BoxOverlaps(NamedTuple):
-    """offsets (N + 1,), triangle_id (H,): those of box i are ``triangle_id[offsets[i]:offsets[i + 1]]``, ascending."""
+    """offsets (N + 1,), triangle_id (H,): box i has ``triangle_id[offsets[i]:offsets[i + 1]]``, ascending."""
 
     offsets: Any
     triangle_id: Any
@@ -40,27 +40,29 @@ class OverlapQueries:
     _tree: Any
 
     def overlapping(self, lower: Any, upper: Any) -> BoxOverlaps:
-        """Triangles that meet each box; the triangles themselves, not only their bounding boxes.
+        """Triangles that intersect each box; exact tests of the triangles, not only of their bounding boxes.
 
-        Boxes and triangles are closed: touching is meeting. No triangle that meets a box is missed; one that does not
-        may be listed where it is nearer to it than 1e-14 of the box's size (tests/mesh/queries/test_overlaps.py).
+        Boxes and triangles are closed sets: touching counts as intersecting. No intersecting triangle is missed;
+        another one may be listed if it is within 1e-14 of the box's size.
 
         Args:
             lower: Lower corners of the boxes [world], shape (N, 3).
-            upper: Upper corners [world], shape (N, 3), nowhere below the lower ones.
+            upper: Upper corners [world], shape (N, 3); no component is below that of the lower corner.
         Returns:
-            BoxOverlaps with offsets (N + 1,) and triangle_id, ascending for each box.
+            BoxOverlaps with offsets (N + 1,) and triangle_id (H,), ascending for each box.
         Raises:
-            InputError: An array is not (N, 3) or not finite, their lengths differ, or a box is inside out.
+            InputError: An array is not (N, 3) or not finite, their lengths differ, or a box is inverted.
             DeviceMemoryError: There are more overlaps than the device can hold.
         Source:
-            Akenine-Möller, "Fast 3D Triangle-Box Overlap Testing" (2001). Differs: margins for rounding, so that none
-            is missed.
+            Akenine-Möller, "Fast 3D Triangle-Box Overlap Testing" (2001). Differs: margins for rounding, so that no
+            triangle is missed.
         Example:
             >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
             >>> surface = gk.mesh.Surface(triangle, device="cpu")
             >>> surface.overlapping([[0, 0, 0], [0.8, 0.8, 0]], [[0.1, 0.1, 0], [1, 1, 0]]).offsets
             array([0, 1, 1])
+
+        Held by: tests/mesh/queries/test_overlaps.py
         """
         import warp as wp
 
@@ -81,7 +83,7 @@ class OverlapQueries:
             launcher.launch(count_overlaps_kernel, len(low), [*boxes, *tree], [count], device, grain=LEAF_GRAIN)
             wp.utils.array_scan(count, offsets[1:], inclusive=True)
         total = int(offsets[-1:].numpy()[0])
-        # Keys, their scratch space and that of the values that the sort moves along, and the list.
+        # Memory for keys and values, twice each because the sort needs scratch space, and for the list itself.
         _require_room(total, 28, "overlaps", device)
         key = wp.empty(2 * total, dtype=wp.int64, device=device)
         triangle_id = wp.empty(total, dtype=wp.int32, device=device)
@@ -92,21 +94,23 @@ class OverlapQueries:
         return BoxOverlaps(low.to_caller(offsets), low.to_caller(triangle_id))
 
     def intersecting_triangles(self, other: "OverlapQueries") -> NDArray[np.int32]:
-        """Pairs of triangles, one of this surface and one of another, that meet.
+        """Pairs of intersecting triangles, one of this surface and one of another.
 
-        Decided exactly for float64 corners (tests/mesh/queries/test_intersections_property.py). Triangles are closed:
-        touching is meeting; those without area are the segments or points that they are.
+        Decided exactly for float64 corners. Triangles are closed sets: touching counts as intersecting. Triangles
+        without area are treated as segments or points.
 
         Args:
             other: A surface on the same device.
         Returns:
-            int32 (P, 2): triangle of this surface, triangle of the other, sorted.
+            int32 (P, 2): triangle of this surface and triangle of the other in each row, sorted.
         Raises:
-            InputError: other is not a Surface, or lives on another device.
+            InputError: other is not a Surface, or is on another device.
             DeviceMemoryError: There are more pairs than the device can hold.
         Source:
             Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates" (1997);
             Guigue, Devillers, "Fast and Robust Triangle-Triangle Overlap Test Using Orientation Predicates" (2003).
+
+        Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
         if not isinstance(other, OverlapQueries):
             raise InputError(f"other: {type(other).__name__} is not a Surface; prepare one from the mesh")
@@ -117,23 +121,25 @@ class OverlapQueries:
         return self._pairs(other)
 
     def self_intersections(self) -> NDArray[np.int32]:
-        """Pairs of triangles of this mesh that meet elsewhere than on the vertex or edge that they share.
+        """Pairs of triangles of this mesh that intersect beyond the vertex or edge that they share.
 
-        Shared are corners of equal positions, so that a soup of triangles answers as the indexed mesh. Pairs of the
-        same three positions count as meeting; so do triangles that touch without a common corner, such as at a
-        T-junction. Decided exactly for float64 corners (tests/mesh/queries/test_intersections_property.py).
+        Corners are shared if their positions are equal, so that a triangle soup gives the same answer as the indexed
+        mesh. Pairs with the same three positions count as intersecting. So do triangles that touch without a common
+        corner, for example at a T-junction. Decided exactly for float64 corners.
 
         Returns:
             int32 (P, 2): the lower and the higher triangle_id of each pair, sorted.
         Raises:
             DeviceMemoryError: There are more pairs than the device can hold.
         Source:
-            As for :meth:`intersecting_triangles`.
+            Shewchuk (1997) and Guigue, Devillers (2003), as for :meth:`intersecting_triangles`.
+
+        Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
         return self._pairs(self)
 
     def _has_self_intersections(self) -> bool:
-        """Whether :meth:`self_intersections` has any; stops at the first that is found."""
+        """Whether :meth:`self_intersections` has any pair; stops at the first one found."""
 
         from geokit.mesh.queries.intersecting_kernels import find_pair_kernel
 
@@ -162,7 +168,7 @@ class OverlapQueries:
             wp.array(ends - counts[items], dtype=wp.int64, device=device),
         ]
         launcher.launch(fill_pairs_kernel, len(items), [*where, *inputs], [pairs], device, grain=LEAF_GRAIN)
-        # Rows of two as one number each, little-endian or not, sort as rows do.
+        # Each row packed into one number: the numbers sort as the rows do, on any byte order.
         rows = pairs.numpy().reshape(-1, 2)
         key = np.sort(rows[:, 0].astype(np.int64) << 32 | rows[:, 1])
         return np.stack([key >> 32, key & 0xFFFFFFFF], axis=1).astype(np.int32)
@@ -170,7 +176,7 @@ class OverlapQueries:
     def _pair_inputs(self, other: "OverlapQueries") -> list[Any]:
         import warp as wp
 
-        # A power of two scales without rounding: products of corners must not underflow.
+        # A power of two scales without rounding; unscaled, products of corners could underflow.
         unit = 2.0 ** -round(math.log2(max(self._frame.scale, other._frame.scale)))
         return [self._tree, other._tree, other._slot_boxes, other is self, wp.float64(unit)]
 
@@ -181,7 +187,8 @@ class OverlapQueries:
 
     @cached_property
     def _slot_boxes(self) -> "wp.array":
-        """The boxes of the triangles, by eights as the leaves; a GPU has one triangle a leaf, and needs none."""
+        """Boxes of the triangles in blocks of eight, one for each leaf; empty on a GPU, which has one triangle per
+        leaf."""
         import warp as wp
 
         from geokit.mesh.bvh.box_walk_kernels import slot_boxes_kernel
@@ -217,7 +224,7 @@ def _sort(key: "wp.array", count: int) -> None:
     import warp as wp
 
     if key.device.is_cpu:
-        key.numpy()[:count].sort()  # in place: the array shares its memory
+        key.numpy()[:count].sort()  # in place: the NumPy array shares the memory of key
         return
     values = wp.empty(2 * count, dtype=wp.int32, device=key.device)
     wp.utils.radix_sort_pairs(key, values, count)

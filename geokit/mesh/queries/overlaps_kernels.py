@@ -1,4 +1,4 @@
-"""Triangles that meet boxes: their number for each box, then their list."""
+"""Triangles that intersect boxes: first their number for each box, then the list."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -10,7 +10,7 @@ from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# Relative to the sizes that meet in a separating axis: five roundings, on both sides of a comparison, and room.
+# Relative to the sizes compared along a separating axis: five roundings on each side of the comparison, with slack.
 BOX_GAP_ERROR = 3.0e-15
 
 
@@ -20,7 +20,7 @@ def _overlaps(on_triangle: str) -> str:
 
 
 _COUNT = "wp::int64 count = 0;" + _overlaps("++count") + "out_count.data[item] = count;"
-# A key sorts by box, then by triangle.
+# The key orders by box, then by triangle.
 _FILL = "wp::int64 at = offsets.data[item];" + _overlaps(
     "out_key.data[at++] = (wp::int64)item << 32 | tree.slot_triangle.data[slot]"
 )

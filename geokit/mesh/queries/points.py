@@ -1,4 +1,4 @@
-"""Closest and furthest points of a prepared surface; on which side points lie is asked in _sign_queries."""
+"""Closest and furthest points of a prepared surface; sign/queries.py tells inside from outside."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
 
-# The order of queries is resolved over twice the mesh's box: what is farther away is clamped to its sides.
+# The Morton order of queries covers twice the mesh's box; points farther away are clamped to its sides.
 ORDER_HALF_WIDTH = 2.0
-# Queries of a thread, each starting from its neighbour's answer: more gain nothing on a CPU. On a GPU a thread for each
-# is quickest: what two in a row gain is lost to caches that more distant threads share.
+# Queries per thread on a CPU, each starting from the previous answer; more gain nothing. On a GPU one thread per query
+# is fastest: two in a row gain less than they lose to caches that more distant threads share.
 QUERY_GROUP = 32
 
 
@@ -39,7 +39,7 @@ class ClosestPoints(NamedTuple):
 
 
 class FurthestPoints(NamedTuple):
-    """points (N, 3) [world], distance (N,) [world], triangle_id (N,); the points are vertices of those triangles."""
+    """points (N, 3) [world], distance (N,) [world], triangle_id (N,); each point is a vertex of its triangle."""
 
     points: Any
     distance: Any
@@ -59,19 +59,19 @@ class PointQueries:
     ) -> ClosestPoints:
         """Closest point on the surface for each query point.
 
-        Exact for float64 coordinates, to 1e-12 of the mesh's diagonal
-        (tests/mesh/queries/test_closest_point_property.py); ties go to the lowest triangle_id. Triangles without area
-        answer as the segment or point that they are.
+        Exact for float64 coordinates, to 1e-12 of the mesh's diagonal; ties go to the lowest triangle_id. Triangles
+        without area are treated as segments or points.
 
-        Within 1e-6 of the mesh's size up to 1e8 sizes from the origin, and 1e-12 on slivers of any aspect ratio; for
-        sizes from 1e-70 to 1e70. Held by tests/accuracy/stability/test_envelopes.py.
+        Distances are within 1e-6 of the mesh's size up to 1e8 sizes from the origin, and within 1e-12 on slivers of any
+        aspect ratio, for mesh sizes from 1e-70 to 1e70.
 
         Args:
             points: Query points [world], shape (N, 3).
             max_distance: Search radius [world]; farther points are misses.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
-            ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
+            ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3). A
+            miss has triangle_id -1, distance inf, and NaN elsewhere.
         Raises:
             InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, or the mesh is
                 smaller than 1e-70 or larger than 1e70.
@@ -82,13 +82,15 @@ class PointQueries:
             >>> surface = gk.mesh.Surface(triangle, device="cpu")
             >>> surface.closest_point([[0.25, 0.25, 2.0]]).distance
             array([2.])
+
+        Held by: tests/mesh/queries/test_closest_point_property.py, tests/accuracy/stability/test_envelopes.py
         """
 
         reach = checked_radius(max_distance)
         require_measurable(self.mesh, self._frame)
 
         def query(batch: user_arrays.Batch) -> ClosestPoints:
-            # The search itself sees what is not finite: a pass over the points, on a GPU a wait for it, is saved.
+            # The kernel itself checks for non-finite points: this saves a pass over them and, on a GPU, a wait for it.
             bad = host_flags(1, self._device)
             found = self._closest(batch.rows, reach, bad)
             # A GPU is at work meanwhile: the flag waits for it.
@@ -101,7 +103,7 @@ class PointQueries:
     def furthest_point(self, points: Any) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
 
-        Ties go to the lowest triangle_id, and within it to the first corner (tests/mesh/test_surface.py).
+        Ties go to the lowest triangle_id, and within it to the first corner.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -109,6 +111,8 @@ class PointQueries:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
         Raises:
             InputError: points is not (N, 3) or not finite.
+
+        Held by: tests/mesh/test_surface.py
         """
         import warp as wp
 
@@ -124,7 +128,7 @@ class PointQueries:
         return FurthestPoints(*(batch.to_caller(array) for array in found))
 
     def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:
-        """``bad`` is raised where a point is not finite: for such a one nothing is found."""
+        """Closest points; ``bad`` is raised if a point is not finite, and such a point is a miss."""
         import warp as wp
 
         from geokit.mesh.queries.closest_point_kernels import closest_point_kernel
@@ -159,6 +163,6 @@ def checked_radius(max_distance: float) -> float:
 
 
 def refuse_raised(bad: HostArray, batch: user_arrays.Batch) -> None:
-    """Raises InputError, and names the first point that is not finite, where a kernel has found one."""
+    """Raise InputError and name the first point that is not finite, if a kernel has raised ``bad``."""
     if bad.numpy()[0]:
         user_arrays.require_finite(batch, "points")

@@ -1,4 +1,4 @@
-"""Poisson-disk sets by dart throwing: points of a surface none of which is nearer to another than a radius."""
+"""Poisson-disk sets by dart throwing: points of a surface with a minimum distance from each other."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from geokit.errors import DeviceMemoryError, InputError
 
 __all__ = ["Draw", "throw_count", "throw_radius"]
 
-# Gives that many uniform samples: what they are besides, and their positions.
+# Draws that many uniform samples: triangle_id, barycentric, and positions.
 Draw = Callable[[int], tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]]
 
-# Points of a saturated random packing of discs with diameter r on an area A: 0.547 A / (pi r^2 / 4).
+# Points in a saturated random packing of discs of diameter r on an area A: 0.547 A / (pi r^2 / 4).
 SATURATED_SHARE = 0.547 / (math.pi / 4.0)
-# Candidates a point where the number is given: 12 give a radius 4% smaller, 50 one that is 2% larger (on a sphere).
+# Candidates per point if the count is given: 12 give a radius 4% smaller, 50 one that is 2% larger (on a sphere).
 CANDIDATES_PER_POINT = 25
-# The first radius, as a share of the one at which a saturated packing has the wanted number: what is left is filled in
-# at smaller radii. From 0.9 the number is there before the packing is saturated, from 1.1 gaps are left that no later
-# point fills well: both end at radii 3% smaller.
+# The first radius, as a share of the one at which a saturated packing has the wanted count; smaller radii fill the
+# rest. With 0.9 the count is reached before the packing is saturated; with 1.1 gaps remain that no later point fills
+# well. Both end at radii 3% smaller.
 FIRST_RADIUS = 0.95
-# Each radius is that share of the one before: the last is at most 1% smaller than it need be.
+# Each radius is this share of the previous one: the last one is at most 1% too small.
 RADIUS_STEP = 0.99
-# Where the radius is given, candidates come in passes of so many for each point that there is, ...
+# If the radius is given, candidates come in passes, with this many for each point taken so far, ...
 CANDIDATES_PER_PASS = 4
 # ... until a pass adds a smaller share than this: then less than about 0.13% of the area has room for another point.
 LAST_PASS_SHARE = 0.005
-# Candidates at once: bounds the memory of those that are thrown away.
+# Candidates drawn at once; bounds the memory of rejected ones.
 MOST_CANDIDATES = 1 << 20
 FEWEST_CANDIDATES = 1 << 10
 # Cells along the longest axis: their numbers stay well inside int32.
 MOST_CELLS = 2.0**29
 # The cells that a ball touches are found from rounded offsets: 4 roundings of the extent, and 4 of the radius.
 REACH_ROUNDING = 1e-15
-# A point, its links, its triangle, its weights, and all that again while arrays grow and are given back.
+# A point, its links, its triangle and its weights, and the same again while arrays grow and are returned.
 BYTES_PER_POINT = 400
-# What a draw holds of each sample at its peak: three random numbers, three corners, differences, weights, position.
+# Peak memory of a draw per sample: three random numbers, three corners, differences, weights, position.
 BYTES_PER_CANDIDATE = 240
 MOST_POINTS = 2**31 - 1
 
@@ -60,7 +60,7 @@ class _Darts:
     def throw(
         self, candidates: NDArray[np.float64], nearest: NDArray[np.float64], radius: float, wanted: int
     ) -> NDArray[np.int32]:
-        """Take candidates until there are ``wanted`` points; the rows of those that were taken, in their order."""
+        """Take candidates until there are ``wanted`` points; returns the rows of those taken, in their order."""
         import warp as wp
 
         from geokit.mesh.queries.poisson_disk_kernels import throw_kernel
@@ -76,12 +76,12 @@ class _Darts:
         return taken[before : self.count]
 
     def _make_room(self, most: int, radius: float) -> None:
-        """Arrays for ``most`` points, and cells that suit the radius and the number of points."""
+        """Provide arrays for ``most`` points, and cells that suit the radius and the number of points."""
         import warp as wp
 
         from geokit.mesh.queries.poisson_disk_kernels import DartGrid, insert_kernel
 
-        # A cell that is much longer than the radius holds many points; a chain shared by many cells does, too.
+        # A cell much longer than the radius holds many points, and so does a chain that many cells share.
         suits = self._grid is not None and radius >= 0.5 * self._radius and self.count <= self._buckets
         if most <= len(self.points) and suits:
             return
@@ -107,21 +107,21 @@ def throw_radius(
     """Points at least ``radius`` apart, until there is hardly room for another.
 
     Args:
-        draw: Gives uniform samples.
-        radius: Least distance [world].
+        draw: Draws uniform samples.
+        radius: Minimum distance [world].
         scale: Power of two that brings coordinates to unit size, so that squares neither overflow nor vanish.
         area: Area of the surface [scaled].
-        lower: Lower corner of its box [scaled].
-        extent: Longest edge of its box [scaled].
-        label: What messages call the request.
+        lower: Lower corner of its bounding box [scaled].
+        extent: Longest edge of its bounding box [scaled].
+        label: Name of the mesh in messages.
     Returns:
-        What ``draw`` gives, of the points that were taken; the radius.
+        The arrays of ``draw`` for the points that were taken; the radius.
     Raises:
         DeviceMemoryError: The points would not fit in memory.
     """
     scaled = radius * scale
     room = int(min(MOST_POINTS, available_memory.available_host() // BYTES_PER_POINT))
-    # For radii whose square is below all float64, a number that is beyond any memory.
+    # If the square of the radius underflows to zero, a count that exceeds any memory.
     expected = SATURATED_SHARE * area / scaled / scaled if scaled * scaled > 0.0 else 1e300
     if expected > room:
         _refuse_radius(label, radius, expected, room, math.sqrt(SATURATED_SHARE * area / max(room, 1)) / scale)
@@ -153,12 +153,14 @@ def _refuse_radius(label: str, radius: float, expected: float, room: int, fittin
 def throw_count(
     draw: Draw, count: int, scale: float, area: float, lower: NDArray[np.float64], extent: float, label: str
 ) -> tuple[list[NDArray[Any]], float]:
-    """``count`` points, as far apart as dart throwing with ever smaller radii puts them; arguments as above.
+    """``count`` points as far apart as dart throwing with shrinking radii places them.
+
+    The arguments are those of :func:`throw_radius`, with ``count``, the number of points, for ``radius``.
 
     Returns:
-        What ``draw`` gives, of the points that were taken; the last radius [world]: no two are nearer.
+        The arrays of ``draw`` for the points that were taken; the last radius [world], their minimum distance.
     Raises:
-        InputError: The coordinates' rounding leaves fewer different points than that.
+        InputError: After rounding, the coordinates have fewer different points than ``count``.
         DeviceMemoryError: The candidates would not fit in memory.
     """
     room = available_memory.available_host() // (BYTES_PER_CANDIDATE * CANDIDATES_PER_POINT)
@@ -174,7 +176,7 @@ def throw_count(
     radius = FIRST_RADIUS * math.sqrt(SATURATED_SHARE * area / count)
     kept = [darts.throw(candidates, nearest, radius, count)]
     while darts.count < count:
-        # No candidate has room at a radius above the largest distance left.
+        # No candidate has room at a radius above the largest remaining distance.
         furthest = math.sqrt(float(nearest.max(initial=0.0)))
         radius = min(radius * RADIUS_STEP, furthest)
         if radius * radius == 0.0:

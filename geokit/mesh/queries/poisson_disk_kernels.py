@@ -1,7 +1,7 @@
-"""Dart throwing: candidates are taken one after the other where none taken before is nearer than the radius.
+"""Dart throwing: a candidate is taken if no point taken before is nearer than the radius.
 
-One thread goes through all of them: which candidates are taken depends on those before, and a serial sweep over a hash
-grid takes about 0.3 us a candidate.
+One thread processes all candidates: each decision depends on the previous ones, and a serial sweep over a hash grid
+takes about 0.3 us per candidate.
 """
 
 # mypy: ignore-errors
@@ -14,10 +14,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.struct
 class DartGrid:
-    """The taken points in chains, one for each bucket of hashed cells; -1 ends a chain.
+    """The taken points in linked lists, one for each bucket of hashed cells; -1 ends a list.
 
-    A cell is at least twice as long as the radius, so that a ball touches two cells an axis. Cells that share a bucket
-    cost time, nothing else: every point of a chain is measured.
+    A cell is at least twice as long as the radius, so that a ball touches at most two cells per axis. Cells that share
+    a bucket cost time but never change a result: the distance to every point of a list is measured.
     """
 
     points: wp.array(dtype=wp.vec3d)
@@ -36,7 +36,7 @@ def cell_of(grid: DartGrid, offset: wp.float64) -> wp.int32:
 
 @wp.func
 def bucket_of(grid: DartGrid, x: wp.int32, y: wp.int32, z: wp.int32) -> wp.int32:
-    # Large odd factors spread neighboring cells; the high half takes part, as the mask keeps low bits only.
+    # Large odd factors spread neighboring cells. The high half is mixed in, because the mask keeps only low bits.
     mixed = (wp.int64(x) * wp.int64(73856093)) ^ (wp.int64(y) * wp.int64(19349663)) ^ (wp.int64(z) * wp.int64(83492791))
     mixed = mixed ^ (mixed >> wp.int64(17))
     return wp.int32(mixed & grid.bucket_mask)
@@ -52,10 +52,10 @@ def insert(grid: DartGrid, slot: wp.int32):
 
 @wp.func
 def nearest_squared(grid: DartGrid, p: wp.vec3d, reach: wp.float64, enough: wp.float64) -> wp.float64:
-    """Squared distance to the nearest taken point within ``reach``, or to any that is nearer than ``enough``."""
+    """Squared distance to the nearest taken point within ``reach``, or to any taken point nearer than ``enough``."""
     offset = p - grid.lower
     least = wp.float64(wp.inf)
-    # There is no way out of three loops at once: once the answer is known they run on, over nothing.
+    # No statement leaves three loops at once: after the answer is known, the loops run on without work.
     for x in range(cell_of(grid, offset[0] - reach), cell_of(grid, offset[0] + reach) + 1):
         for y in range(cell_of(grid, offset[1] - reach), cell_of(grid, offset[1] + reach) + 1):
             for z in range(cell_of(grid, offset[2] - reach), cell_of(grid, offset[2] + reach) + 1):
@@ -74,7 +74,7 @@ def nearest_squared(grid: DartGrid, p: wp.vec3d, reach: wp.float64, enough: wp.f
 
 @wp.kernel
 def insert_kernel(first: int, count: int, grid: DartGrid):
-    """Chains for the points ``0 .. count - 1``; one thread, whose order makes the chains those of the darts."""
+    """Build lists of the points ``0 .. count - 1``; one thread, so that their order is that of dart throwing."""
     for slot in range(count):
         insert(grid, slot)
 
@@ -91,10 +91,10 @@ def throw_kernel(
     out_taken: wp.array(dtype=int),
     out_count: wp.array(dtype=int),
 ):
-    """Takes candidates, in their order, until ``wanted`` are taken.
+    """Take candidates in order until ``wanted`` are taken.
 
-    ``out_nearest`` holds a squared distance that a candidate has from some taken point: one that is below the radius
-    already need not be looked at. ``out_taken`` are the candidates of the points, ``out_count[0]`` their number.
+    ``out_nearest`` holds the squared distance of each candidate from some taken point; a candidate below the radius is
+    skipped. ``out_taken`` lists the candidates that became points, ``out_count[0]`` their number.
     """
     count = out_count[0]
     i = int(0)
@@ -104,7 +104,7 @@ def throw_kernel(
             squared = nearest_squared(grid, p, reach, radius_squared)
             out_nearest[i] = wp.min(out_nearest[i], squared)
             if squared >= radius_squared:
-                # Zero: taken, and never looked at again.
+                # Zero: taken, and skipped from now on.
                 out_nearest[i] = wp.float64(0.0)
                 grid.points[count] = p
                 out_taken[count] = i

@@ -1,4 +1,4 @@
-"""First hits and occlusion of rays, without leaks."""
+"""First hits and occlusion of rays, watertight at shared edges and vertices."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,7 +9,7 @@ from geokit.mesh.bvh.tree_kernels import UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
-# Rays are taken in the caller's order: sorting them costs more than it gains, on a CPU and on a GPU.
+# Rays are processed in the caller's order: sorting them costs more than it gains, on a CPU and on a GPU.
 
 
 @wp.func_native(ray_walk("mesh/queries/nearest_hit.inl", "REFINE_ON_CPU", "REFINE_ON_CUDA"))
@@ -28,7 +28,7 @@ def cast_rays(
 ): ...
 
 
-# A CPU has just read which triangles are slivers; a GPU would have to load that.
+# A CPU has just read which triangles are slivers; a GPU would need another load for it.
 @wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU"))
 def test_rays(
     begin: int,
@@ -104,7 +104,7 @@ def raycast_undecided_kernel(
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
 ):
-    """Second pass on CUDA: the rays that the search for candidates left undecided."""
+    """Second pass on CUDA, for the rays that the candidate search left undecided."""
     k = first + wp.tid()
     if out_triangle_id[k] == UNDECIDED:
         cast_rays(

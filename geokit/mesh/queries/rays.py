@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 __all__ = ["RayHitLists", "RayHits", "RayQueries"]
 
-# Rays of a thread on a CPU, where many are in flight at once: with few there are none to take the places of those that
-# are done, with many threads wait for the last. A GPU has a thread for each.
+# Rays per thread on a CPU, where many are in flight at once. In small groups, finished rays find no successors; with
+# large ones, threads wait for the last group. On a GPU each ray has its own thread.
 FEWEST_IN_GROUP = 256
 MOST_IN_GROUP = 1024
 GROUPS_PER_THREAD = 8
-# Rays on a GPU for which two launches are quicker than one.
+# From this many rays on, two launches on a GPU are faster than one.
 FEWEST_IN_PASSES = 1 << 14
 
 
@@ -42,7 +42,7 @@ class RayHits(NamedTuple):
 
 
 class RayHitLists(NamedTuple):
-    """All hits of each ray: those of ray i are rows ``offsets[i]`` to ``offsets[i + 1]`` of the rest, by ascending t.
+    """All hits of each ray: ray i has rows ``offsets[i]`` to ``offsets[i + 1]`` of the other arrays, by ascending t.
 
     offsets (N + 1,), t (H,) in units of the ray's direction, triangle_id (H,), barycentric (H, 3).
     """
@@ -73,30 +73,40 @@ class RayQueries:
     ) -> RayHits:
         """First hit of each ray.
 
-        Watertight: no ray passes between triangles through an edge or a vertex that they share
-        (tests/mesh/queries/test_ray_leaks_stability.py). Ties go to the lowest triangle_id.
+        Watertight: no ray passes between triangles through an edge or a vertex that they share. Ties go to the lowest
+        triangle_id.
 
-        Within 1e-6 of the mesh's size up to 1e9 sizes from the origin, and from starts up to 1e8 sizes away; from 1e12
-        on they may miss. t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face, on
-        slivers as well. A t_min of 1e-13 of the mesh's size passes over the face that a ray starts on. Held by
-        tests/accuracy/stability/test_envelopes.py.
+        Hits are within 1e-6 of the mesh's size up to 1e9 sizes from the origin, for rays that start up to 1e8 sizes
+        away. Rays that start 1e12 sizes away or farther may miss. The error of t is 1e-15 of the mesh's size over the
+        sine of the angle between ray and face, also on slivers. For rays that start on the surface, a t_min of 1e-13 of
+        the mesh's size skips the face of the start.
 
         Args:
-            origins: Where rays start [world], shape (N, 3).
-            directions: Their directions, of any length, shape (N, 3).
-            t_min: Hits nearer than this are passed over, in units of the direction; for rays that start on the surface.
+            origins: Starts of the rays [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3).
+            t_min: Hits with a smaller t are ignored, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            watertight: False allows rays to slip between triangles where that is quicker. It is not: the walk is the
-                same, and so is every bit of the answers (tests/mesh/bvh/test_bvh8_ray_leaves_property.py).
+            watertight: Has no effect: False would allow leaks if that were faster, but it is not. The same traversal
+            runs,
+                and every bit of the answers is the same.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
-            RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3).
+            RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3). A miss has triangle_id
+            -1, t inf, and NaN elsewhere.
         Raises:
             InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
                 negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
                 larger than 1e70.
         Source:
             Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013). Differs: float64 throughout.
+        Example:
+            >>> triangle = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+            >>> surface = gk.mesh.Surface(triangle, device="cpu")
+            >>> surface.raycast([[0.25, 0.25, 2.0]], [[0, 0, -1]]).t
+            array([2.])
+
+        Held by: tests/mesh/queries/test_ray_leaks_stability.py, tests/mesh/queries/test_raycast_property.py,
+        tests/mesh/bvh/test_bvh8_ray_leaves_property.py, tests/accuracy/stability/test_envelopes.py
         """
         import warp as wp
 
@@ -114,28 +124,33 @@ class RayQueries:
     def raycast_all(
         self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
     ) -> RayHitLists:
-        """Every crossing of each ray with the surface, by ascending t.
+        """All crossings of each ray with the surface, by ascending t.
 
-        A passage through an edge or a vertex is one crossing, of one of the triangles there; touching an edge or a
-        vertex from one side is none or two, as if the ray ran an infinitesimal beside it. A line crosses a closed
-        surface an even number of times, always (tests/mesh/queries/test_crossings_property.py). Rays within a
-        triangle's plane do not cross it.
+        A passage through an edge or a vertex is one crossing, of one of the triangles there, however exactly the ray is
+        aimed at it. Touching an edge or a vertex from one side counts zero or two times, as if the ray were displaced
+        by an infinitesimal. A line always crosses a closed surface an even number of times. Rays within a triangle's
+        plane do not cross it.
 
-        A passage through an edge or a vertex is one crossing, however exactly it is aimed at. Held by
-        tests/accuracy/stability/test_envelopes.py. t is that of :meth:`raycast`; the limits of a ray are compared with
-        one that has lost digits on slivers.
+        t is exact to the error bound of :meth:`raycast`. But ``t_min`` and ``max_distance`` are compared with the
+        unrefined t of a sliver, which loses as many digits as its longest edge exceeds its height: 4e-4 of the edge at
+        an aspect ratio of 1e12 (docs/design/exact-queries.md).
 
         Args:
-            origins: Where rays start [world], shape (N, 3).
-            directions: Their directions, of any length, shape (N, 3).
-            t_min: Nearer crossings are passed over, in units of the direction.
+            origins: Starts of the rays [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3).
+            t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
         Returns:
-            RayHitLists with offsets (N + 1,), t, triangle_id and barycentric.
+            RayHitLists with offsets (N + 1,), t (H,) in units of the direction, triangle_id (H,), barycentric (H, 3).
         Raises:
-            InputError: As for :meth:`raycast`.
+            InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
+                negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
+                larger than 1e70.
         Source:
             Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
+
+        Held by: tests/mesh/queries/test_rays.py, tests/mesh/queries/test_crossings_property.py,
+        tests/accuracy/stability/test_envelopes.py
         """
         import warp as wp
 
@@ -165,18 +180,20 @@ class RayQueries:
         max_distance: float = math.inf,
         progress: Progress | None = None,
     ) -> Any:
-        """How often each ray crosses the surface: the lengths of the lists of :meth:`raycast_all`.
+        """Number of crossings of each ray with the surface: the lengths of the lists of :meth:`raycast_all`.
 
         Args:
-            origins: Where rays start [world], shape (N, 3).
-            directions: Their directions, of any length, shape (N, 3).
-            t_min: Nearer crossings are passed over, in units of the direction.
+            origins: Starts of the rays [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3).
+            t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             int (N,).
         Raises:
-            InputError: As for :meth:`raycast`.
+            InputError: The same conditions as for :meth:`raycast`.
+
+        Held by: tests/mesh/queries/test_rays.py, tests/mesh/queries/test_crossings_property.py
         """
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
@@ -193,21 +210,25 @@ class RayQueries:
         max_distance: float = math.inf,
         progress: Progress | None = None,
     ) -> Any:
-        """True for rays that hit anything; quicker than :meth:`raycast`, which looks for the first hit.
+        """True for rays that hit the surface; faster than :meth:`raycast`, because any hit ends the search.
 
-        On a CPU always as :meth:`raycast` has it. On a GPU the limits of a ray are compared, on slivers, with a t that
-        has lost digits.
+        On a CPU the answer always agrees with :meth:`raycast`. On a GPU ``t_min`` and ``max_distance`` are compared
+        with the unrefined t of a sliver, which loses as many digits as its longest edge exceeds its height: 4e-4 of the
+        edge at an aspect ratio of 1e12 (docs/design/exact-queries.md). A hit that near to a limit may count on either
+        side of it.
 
         Args:
-            origins: Where rays start [world], shape (N, 3).
-            directions: Their directions, of any length, shape (N, 3).
-            t_min: Nearer hits are passed over, in units of the direction.
-            max_distance: Length of the rays [world].
+            origins: Starts of the rays [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3).
+            t_min: Hits with a smaller t are ignored, in units of the direction.
+            max_distance: Length of the rays [world]; farther hits are ignored.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             bool (N,).
         Raises:
-            InputError: As for :meth:`raycast`.
+            InputError: The same conditions as for :meth:`raycast`.
+
+        Held by: tests/mesh/test_surface.py, tests/mesh/queries/test_rays.py
         """
         import warp as wp
 
@@ -222,9 +243,9 @@ class RayQueries:
 
     @cached_property
     def _ray_tree(self) -> Any:
-        """The tree with leaves for rays, which a CPU makes when first asked.
+        """The tree with leaves for rays; on a CPU these are built at the first ray.
 
-        A tree of its own: two threads may make it at once, and each needs its leaves until its rays are done.
+        A separate handle: two threads may build the leaves at the same time, and each needs its own until its rays end.
         """
         if not self._device.is_cpu:
             return self._tree
@@ -270,7 +291,7 @@ class RayQueries:
         lowest = -math.ulp(0.0)
         start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
         reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
-        bad = host_flags(2, self._device)  # there is a bad ray; some are undecided
+        bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:

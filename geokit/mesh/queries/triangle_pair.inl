@@ -1,13 +1,12 @@
-// Exact test of two triangles against each other: do they meet, and where beyond what they share.
+// Exact test of two triangles: whether they intersect, and whether they do so beyond what they share.
 //
-// Triangles are closed sets: touching is meeting. Those without area are the segments or points that they are. Expects
+// Triangles are closed sets: touching counts as intersecting. Triangles without area are segments or points. Expects
 // exact_arithmetic.inl and predicates.inl; PAIR_GAP_ERROR. Defines triangles_meet(t, u) and meet_beyond_shared(t, u)
-// for arrays of three points: the latter is whether they have a common point that is not on the vertex or edge that
-// they share by position; triangles of the same three positions do. Also defines the lambdas that these two are made
-// of.
+// for arrays of three points. The latter tells whether they have a common point that is not on the vertex or edge that
+// they share by position; triangles with the same three positions do. Also defines the lambdas that these two use.
 auto same = [](const point& a, const point& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; };
 
-// ---- Exact tests, of predicates only.
+// ---- Exact tests, by predicates only.
 
 // Segments in a plane, seen along axis k.
 auto flat_segments_meet = [&](int k, const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
@@ -50,7 +49,7 @@ auto segment_meets = [&](const point& p, const point& q, const point* t) OUT_OF_
     }
     return segments_meet(p, q, t[0], t[1]) || segments_meet(p, q, t[1], t[2]) || segments_meet(p, q, t[2], t[0]);
 };
-// Whether p lies between a and b, all on one line, or is one of them.
+// Whether p is between a and b or is one of them; all three are on one line.
 auto between = [](const point& a, const point& p, const point& b) {
     for (int k = 0; k < 3; ++k)
         if (p[k] < wp::min(a[k], b[k]) || p[k] > wp::max(a[k], b[k])) return false;
@@ -59,8 +58,8 @@ auto between = [](const point& a, const point& p, const point& b) {
 auto on_a_line = [&](const point* t) OUT_OF_LINE {
     return turn(0, t[0], t[1], t[2]) == 0 && turn(1, t[0], t[1], t[2]) == 0 && turn(2, t[0], t[1], t[2]) == 0;
 };
-// Triangles that share t[0] = u[0]: a ray from there through another common point leaves one of them first, through
-// the side opposite, or through an end of it where they are segments that begin beyond the shared point.
+// Triangles that share t[0] = u[0]: a ray from there through another common point leaves one of them first, through the
+// opposite side, or through an end of it if they are segments that continue beyond the shared point.
 auto meet_beyond_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
     const bool t_through = on_a_line(t) && between(t[1], t[0], t[2]);
     const bool u_through = on_a_line(u) && between(u[1], u[0], u[2]);
@@ -68,7 +67,8 @@ auto meet_beyond_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
         return true;
     return u_through ? segment_meets(u[1], u[1], t) || segment_meets(u[2], u[2], t) : segment_meets(u[1], u[2], t);
 };
-// Triangles that share t[0] = u[0] and t[1] = u[1]: only folded over each other, or as segments beyond one end.
+// Triangles that share t[0] = u[0] and t[1] = u[1]: they intersect only if folded over each other, or as segments
+// beyond one end.
 auto meet_beyond_edge = [&](const point* t, const point* u) OUT_OF_LINE {
     if (orientation(t[0], t[1], t[2], u[2]) != 0) return false;
     for (int k = 0; k < 3; ++k) {
@@ -81,7 +81,7 @@ auto meet_beyond_edge = [&](const point* t, const point* u) OUT_OF_LINE {
     return beyond_first || beyond_second;
 };
 
-// ---- Quick proofs that they do not meet: a plane between them, with room for rounding.
+// ---- Fast proofs that they do not intersect: a separating plane, with slack for rounding.
 
 auto apart = [&](const point& axis, const point* t, const point* u, double size) {
     double above = -INFINITY, below = INFINITY, other_above = -INFINITY, other_below = INFINITY;
@@ -95,7 +95,7 @@ auto apart = [&](const point& axis, const point* t, const point* u, double size)
 };
 auto largest = [](const point& a) { return wp::max(wp::max(wp::abs(a[0]), wp::abs(a[1])), wp::abs(a[2])); };
 auto surely_apart = [&](const point* t, const point* u) {
-    // Seen from a corner: differences are right to their last bit.
+    // Relative to a corner: the differences are exact to their last bit.
     point a[3], b[3];
     double size = 0.0;
     for (int k = 0; k < 3; ++k) {
@@ -113,7 +113,7 @@ auto surely_apart = [&](const point* t, const point* u) {
     }
     return false;
 };
-// For t[0] = u[0]: a plane through it with the rest of t on one side and the rest of u on the other.
+// For t[0] = u[0]: a plane through it that has the rest of t on one side and the rest of u on the other.
 auto surely_split_at_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
     const point a = t[1] - t[0], b = t[2] - t[0], c = u[1] - t[0], d = u[2] - t[0];
     auto weight = [](const point& v) { return 1.f / (wp::sqrt((float)wp::dot(v, v)) + 1e-30f); };
@@ -126,7 +126,8 @@ auto surely_split_at_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
     const int ts = likely_orientation(u[0], u[1], u[2], t[1]);
     return ts != 2 && ts == likely_orientation(u[0], u[1], u[2], t[2]);
 };
-// For t[0] = u[0] and t[1] = u[1]: seen along the axis that t faces most they lie on both sides of the shared edge.
+// For t[0] = u[0] and t[1] = u[1]: seen along the axis that t faces most, they lie on opposite sides of the shared
+// edge.
 auto surely_split_at_edge = [&](const point* t, const point* u) OUT_OF_LINE {
     const point n = wp::cross(t[1] - t[0], t[2] - t[0]);
     const double x = wp::abs(n[0]), y = wp::abs(n[1]), z = wp::abs(n[2]);
@@ -149,7 +150,7 @@ auto meet_beyond_shared = [&](const point* t, const point* u) {
             if (same(t[i], u[j])) { t_shares |= 1 << i; u_shares |= 1 << j; }
     if (t_shares == 0) return triangles_meet(t, u);
     if (t_shares == 7 || u_shares == 7) return t_shares == u_shares;
-    // The shared corners first, a corner that stands twice in a triangle without area as one.
+    // The shared corners first; a corner that occurs twice in a triangle without area counts once.
     point a[3], b[3];
     int shared = 0, of_t = 0, of_u = 2;
     for (int i = 0; i < 3; ++i) {

@@ -1,4 +1,4 @@
-// Triangles that meet an axis-aligned box, by separating axes in float64.
+// Triangles that intersect an axis-aligned box, by separating axes in float64.
 //
 // Expects core/simd.inl and local_box.inl; item, lower, upper, tree, slot_boxes; ON_TRIANGLE(slot); BOX_GAP_ERROR.
 // Defines low, high and visit(first) for box_walk.inl; also point, box_lower, box_upper, corner_low, corner_high and
@@ -15,7 +15,7 @@ auto meets = [&](int slot) {
     for (int k = 0; k < 3; ++k)
         if (wp::max(wp::max(a[k], b[k]), c[k]) < box_lower[k]
             || wp::min(wp::min(a[k], b[k]), c[k]) > box_upper[k]) return false;
-    // Seen from a corner of the triangle: differences are right to their last bit.
+    // Relative to a corner of the triangle: the differences are exact to their last bit.
     const point ab = b - a, ac = c - a, lo = box_lower - a, hi = box_upper - a;
     const double x = wp::max(wp::abs(lo[0]), wp::abs(hi[0])), y = wp::max(wp::abs(lo[1]), wp::abs(hi[1])),
                  z = wp::max(wp::abs(lo[2]), wp::abs(hi[2]));

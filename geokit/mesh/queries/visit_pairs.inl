@@ -1,8 +1,8 @@
-// Pairs of triangles that meet, of one item: a leaf of eight slots on a CPU, one slot on CUDA.
+// Pairs of intersecting triangles for one item: a leaf of eight slots on a CPU, one slot on CUDA.
 //
-// Pairs of a surface with itself are visited once: from the lower slot. Expects core/simd.inl, triangle_pair.inl and
-// local_box.inl; item, surface, tree, slot_boxes, itself, unit; the macro ON_PAIR(slot, other), used with a slot of `surface`
-// and one of `tree`. Defines low, high and visit(first) for box_walk.inl; also width, lows, highs and test.
+// Pairs of a surface with itself are visited once, from the lower slot. Expects core/simd.inl, triangle_pair.inl and
+// local_box.inl; item, surface, tree, slot_boxes, itself, unit; the macro ON_PAIR(slot, other), used with a slot of
+// `surface` and one of `tree`. Defines low, high and visit(first) for box_walk.inl; also width, lows, highs and test.
 #if defined(__CUDA_ARCH__)
 const int width = 1;
 #else

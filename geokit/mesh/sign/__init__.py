@@ -1,1 +1,1 @@
-"""Inside or outside: pseudonormals, winding numbers, parity of rays, and which of them a mesh allows."""
+"""Inside or outside: pseudonormals, winding numbers, parity of rays, and the choice between them."""

@@ -1,4 +1,4 @@
-"""What ``sign="auto"`` is for a mesh: the pseudonormal where the mesh is proven clean, else the winding number."""
+"""The choice behind ``sign="auto"``: pseudonormals if the mesh is proven clean, else winding numbers."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 __all__ = ["SignChoice", "choose_sign"]
 
-# How far from a whole number a winding number may be that is taken for it: twenty times its error.
+# Largest difference from a whole number at which a winding number counts as whole: twenty times its error.
 WHOLE = 0.1
 
 
 class SignChoice(NamedTuple):
-    """The method, and what it was chosen for."""
+    """The sign method, and the reason for it."""
 
     method: str
     reason: str
 
 
 def choose_sign(surface: Surface) -> SignChoice:
-    """The cheap proofs first: what the audit counts, then intersections, then how the parts lie to each other."""
+    """Cheap proofs first: the audit's counts, then self-intersections, then the nesting of the components."""
     defect = _defect(surface.audit, surface._orientation)
     if not defect and surface._has_self_intersections():
         defect = "faces that intersect"
@@ -39,7 +39,7 @@ def choose_sign(surface: Surface) -> SignChoice:
 
 
 def _defect(report: Any, orientation: FaceOrientation) -> str:
-    """The first of the mesh's defects that pseudonormals cannot stand, or nothing."""
+    """The mesh's first defect for which pseudonormals fail, or an empty string."""
     counts = (
         (report.boundary_edge_count, "boundary edges"),
         (report.non_manifold_edge_count, "edges of three faces or more"),
@@ -55,13 +55,13 @@ def _defect(report: Any, orientation: FaceOrientation) -> str:
 
 
 def _parts_bound_one_solid(surface: Surface) -> bool:
-    """Whether the winding number is 0 in front of each part and so 1 behind it, as pseudonormals have it.
+    """Whether the winding number is 0 in front of each component and so 1 behind it, as pseudonormals assume.
 
-    It is the same all over a part, as none intersect. It is asked for in front of the part's largest face, halfway to
-    what else is there.
+    It is constant along a component, because no two intersect. It is evaluated in front of the component's largest
+    face, halfway to the next obstacle.
     """
     frame = surface._frame
-    # At unit size: the squares of lengths must neither overflow nor underflow.
+    # At unit size, so that the squares of lengths neither overflow nor underflow.
     corners = ((surface.mesh.vertices - frame.origin) / frame.scale)[surface.mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals[surface._orientation.flipped] *= -1.0
@@ -79,7 +79,7 @@ def _parts_bound_one_solid(surface: Surface) -> bool:
 
 
 def _largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
-    """For each part the number of its largest face."""
+    """For each component, the index of its largest face."""
     order = np.lexsort([size, part])
     last = np.append(part[order][1:] != part[order][:-1], True)
     return order[last]

@@ -1,4 +1,4 @@
-"""How inside is told from outside: orientation first, then pseudonormals, winding numbers or rays."""
+"""The sign methods behind inside and outside: orientation, then pseudonormals, winding numbers or rays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from geokit.core.pinned import host_flags
 if TYPE_CHECKING:
     import warp as wp
 
-# Directions of the rays that vote; along no axis or diagonal, where meshes like to have edges and vertices in a row.
+# Directions of the parity rays; none is along an axis or diagonal, where edges and vertices often line up.
 PARITY_DIRECTIONS = (
     (0.7548776662, 0.5698402910, 0.3247179572),
     (-0.4142135, 0.7320508, -0.5412),

@@ -1,4 +1,4 @@
-"""Signs of distances: by winding numbers, by votes of rays; see pseudonormals_kernels for the third way."""
+"""Signs of distances by winding numbers and by parity of rays; pseudonormals_kernels.py has the third method."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -14,7 +14,7 @@ def missed_sign_kernel(
     triangle_id: wp.array(dtype=int),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Turns the distance negative of points that found no triangle and have a winding number above 1/2, in place."""
+    """Negate, in place, the distances of points that found no triangle and have a winding number above 1/2."""
     i = first + wp.tid()
     if triangle_id[i] < 0 and winding[i] > wp.float64(0.5):
         out_distance[i] = -out_distance[i]
@@ -22,7 +22,7 @@ def missed_sign_kernel(
 
 @wp.kernel
 def vote_kernel(first: int, crossings: wp.array(dtype=int), out_votes: wp.array(dtype=int)):
-    """Adds a vote for inside where a ray crosses the surface an odd number of times."""
+    """Add a vote for inside if a ray crosses the surface an odd number of times."""
     i = first + wp.tid()
     out_votes[i] = out_votes[i] + (crossings[i] & 1)
 

@@ -1,4 +1,4 @@
-"""The normals that tell inside from outside at faces, edges and vertices."""
+"""Angle-weighted pseudonormals of faces, edges and vertices, which tell inside from outside."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def pseudonormal_tables(
 
     Args:
         mesh: The mesh.
-        topology: How it hangs together.
-        flipped: Its faces that count as turned, (F,).
-        vertices: Its vertices where the tables are to be, (V,) of vec3d.
-        faces: Its faces there, (3 F,).
+        topology: Its connectivity.
+        flipped: Faces that count as flipped, (F,) bool.
+        vertices: Its vertices on the target device, (V,) of vec3d.
+        faces: Its faces on the target device, (3 F,) of int32.
     Source:
         Baerentzen, Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005).
     """
@@ -54,7 +54,7 @@ def pseudonormal_tables(
 
 
 def _across(topology: MeshTopology) -> NDArray[np.int64]:
-    """The triangle on the other side of each half-edge, (3 F,); -1 where there is none, or more than one."""
+    """The triangle across each half-edge, (3 F,); -1 if there is none, or more than one."""
     twin = topology.edges.twin
     if not topology.collapsed.any():
         return np.where(twin < 0, -1, twin // 3)
@@ -67,7 +67,7 @@ def _across(topology: MeshTopology) -> NDArray[np.int64]:
 def _vertex_normals(
     mesh: TriangleMesh, flipped: NDArray[np.bool_], corners: NDArray[np.int32], position_count: int
 ) -> NDArray[np.float64]:
-    """On the host for all devices, and summed in the order of the corners: the same bits everywhere."""
+    """Vertex normals, computed on the host in the order of the corners, so that all devices get the same bits."""
     import warp as wp
 
     from geokit.mesh.sign.pseudonormals_kernels import corner_normals_kernel
@@ -81,7 +81,7 @@ def _vertex_normals(
 
 
 def by_pseudonormal(found: list[Any], tables: Any, distance: "wp.array", device: "wp.Device") -> None:
-    """Turns the distances of inside points negative, in place; ``found`` are points and their closest points."""
+    """Negate the distances of inside points in place; ``found`` holds the points and their closest points."""
     from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
 
     launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, tables], [distance], device)

@@ -1,4 +1,4 @@
-"""Angle-weighted normals at vertices, and signs of distances by the normal at the closest point."""
+"""Angle-weighted vertex normals, and signs of distances by the normal at the closest point."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,15 +9,15 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.struct
 class Pseudonormals:
-    """The tables of a surface's pseudonormals."""
+    """Pseudonormal tables of a surface."""
 
     vertices: wp.array(dtype=wp.vec3d)
     faces: wp.array(dtype=int)
-    # Triangles that count as wound the other way.
+    # Triangles whose winding counts as reversed.
     flipped: wp.array(dtype=wp.bool)
-    # The triangle on the other side of each half-edge; -1 where there is none, or more than one.
+    # The triangle across each half-edge; -1 if there is none, or more than one.
     across: wp.array(dtype=int)
-    # The vertex normal of each corner.
+    # Index of each corner's vertex normal.
     corner_normal: wp.array(dtype=int)
     # Angle-weighted normals, one for each position.
     vertex_normals: wp.array(dtype=wp.vec3d)
@@ -30,7 +30,7 @@ def unit_normal(
     a = vertices[faces[3 * triangle]]
     ab = vertices[faces[3 * triangle + 1]] - a
     ac = vertices[faces[3 * triangle + 2]] - a
-    # At unit size: products of small edges would underflow.
+    # At unit size, because products of small edges would underflow.
     size = wp.max(wp.length(ab), wp.length(ac))
     normal = wp.normalize(wp.cross(ab / size, ac / size))
     if flipped[triangle]:
@@ -46,19 +46,19 @@ def corner_normals_kernel(
     flipped: wp.array(dtype=wp.bool),
     out_normals: wp.array(dtype=wp.vec3d),
 ):
-    """For each corner its triangle's unit normal times the angle there; zero where there is no area or angle."""
+    """For each corner its triangle's unit normal times the corner's angle; zero without area or angle."""
     triangle = first + wp.tid()
     normal = unit_normal(vertices, faces, flipped, triangle)
-    # False for NaN: a triangle without area.
+    # False for NaN, which a triangle without area gives.
     usable = wp.dot(normal, normal) > wp.float64(0.0)
     for k in range(3):
         a = vertices[faces[3 * triangle + k]]
         towards = vertices[faces[3 * triangle + (k + 1) % 3]] - a
         back = vertices[faces[3 * triangle + (k + 2) % 3]] - a
-        # At unit size: products of small edges would underflow.
+        # At unit size, because products of small edges would underflow.
         towards = towards / wp.max(wp.max(wp.abs(towards[0]), wp.abs(towards[1])), wp.abs(towards[2]))
         back = back / wp.max(wp.max(wp.abs(back[0]), wp.abs(back[1])), wp.abs(back[2]))
-        # From both its sine and its cosine the angle is right to rounding, for slivers too.
+        # Computed from sine and cosine, the angle is exact to rounding, for slivers too.
         angle = wp.atan2(wp.length(wp.cross(towards, back)), wp.dot(towards, back))
         weighted = wp.vec3d()
         if usable and angle > wp.float64(0.0):
@@ -68,7 +68,7 @@ def corner_normals_kernel(
 
 @wp.func
 def pseudonormal(tables: Pseudonormals, triangle: int, barycentric: wp.vec3d) -> wp.vec3d:
-    """Angle-weighted normal of the face, edge or vertex of ``triangle`` that the point lies on, of any length."""
+    """Angle-weighted normal, not normalized, of the face, edge or vertex of ``triangle`` that contains the point."""
     zero = wp.float64(0.0)
     zeros = int(0)
     last_zero = int(0)
@@ -83,7 +83,7 @@ def pseudonormal(tables: Pseudonormals, triangle: int, barycentric: wp.vec3d) ->
         return tables.vertex_normals[tables.corner_normal[3 * triangle + largest]]
     normal = unit_normal(tables.vertices, tables.faces, tables.flipped, triangle)
     if zeros == 1:
-        # The edge opposite the corner whose weight is zero begins at the next corner.
+        # The edge opposite the corner with weight zero begins at the next corner.
         beyond = tables.across[3 * triangle + (last_zero + 1) % 3]
         if beyond >= 0:
             normal += unit_normal(tables.vertices, tables.faces, tables.flipped, beyond)
@@ -100,7 +100,7 @@ def pseudonormal_sign_kernel(
     tables: Pseudonormals,
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Turns the distance of inside points negative, in place; misses stay."""
+    """Negate the distances of inside points in place; misses stay unchanged."""
     i = first + wp.tid()
     triangle = triangle_id[i]
     if triangle >= 0:

@@ -1,4 +1,4 @@
-"""On which side of a prepared surface points lie: distance with a sign, winding numbers, and how the sign is told."""
+"""Inside or outside of a prepared surface: signed distances, winding numbers, and the sign method."""
 
 from __future__ import annotations
 
@@ -46,31 +46,31 @@ class SignQueries(PointQueries):
     ) -> SignedDistances:
         """Distance to the surface for each query point, negative inside.
 
-        The magnitude is that of :meth:`closest_point`. The sign comes from ``sign``, for the mesh as
-        :func:`geokit.mesh.orient` would wind it (``orientation``):
+        The magnitude is that of :meth:`closest_point`. The sign is that of the mesh wound as by
+        :func:`geokit.mesh.orient` (see ``orientation``). ``sign`` selects the method:
 
-        - "auto": what ``sign_method`` says: "pseudonormal" where the mesh is proven clean, else "winding";
-          ``sign_reason`` says why.
-        - "pseudonormal": from the angle-weighted normal at the closest face, edge or vertex, in float64. Exact on
-          clean meshes; that a mesh is clean is then the caller's promise.
-        - "winding": the generalised winding number against 1/2. On clean meshes right for points farther than 1e-6
-          diagonals from the surface; on meshes with holes, flips, duplicates or overlaps it degrades gently
-          (tests/mesh/sign/test_sign_stability.py). :meth:`sign_confidence` says how firmly it decides.
-        - "parity": odd or even crossings along three rays, by majority. For closed meshes; nested and overlapping
-          parts count as holes.
+        - "auto": the method in ``sign_method``: "pseudonormal" if the mesh is proven clean, else "winding".
+          ``sign_reason`` gives the reason.
+        - "pseudonormal": the angle-weighted normal at the closest face, edge or vertex, in float64. Exact on clean
+          meshes; the caller guarantees that the mesh is clean.
+        - "winding": the generalized winding number against 1/2. On clean meshes right for points farther than 1e-6
+          diagonals from the surface; on meshes with holes, flips, duplicates or overlaps it degrades gracefully.
+          :meth:`sign_confidence` returns its margin.
+        - "parity": an odd or even number of crossings along three rays, by majority. For closed meshes; nested and
+          overlapping components count as holes.
 
-        Within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9 sizes from the
-        origin. Queries may be 1e150 away (4e-15 of the distance). Walls of 1e-14 of the size keep their sides apart, on
-        a GPU 1e-11. On a sphere, of points in 1.5 times its box: with a hole of 10% of its area the winding number has
-        under 3% of the signs wrong, pseudonormals 2%, parity 7%; with small holes of 20% the winding number under 0.5%,
-        with a soup of which 10% are flipped under 1.5%; copies and overlaps cost it none. Held by
-        tests/accuracy/stability/test_envelopes.py.
+        Distances are within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9
+        sizes from the origin. Queries may be 1e150 away (error 4e-15 of the distance). The two sides of a wall as thin
+        as 1e-14 of the size, on a GPU 1e-11, get the right signs. Wrong signs on a damaged sphere, for points in 1.5
+        times its box: with a hole of 10% of its area under 3% by winding number, 2% by pseudonormals, 7% by parity;
+        with small holes of 20% under 0.5% by winding number; with a triangle soup of which 10% are flipped under 1.5%;
+        with copies and overlaps none.
 
         Args:
             points: Query points [world], shape (N, 3).
-            sign: How inside is told from outside.
+            sign: "auto", "pseudonormal", "winding" or "parity".
             max_distance: Search radius [world]; farther points have distance inf or -inf, triangle_id -1 and NaN
-                elsewhere. Their signs are by winding number where ``sign`` is "pseudonormal".
+                elsewhere. Their signs are by winding number if ``sign`` is "pseudonormal".
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             SignedDistances with distance (N,) [world], points (N, 3) [world], triangle_id (N,), barycentric (N, 3).
@@ -81,6 +81,14 @@ class SignQueries(PointQueries):
             Bærentzen, Aanæs, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005); Jacobson,
             Kavan, Sorkine-Hornung, "Robust Inside-Outside Segmentation using Generalized Winding Numbers" (2013);
             Barill et al., "Fast Winding Numbers for Soups and Clouds" (2018).
+        Example:
+            >>> bracket = gk.mesh.load("data/samples/bracket.obj")
+            >>> surface = gk.mesh.Surface(bracket, device="cpu")
+            >>> surface.signed_distance(bracket.bounds[1:] + [[0, 0, 1]]).distance > 0
+            array([ True])
+
+        Held by: tests/mesh/sign/test_methods.py, tests/mesh/sign/test_sign_stability.py,
+        tests/accuracy/stability/test_envelopes.py
         """
         method, reach = self._method(sign), checked_radius(max_distance)
         require_measurable(self.mesh, self._frame)
@@ -88,7 +96,7 @@ class SignQueries(PointQueries):
         def query(batch: user_arrays.Batch) -> SignedDistances:
             bad = host_flags(1, self._device)
             closest = self._closest(batch.rows, reach, bad)
-            # A pseudonormal is that of what was found; the others would search long for what is not finite.
+            # Pseudonormals use what was found; the other methods would search long for a point that is not finite.
             if method != "pseudonormal":
                 refuse_raised(bad, batch)
             self._sign(method, batch.rows, closest, reach)
@@ -100,16 +108,18 @@ class SignQueries(PointQueries):
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     def contains(self, points: Any, *, sign: str = "auto", progress: Progress | None = None) -> Any:
-        """True for points inside, by the sign that :meth:`signed_distance` would give.
+        """True for points inside, by the same sign as :meth:`signed_distance`; points on the surface are outside.
 
         Args:
             points: Query points [world], shape (N, 3).
-            sign: As for :meth:`signed_distance`.
+            sign: "auto", "pseudonormal", "winding" or "parity"; see :meth:`signed_distance`.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
-            bool (N,). Points on the surface are outside.
+            bool (N,).
         Raises:
             InputError: points is not (N, 3) or not finite, or there is no such sign.
+
+        Held by: tests/mesh/sign/test_methods.py
         """
         import warp as wp
 
@@ -137,11 +147,10 @@ class SignQueries(PointQueries):
         return in_chunks(query, [points], ["points"], device, progress, defer=by_closest)
 
     def winding_number(self, points: Any, *, progress: Progress | None = None) -> Any:
-        """Generalised winding number: 1 inside a closed mesh, 0 outside, in between around holes.
+        """Generalized winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
-        Within 0.005 of the exact sum on a CPU, k times that where k surfaces coincide, and 0.02 on CUDA
-        (tests/mesh/sign/test_sign_stability.py, tests/mesh/bvh/test_winding_numbers.py). Faces count as
-        ``orientation`` says.
+        On a CPU within 0.005 of the exact sum, k times that where k surfaces coincide; on CUDA within 0.02. Faces are
+        wound as ``orientation`` says.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -153,6 +162,8 @@ class SignQueries(PointQueries):
         Source:
             Barill et al., "Fast Winding Numbers for Soups and Clouds" (2018). Differs: on a CPU harmonic moments of
             three orders and exact solid angles nearby, in float64 next to triangles.
+
+        Held by: tests/mesh/sign/test_sign_stability.py, tests/mesh/bvh/test_winding_numbers.py
         """
 
         def query(batch: user_arrays.Batch) -> Any:
@@ -164,9 +175,9 @@ class SignQueries(PointQueries):
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     def sign_confidence(self, points: Any) -> Any:
-        """How firmly the winding number tells inside from outside: its distance from 1/2.
+        """Margin of the sign by winding number: the distance of the winding number from 1/2.
 
-        1/2 or more where there is no doubt, near 0 in the holes of an open mesh, where either answer may be right.
+        1/2 or more where the sign is certain; near 0 in the holes of an open mesh, where either sign may be right.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -189,17 +200,19 @@ class SignQueries(PointQueries):
 
     @property
     def sign_method(self) -> str:
-        """What ``sign="auto"`` is for this mesh: "pseudonormal" where it is proven clean, else "winding".
+        """The method behind ``sign="auto"`` for this mesh: "pseudonormal" if it is proven clean, else "winding".
 
-        Proven is that every edge joins two faces that wind alike (turned where ``orientation`` says so), that the
-        faces around each vertex are one fan, that none is without area, twice there, or cuts another, and that parts
-        within each other are cavities. Decided when first asked for (tests/mesh/sign/test_choice.py).
+        A mesh is proven clean if every edge joins two faces with the same winding (flipped where ``orientation`` says
+        so), the faces around each vertex form one fan, no face is without area, a duplicate, or intersects another one,
+        and nested components are cavities. Computed at the first access.
+
+        Held by: tests/mesh/sign/test_choice.py
         """
         return self._sign_choice.method
 
     @property
     def sign_reason(self) -> str:
-        """Why ``sign_method`` is what it is: what was proven, or the first defect that was found."""
+        """The reason for ``sign_method``: what was proven, or the first defect found."""
         return self._sign_choice.reason
 
     @cached_property
@@ -210,14 +223,21 @@ class SignQueries(PointQueries):
 
     @property
     def is_closed(self) -> bool:
-        """True where every edge joins two triangles that wind alike: winding numbers are whole, zero far away."""
+        """True if the mesh is closed: every edge joins exactly two triangles, with the same winding.
+
+        The winding is that after :func:`geokit.mesh.orient`. Winding numbers of a closed mesh are whole numbers, and 0
+        far away. Closed meshes are watertight (:func:`geokit.mesh.audit`), but may have non-manifold vertices and
+        self-intersections.
+        """
         return self._orientation.closed
 
     @property
     def orientation(self) -> int:
-        """1 where all faces count as they wind, -1 where all count as turned (the mesh is inside out), 0 where some do.
+        """1 if all faces keep their winding, -1 if all are flipped (the mesh is inside out), 0 if only some are
+        flipped.
 
-        Signs and winding numbers are those of the mesh that :func:`geokit.mesh.orient` gives; rays do not care.
+        Signs and winding numbers are those of the mesh that :func:`geokit.mesh.orient` returns; rays ignore the
+        winding.
         """
         flipped: NDArray[np.bool_] = self._orientation.flipped
         if not flipped.any():
@@ -228,7 +248,7 @@ class SignQueries(PointQueries):
     def _orientation(self) -> Any:
         from geokit.mesh.topology.orientation import orient_faces
 
-        surface: Any = self  # a Surface: this class is one of its bases
+        surface: Any = self  # a Surface, of which this class is a base
         return orient_faces(
             self.mesh, lambda mesh: type(surface)(mesh, device="cpu"), surface=surface, known=self._topology
         )
@@ -245,7 +265,7 @@ class SignQueries(PointQueries):
 
         flipped = self._orientation.flipped
         tables = pseudonormal_tables(self.mesh, self._topology, flipped, self._vertices, self._faces)
-        # It takes more room than the mesh, and nothing else asks for it.
+        # The topology takes more memory than the mesh, and nothing else uses it.
         self.__dict__.pop("_topology", None)
         return tables
 
@@ -255,7 +275,7 @@ class SignQueries(PointQueries):
         return self.sign_method if sign == "auto" else sign
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
-        """Turns the distances of inside points negative, in place; ``reach`` is how far was searched."""
+        """Negate the distances of inside points in place; ``reach`` is the search radius."""
         from geokit.mesh.sign import methods
         from geokit.mesh.sign.pseudonormals import by_pseudonormal
 
@@ -263,9 +283,9 @@ class SignQueries(PointQueries):
             tables, device = self._pseudonormals, self._device
             found = [points, closest.points, closest.triangle_id, closest.barycentric]
             by_pseudonormal(found, tables, closest.distance, device)
-            # Without a limit only what is 1e150 away can be missed, and that is outside.
+            # Without a search radius only points 1e150 away can be misses, and those are outside.
             if reach < math.inf and methods.any_missed(closest.triangle_id):
-                # Points that are not finite were seen by the search for the closest.
+                # The search for closest points has already checked for points that are not finite.
                 winding = self._winding(points, host_flags(1, device))
                 methods.missed_by_winding(winding, closest, device)
         elif method == "winding":
@@ -276,7 +296,7 @@ class SignQueries(PointQueries):
             methods.by_parity(self, points, closest.distance)
 
     def _winding(self, points: "wp.array", bad: HostArray) -> "wp.array":
-        """``bad`` is raised where a point is not finite: such a one has no number."""
+        """Winding numbers; ``bad`` is raised if a point is not finite, and such a point has no number."""
         import warp as wp
 
         from geokit.mesh.bvh.winding_kernels import winding_number_kernel
@@ -294,7 +314,7 @@ class SignQueries(PointQueries):
         flipped: NDArray[np.bool_] = self._orientation.flipped
         if self._device.is_cpu:
             return build_winding_tree(self._tree, flipped)
-        # The handle keeps no mesh alive: the surface must.
+        # The handle does not keep the mesh alive, so the surface must.
         self._turned_mesh = self._warp_mesh  # type: ignore[attr-defined]
         if flipped.any():
             faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces).reshape(-1)
@@ -305,6 +325,6 @@ class SignQueries(PointQueries):
     def _winding_arguments(self) -> list[Any]:
         import warp as wp
 
-        # A closed mesh winds around nothing outside its box.
+        # The winding number of a closed mesh is zero everywhere outside its box.
         empty = 1.0 if self.is_closed else math.inf
         return [self._tree, self._winding_tree, wp.float64(empty)]

@@ -1,1 +1,1 @@
-"""Parts of simplify: edge collapse, what it must not change, and proven bounds of the deviation."""
+"""Parts of simplify: edge collapse, the invariants that it must keep, and proven bounds of the deviation."""

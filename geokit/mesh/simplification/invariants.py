@@ -1,4 +1,4 @@
-"""What decimation must not change: how a mesh hangs together, and which way its faces look."""
+"""Invariants of decimation: the topology of a mesh, and the directions of its normals."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from geokit.mesh._surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
 
-__all__ = ["Shape", "faces_as_before", "shape_of"]
+__all__ = ["Shape", "has_similar_normals", "shape_of"]
 
-# Faces whose surroundings are listed at once.
+# Faces whose neighborhoods are listed at once.
 BLOCK = 1024
 
 
 class Shape(NamedTuple):
-    """How a mesh hangs together; the first six are kept, the others do not grow."""
+    """Topological invariants of a mesh; decimation keeps the first six and must not increase the others."""
 
     watertight: bool
     manifold: bool
@@ -33,9 +33,9 @@ class Shape(NamedTuple):
     duplicate_count: int
 
     def is_kept_by(self, other: Shape) -> bool:
-        """Whether the other mesh is one that this one may become.
+        """Whether this mesh may become the other one.
 
-        Where edges have more than two faces, loops and the Euler number count little: pieces and defects are compared.
+        If edges have more than two faces, loops and the Euler number mean little: components and defects are compared.
         """
         kept = 6 if self.non_manifold_edge_count == 0 else 4
         return self[:kept] == other[:kept] and all(b <= a for a, b in zip(self[6:], other[6:], strict=True))
@@ -59,7 +59,7 @@ def shape_of(mesh: TriangleMesh) -> Shape:
 
 
 def _boundary_loops(whole: MeshTopology) -> int:
-    """Pieces of the boundary that share no position."""
+    """Number of components of the boundary that share no position."""
     edges = whole.edges
     if edges.boundary_count == 0:
         return 0
@@ -70,19 +70,19 @@ def _boundary_loops(whole: MeshTopology) -> int:
     return int(np.count_nonzero(label == np.arange(len(position))))
 
 
-def faces_as_before(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
-    """Whether each face has a face of the original near its middle that looks the same way, by less than 90 degrees.
+def has_similar_normals(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
+    """Whether each face has an original face near its center whose normal differs by less than 90 degrees.
 
     Args:
-        mesh: The mesh to look at.
-        original: What it came from.
-        distance: How near [world]; taken along each axis.
+        mesh: The mesh to check.
+        original: The original surface.
+        distance: Search distance [world], along each axis.
     """
     middle, normal = mesh.vertices[mesh.faces].mean(axis=1), _normals(mesh)
     before = _normals(original.mesh)
     nearest = original.closest_point(middle).triangle_id
     left = np.flatnonzero(np.einsum("ij,ij->i", normal, before[nearest]) <= 0.0)
-    # The nearest face may be the other side of a thin wall, or the flank of a bump: any other near one will do.
+    # The nearest face may be the other side of a thin wall, or the flank of a bump: any other near face will do.
     for begin in range(0, len(left), BLOCK):
         rows = left[begin : begin + BLOCK]
         near = original.overlapping(middle[rows] - distance, middle[rows] + distance)
@@ -94,6 +94,6 @@ def faces_as_before(mesh: TriangleMesh, original: Surface, distance: float) -> b
 
 
 def _normals(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Normals (F, 3), twice as long as the faces are large."""
+    """Normals (F, 3), with twice the face's area as their length."""
     a, b, c = (mesh.vertices[corner] for corner in mesh.faces.T)
     return np.cross(b - a, c - a)

@@ -12,24 +12,24 @@ from geokit.mesh._model import TriangleMesh
 
 __all__ = ["decimate", "restored"]
 
-# Weight of the quadrics that keep the triangles of flat regions even. Without, vertices there collect thousands of
-# faces, and each collapse looks at all of them: ten times as long on the walls of a bracket. A millionth of this part
-# of a unit's square moves no vertex by what float32 would show; 1e-5 is seen on flat walls (3e-5 of the diagonal).
+# Weight of the quadrics that keep the triangles of flat regions even. Without them, vertices there collect thousands of
+# faces, and each collapse examines all of them: ten times as long on the walls of a bracket. A millionth of this part
+# of a unit's square moves no vertex visibly in float32; 1e-5 is visible on flat walls (3e-5 of the diagonal).
 EVENNESS = 1e-8
-# Edge of the cells in which a vertex and a point are taken for the same place: some roundings of float32. Corners of
-# flat regions are computed anew and come out next to where they were.
+# Edge of the cells in which a vertex and a point count as one: some roundings of float32. Corners of flat regions are
+# recomputed and come out next to their old position.
 SAME_PLACE = 2.0**-21
 
 
 def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
-    """The mesh after collapsing the edges that cost least, until no more faces are left than asked for, where VTK can.
+    """Collapse the edges of least cost until no more than ``face_count`` faces are left, or VTK finds no more edges.
 
     Args:
-        mesh: About as large as a unit and next to the origin; each position has one vertex.
+        mesh: About unit-sized and near the origin; one vertex for each position.
         face_count: Wanted number of faces.
     Returns:
         TriangleMesh without unused vertices. Vertices that were not moved have their float64 positions, others are
-        good to 5e-7 of a unit.
+        exact to 5e-7 of a unit.
     Source:
         Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), as in vtkQuadricDecimation:
         boundary edges have planes of their own, and a collapse that would flip a face is not done.
@@ -41,7 +41,7 @@ def decimate(mesh: TriangleMesh, face_count: int) -> TriangleMesh:
     filtered.SetInputData(_poly_data(mesh))
     # Half a face more than wanted: the filter stops at the first count that is no larger.
     filtered.SetTargetReduction(max(0.0, 1.0 - (face_count + 0.5) / len(mesh.faces)))
-    # VTK before 9.4 does without, and takes longer.
+    # VTK before 9.4 lacks this option, and takes longer.
     if hasattr(filtered, "SetRegularization"):
         filtered.RegularizeOn()
         filtered.SetRegularization(EVENNESS)
@@ -74,8 +74,9 @@ def restored(
     exact: NDArray[np.float64],
     otherwise: Callable[[NDArray[Any]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """The rows of ``exact`` for points that equal a row of ``before``, and ``otherwise`` of the points for others."""
-    # Plus zero: -0.0 and 0.0 are the same place in other bytes.
+    """For each point that equals a row of ``before`` the row of ``exact``, for the others ``otherwise`` of the
+    point."""
+    # Adding zero turns -0.0 into 0.0, which is the same position in other bytes.
     rows = [np.ascontiguousarray(array) + array.dtype.type(0.0) for array in (before, points)]
     keys, wanted = (array.view(np.dtype((np.void, 3 * array.itemsize))).reshape(-1) for array in rows)
     order = np.argsort(keys, kind="stable")
@@ -86,7 +87,7 @@ def restored(
 
 
 def _placed(points: NDArray[np.float32], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points in float64: the vertex for those that were not moved, or came back to one."""
+    """The points in float64; a point that was not moved, or returned to a vertex, gets that vertex's position."""
     near = restored(
         np.round(points.astype(np.float64) / SAME_PLACE),
         np.round(vertices / SAME_PLACE),

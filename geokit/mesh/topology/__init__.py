@@ -1,1 +1,1 @@
-"""How faces hang together: connectivity, orientation, measures of faces, merged vertices."""
+"""Mesh topology: connectivity, orientation, measures of faces, merged vertices."""

@@ -1,4 +1,4 @@
-"""Counts and measures of a mesh from its topology."""
+"""Audit of a mesh from its topology: counts and measures."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 __all__ = ["ASPECT_QUANTILES", "MeshAudit", "audit_topology", "face_parts"]
 
 
-# Least, quartiles, greatest.
+# Minimum, quartiles, maximum.
 ASPECT_QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
 class MeshAudit:
-    """The findings of :func:`audit`.
+    """The result of :func:`geokit.mesh.audit`.
 
-    Topology is that of the positions: vertices at exactly equal coordinates count as one, whatever their indices, and
-    a triangle with two equal corners takes no part in it.
+    Topology is that of positions: vertices with exactly equal coordinates count as one, whatever their indices, and
+    triangles with two equal corners are ignored.
 
     Args:
         vertex_count: Vertices of the mesh, V.
         face_count: Triangles of the mesh, F.
-        component_count: Pieces that share no vertex position with each other.
-        boundary_edge_count: Edges of one triangle only.
+        component_count: Components that share no vertex position with each other.
+        boundary_edge_count: Edges of only one triangle.
         non_manifold_edge_count: Edges of three or more triangles.
         watertight: There are faces, and no boundary and no non-manifold edges.
         manifold: No non-manifold edges, and the triangles around each vertex form a single fan.
         oriented: Each edge of exactly two triangles is used once in each direction.
         non_manifold_vertex_count: Positions whose triangles do not form a single fan: ends of edges of three or more
-            triangles, and points at which pieces only touch.
+            triangles, and points where components only touch.
         degenerate_count: Triangles without area (height under 1e-12 of the longest edge).
-        duplicate_count: Triangles on the same three positions as an earlier one, in any order.
+        duplicate_count: Triangles with the same three positions as an earlier one, in any order.
         coincident_count: Vertices at exactly the position of an earlier one.
         unreferenced_count: Vertices that no face uses.
-        signed_volume: Volume [world^3], positive where faces wind counter-clockwise seen from outside; it means
-            something only where the mesh is closed and oriented.
+        signed_volume: Volume [world^3], positive where faces wind counterclockwise seen from outside; meaningful only
+            for closed and oriented meshes.
         inside_out: Watertight and oriented with a negative signed volume.
         area: Sum of the triangles' areas [world^2].
         bounds: Lower and upper corner [world] of the used vertices, shape (2, 3); NaN without faces.
         diagonal: Length of the bounds' diagonal [world]; NaN without faces.
         euler_number: Vertices - edges + faces; 2 for each closed component without handles.
-        aspect_ratio_quantiles: Aspect ratios of the triangle at the quantiles 0, 1/4, 1/2, 3/4 and 1, the nearest one,
-            shape (5,): the longest edge over 2 sqrt(3) times the radius of the inscribed circle; 1 for equilateral
-            triangles, infinite for those without area. NaN without faces.
-        self_intersection_count: Pairs of triangles that meet elsewhere than on the vertex or edge that they share, as
-            :meth:`geokit.mesh.Surface.self_intersections` lists them; None where they were not asked for.
+        aspect_ratio_quantiles: Aspect ratios at the quantiles 0, 1/4, 1/2, 3/4 and 1, shape (5,), each that of the
+            nearest triangle. The aspect ratio is the longest edge over 2 sqrt(3) times the inradius: 1 for
+            equilateral triangles, infinite for those without area. NaN without faces.
+        self_intersection_count: Pairs of triangles that intersect beyond the vertex or edge that they share, as listed
+            by :meth:`geokit.mesh.Surface.self_intersections`; None if they were not counted.
     """
 
     vertex_count: int
@@ -81,7 +81,7 @@ class MeshAudit:
 
 
 def audit_topology(mesh: TriangleMesh, whole: MeshTopology) -> MeshAudit:
-    """:func:`audit` of a mesh whose topology is known."""
+    """The audit of a mesh whose topology is known."""
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces.reshape(-1)] = True
     bounds = _bounds(mesh.vertices, used)
@@ -119,7 +119,7 @@ def audit_topology(mesh: TriangleMesh, whole: MeshTopology) -> MeshAudit:
 
 
 def face_parts(mesh: TriangleMesh) -> NDArray[Any]:
-    """For each face the label of its piece of the mesh, (F,): pieces share no vertex position with each other."""
+    """The component label of each face, (F,); components share no vertex position with each other."""
     corners, position_count = position_corners(mesh)
     label = connected_components(position_count, corners[:, (0, 1)].ravel(), corners[:, (1, 2)].ravel())
     return np.take(label, corners[:, 0])
@@ -136,7 +136,7 @@ def _bounds(points: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.
 def _sums(measures: FaceMeasures) -> tuple[float, float]:
     """Area and signed volume [world]."""
     size = measures.size
-    # Python's products go to inf where its powers raise.
+    # Products, because Python's powers raise OverflowError where products give inf.
     area = float(measures.twice_area.sum()) / 2.0 * size * size
     return area, float(measures.six_volume.sum()) / 6.0 * size * size * size
 
@@ -145,12 +145,12 @@ def _aspect_ratio_quantiles(measures: FaceMeasures, flat: NDArray[np.bool_]) -> 
     count = len(flat)
     if count == 0:
         return np.full(len(ASPECT_QUANTILES), np.nan)
-    # The radius of the inscribed circle is twice the area over the perimeter.
+    # The inradius is twice the area over the perimeter.
     longest = np.sqrt(measures.longest_squared)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         aspect = longest * measures.perimeter / (2.0 * math.sqrt(3.0) * measures.twice_area)
     aspect[flat] = np.inf
-    # Of a triangle each: between a finite one and an infinite one there is nothing to interpolate.
+    # Each quantile is that of one triangle: between a finite and an infinite ratio there is nothing to interpolate.
     rank = [round(quantile * (count - 1)) for quantile in ASPECT_QUANTILES]
     return np.partition(aspect, rank)[rank]
 
@@ -158,5 +158,5 @@ def _aspect_ratio_quantiles(measures: FaceMeasures, flat: NDArray[np.bool_]) -> 
 def _diagonal(bounds: NDArray[np.float64]) -> float:
     half = bounds[1] * 0.5 - bounds[0] * 0.5
     size = float(np.max(half))
-    # At unit size: the squares of 1e200 overflow, those of 1e-200 vanish.
+    # At unit size: the squares of 1e200 overflow, those of 1e-200 underflow.
     return 2.0 * size * float(np.linalg.norm(half / size)) if size > 0.0 else size

@@ -1,8 +1,8 @@
-"""Connected components by union and find, all links at once.
+"""Connected components by parallel union-find.
 
-``label`` holds a forest: each node's parent, which is never above it, and itself for a root. A root only ever gets a
-lower root as its parent, so that what is left in the end is the lowest node of each component, in whatever order the
-links were taken.
+``label`` holds a forest: the parent of each node, which is never above it; a root is its own parent. A root only ever
+gets a lower root as its parent. So each component ends with its lowest node as the root, whatever the order of the
+links.
 """
 
 # mypy: ignore-errors

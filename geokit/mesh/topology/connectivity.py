@@ -1,7 +1,7 @@
-"""How the faces of a mesh hang together: half-edges, edges, fans around vertices, connected pieces.
+"""Connectivity of a mesh: half-edges, edges, fans around vertices, connected components.
 
-Topology is that of positions: vertices at equal coordinates are one, and faces with two equal corners take no part.
-Half-edge ``3 f + k`` runs from corner k of face f to the next one.
+Topology is that of positions: vertices with equal coordinates are one, and faces with two equal corners are ignored.
+Half-edge ``3 f + k`` runs from corner k of face f to the next corner.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ __all__ = [
     "position_corners",
 ]
 
-# Rounds in which the fans of all vertices are walked at once, a face each: enough for all vertices but a few apexes,
-# whose thousands of faces would take a round each. Those are left to a slower method that takes a few rounds only.
+# Rounds in which the fans of all vertices are walked at once, one face per round. This is enough for all but a few
+# apexes, whose thousands of faces would each take a round. Those are left to a method that needs only a few rounds.
 FAN_ROUNDS = 32
-# Where a number and an index no longer fit into 64 bits together.
+# From here on, a number and an index no longer fit into 64 bits together.
 PACKED_END = 2**64
-# Fewest items for which a kernel is worth its launch, and for which it is worth loading warp too.
+# Fewest items that justify a kernel launch, and fewest that also justify loading warp.
 KERNELS_PAY = 1 << 13
 KERNELS_PAY_WITH_LOADING = 1 << 21
-# Faces at a time where many small steps are taken: what is computed of them stays in the caches.
+# Faces per block where many small steps are taken: the intermediate results stay in the caches.
 BLOCK = 1 << 14
 
 
 def position_corners(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
-    """Corners of the faces as numbers of distinct positions, (F, 3), and how many positions the vertices have."""
+    """Corners of the faces as numbers of distinct positions, (F, 3), and the number of positions."""
     first, group = merge_equal_points(mesh.vertices)
     if len(first) == len(mesh.vertices):
         return mesh.faces, len(first)
-    # take() over a flat index is several times quicker than fancy indexing by rows.
+    # take() with a flat index is several times faster than fancy indexing by rows.
     return np.take(group.astype(np.int32), mesh.faces.ravel()).reshape(-1, 3), len(first)
 
 
@@ -56,12 +56,12 @@ def collapsed_faces(corners: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 class MeshTopology(NamedTuple):
-    """How a mesh hangs together.
+    """Connectivity of a mesh.
 
     Attributes:
         corners: Corners of the faces as numbers of distinct positions, (F, 3).
-        position_count: How many positions the vertices have.
-        collapsed: Faces with two equal corners, (F,), which take no part.
+        position_count: Number of distinct positions of the vertices.
+        collapsed: Faces with two equal corners, (F,) bool; they are ignored.
         edges: Edges of the other faces.
     """
 
@@ -82,9 +82,9 @@ class Topology:
     """Edges of faces (F, 3), int32, whose three corners differ; corners are numbers below ``position_count``.
 
     Attributes:
-        order: Half-edges (3 F,), those of one edge together, ascending.
-        starts: Where in ``order`` each edge begins (E,).
-        uses: How many half-edges each edge has (E,).
+        order: Half-edges (3 F,), grouped by edge, ascending in each group.
+        starts: Start of each edge's group in ``order`` (E,).
+        uses: Number of half-edges of each edge (E,).
     """
 
     def __init__(self, faces: NDArray[np.int32], position_count: int) -> None:
@@ -121,7 +121,7 @@ class Topology:
 
     @cached_property
     def face_counts(self) -> NDArray[np.int64]:
-        """How many faces each position has, (P,)."""
+        """Number of faces at each position, (P,)."""
         return np.bincount(self.start, minlength=self.position_count)
 
     @cached_property
@@ -130,7 +130,7 @@ class Topology:
 
     @cached_property
     def pairs(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """The two half-edges of each edge that has two."""
+        """The two half-edges of each edge that has exactly two."""
         if self.only_pairs:
             return self.order[::2], self.order[1::2]
         at = self.starts[self.uses == 2]
@@ -138,7 +138,7 @@ class Topology:
 
     @cached_property
     def opposed(self) -> NDArray[np.bool_]:
-        """Of each pair, whether the two run against each other."""
+        """Whether the two half-edges of each pair run in opposite directions."""
         one, other = self.pairs
         return np.take(self.forward, one) != np.take(self.forward, other)
 
@@ -148,26 +148,27 @@ class Topology:
 
     @cached_property
     def twin(self) -> NDArray[Any]:
-        """The other half-edge of each one's edge, (3 F,); -1 where the edge has not exactly two."""
+        """The opposite half-edge of each half-edge, (3 F,); -1 if its edge does not have exactly two."""
         one, other = self.pairs
         twin = np.full(len(self.order), -1, self.order.dtype)
         twin[one], twin[other] = other, one
         return twin
 
     def _sorted_half_edges(self) -> tuple[NDArray[np.uint64], NDArray[Any]]:
-        """The half-edges, those of one edge together, ascending; before them the number of the edge of each."""
+        """The edge number of each half-edge in sorted order, and the half-edges, grouped by edge and ascending."""
         count = len(self.start)
-        # Twice the half-edges are counted around vertices.
+        # Corners are visited with two states each, so indices go up to twice the half-edges.
         index = np.int32 if 2 * count <= np.iinfo(np.int32).max else np.int64
         edge = np.empty(count, np.uint64)
-        # Number and index in one where both fit: values sort three times quicker than indices do.
+        # Number and index packed into one value where both fit: sorting values is three times faster than sorting
+        # indices.
         packs = self.position_count * (self.position_count + 1) // 2 * count <= PACKED_END
         for begin in range(0, len(self.faces), BLOCK):
             faces = self.faces[begin : begin + BLOCK]
             rows = slice(3 * begin, 3 * begin + faces.size)
             start, end = faces.reshape(-1), faces[:, (1, 2, 0)].reshape(-1)
             self.forward[rows] = start < end
-            # Pairs on and below the diagonal of a square, row by row: the same for both directions.
+            # Pairs on and below the diagonal of a square, numbered row by row: the same for both directions.
             high = np.maximum(start, end).astype(np.uint64)
             edge[rows] = (high * (high + np.uint64(1)) >> np.uint64(1)) + np.minimum(start, end).astype(np.uint64)
             if packs:
@@ -186,13 +187,14 @@ class Topology:
         return edge, order
 
     def split_vertices(self) -> NDArray[np.int64]:
-        """Positions at which the faces do not form a single fan, ascending.
+        """Positions whose faces do not form a single fan, ascending.
 
-        A fan is a row of faces around the position, each meeting the next at an edge of exactly two faces, closed or
-        not. All positions are walked at once, one way around, and from where that ended the other way.
+        A fan is a sequence of faces around the position, each joined to the next by an edge of exactly two faces; it
+        may be open or closed. All positions are walked at once, first in one direction and, where that ends, in the
+        other.
         """
         counts = self.face_counts
-        # A corner of each position: with repeated indices the last assignment stands, so this is the first.
+        # The first corner of each position; with repeated indices the last assignment wins.
         first = np.full(self.position_count, -1, self.order.dtype)
         first[self.start[::-1]] = np.arange(len(self.start) - 1, -1, -1, dtype=first.dtype)
         if kernels_pay(self.position_count) and self.order.dtype == np.int32:
@@ -203,14 +205,14 @@ class Topology:
         seen = np.zeros(self.position_count, np.int64)
         ended, long = _walk(crossing, position, corner, 0, seen)
         _, also_long = _walk(crossing, ended, first[ended], 1, seen)
-        # The corner that both ways begin at.
+        # The starting corner was counted in both directions.
         seen[ended] -= 1
         long = np.union1d(long, also_long)
         seen[long] = counts[long]
         return np.union1d(np.flatnonzero(seen != counts), self._split_by_components(long))
 
     def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
-        """How many corners the fan of each position's first corner has."""
+        """Number of corners in the fan that contains each position's first corner."""
         from geokit.mesh.topology.fans_kernels import fan_kernel
 
         link = self.twin << 1
@@ -223,21 +225,22 @@ class Topology:
         return seen
 
     def _crossings(self) -> NDArray[Any]:
-        """Where one gets from a corner around its position, (6 F,): -1 where the edge has not exactly two faces.
+        """Links from each corner to the next one around its position, (6 F,); -1 if the edge does not have exactly two
+        faces.
 
-        State ``2 c + s`` is corner c about to be left: through the half-edge that starts there where s is 0, through
-        the one that ends there where s is 1.
+        State ``2 c + s`` means leaving corner c: through the half-edge that starts there if s is 0, through the one
+        that ends there if s is 1.
         """
         crossing = np.empty((len(self.faces), 3, 2), self.twin.dtype)
         opposed = None if self.oriented else self._opposed_half_edges()
         for begin in range(0, len(self.faces), BLOCK):
             rows = slice(begin, begin + BLOCK)
             across = self.twin.reshape(-1, 3)[rows]
-            after = _after(across)
+            after = _next_half_edge(across)
             alike = None if opposed is None else ~opposed.reshape(-1, 3)[rows]
             leaving_start, leaving_end = 2 * after, 2 * across[:, (2, 0, 1)] + 1
             if alike is not None:
-                # The half-edge across starts where this one starts.
+                # The half-edge across also starts at this position.
                 leaving_start = np.where(alike, 2 * across + 1, leaving_start)
                 leaving_end = np.where(alike[:, (2, 0, 1)], 2 * after[:, (2, 0, 1)], leaving_end)
             crossing[rows, :, 0] = np.where(across < 0, -1, leaving_start)
@@ -251,14 +254,15 @@ class Topology:
         return opposed
 
     def _split_by_components(self, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of the vertices at which the faces do not form a single fan."""
+        """The given vertices whose faces do not form a single fan."""
         if not len(vertices):
             return np.zeros(0, np.int64)
         wanted = np.zeros(self.position_count, bool)
         wanted[vertices] = True
         one, other = self.pairs
-        one_end, other_end = _after(one), _after(other)
-        # Nodes are corners, numbered as the half-edge from there. The two faces at an edge meet at both its ends.
+        one_end, other_end = _next_half_edge(one), _next_half_edge(other)
+        # Nodes are corners, numbered as the half-edge that starts there. The two faces at an edge meet at both of its
+        # ends.
         links = np.where(self.opposed, other_end, other), np.where(self.opposed, other, other_end)
         here = [wanted[self.start[one]], wanted[self.start[one_end]]]
         ends = [
@@ -271,16 +275,16 @@ class Topology:
         return np.flatnonzero(fans > 1)
 
     def piece_count(self, collapsed: NDArray[np.int32]) -> int:
-        """Pieces that share no position; also those of faces with equal corners only, which are given apart."""
+        """Number of components that share no position; ``collapsed`` adds those of faces with two equal corners."""
         label = self._vertex_pieces(collapsed)
         used = self.face_counts > 0
         used[collapsed] = True
         return int(np.count_nonzero(used & (label == np.arange(len(label)))))
 
     def _vertex_pieces(self, collapsed: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The lowest position of each position's piece, (P,)."""
+        """The lowest position in each position's component, (P,)."""
         edge = self.order[self.starts]
-        one, other = np.take(self.start, edge), np.take(self.start, _after(edge))
+        one, other = np.take(self.start, edge), np.take(self.start, _next_half_edge(edge))
         if len(collapsed):
             one = np.concatenate([one, collapsed[:, (0, 1)].ravel()])
             other = np.concatenate([other, collapsed[:, (1, 2)].ravel()])
@@ -290,9 +294,9 @@ class Topology:
 def _walk(
     crossing: NDArray[Any], position: NDArray[np.int64], corner: NDArray[Any], way: int, seen: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Walks from corner to corner around each position, and adds to ``seen`` how many there were.
+    """Walk from corner to corner around each position, and add the number of corners to ``seen``.
 
-    Returns the positions whose walk came to an end, and those that were walked for too long.
+    Returns the positions whose walk ended, and those whose walk was too long.
     """
     ended = [position[:0]]
     state = 2 * corner + way
@@ -309,24 +313,24 @@ def _walk(
     return np.concatenate(ended), position
 
 
-def _after(half_edge: NDArray[Any]) -> NDArray[Any]:
-    """The half-edge from where each one ends, in its face."""
+def _next_half_edge(half_edge: NDArray[Any]) -> NDArray[Any]:
+    """The next half-edge of the same face, which starts where each one ends."""
     corner = half_edge - half_edge // 3 * 3
-    # 0 and 1 go one on, 2 goes two back.
+    # Corners 0 and 1 step one forward, corner 2 steps two back.
     return half_edge + 1 - (corner >> 1) * 3
 
 
 def kernels_pay(item_count: int) -> bool:
-    """Whether kernels are quicker than NumPy where both give the same; warp takes half a second to load."""
+    """Whether kernels beat NumPy, with the same results; loading warp takes half a second."""
     return item_count >= (KERNELS_PAY if "warp" in sys.modules else KERNELS_PAY_WITH_LOADING)
 
 
 def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
-    """Label (count,) of each node's component under the links ``one[i] - other[i]``: its lowest node.
+    """The lowest node of each node's component (count,) under the links ``one[i] - other[i]``.
 
     Source:
         Shiloach and Vishkin, An O(log n) parallel connectivity algorithm (1982). Differs: every node hooks onto its
-        lowest lower neighbour, and the trees that come of it are the nodes of the next round.
+        lowest lower neighbor, and the resulting trees are the nodes of the next round.
     """
     if kernels_pay(len(one)):
         return _components_by_kernel(count, one, other)

@@ -1,4 +1,4 @@
-"""The fan of faces around each position, walked from face to face."""
+"""Fans of faces around positions, walked from face to face."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -23,7 +23,7 @@ def before(half_edge: wp.int32) -> wp.int32:
 
 @wp.func
 def walk(corner: wp.int32, leaving: wp.int32, link: wp.array(dtype=wp.int32)) -> wp.int32:
-    """Corners that are met on the way out across the half-edge ``leaving``; negative where it led back."""
+    """Number of corners on the walk that starts across the half-edge ``leaving``; negative if it is a closed loop."""
     met = wp.int32(0)
     half_edge = leaving
     # Whether the half-edge starts at the position.
@@ -34,7 +34,7 @@ def walk(corner: wp.int32, leaving: wp.int32, link: wp.array(dtype=wp.int32)) ->
             return met
         alike = (across & 1) != 0
         across = across >> 1
-        # What is across starts at the position if this one does and they run alike, or neither.
+        # The half-edge across starts at the position if this one does and both run the same way, or if neither is true.
         starts = starts == alike
         here = after(across)
         half_edge = here
@@ -55,7 +55,7 @@ def fan_kernel(
     link: wp.array(dtype=wp.int32),
     out_seen: wp.array(dtype=wp.int32),
 ):
-    """``link`` is twice the half-edge across, one more where it runs the same way, negative where there is none."""
+    """``link`` is twice the half-edge across, plus 1 if it runs the same way; negative if there is none."""
     position = first + wp.tid()
     c = corner[position]
     if c < 0:

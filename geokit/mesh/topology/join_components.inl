@@ -13,7 +13,7 @@
         return from;
     };
 #endif
-    // Halves the path on the way: a thread that loses a race leaves a parent that is still valid.
+    // Halves the path on the way; a thread that loses a race leaves a parent that is still valid.
     auto root = [&read, &swap](int i) {
         int above = read(i);
         while (above != i) {
@@ -29,6 +29,6 @@
         b = root(b);
         if (a == b) return;
         if (a < b) { const int t = a; a = b; b = t; }
-        // If another thread was quicker, a is no longer a root, and the search goes on from there.
+        // If another thread was faster, a is no longer a root, and the search goes on from there.
         if (swap(a, a, b) == a) return;
     }

@@ -14,10 +14,10 @@ from geokit.mesh.topology.connectivity import kernels_pay
 
 __all__ = ["DEGENERATE_RATIO", "FaceMeasures", "faces_without_area", "measure_faces"]
 
-# A triangle whose height is under this share of its longest edge has no area: float64 coordinates as far away as 1e4
-# edges give the height that much noise, so that its normal is made of rounding alone.
+# A triangle whose height is under this share of its longest edge has no area. For float64 coordinates at a distance of
+# 1e4 edges the height has that much noise, so that the normal consists of rounding alone.
 DEGENERATE_RATIO = 1e-12
-# Faces at a time: what is computed of them stays in the caches, four times faster than all at once.
+# Faces per block: the intermediate results stay in the caches, which is four times faster than all faces at once.
 BLOCK = 1 << 13
 
 
@@ -27,7 +27,7 @@ class FaceMeasures(NamedTuple):
     Attributes:
         size: A power of two near half the longest side of the bounds [world].
         twice_area: Twice the area.
-        six_volume: Six times the signed volume of the tetrahedron with the middle of the bounds.
+        six_volume: Six times the signed volume of the tetrahedron with the center of the bounds.
         longest_squared: Square of the longest edge.
         perimeter: Sum of the edges.
     """
@@ -50,14 +50,14 @@ def faces_without_area(mesh: TriangleMesh) -> NDArray[np.bool_]:
 
 
 def measure_faces(mesh: TriangleMesh, bounds: NDArray[np.float64]) -> FaceMeasures:
-    """Measures of all triangles; ``bounds`` are those of the mesh."""
+    """Measures of all triangles; ``bounds`` is the mesh's bounding box."""
     count = len(mesh.faces)
     measured = np.empty((4, count))
     if count == 0:
         return FaceMeasures(1.0, *measured)
     lower, upper = bounds
     middle = lower * 0.5 + upper * 0.5
-    # At about unit size: products of lengths must neither overflow nor underflow. A power of two rounds nothing.
+    # At about unit size, so that products of lengths neither overflow nor underflow; a power of two does not round.
     exponent = math.frexp(float(np.max(upper * 0.5 - lower * 0.5)))[1]
     size = math.ldexp(1.0, max(exponent - 1, -1022))
     if kernels_pay(count):
@@ -74,7 +74,7 @@ def measure_faces(mesh: TriangleMesh, bounds: NDArray[np.float64]) -> FaceMeasur
 def _measure_by_kernel(
     mesh: TriangleMesh, middle: NDArray[np.float64], size: float, measured: NDArray[np.float64]
 ) -> None:
-    """The same to the last bit."""
+    """The same measures by a kernel, equal to the last bit."""
     from geokit.core.host_array import HostArray
     from geokit.mesh.topology.measures_kernels import measure_kernel
 
@@ -84,14 +84,14 @@ def _measure_by_kernel(
 
 
 def _measure(local: list[NDArray[np.float64]], faces: NDArray[np.int32], measured: NDArray[np.float64]) -> None:
-    # Axis by axis: columns of numbers side by side are what NumPy is quick with.
+    # Axis by axis, because NumPy is fast with contiguous columns.
     columns = [np.ascontiguousarray(faces[:, corner]) for corner in range(3)]
     a, b, c = ([np.take(axis, column) for axis in local] for column in columns)
     ab, ac, bc = ([q - p for p, q in zip(*ends, strict=True)] for ends in ((a, b), (a, c), (b, c)))
     cross = [ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]]
     squares = [_dot(edge, edge) for edge in (ab, ac, bc)]
     measured[0] = np.sqrt(_dot(cross, cross))
-    # a . (ab x ac) is six times the volume of the tetrahedron with the middle.
+    # a . (ab x ac) is six times the volume of the tetrahedron with the center.
     measured[1] = _dot(a, cross)
     measured[2] = np.maximum(np.maximum(squares[0], squares[1]), squares[2])
     measured[3] = np.sqrt(squares[0]) + np.sqrt(squares[1]) + np.sqrt(squares[2])

@@ -1,10 +1,10 @@
-"""Measures of single triangles, to the bits that NumPy's steps in mesh/topology/measures.py have."""
+"""Measures of single triangles, bit for bit those of the NumPy steps in mesh/topology/measures.py."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-# Products that are fused would round otherwise than NumPy's.
+# Fused multiply-adds would round differently from NumPy.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 

@@ -1,4 +1,4 @@
-"""Vertices within a tolerance of each other become the first of them."""
+"""Merging of vertices within a tolerance: each group becomes its first vertex."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from geokit.errors import InputError
 
 __all__ = ["merge_near_points"]
 
-# Points that the average point may have within the tolerance. Where points should be one they are a handful; a
-# tolerance that takes in this many is far above the mesh's resolution, and the time for all pairs grows with it.
+# Points that the average point may have within the tolerance. Points that belong together are a handful. A tolerance
+# with this many is far above the mesh's resolution, and the time grows with the number of pairs.
 MAX_CROWD = 512
-# Rounds in which all points are decided at once whose earlier neighbours are. Rows of points that each wait for the one
-# before, the only ones that take so many, are decided one by one after that.
+# Rounds in which all points are decided at once whose earlier neighbors are decided. Only rows of points that each wait
+# for the previous one take so many; after these rounds they are decided one by one.
 ROUNDS = 32
 
 
 def merge_near_points(points: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Points in their order: one that is not taken stays, and takes the later ones within the tolerance.
+    """Decide in order which points stay: a point that is not absorbed yet stays, and absorbs later ones within
+    tolerance.
 
     Args:
         points: Shape (N, 3), N > 0, no two equal.
         tolerance: Distance above 0.
     Returns:
-        ``kept`` (U,), ascending: the points that stay; and ``group`` (N,), the index into ``kept`` of what each point
-        becomes: itself, or the first of those that stay within the tolerance of it.
+        ``kept`` (U,), ascending: the points that stay; and ``group`` (N,), an index into ``kept`` for each point: that
+        of the point itself, or of the first remaining point within the tolerance.
     """
     earlier, later = _pairs_within(points, tolerance)
-    taken = _taken(len(points), earlier, later)
+    taken = _absorbed(len(points), earlier, later)
     target = np.arange(len(points))
     stays = ~taken[earlier]
     np.minimum.at(target, later[stays], earlier[stays])
@@ -40,10 +41,10 @@ def merge_near_points(points: NDArray[np.float64], tolerance: float) -> tuple[ND
 
 
 def _pairs_within(points: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """All pairs of points within the tolerance, the earlier ones first."""
+    """All pairs of points within the tolerance, sorted by the earlier point."""
     from geokit.points._neighbors import NeighborGrid
 
-    # To unit size by a power of two, which rounds nothing: squares of lengths must neither overflow nor underflow.
+    # Scaled to unit size, so that squares of lengths neither overflow nor underflow; a power of two does not round.
     exponent = -math.frexp(float(np.abs(points).max()))[1]
     points, radius = np.ldexp(points, exponent), math.ldexp(min(tolerance, math.ldexp(4.0, -exponent)), exponent)
     if radius == 0.0:
@@ -59,7 +60,7 @@ def _pairs_within(points: NDArray[np.float64], tolerance: float) -> tuple[NDArra
 def _require_room(points: NDArray[np.float64], radius: float, tolerance: float) -> None:
     if len(points) <= MAX_CROWD:
         return
-    # All points in a cell of this edge are within the radius of each other.
+    # All points in a cell of this edge length are within the radius of each other.
     _, cell = merge_equal_points(np.floor((points - points.min(axis=0)) / max(radius / math.sqrt(3.0), 2.0**-50)))
     crowd = float(np.square(np.bincount(cell).astype(np.float64)).sum()) / len(points)
     if crowd > MAX_CROWD:
@@ -69,8 +70,8 @@ def _require_room(points: NDArray[np.float64], radius: float, tolerance: float) 
         )
 
 
-def _taken(count: int, earlier: NDArray[np.int64], later: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Points that an earlier one takes, (count,)."""
+def _absorbed(count: int, earlier: NDArray[np.int64], later: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Points that an earlier one absorbs, (count,) bool."""
     taken = np.zeros(count, bool)
     for _ in range(ROUNDS):
         if not len(later):

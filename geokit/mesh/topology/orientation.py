@@ -1,4 +1,4 @@
-"""Which faces of a mesh to turn so that each piece winds alike, solids outward and cavities inward."""
+"""The faces to flip so that each component has one winding, solids outward and cavities inward."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
 __all__ = ["FaceOrientation", "orient_faces"]
 
-# A closed piece whose volume is under this share of its area times the mesh's size has none that can be told from
-# rounding (1e-16 for each face, and the faces' errors add up like a random walk): it is a folded sheet.
+# A closed component whose volume is under this share of its area times the mesh's size is a folded sheet: its volume
+# cannot be told from rounding (1e-16 for each face; the faces' errors add up like a random walk).
 FLAT_SHARE = 1e-13
-# Where the rays head that tell which piece lies in which; along no axis or diagonal, where faces like to stand in rows.
+# Direction of the rays that determine the nesting; along no axis or diagonal, where faces often line up.
 NESTING_DIRECTION = (0.5698402910, -0.3247179572, 0.7548776662)
-# Boxes of more pieces than this are not compared each with each: a bool for each pair of so many is 4 MiB.
+# Above this number of components their boxes are not compared pairwise: a bool for each pair takes 4 MiB here.
 MANY_PIECES = 2048
-# Beyond this size, or below its inverse, products of three lengths leave the range of float64 in the ray test.
+# Above this size, or below its inverse, products of three lengths leave the range of float64 in the ray test.
 EXTREME_SIZE = 1e90
 
 
 class FaceOrientation(NamedTuple):
-    """Which faces to turn.
+    """The faces to flip.
 
     Attributes:
-        flipped: The faces to turn, (F,) bool.
-        consistent: Every piece could be made to wind alike; False where a piece is one-sided.
-        closed: Every edge joins exactly two faces, and they wind alike once turned; there are faces.
+        flipped: The faces to flip, (F,) bool.
+        consistent: Every component has a consistent winding; False if one of them is one-sided.
+        closed: There are faces, and every edge joins exactly two of them, with the same winding after the flips.
     """
 
     flipped: NDArray[np.bool_]
@@ -46,13 +46,13 @@ class FaceOrientation(NamedTuple):
 
 
 class _Pieces(NamedTuple):
-    """Faces joined through edges of exactly two faces.
+    """Components of faces joined through edges of exactly two faces.
 
     Attributes:
-        label: Number of each face's piece (F,), -1 for faces that take no part.
-        turned: Faces to turn for their piece to wind alike (F,), False in one-sided pieces.
-        piece_count: How many pieces there are.
-        one_sided: Pieces that cannot wind alike (count,).
+        label: Component of each face (F,), -1 for faces that are ignored.
+        turned: Faces to flip for a consistent winding of their component (F,), False in one-sided components.
+        piece_count: Number of components.
+        one_sided: Components without a consistent winding (count,).
     """
 
     label: NDArray[np.int32]
@@ -62,7 +62,7 @@ class _Pieces(NamedTuple):
 
 
 class _Rays(NamedTuple):
-    """Where rays come from: the mesh's own surface, or one that is made when needed."""
+    """The surface whose rays are used: the mesh's own, or one that is built when needed."""
 
     surface: Surface | None
     make_surface: Callable[[TriangleMesh], Surface]
@@ -75,14 +75,14 @@ def orient_faces(
     surface: Surface | None = None,
     known: MeshTopology | None = None,
 ) -> FaceOrientation:
-    """What :func:`geokit.mesh.orient` turns, and why: see there.
+    """Decide which faces :func:`geokit.mesh.orient` flips; the rules are described there.
 
     Args:
         mesh: The mesh; it may be empty.
-        make_surface: Makes a surface of a mesh, on the CPU: its rays tell which piece lies in which. Called only where
-            that matters. (Surfaces are built on this module, so it does not import them.)
-        surface: A surface of that mesh, if there is one; its rays are used instead where they are precise enough.
-        known: The mesh's topology, if it is.
+        make_surface: Builds a CPU surface of a mesh, whose rays determine the nesting of components. Called only if the
+            nesting matters. (Surfaces depend on this module, so it cannot import them.)
+        surface: An existing surface of the mesh, or None; its rays are used instead if they are precise enough.
+        known: The mesh's topology, if it has been computed.
     """
     corners, position_count, collapsed, whole = known or mesh_topology(mesh)
     kept = np.flatnonzero(~collapsed)
@@ -97,7 +97,7 @@ def orient_faces(
         closed = np.ones(pieces.piece_count, bool)
         first, repeats, repeated = kept, kept[:0], kept[:0]
     else:
-        # Copies of a face would part its piece from the neighbours: they turn with the face that they repeat.
+        # Copies of a face would cut its component off from the neighbors: they flip with the face that they repeat.
         repeats, repeated = repeated_triples(faces)
         if len(repeats):
             topology = Topology(np.delete(faces, repeats, axis=0), position_count)
@@ -120,7 +120,7 @@ def _wind_alike(topology: Topology, flipped: NDArray[np.bool_]) -> bool:
 
 
 def _linked(face_count: int, topology: Topology) -> _Pieces:
-    """Pieces of faces that wind alike already."""
+    """Components of faces whose winding is consistent already."""
     one, other = topology.pairs
     lowest = connected_components(face_count, one // 3, other // 3)
     label, count = _numbered(lowest)
@@ -128,10 +128,10 @@ def _linked(face_count: int, topology: Topology) -> _Pieces:
 
 
 def _flooded(face_count: int, topology: Topology) -> _Pieces:
-    """Pieces, and in each the fewest faces to turn; those at odds with the lowest face where it is as many either way.
+    """Components, and the smaller set of faces to flip in each; on a tie, the set without the lowest face.
 
-    Each face is there twice, as 2 f as it is and as 2 f + 1 turned, and linked to what winds as it does: the two sides
-    of a piece are apart, unless it is one-sided.
+    Each face is two nodes: 2 f with its winding, and 2 f + 1 flipped. Nodes with consistent windings are linked. The
+    two sides of a component are then separate, unless it is one-sided.
     """
     one, other = (pair // 3 for pair in topology.pairs)
     odd = ~topology.opposed
@@ -148,7 +148,7 @@ def _flooded(face_count: int, topology: Topology) -> _Pieces:
 
 
 def _numbered(lowest: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
-    """Labels that are the lowest member of each component, as numbers from 0 in the order of those."""
+    """Consecutive numbers from 0 for labels that are the lowest member of each component, in their order."""
     if len(lowest) and not lowest.any():
         return lowest, 1
     is_lowest = lowest == np.arange(len(lowest))
@@ -157,7 +157,7 @@ def _numbered(lowest: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
 
 
 def _closed_pieces(pieces: _Pieces, topology: Topology) -> NDArray[np.bool_]:
-    """Pieces that use each of their edges as often one way as the other once turned, (count,): they bound a volume."""
+    """Components that bound a volume (count,): after the flips, each edge is used equally often in both directions."""
     closed = ~pieces.one_sided
     edge_of = np.repeat(np.arange(topology.edge_count), topology.uses)
     alone = topology.uses[edge_of] != 2
@@ -174,7 +174,7 @@ def _closed_pieces(pieces: _Pieces, topology: Topology) -> NDArray[np.bool_]:
 def _piece_volumes(
     measures: FaceMeasures, first: NDArray[np.int64], pieces: _Pieces, closed: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Six times the signed volume of each piece, (count,), at unit size; 0 for pieces that bound none."""
+    """Six times the signed volume of each component, (count,), at unit size; 0 for those that bound none."""
     six_volumes = measures.six_volume[first]
     six_volumes[pieces.turned] *= -1.0
     volume = np.bincount(pieces.label, six_volumes, minlength=pieces.piece_count)
@@ -185,24 +185,24 @@ def _piece_volumes(
 def _outward(
     mesh: TriangleMesh, first: NDArray[np.int64], pieces: _Pieces, volume: NDArray[np.float64], rays: _Rays
 ) -> NDArray[np.bool_]:
-    """Pieces to turn as a whole, (count,)."""
+    """Components to flip as a whole, (count,)."""
     solid = np.flatnonzero(volume)
     inward = volume[solid] < 0.0
     inner, outer = _nesting(mesh, first, pieces, solid, rays)
     depth = np.bincount(inner, minlength=len(solid))
-    # The outermost piece around each; of several, as only pieces that intersect can have, the lowest.
+    # The outermost component around each one; of several, which only intersecting components have, the lowest.
     root = np.full(len(solid), len(solid))
     outermost = depth[outer] == 0
     np.minimum.at(root, inner[outermost], outer[outermost])
     root = np.where(root < len(solid), root, np.arange(len(solid)))
-    # +1 outward and -1 inward, once that one faces outward and all within it have turned along.
+    # +1 for outward and -1 for inward, after the outermost one faces outward and all inside it have flipped along.
     wound = np.where(inward ^ inward[root], -1, 1)
     by_depth = np.argsort(depth[inner], kind="stable")
     inner, outer = inner[by_depth], outer[by_depth]
     ends = np.searchsorted(depth[inner], np.arange(depth.max() + 2)).tolist()
     for begin, end in itertools.pairwise(ends):
-        # From the outermost inwards: how often those around wind around each piece. Where nothing does, nothing is
-        # there to have a cavity.
+        # From the outermost component inward: the winding number around each component from those that enclose it.
+        # Where it is zero there is no solid that could have a cavity.
         here = np.unique(inner[begin:end])
         around = np.bincount(inner[begin:end], wound[outer[begin:end]], minlength=len(solid))[here]
         wound[here[around <= 0]] = 1
@@ -214,9 +214,10 @@ def _outward(
 def _nesting(
     mesh: TriangleMesh, first: NDArray[np.int64], pieces: _Pieces, solid: NDArray[np.int64], rays: _Rays
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of pieces, as indices into ``solid``: the second encloses the first.
+    """Pairs of components, as indices into ``solid``: the second encloses the first.
 
-    That is, its box holds the other's box, and a ray from the other's largest face leaves it an odd number of times.
+    A component encloses another if its box contains the other's box, and a ray from the other's largest face crosses it
+    an odd number of times.
     """
     index = np.full(pieces.piece_count, -1)
     index[solid] = np.arange(len(solid))
@@ -255,7 +256,7 @@ def _nesting_rays(mesh: TriangleMesh, rays: _Rays, origins: NDArray[np.float64])
 
 
 def _any_box_in_another(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> bool:
-    """Whether it may be worth a look which piece lies in which; of very many pieces it always is."""
+    """Whether any component may enclose another, by their boxes; always True for very many components."""
     if len(lower) > MANY_PIECES:
         return True
     held = np.ones((len(lower), len(lower)), bool)
@@ -266,8 +267,8 @@ def _any_box_in_another(lower: NDArray[np.float64], upper: NDArray[np.float64]) 
 
 
 def _largest_of_each(piece: NDArray[np.int64], corners: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Of the faces of each piece, which stand together, the row of the largest."""
-    # At unit size: products of lengths must neither overflow nor underflow.
+    """The row of the largest face in each component; the faces of a component are consecutive."""
+    # At unit size, so that products of lengths neither overflow nor underflow.
     size = float(np.abs(corners).max()) or 1.0
     edges = (corners[:, 1:] / size) - (corners[:, :1] / size)
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)

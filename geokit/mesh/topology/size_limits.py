@@ -1,4 +1,4 @@
-"""Sizes of meshes whose distances float64 holds."""
+"""Limits on the size of meshes, so that distances stay within the range of float64."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 __all__ = ["require_measurable"]
 
-# Sizes of a mesh, as halves of its box's longest side: queries multiply four lengths, and what leaves float64's 1e-308
-# to 1e308 comes back as 0, inf or NaN (tests/accuracy/stability/test_envelopes.py).
+# Sizes as half of the bounding box's longest side. Queries multiply four lengths; a result outside float64's 1e-308 to
+# 1e308 becomes 0, inf or NaN (tests/accuracy/stability/test_envelopes.py).
 LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71
 
 
 def require_measurable(mesh: TriangleMesh, frame: Frame) -> None:
-    """Refuse distances from meshes of a size at which their products leave float64.
+    """Refuse distance queries for mesh sizes at which products of lengths leave the range of float64.
 
     Raises:
         InputError: The mesh is too small or too large.

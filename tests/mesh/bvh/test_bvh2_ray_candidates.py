@@ -1,4 +1,4 @@
-"""The passes that rays take on a GPU, run on the CPU over the same tree of a warp Mesh."""
+"""The two passes of rays on a GPU, run on the CPU with the same tree of a warp Mesh."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_passes_answer_as_the_walk_in_float64(make, distance):
     directions = (targets - origins) * 10.0 ** rng.uniform(-3, 3, (3000, 1))
     expected = gk.mesh.Surface(mesh, device="cpu").raycast(origins, directions)
     found, undecided = in_passes(on_warp_tree(mesh), origins, directions)
-    # A ray may have more candidates than fit only where many triangles meet.
+    # Candidates overflow only where many triangles meet.
     assert undecided.mean() < (0.7 if make in mesh_catalog.OPEN else 0.1)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one[~undecided], other[~undecided])

@@ -1,4 +1,4 @@
-"""The wide tree: every triangle in one slot, every box around what is below it, never deeper than a stack."""
+"""The CPU tree: every triangle in one slot, every box around everything below it, never deeper than the stack."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support import mesh_catalog, reference
 
 
 def chain(count):
-    """Triangles that shrink by half from one to the next: each split of the heuristic takes few of them away."""
+    """Triangles that shrink by half from one to the next: each split of the heuristic removes only a few of them."""
     size = 0.5 ** np.arange(count)[:, None, None]
     corners = np.array([[1.0, 0, 0], [1.0, 0.2, 0], [1.1, 0, 0.2]]) * size
     return gk.mesh.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
@@ -78,7 +78,7 @@ def test_boxes_hold_what_is_below_them(surface):
             elif child < 0:
                 assert np.all(low <= lower[-1 - child])
                 assert np.all(high >= upper[-1 - child])
-                # Not much wider than it must be, either.
+                # Not much wider than necessary, either.
                 assert np.all(low >= lower[-1 - child] - 3e-7)
             else:
                 used = children[child] != NO_CHILD
@@ -88,7 +88,7 @@ def test_boxes_hold_what_is_below_them(surface):
 
 def test_no_walk_outgrows_its_stack(surface):
     children, _ = nodes_of(surface)
-    waiting = np.zeros(len(children), int)  # nodes on the stack when the walk comes to each, at most
+    waiting = np.zeros(len(children), int)  # most nodes on the stack when the traversal reaches each node
     for node in range(len(children)):
         siblings = np.count_nonzero(children[node] != NO_CHILD) - 1
         below = children[node][children[node] > 0]

@@ -1,4 +1,4 @@
-"""The leaves that rays read on a CPU have 16 bits a coordinate: they say what to look at, never what the answer is."""
+"""Ray leaves on a CPU have 16 bits per coordinate: they select candidates and never change an answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def mixed_sizes(rng: np.random.Generator) -> TriangleMesh:
 
 
 def cluster(rng: np.random.Generator) -> TriangleMesh:
-    """Leaves of 1e-5 down to less than quanta can show, away from the middle of a large triangle's box."""
+    """Leaves of size 1e-5 down to less than a quantum, away from the middle of a large triangle's box."""
     size = 10.0 ** rng.uniform(-8, -5, (500, 1, 1))
     small = 0.3 + size * (3.0 * rng.normal(size=(500, 1, 3)) + rng.normal(size=(500, 3, 3)))
     large = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 0.0]]])
@@ -83,7 +83,7 @@ def test_what_a_ray_is_aimed_at_is_not_passed_by(name, distance):
     mesh = mesh_of(name)
     surface = Surface(mesh, device="cpu")
     rng = np.random.default_rng(62)
-    # Well inside of triangles, by what rounding of the rays' own numbers leaves of them.
+    # Well inside the triangles, by more than the rounding of the rays' own numbers.
     size = np.ptp(mesh.vertices[mesh.faces], axis=1).max(axis=1)
     triangle, points = aims(mesh, rng, least=0.01)
     origins = points + distance * mesh.diagonal * rng.normal(size=(RAYS, 3))
@@ -114,7 +114,7 @@ def test_rays_from_inside_hit_at_edges_and_vertices(name):
 
 @pytest.mark.parametrize("name", ["needles", "zero area"])
 def test_limits_are_those_of_the_refined_t(name):
-    # A sliver's t by its weights is off by as much as it is long.
+    # By its weights, a sliver's t is off by up to the sliver's length.
     mesh = mesh_catalog.zero_area_triangles() if name == "zero area" else mesh_of(name)
     surface = Surface(mesh, device="cpu")
     rng = np.random.default_rng(64)

@@ -1,4 +1,4 @@
-"""Rays are set up by eights and are in flight together on a CPU: no bit of an answer may tell."""
+"""On a CPU rays are set up in eights and traced together: this must not change any bit of an answer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SURFACES = {name: Surface(mesh, device="cpu") for name, mesh in MESHES.items()}
 
 
 def require_same_one_by_one(surface: Surface, origins: np.ndarray, directions: np.ndarray, **limits: float) -> RayHits:
-    """Answers that are those to the same rays, each followed by one the other way: no neighbours run alike."""
+    """Compare with the same rays, each followed by its reverse, so that neighbors have nothing in common."""
     alone = np.repeat(origins, 2, axis=0), np.stack([directions, -directions], axis=1).reshape(-1, 3)
     found = surface.raycast(origins, directions, **limits)
     for one, other in zip(found, surface.raycast(*alone, **limits), strict=True):
@@ -38,7 +38,7 @@ def require_same_one_by_one(surface: Surface, origins: np.ndarray, directions: n
 
 
 def camera(mesh: TriangleMesh, eye: np.ndarray, width: int, half_angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from the eye about the middle of the mesh, row by row."""
+    """Rays from the eye toward the middle of the mesh, row by row."""
     ahead = mesh.bounds.mean(axis=0) - eye
     right = np.cross(ahead, [0.3, 1.0, 0.2])
     right /= np.linalg.norm(right)
@@ -67,7 +67,7 @@ def test_limits(name, limits):
     origins, directions = camera(surface.mesh, eye, 83, 0.5)
     free = surface.raycast(origins, directions)
     hit = free.triangle_id >= 0
-    # Within reach of some rays and out of that of others.
+    # Within the length of some rays and beyond that of others.
     lengths = free.t[hit] * np.linalg.norm(directions[hit], axis=1)
     reach = {"t_min": np.quantile(free.t[hit], 0.3), "max_distance": np.quantile(lengths, 0.7)}
     reach = {key: float(reach[key]) for key in limits}
@@ -79,7 +79,7 @@ def test_limits(name, limits):
 @pytest.mark.parametrize("zeros", [(0.0, 0.0), (-0.0, 0.0), (-0.0, -0.0), "mixed"])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_rays_along_an_axis(axis, zeros):
-    # Through vertices, edges and faces of the box alike, whose tree has boxes without depth.
+    # Through vertices, edges and faces of the box, whose tree has boxes without depth.
     surface = Surface(mesh_catalog.box(), device="cpu")
     steps = np.arange(-2, 131) / 128
     origins, directions = np.full((len(steps) ** 2, 3), 3.0), np.zeros((len(steps) ** 2, 3))
@@ -103,7 +103,7 @@ def test_rays_at_vertices_and_edges_do_not_leak(name):
     a, b = mesh.vertices[mesh.faces].transpose(1, 0, 2)[:2]
     share = np.random.default_rng(52).random((len(a), 1))
     aims = np.concatenate([a, (a + b) / 2, a + share * (b - a)])
-    # From inside, nearest directions first, so that neighbours meet the same nodes; the torus is hollow.
+    # From inside, ordered by direction, so that neighbors visit the same nodes; the torus is hollow.
     eye = np.array([1.0, 0.0, 0.0]) if name == "torus" else np.array([0.1, 0.2, -0.1])
     way = aims - eye
     way /= np.abs(way).max(axis=1, keepdims=True)
@@ -128,7 +128,7 @@ def test_few_rays_are_the_first_of_many():
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(SURFACES)), st.floats(-6, 0.5), st.floats(-6, 0.5))
 def test_bundles(seed, name, width, angle):
-    # Bundles of any width and angle: from rays that never part to such that share nothing.
+    # Bundles of any width and angle: from rays that never diverge to rays without a common node.
     rng = np.random.default_rng(seed)
     surface = SURFACES[name]
     lower, upper = surface.mesh.bounds

@@ -1,4 +1,4 @@
-"""Winding numbers over the wide tree: hand-sized inputs, the far field, and what must not change an answer."""
+"""Winding numbers in the CPU tree: small inputs, the far field, and invariances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.support import mesh_catalog, reference
 
 
 class Winding:
-    """The kernels over the tree of a surface, without what a Surface does about orientation."""
+    """The kernels with the tree of a surface, without the orientation handling of a Surface."""
 
     def __init__(self, mesh: TriangleMesh, flipped: np.ndarray | None = None) -> None:
         self.surface = Surface(mesh, device="cpu")
@@ -96,7 +96,7 @@ def test_flipped_triangles_count_the_other_way():
 
 @pytest.mark.parametrize(("radii", "share"), [(6, 2e-3), (12, 3e-4), (24, 4e-5)])
 def test_far_away_the_relative_error_falls_with_the_third_power_of_the_distance(radii, share):
-    # Three orders: the number falls with the second power of the distance, what is left out with the fifth.
+    # Three orders: the number falls with the second power of the distance, the truncation error with the fifth.
     for mesh in (
         mesh_catalog.open_shell(),
         mesh_catalog.single_triangle(),
@@ -183,7 +183,7 @@ def test_points_that_are_not_finite_are_named(query, value, count, monkeypatch):
     monkeypatch.setattr("geokit.core.chunked_queries.MOST_ROWS", 100_000)
     surface = Surface(mesh_catalog.box(), device="cpu")
     points = np.full((count, 3), 0.5)
-    points[0] = 1e308  # finite, with a sum that is not
+    points[0] = 1e308  # finite, but the sum of its coordinates is not
     points[1] = -1e308
     progress = {"progress": lambda done, total: None} if query == "winding_number" else {}
     assert np.isfinite(getattr(surface, query)(points, **progress)).all()

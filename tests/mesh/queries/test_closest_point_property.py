@@ -1,4 +1,4 @@
-"""Closest points against brute force, and what must not change them."""
+"""Closest points against brute force, and their invariances."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_distance_is_that_of_brute_force(mesh, offset):
     found = Surface(mesh, device="cpu").closest_point(queries)
     expected = reference.closest_point(mesh.vertices, mesh.faces, queries)
     np.testing.assert_allclose(found.distance, expected.distance, rtol=0, atol=1e-12 * mesh.diagonal)
-    # The point lies on the triangle that is named, at the distance that is given.
+    # The point lies on the given triangle, at the given distance.
     corners = mesh.vertices[mesh.faces[found.triangle_id]]
     assert found.barycentric.min() >= -1e-12
     np.testing.assert_allclose(found.barycentric.sum(axis=1), 1.0, atol=1e-12)

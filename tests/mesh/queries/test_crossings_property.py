@@ -1,4 +1,4 @@
-"""A line crosses a closed surface an even number of times, and a ray as often as its start is inside, always."""
+"""A line always crosses a closed surface an even number of times; a ray's parity tells whether its start is inside."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SURFACES = {make.__name__: gk.mesh.Surface(make(), device="cpu") for make in mes
 
 
 def aimed(mesh, rng, count):
-    """Rays from outside at vertices, at points of edges, and along edges: where parities go wrong."""
+    """Rays from outside at vertices, at points of edges, and along edges, where parities can go wrong."""
     faces = mesh.faces[rng.integers(len(mesh.faces), size=count)]
     a, b = mesh.vertices[faces[:, 0]], mesh.vertices[faces[:, 1]]
     share = rng.choice([0.0, 0.5, 1.0, 0.25], size=(count, 1))

@@ -1,6 +1,6 @@
-"""How far from the origin, how large and how thin a mesh may be: distances and hits stay exact to 1e-6 of its size.
+"""Limits of offset, size and thinness: distances and hits stay exact to 1e-6 of the mesh's size.
 
-What float64 coordinates cannot hold is not the query's error: the reference sees the same rounded vertices.
+The rounding of float64 coordinates is not an error of the query: the reference uses the same rounded vertices.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def test_small_and_large(make, scale):
 def test_slivers(aspect):
     mesh = mesh_catalog.sliver_fan(24, 24 / aspect)
     rng = np.random.default_rng(6)
-    # About the slivers at all distances, from on them to their length.
+    # Around the slivers at all distances, from zero to their length.
     on = rng.random((400, 3)) * [1.0, 24 / aspect, 0.0]
     points = on + rng.normal(size=(400, 3)) * 10.0 ** rng.uniform(-10, 0, (400, 1))
     found = gk.mesh.Surface(mesh, device="cpu").closest_point(points)

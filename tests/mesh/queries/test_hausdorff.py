@@ -36,13 +36,13 @@ def points_as_mesh(points):
 
 
 def turned(mesh, seed):
-    """By some rotation."""
+    """The mesh in a random rotation."""
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     return TriangleMesh(mesh.vertices @ rotation, mesh.faces, name=mesh.name)
 
 
 def spun(mesh, angle):
-    """Around the z axis."""
+    """The mesh rotated around the z axis."""
     cosine, sine = math.cos(angle), math.sin(angle)
     rotation = [[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]
     return TriangleMesh(mesh.vertices @ rotation, mesh.faces, name=mesh.name)
@@ -54,7 +54,8 @@ def joint_diagonal(a, b):
 
 
 def dense_bounds(source, target):
-    """The largest distance of lattice points of each triangle, and that plus how far a lattice point may be away."""
+    """The largest distance of lattice points of each triangle, and that plus the largest distance to a lattice
+    point."""
     # The reference takes a microsecond for each pair of a point and a triangle.
     steps = max(2, int(math.sqrt(3e5 / len(source.faces) / len(target.faces))))
     weights = np.array([[i, j, steps - i - j] for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
@@ -66,13 +67,13 @@ def dense_bounds(source, target):
 
 
 def assert_certified(found, source, target, tolerance, dense):
-    """The bracket is as narrow as promised, and the largest distance by the reference can lie in it."""
+    """The bracket is as narrow as promised, and contains the largest distance by the reference within its accuracy."""
     diagonal = joint_diagonal(source, target)
     low, high = dense
     assert found.max <= found.upper <= found.max + (tolerance + ROUNDING) * diagonal
     assert found.upper >= low - ROUNDING * diagonal
     assert found.max <= high + ROUNDING * diagonal
-    # The witness is one: on the one surface, and its closest point on the other.
+    # The witness points are valid: one lies on its surface, the other is its closest point on the other surface.
     assert reference.closest_point(source.vertices, source.faces, found.point[None]).distance < ROUNDING * diagonal
     closest = reference.closest_point(target.vertices, target.faces, found.point[None])
     assert closest.distance == pytest.approx(found.max, abs=ROUNDING * diagonal)
@@ -128,8 +129,8 @@ def test_a_shifted_box():
     found = hausdorff(mesh_catalog.box(), mesh_catalog.moved(mesh_catalog.box(), (0.3, 0, 0)), device="cpu")
     assert found.max == pytest.approx(0.3, abs=1e-15)
     assert found.upper == pytest.approx(0.3, abs=1e-4 * math.hypot(1.3, 1, 1))
-    # Of six unit faces: the one that moved away is 0.3 off, its opposite is inside the other box, where the distance is
-    # the lesser of 0.3 and that to the border, and of the others a strip 0.3 wide hangs over.
+    # Of six unit faces: the one that moved is 0.3 away; the opposite one is inside the other box, where the distance is
+    # the smaller of 0.3 and that to the border; of the others a strip 0.3 wide extends beyond.
     inside = (1 - 0.4**3) / 6
     mean = (0.3 + inside + 4 * 0.3**2 / 2) / 6
     squares = (0.3**2 + 8 * (0.3**3 / 6 - 0.3**4 / 4) + 0.4**2 * 0.3**2 + 4 * 0.3**3 / 3) / 6
@@ -143,7 +144,7 @@ def test_a_shifted_box():
 def test_concentric_spheres():
     inner, outer = mesh_catalog.icosphere(4), mesh_catalog.icosphere(4, 1.25)
     found = hausdorff(inner, outer, samples=10_000, device="cpu")
-    # Vertex above vertex, and distances between 0.2495 and 0.25 everywhere: hardly anything can be ruled out early.
+    # Vertex above vertex, and distances between 0.2495 and 0.25 everywhere: little can be ruled out early.
     assert found.max == pytest.approx(0.25, abs=1e-14)
     assert found.upper == pytest.approx(0.25, abs=1e-4 * outer.diagonal)
     assert found.a_to_b.mean == pytest.approx(0.25, abs=1e-3)
@@ -156,7 +157,7 @@ def test_concentric_spheres():
 
 
 def test_the_largest_distance_may_be_within_a_triangle():
-    # From the corners alone: the circumcentre, where the covering bound has no slack at all.
+    # From the corners alone: at the circumcenter the covering bound has no slack at all.
     corners = np.array([[0, 0, 0], [1, 0, 0], [0.5, math.sqrt(0.75), 0]])
     triangle = TriangleMesh(corners, [[0, 1, 2]])
     for tolerance in (1e-3, 1e-9):
@@ -235,7 +236,7 @@ def test_standard_errors_are_the_scatter_over_seeds():
     for value, error in (("mean", "mean_error"), ("rms", "rms_error")):
         scatter = np.std([getattr(one, value) for one in drawn])
         said = np.mean([getattr(one, error) for one in drawn])
-        # The scatter of 60 is itself known to 9%.
+        # The scatter of 60 runs is itself known only to 9%.
         assert 0.65 < scatter / said < 1.45
 
 
@@ -292,7 +293,7 @@ def test_small_blocks_bound_what_waits(block, most, monkeypatch):
     found = hausdorff(a, b, tolerance=1e-3, samples=10, device="cpu")
     assert_certified(found.a_to_b, a, b, 1e-3, dense_bounds(a, b))
     assert_certified(found.b_to_a, b, a, 1e-3, dense_bounds(b, a))
-    # The triangles that there are at first, what may wait, and a block for each halving of an edge (60 are many).
+    # The initial triangles, the waiting pieces, and a block for each halving of an edge (60 are many).
     assert max(waiting) <= len(a.faces) + min(most, 4000) + 60 * block
 
 

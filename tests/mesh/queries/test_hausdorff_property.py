@@ -1,4 +1,4 @@
-"""hausdorff on drawn triangles: the largest distance of dense samples lies in its bounds, whatever the order."""
+"""hausdorff on random triangles: the largest distance of dense samples lies in its bounds, in either order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROUNDING = 4e-12
 
 @st.composite
 def pairs(draw):
-    """A few triangles and a few more: loose, in planes, without area, or nearly the same."""
+    """A few triangles and a few more: separate, coplanar, without area, or nearly the same."""
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count, other = draw(st.integers(1, 3)), draw(st.integers(1, 8))
     kind = draw(st.sampled_from(["loose", "small", "points", "plane", "near"]))
@@ -34,7 +34,7 @@ def pairs(draw):
         b[..., 2] = 0
         a[..., 2] = 0.1
     elif kind == "near":
-        # The middles of a's edges moved a little: four triangles for each of a's.
+        # The middles of a's edges moved slightly: four triangles for each of a's.
         middles = (a + np.roll(a, -1, axis=1)) / 2 + 0.01 * random.normal(size=a.shape)
         parts = [np.stack([a[:, k], middles[:, k], middles[:, k - 1]], axis=1) for k in range(3)]
         b = np.concatenate([middles, *parts])

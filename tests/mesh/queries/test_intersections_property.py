@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import geokit as gk
 from tests.support import reference
 
-# Of lattices this small most triangles touch, share corners, lie in one plane or have no area.
+# On lattices this small most triangles touch, share corners, lie in one plane or have no area.
 LATTICE = st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=6, max_size=21).filter(lambda p: len(set(p)) > 1)
 
 
@@ -42,7 +42,8 @@ def test_intersecting_triangles_on_a_lattice(points, others):
 @settings(max_examples=100, deadline=None)
 @given(LATTICE, st.integers(0, 10_000))
 def test_moved_by_one_rounding(points, seed):
-    """The lattice rotated and moved, every coordinate off by some last bits: nothing is degenerate, nearly all is."""
+    """The lattice rotated and moved, each coordinate off by some last bits: nearly degenerate everywhere, never
+    exactly."""
     rng = np.random.default_rng(seed)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     corners = triangles(points) @ rotation + rng.choice([0.0, 1.0, 1e6])

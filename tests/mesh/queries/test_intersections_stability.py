@@ -1,4 +1,4 @@
-"""Intersections towards the ends of float64: offsets, scales, slivers, planes that differ in the last bit."""
+"""Intersections near the limits of float64: offsets, scales, slivers, planes that differ in the last bit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_scales_do_not_change_the_pairs(scale):
 
 @pytest.mark.parametrize("offset", [1.0, 1e4, 1e8, 1e15])
 def test_offsets(offset):
-    """Far out corners snap to the grid of float64: what is asked is what they have become."""
+    """Far out, corners snap to the float64 grid; the expected answer is that of the snapped corners."""
     corners = np.random.default_rng(2).random((14, 3, 3)) * 3.0 + offset
     assert surface(corners).self_intersections().tolist() == reference.intersecting_pairs(corners)
 

@@ -1,4 +1,4 @@
-"""Triangles that meet boxes, another surface, or each other: hand-sized cases and every error."""
+"""Triangles that intersect boxes, another surface, or each other: small cases and every error."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class TestOverlapping:
         found = [i in ids for i, ids in enumerate(lists(s.overlapping(lower, upper)))]
         assert 0 < sum(exact) < 300
         assert all(f for f, e in zip(found, exact, strict=True) if e)
-        # What is listed too much is as near as rounding.
+        # Every false positive is within rounding of the box.
         assert all(found)
 
     def test_no_boxes(self):
@@ -185,7 +185,7 @@ class TestSelfIntersections:
 
     def test_a_t_junction_touches(self):
         vertices = [[0, 0, 0], [2, 0, 0], [0, 1, 0], [1, 0, 0], [1, -1, 0]]
-        # The corner 3 of the second stands on an edge of the first, and is none of its corners.
+        # Corner 3 of the second triangle lies on an edge of the first, but is not a corner of it.
         assert surface(vertices, [[0, 1, 2], [3, 4, 1]]).self_intersections().tolist() == [[0, 1]]
 
     def test_a_spike_through_a_shared_vertex(self):

@@ -1,4 +1,4 @@
-"""Rays aimed exactly at edges and vertices of closed meshes, from inside: none may get out."""
+"""Rays aimed exactly at edges and vertices of closed meshes, from inside: none may escape."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_no_ray_from_inside_gets_out(name, exact):
         assert (found.triangle_id < 0).sum() == 0
         some = rng.integers(RAYS, size=60)
         expected = reference.first_hit(mesh.vertices, mesh.faces, starts[some], (targets - starts)[some])
-        # Brute force may itself leak, or pass a silhouette on the other side; where it does not, the hits agree.
+        # Brute force may leak itself, or pass a silhouette on the other side; where it does not, the hits agree.
         same = np.abs(found.t[some] - expected.t) <= 1e-9
         assert same.mean() > 0.9
         if name in CONVEX:

@@ -71,7 +71,7 @@ def test_slivers_are_hit_where_their_planes_are(foot, height):
         surface = Surface(TriangleMesh(triangle, [[0, 1, 2]]), device="cpu")
         found, every = surface.raycast(origins, directions), surface.raycast_all(origins, directions)
         weights = found.barycentric
-        # Which rays hit is decided otherwise, exactly: rounding may tell them apart at the triangle's border.
+        # The hits are decided separately and exactly: rounding may make the two differ at the triangle's border.
         crossed = np.repeat(np.arange(12), np.diff(every.offsets))
         both = found.triangle_id[crossed] == 0
         np.testing.assert_array_equal(every.t[both], found.t[crossed[both]])
@@ -82,7 +82,7 @@ def test_slivers_are_hit_where_their_planes_are(foot, height):
             hits += 1
             assert abs(float(Fraction(float(found.t[row])) - t)) < 1e-13
             assert weights[row].min() >= -1e-15
-            # What the height can do to a point is all that rounding leaves of a triangle thinner than it.
+            # For a triangle thinner than rounding only a loose bound holds.
             off = weights[row] @ triangle - (origins[row] + found.t[row] * directions[row])
             assert np.abs(off).max() < (1e-13 if height > 1e-13 else 1e-2)
     assert hits > 80

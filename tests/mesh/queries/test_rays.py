@@ -1,4 +1,4 @@
-"""All hits, crossings, starts and lengths of rays, on meshes whose answers are known by hand."""
+"""All hits, crossings, starts and lengths of rays, on meshes with answers known by hand."""
 
 from __future__ import annotations
 

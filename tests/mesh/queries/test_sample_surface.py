@@ -1,4 +1,4 @@
-"""sample_surface: distributions, least distances, determinism, and every error."""
+"""sample_surface: distributions, minimum distances, determinism, and every error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHAPES = {
     "tiny": mesh_catalog.scaled(mesh_catalog.torus(), 1e-200),
     "huge": mesh_catalog.scaled(mesh_catalog.torus(), 1e200),
 }
-# One chance in ten thousand that a right sampler fails; the seeds are fixed.
+# A correct sampler fails with a chance of one in ten thousand; the seeds are fixed.
 LEAST_CHANCE = 1e-4
 
 
@@ -37,12 +37,12 @@ def plate(length, width):
 
 
 def unit_scale(mesh):
-    """A power of two that brings the mesh to unit size: scaling by it rounds nothing."""
+    """A power of two that brings the mesh to unit size, so that scaling does not round."""
     return 2.0 ** -np.round(np.log2(np.ptp(mesh.vertices, axis=0).max()))
 
 
 def least_distance(points):
-    # As the promise is written, not as a tree would round it.
+    # By the documented formula, not with the rounding of the k-d tree.
     pairs = cKDTree(points).query(points, k=2)[1]
     d = points[pairs[:, 0]] - points[pairs[:, 1]]
     return np.sqrt((d[:, 0] ** 2 + d[:, 1] ** 2) + d[:, 2] ** 2).min()
@@ -137,7 +137,7 @@ def test_a_count_is_spread_evenly(shape):
     found = sample_surface(mesh, 1000, method="poisson_disk")
     scale = unit_scale(mesh)
     area = areas(TriangleMesh(mesh.vertices * scale, mesh.faces)).sum()
-    # What the docstring calls about 0.8; the densest packing of a plane has 1.07.
+    # About 0.8, as documented; the densest packing of a plane has 1.07.
     assert 0.7 < found.radius * scale / np.sqrt(area / 1000) < 1.0
     # Evenly also means that no place is far from all of them.
     probes = sample_surface(mesh, 20_000, seed=1).points * scale

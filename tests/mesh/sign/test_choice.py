@@ -1,4 +1,4 @@
-"""What "auto" is, and why: proven clean or not."""
+"""The method and reason of "auto": whether the mesh is proven clean."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_others_have_winding_numbers_and_say_why(mesh, reason):
 
 def test_a_cap_without_area_is_a_defect():
     mesh = mesh_catalog.box()
-    # An edge of the box cut in two by a triangle without area: closed by its edges all the same.
+    # An edge of the box is cut in two by a triangle without area; by its edges the mesh is still closed.
     a, b, c = mesh.faces[0]
     middle = len(mesh.vertices)
     vertices = np.concatenate([mesh.vertices, [(mesh.vertices[a] + mesh.vertices[b]) / 2]])

@@ -1,4 +1,4 @@
-"""Each way of telling inside from outside, against brute-force winding numbers in float64."""
+"""Each sign method against brute-force winding numbers in float64."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_signs_of_clean_meshes(make, sign):
 @pytest.mark.parametrize("sign", ["pseudonormal", "parity"])
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 def test_exact_methods_are_right_up_to_rounding(sign, scale):
-    # The winding number in float32 promises 1e-6 diagonals; these two promise all that float64 can tell.
+    # The winding number in float32 promises 1e-6 diagonals; these two methods are limited only by float64.
     mesh = mesh_catalog.scaled(mesh_catalog.torus(), scale)
     surface = gk.mesh.Surface(mesh, device="cpu")
     rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Signs and winding numbers towards where they fail: near the surface, far away, at holes, flips and overlaps."""
+"""Signs and winding numbers near their limits: close to the surface, far away, at holes, flips and overlaps."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ CLEAN = [
     mesh_catalog.cone(200, 1e4),
 ]
 
-# What files in the field have done to two good meshes.
+# Defects as they occur in real files, applied to two good meshes.
 BROKEN = [
     pytest.param(break_it(mesh), id=f"{mesh.name}: {name}")
     for mesh in (mesh_catalog.icosphere(3), mesh_catalog.torus(24, 12))
     for name, break_it in mesh_catalog.BROKEN.items()
 ]
 
-# On surfaces that lie once; a mesh of k copies of itself is off by k times this.
+# For simple surfaces; a mesh of k copies of itself has k times this error.
 WINDING_ERROR = 0.005
 
 
 def around(mesh, count, seed, distance):
-    """Points at this distance from random places on the mesh, along its normal there."""
+    """Points at this distance from random points of the mesh, along the normal there."""
     rng = np.random.default_rng(seed)
     corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]]
     weights = rng.dirichlet(np.ones(3), count)
-    # A fifth of them at an edge, and as many at a vertex.
+    # A fifth of them on an edge, and as many on a vertex.
     weights[: count // 5, 0] = 0
     weights[: count // 5] /= weights[: count // 5].sum(axis=1, keepdims=True)
     weights[count // 5 : 2 * count // 5] = [0, 1, 0]
@@ -55,7 +55,7 @@ def uniform_and_near(mesh, count, seed):
 
 
 def exact_winding(surface, points):
-    """The float64 sum over the triangles as the surface takes them to wind."""
+    """The float64 sum over the triangles, with the winding that the surface uses."""
     flipped = surface._orientation.flipped
     faces = np.where(flipped[:, None], surface.mesh.faces[:, ::-1], surface.mesh.faces)
     return reference.winding_number(surface.mesh.vertices, faces, points)
@@ -66,7 +66,7 @@ def exact_winding(surface, points):
 def test_sign_on_clean_meshes_is_exact(mesh, share):
     points = around(mesh, 250, 41, share * mesh.diagonal)
     expected = reference.signed_distance(mesh.vertices, mesh.faces, points)
-    # What was pushed out of one wall may have come close to another.
+    # A point pushed out of one wall may have come close to another.
     sure = np.abs(expected) > 0.5 * min(share, 1e-6) * mesh.diagonal
     assert sure.sum() > 100
     surface = Surface(mesh, device="cpu")
@@ -112,7 +112,7 @@ def test_winding_numbers_of_small_meshes(mesh):
     offset = rng.normal(size=(400, 3)) * mesh.diagonal * 10.0 ** rng.uniform(-6, -2, (400, 1))
     points = np.concatenate([points, on_surface + offset])
     surface = Surface(mesh, device="cpu")
-    # Nearer than that the two may differ in what is inside.
+    # Closer to the surface, the two may differ in which points are inside.
     clear = surface.closest_point(points).distance > 1e-7 * mesh.diagonal
     assert clear.mean() > 0.9
     error = np.abs(surface.winding_number(points) - exact_winding(surface, points))

@@ -1,4 +1,4 @@
-"""simplify on small meshes: what is merged, what is kept, what comes back unchanged, and every error."""
+"""simplify on small meshes: merged parts, kept parts, unchanged meshes, and every error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import Simplified, simplify
 from geokit.mesh._surface import Surface
 from geokit.mesh.simplification.deviation import within
-from geokit.mesh.simplification.invariants import faces_as_before, shape_of
+from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
 from geokit.mesh.simplification.quadric import decimate
 from tests.support import mesh_catalog
 from tests.support.reference import closest_point
@@ -81,7 +81,7 @@ def test_deviation_and_percentile_are_those_of_brute_force():
     largest = max(d.max() for d in distances)
     assert largest <= found.deviation <= 0.03
     assert type(found.deviation) is type(found.deviation_p999) is float
-    # Bounds are 2% of the tolerance wide; samples miss the worst place by a little.
+    # Bounds are 2% of the tolerance wide; samples slightly underestimate the largest distance.
     assert found.deviation <= largest + 0.1 * 0.03
     p999 = max(np.quantile(d, 0.999) for d in distances)
     assert found.deviation_p999 == pytest.approx(p999, rel=0.1)
@@ -201,14 +201,14 @@ class TestRefused:
 
 
 class TestParts:
-    """The checks by themselves: each must notice what it is there for."""
+    """Each check on its own must notice the defect that it is for."""
 
     def test_within_is_decided_on_both_sides_and_between_vertices(self):
         low = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
         high = mesh_catalog.moved(low, (0, 0, 0.5))
         # Half of the triangle: near in one direction only.
         half = TriangleMesh([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]], [[0, 1, 2]])
-        # Its corners are on the box, its middle is not: no vertex tells.
+        # Its corners are on the box, its center is not: no vertex reveals the distance.
         inner = TriangleMesh([[0, 0, 0], [1, 1, 0], [0, 1, 1]], [[0, 1, 2]])
         low, high, half, inner, box = (Surface(m, device="cpu") for m in (low, high, half, inner, flat_box()))
         assert within(low, high, 0.51)
@@ -238,17 +238,17 @@ class TestParts:
     def test_turned_faces_are_noticed(self):
         mesh = mesh_catalog.icosphere(2)
         original = Surface(mesh, device="cpu")
-        assert faces_as_before(mesh, original, 0.05)
+        assert has_similar_normals(mesh, original, 0.05)
         faces = mesh.faces.copy()
         faces[7] = faces[7][::-1]
-        assert not faces_as_before(TriangleMesh(mesh.vertices, faces), original, 0.05)
+        assert not has_similar_normals(TriangleMesh(mesh.vertices, faces), original, 0.05)
 
     def test_thin_walls_are_no_turned_faces(self):
         plate = mesh_catalog.box((0, 0, 0), (1, 1, 0.01))
         moved = mesh_catalog.moved(plate, (0, 0, -0.008))
         # The upper side now lies next to the lower side of the original.
-        assert faces_as_before(moved, Surface(plate, device="cpu"), 0.02)
-        assert not faces_as_before(moved, Surface(plate, device="cpu"), 0.001)
+        assert has_similar_normals(moved, Surface(plate, device="cpu"), 0.02)
+        assert not has_similar_normals(moved, Surface(plate, device="cpu"), 0.001)
 
     @pytest.mark.parametrize(
         "other",

@@ -1,4 +1,4 @@
-"""The audit's findings on meshes whose defects are known, and against trimesh's on clean and random ones."""
+"""The audit's findings on meshes with known defects, and against trimesh on clean and random ones."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_inside_out():
     assert report.inside_out
     assert report.signed_volume == -1.0
     assert audit(mesh_catalog.scaled(mesh_catalog.torus(), -1.0)).inside_out
-    # An open mesh has no inside to be out of.
+    # An open mesh has no inside, so it cannot be inside out.
     shell = mesh_catalog.holed_sphere()
     assert not audit(TriangleMesh(shell.vertices, shell.faces[:, ::-1])).inside_out
 
@@ -99,13 +99,13 @@ def test_duplicates():
     assert report.non_manifold_edge_count > 0
     assert not report.watertight
     assert not report.manifold
-    # A copy with vertices of its own is a copy of the surface all the same.
+    # A copy with its own vertices is still a copy of the surface.
     assert audit(mesh_catalog.join(mesh_catalog.box(), mesh_catalog.box())).duplicate_count == 12
     assert audit(TriangleMesh(np.eye(3), [[0, 1, 2]] * 4)).duplicate_count == 3
 
 
 def test_duplicates_are_compared_corner_by_corner(monkeypatch):
-    # Whatever the numbers by which faces are found to be alike: here they are all the same.
+    # The numbers used to find equal faces do not matter: here they are all the same.
     monkeypatch.setattr(equal_rows, "_scrambled", lambda count: np.zeros(count, np.uint64))
     assert audit(mesh_catalog.duplicate_faces()).duplicate_count == 3
     assert audit(mesh_catalog.torus()).duplicate_count == 0
@@ -251,7 +251,7 @@ def test_any_size_that_float64_holds(size):
 
 @pytest.fixture(params=["NumPy", "kernels", "sorted indices"])
 def way(request, monkeypatch):
-    """Small meshes are done in NumPy, large ones by kernels, and very large ones are sorted otherwise."""
+    """The three code paths: NumPy for small meshes, kernels for large ones, another sort for very large ones."""
     monkeypatch.setattr(connectivity, "KERNELS_PAY", 0 if request.param == "kernels" else 1 << 62)
     if request.param == "sorted indices":
         monkeypatch.setattr(connectivity, "PACKED_END", 0)
@@ -290,7 +290,7 @@ def _component_count(faces: np.ndarray) -> int:
 
 
 def _split_vertex_count(faces: np.ndarray) -> int:
-    """Vertices whose faces do not hang together through edges of exactly two faces."""
+    """Vertices whose faces are not connected through edges of exactly two faces."""
     uses: dict[frozenset, int] = {}
     for face in faces.tolist():
         for k in range(3):
@@ -309,7 +309,7 @@ def _split_vertex_count(faces: np.ndarray) -> int:
 
 def _single_fans(faces: np.ndarray) -> bool:
     for vertex in np.unique(faces):
-        # The edges opposite to the vertex form one connected piece where its faces form one fan.
+        # The edges opposite to the vertex are connected exactly if its faces form one fan.
         rings = [[corner for corner in face if corner != vertex] for face in faces.tolist() if vertex in face]
         if _component_count(np.array(rings)) > 1:
             return False
@@ -335,7 +335,7 @@ def test_large_meshes_are_audited_as_small_ones(make, monkeypatch):
     for threshold in (0, 1 << 62):
         monkeypatch.setattr(connectivity, "KERNELS_PAY", threshold)
         found.append(audit(make()))
-    # To the last bit: which of the two answers depends on whether warp is loaded.
+    # Equal to the last bit, because the path depends on whether warp is loaded.
     for field in dataclasses.fields(found[0]):
         np.testing.assert_array_equal(*(getattr(report, field.name) for report in found), err_msg=field.name)
 

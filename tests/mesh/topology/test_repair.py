@@ -1,4 +1,4 @@
-"""Winding made alike and outward, vertices merged, faces without area dropped: on meshes small enough to know."""
+"""Consistent and outward winding, merged vertices, removed faces: on meshes small enough to know the answer."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_flipped_faces_of_solids_are_turned_back(make, share):
 
 
 def test_half_of_the_faces_of_a_solid():
-    # Whichever way most of them wind, the volume decides.
+    # The volume decides, not the winding of the majority.
     sphere = mesh_catalog.icosphere()
     assert np.array_equal(orient(turned(sphere, slice(0, 200))).mesh.faces, sphere.faces)
     assert np.array_equal(orient(turned(mesh_catalog.soup(sphere), slice(1, None, 2))).flipped, np.arange(320) % 2 == 1)
@@ -80,10 +80,10 @@ def test_open_pieces_go_with_most_of_their_faces():
     shell = mesh_catalog.open_shell()
     some = turned(shell, slice(0, None, 3))
     assert np.array_equal(orient(some).mesh.faces, shell.faces)
-    # However inside out it may be: an open mesh has no inside.
+    # However many faces are reversed: an open mesh has no inside.
     assert np.array_equal(orient(turned(some)).mesh.faces, turned(shell).faces)
     assert not orient_faces(some, Surface).closed
-    # Half of the faces: the lowest stays.
+    # Half of the faces each way: the lowest face stays.
     square = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 2, 3]])
     assert orient(square).flipped.tolist() == [False, True]
 
@@ -103,7 +103,7 @@ def test_one_sided_pieces_are_left_and_told():
     found = orient(strip)
     assert not found.consistent
     assert not found.flipped.any()
-    # The others are oriented all the same.
+    # The other components are oriented nevertheless.
     beside = mesh_catalog.join(strip, turned(mesh_catalog.moved(mesh_catalog.box(), (5, 0, 0)), [0]))
     assert np.flatnonzero(orient(beside).flipped).tolist() == [len(strip.faces)]
     assert not orient(beside).consistent
@@ -116,7 +116,7 @@ def test_moebius_with_a_whole_turn_is_consistent():
 
 
 NESTED = {
-    # name: the cubes from the outermost to the innermost as given, and as they come out (True: outward).
+    # name: windings of the cubes from the outermost to the innermost, as given and in the result (True: outward).
     "cavity": ([True, False], [True, False]),
     "inside out with its cavity": ([False, True], [True, False]),
     "a solid in a solid": ([True, True], [True, True]),
@@ -141,9 +141,9 @@ def test_nested_pieces_turn_with_the_outermost(ways, backwards):
     mesh = mesh_catalog.join(*cubes)
     found = orient(mesh)
     assert np.array_equal(found.flipped, flipped)
-    # With a surface at hand it is asked, and answers the same.
+    # An existing surface is used, and gives the same answer.
     assert np.array_equal(orient_faces(mesh, Surface, surface=Surface(mesh, device="cpu")).flipped, flipped)
-    # Nowhere does the mesh wind a negative number of times.
+    # No point has a negative winding number.
     points = np.linspace(0.5, 10, 20)[:, None] + np.array([0.0, 0.03, 0.07])
     assert (_signed_passages(found.mesh, points) >= 0).all()
 
@@ -176,7 +176,7 @@ def test_large_meshes_are_oriented_as_small_ones(threads, monkeypatch):
 def test_flips_within_a_cavity_keep_it_one():
     mesh = mesh_catalog.nested_boxes()
     assert np.array_equal(orient(turned(mesh, [1, 14, 20])).mesh.faces, mesh.faces)
-    # Far apart from each other, boxes around boxes do not matter.
+    # At a distance from each other, nested boxes do not matter.
     apart = mesh_catalog.join(mesh, mesh_catalog.moved(turned(mesh), (100, 0, 0)))
     assert orient(apart).flipped.tolist() == [False] * 24 + [True] * 24
 
@@ -191,7 +191,7 @@ def test_a_box_in_the_box_but_not_in_the_solid():
 
 
 def test_many_pieces(monkeypatch):
-    # More than are compared box by box.
+    # More components than are compared box by box.
     monkeypatch.setattr(orientation, "MANY_PIECES", 4)
     boxes = [mesh_catalog.moved(cube(0, 1, k % 2 == 0), (3.0 * k, 0, 0)) for k in range(9)]
     assert np.array_equal(orient(mesh_catalog.join(*boxes)).flipped, np.repeat(np.arange(9) % 2 == 1, 12))
@@ -219,7 +219,7 @@ def test_copies_of_faces_turn_along():
     twice = mesh_catalog.join(mesh_catalog.box(), mesh_catalog.box())
     assert orient(turned(twice)).flipped.all()
     assert not orient_faces(twice, Surface).closed
-    # Of a face alone, given twice, once and again.
+    # A single face, given twice: in the same winding and reversed.
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
     assert not orient(TriangleMesh(corners, [[0, 1, 2], [0, 1, 2]])).flipped.any()
     assert not orient_faces(TriangleMesh(corners, [[0, 1, 2], [0, 1, 2]]), Surface).closed
@@ -237,7 +237,7 @@ def test_faces_that_take_no_part():
 
 
 def test_sheets_folded_flat_have_no_volume():
-    # A square given as two sheets of different triangles: closed, and whatever way it winds, it bounds nothing.
+    # A square as two sheets of different triangles: closed, but with either winding it bounds no volume.
     square = [[0, 0, 0.1], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.2]]
     sheet = TriangleMesh(square, [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
     flat = TriangleMesh(np.array(square) * [1, 1, 0], sheet.faces)
@@ -273,7 +273,7 @@ def test_equal_vertices_become_one():
     mesh = mesh_catalog.join(mesh_catalog.box(), mesh_catalog.box((1, 0, 0), (2, 1, 1)))
     merged = merge_vertices(mesh)
     assert (len(merged.vertices), merged.parts, merged.name) == (12, mesh.parts, mesh.name)
-    # The first of each, in their order; -0.0 is 0.0; vertices that nobody uses are vertices too.
+    # The first of each group stays, in order; -0.0 equals 0.0; unused vertices are merged like the others.
     vertices = [[0, 0, 0], [1, 0, 0], [-0.0, 0, 0], [0, 1, 0], [7, 7, 7], [1, 0, 0]]
     merged = merge_vertices(TriangleMesh(vertices, [[2, 5, 3]]))
     assert merged.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [7, 7, 7]]
@@ -284,12 +284,12 @@ def test_near_vertices_become_the_first():
     line = np.zeros((6, 3))
     line[:, 0] = [0.0, 0.6, 1.2, 1.8, 1.0, 9.0]
     merged = merge_vertices(TriangleMesh(line, [[0, 1, 2], [3, 4, 5]]), tolerance=1.0)
-    # 0 takes 0.6 and 1.0; 1.2 stays and takes 1.8: no chain to the end.
+    # 0 absorbs 0.6 and 1.0; 1.2 stays and absorbs 1.8: the chain does not collapse.
     assert merged.vertices[:, 0].tolist() == [0.0, 1.2, 9.0]
     assert merged.faces.tolist() == [[0, 0, 1], [1, 0, 2]]
-    # Just beyond the tolerance nothing is taken.
+    # Just below the distance nothing is absorbed.
     assert len(merge_vertices(TriangleMesh(line, [[0, 1, 2]]), tolerance=np.nextafter(1.2 - 1.0, 0)).vertices) == 6
-    # A box drawn with shaky corners.
+    # A box with noisy corners.
     rng = np.random.default_rng(5)
     soup = mesh_catalog.soup(mesh_catalog.box())
     shaky = TriangleMesh(soup.vertices + rng.uniform(-1e-7, 1e-7, soup.vertices.shape), soup.faces)
@@ -299,7 +299,7 @@ def test_near_vertices_become_the_first():
 
 
 def test_rows_of_near_vertices(monkeypatch):
-    # Each waits for the one before it: longer than the rounds in which all are decided at once.
+    # Each vertex waits for the previous one: more than the rounds in which all are decided at once.
     line = np.zeros((300, 3))
     line[:, 0] = np.arange(300)
     for rounds in (0, 2, 1000):

@@ -1,4 +1,4 @@
-"""Repairs against slow ones written another way, and what must not change them."""
+"""Repairs against slow, independent implementations, and their invariances."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def uses_of_edges(faces: list[list[int]]) -> dict[frozenset, list[tuple[int, boo
 
 
 def walked(faces: list[list[int]]) -> list[tuple[dict[int, bool], bool]]:
-    """The pieces, one face after the other: which faces to turn for the lowest to stay, and whether that works out."""
+    """The components, walked face by face: the faces to flip so that the lowest stays, and whether that is
+    consistent."""
     pairs = [users for users in uses_of_edges(faces).values() if len(users) == 2]
     pieces: list[tuple[dict[int, bool], bool]] = []
     for first in sorted(set(first_copies(faces))):
@@ -76,7 +77,7 @@ def test_orient_is_the_walk_over_the_faces(faces, seed):
             against = int(ways.sum())
             assert np.array_equal(found.flipped[rows], ways ^ (2 * against > len(rows)))
         else:
-            # Closed: one of the two ways, and outward unless other solids are around.
+            # Closed: one of the two windings, and outward unless it is inside other solids.
             assert np.array_equal(found.flipped[rows], ways) or np.array_equal(found.flipped[rows], ~ways)
             if len(pieces) == 1:
                 assert np.linalg.det(found.mesh.vertices[found.mesh.faces[rows]]).sum() > 0
@@ -96,7 +97,7 @@ def test_solids_come_out_the_same(make, seed, share, reverse):
     given_faces = mesh_catalog.with_flips(mesh, share, seed).faces[:, :: -1 if reverse else 1]
     faces, vertices = rng.permutation(len(mesh.faces)), rng.permutation(len(mesh.vertices))
     rank = np.argsort(vertices)
-    # Each piece of nested solids is to be told by most of its faces.
+    # The majority of the faces must determine the winding of each nested solid.
     flips = (given_faces != mesh.faces).any(axis=1) ^ reverse
     ranges = [slice(part.first_face, part.first_face + part.face_count) for part in mesh.parts] or [slice(None)]
     assume(all(flips[rows].mean() < 0.5 for rows in ranges))
