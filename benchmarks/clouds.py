@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-# Neighbours of a point on average.
+# Neighbors of a point on average.
 NEIGHBORS = 30
 
 

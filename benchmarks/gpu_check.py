@@ -89,9 +89,9 @@ def compare(mesh, device, rows):
     grids = [gk.points.NeighborGrid(cloud, 0.04, device=d) for d in ("cpu", device)]
     a, b = (grid.radius_search(cloud[:20_000], radius=0.04) for grid in grids)
     same = all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-    rows.append(("neighbours: lists that differ", len(a.indices), 0 if same else 1))
+    rows.append(("neighbors: lists that differ", len(a.indices), 0 if same else 1))
     counts = [grid.count(cloud) for grid in grids]
-    rows.append(("neighbour counts that differ", len(cloud), int((counts[0] != counts[1]).sum())))
+    rows.append(("neighbor counts that differ", len(cloud), int((counts[0] != counts[1]).sum())))
     check_overlaps(cpu, gpu, points, rows)
     check_containers(gpu, points[:1000], device, rows)
     check_leaks(gpu, device, rows)
@@ -180,7 +180,7 @@ def check_leaks(gpu, device, rows):
 def rates(mesh, device, rows, count):
     """Median times side by side with raw warp on arrays that lie on the device, random order."""
     surface = gk.mesh.Surface(mesh, device=device)
-    centre, scale = surface.origin, surface.scale
+    center, scale = surface.origin, surface.scale
     size = f"{len(mesh.faces):,} triangles"
 
     def on_device(values, dtype):
@@ -188,7 +188,7 @@ def rates(mesh, device, rows, count):
 
     out = wp.empty(count, dtype=wp.float32, device=device)
     for name, points in (("uniform", inputs.uniform(mesh, count)), ("near", inputs.near(mesh, count))):
-        local = on_device((points - centre) / scale, wp.vec3)
+        local = on_device((points - center) / scale, wp.vec3)
         for label, dtype in (("float64", wp.vec3d), ("float32", wp.vec3f)):
             given = on_device(points, dtype)
             ours = median_seconds(lambda given=given: surface.closest_point(given), device)
@@ -202,7 +202,7 @@ def rates(mesh, device, rows, count):
         ("camera", inputs.camera_rays(mesh, 2000, count // 2000)),
     ):
         given = [on_device(a, wp.vec3d) for a in rays]
-        local = [on_device((rays[0] - centre) / scale, wp.vec3), on_device(rays[1] / scale, wp.vec3)]
+        local = [on_device((rays[0] - center) / scale, wp.vec3), on_device(rays[1] / scale, wp.vec3)]
         ours = median_seconds(lambda given=given: surface.raycast(*given), device)
         raw = median_seconds(
             lambda local=local: wp.launch(raw_ray_kernel, count, [surface.id, *local], [out], device=device), device
@@ -210,7 +210,7 @@ def rates(mesh, device, rows, count):
         rows.append((f"first hit, {name}, {size}", count, ours, raw))
     for calls in (1, 100):
         few = on_device(inputs.uniform(mesh, calls), wp.vec3d)
-        local = wp.array((few.numpy() - centre) / scale, dtype=wp.vec3, device=device)
+        local = wp.array((few.numpy() - center) / scale, dtype=wp.vec3, device=device)
         ours = median_seconds(lambda few=few: surface.closest_point(few), device, runs=200)
         raw = median_seconds(
             lambda local=local: wp.launch(raw_closest_kernel, len(local), [surface.id, local], [out], device=device),
@@ -255,7 +255,7 @@ def neighbor_rates(device, rows, count):
     raw = median_seconds(
         lambda: wp.launch(raw_count_in_order_kernel, count, [hashed.id, single, radius], [out], device=device), device
     )
-    rows.append(("neighbour counts, 30 each", count, ours, raw))
+    rows.append(("neighbor counts, 30 each", count, ours, raw))
     build = median_seconds(lambda: gk.points.NeighborGrid(given, radius, device=device), device)
     raw = median_seconds(lambda: hashed.build(single, radius), device)
     rows.append(("NeighborGrid build", count, build, raw))

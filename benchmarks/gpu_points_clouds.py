@@ -44,9 +44,9 @@ def ball(count: int) -> np.ndarray:
 def blobs(count: int) -> np.ndarray:
     """Nine tenths in fifty blobs, one tenth anywhere."""
     random = np.random.default_rng(1)
-    centres = random.random((50, 3))
+    centers = random.random((50, 3))
     many = count * 9 // 10
-    near = centres[random.integers(0, 50, many)] + random.normal(size=(many, 3)) * 0.03
+    near = centers[random.integers(0, 50, many)] + random.normal(size=(many, 3)) * 0.03
     return np.concatenate([near, random.random((count - many, 3))])
 
 

@@ -1,4 +1,4 @@
-"""Nearest neighbours on a GPU: the CPU's answers, and the time beside a tiled brute force in raw warp."""
+"""Nearest neighbors on a GPU: the CPU's answers, and the time beside a tiled brute force in raw warp."""
 
 from __future__ import annotations
 

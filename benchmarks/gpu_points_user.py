@@ -74,7 +74,7 @@ def check_page(out: Out) -> None:
 
     grid = page["grid"]
     counts = gk.points.NeighborGrid(grid.points, radius=0.1, device="cpu").count(grid.points)
-    out(f"| grid | neighbours | {int(np.abs(grid.count.numpy() - counts).max())} |")
+    out(f"| grid | neighbors | {int(np.abs(grid.count.numpy() - counts).max())} |")
 
     every = page["all"]
     pushes = every.push.numpy()

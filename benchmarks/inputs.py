@@ -96,8 +96,8 @@ def uniform(mesh: TriangleMesh, count: int, seed: int = 0) -> np.ndarray:
 def near(mesh: TriangleMesh, count: int, seed: int = 0, sigma: float = 0.01) -> np.ndarray:
     """Points about the surface, normally distributed by ``sigma`` of the longest side."""
     rng = np.random.default_rng(seed)
-    centre = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]].mean(axis=1)
-    return centre + rng.normal(0, sigma * (mesh.bounds[1] - mesh.bounds[0]).max(), (count, 3))
+    center = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]].mean(axis=1)
+    return center + rng.normal(0, sigma * (mesh.bounds[1] - mesh.bounds[0]).max(), (count, 3))
 
 
 def random_rays(mesh: TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
-"""Neighbours against every peer: ``python -m benchmarks.points [--tasks NAME ...] [--counts N ...] [--out FILE]``.
+"""Neighbors against every peer: ``python -m benchmarks.points [--tasks NAME ...] [--counts N ...] [--out FILE]``.
 
 Points are their own queries; building is part of each time, of geokit's and of the peer's. Answers are compared first:
-counts, and all lists of neighbours as sets; nobody sorts them. SciPy and nanoflann have float64 points; Open3D has
+counts, and all lists of neighbors as sets; nobody sorts them. SciPy and nanoflann have float64 points; Open3D has
 float32 ones, as geokit has beside it, and decides in float32: of 100,000 lists one may be another. All get all threads.
 """
 
@@ -200,7 +200,7 @@ def nearest(report: Report, count: int) -> None:
 
 
 def shapes(report: Report, _: int) -> None:
-    """Time for each neighbour found, of clouds of other shapes, in units of the uniform cloud's."""
+    """Time for each neighbor found, of clouds of other shapes, in units of the uniform cloud's."""
     usual: dict[str, float] = {}
     for name in clouds.SHAPES:
         points, radius = cloud_of(name, SHAPE_COUNT)
@@ -219,7 +219,7 @@ def shapes(report: Report, _: int) -> None:
                     f"{1e-6 / each:.1f}",
                     bar="2",
                     met="met" if against <= 2.0 else "NOT met",
-                    note=f"{number / len(points):.1f} neighbours each; {against:.2f} of the uniform time for each",
+                    note=f"{number / len(points):.1f} neighbors each; {against:.2f} of the uniform time for each",
                 )
             )
 

@@ -2,7 +2,7 @@
 
 The bunny is broken in each way of tests/support/mesh_catalog.py. libigl's exact sum judges both, geokit and libigl's
 fast winding number; it counts points whose exact winding number is farther than 0.01 from 1/2. geokit turns faces that
-are wound against their neighbours first, so the exact sum is taken over the mesh as it turned it. Speed is that of
+are wound against their neighbors first, so the exact sum is taken over the mesh as it turned it. Speed is that of
 signed distances, libigl's trees built before the clock starts, and of winding numbers alone; medians of paired runs.
 """
 

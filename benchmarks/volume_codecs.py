@@ -1,4 +1,4 @@
-"""Quantised grids and volumes from arrays, points and functions, side by side: ``python -m benchmarks.volume_codecs``.
+"""Quantized grids and volumes from arrays, points and functions, side by side: ``python -m benchmarks.volume_codecs``.
 
 Answers are compared first; then both sides run in turn and the ratio is that of the medians. Peers are programs of
 OpenVDB's packages (nanovdb_convert, vdb_tool, pyopenvdb for the system's Python), left out where they are not
@@ -87,7 +87,7 @@ def sizes(volume: Any) -> None:
     active = to_dense(volume, device="cpu").values
     near = np.argwhere(np.abs(active) < volume.info.background)[:: max(1, active.size // 10_000_000)] + box[0]
     points = (near[rng.permutation(len(near))] + rng.uniform(-0.5, 0.5, (len(near), 3))) * voxel
-    print("\n| codec | MiB | bytes of the float grid | largest error [voxels] | quantise ms | sample M/s |")
+    print("\n| codec | MiB | bytes of the float grid | largest error [voxels] | quantize ms | sample M/s |")
     print("|---|---:|---:|---:|---:|---:|")
     for codec, share in CODECS.items():
         tolerance = None if share is None else share * volume.info.background

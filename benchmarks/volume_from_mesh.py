@@ -44,10 +44,10 @@ def largest_error(surface: Any, volume: Any) -> tuple[float, int]:
     """Largest difference [voxels] from the exact distance at voxels of the band, and how many were looked at."""
     voxel = float(volume.info.voxel_size[0])
     near = inputs.near(surface.mesh, CHECKED, sigma=1.5 * voxel / float(np.ptp(surface.bounds, axis=0).max()))
-    centres = np.unique(np.round(near / voxel).astype(np.int64), axis=0) * voxel
-    value = volume.sample(centres, order=0, device="cpu")
+    centers = np.unique(np.round(near / voxel).astype(np.int64), axis=0) * voxel
+    value = volume.sample(centers, order=0, device="cpu")
     active = np.abs(value) < volume.info.background
-    exact = surface.signed_distance(centres[active]).distance
+    exact = surface.signed_distance(centers[active]).distance
     return float(np.abs(value[active] - exact).max() / voxel), int(active.sum())
 
 

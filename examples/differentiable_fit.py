@@ -40,7 +40,7 @@ def distance_kernel(
     shifts: wp.array(dtype=wp.vec3f),
     out_distance: wp.array(dtype=float),
 ):
-    """Signed distance of each point after its turn around the centre and its shift."""
+    """Signed distance of each point after its turn around the center and its shift."""
     i = wp.tid()
     moved = center + turned(turns[i], points[i] - center) + shifts[i]
     out_distance[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, moved), wp.Volume.LINEAR)
@@ -166,7 +166,7 @@ def main() -> None:
 def draw(
     mesh: gk.mesh.TriangleMesh, start: np.ndarray, fitted: np.ndarray, surface: gk.mesh.Surface, path: Path
 ) -> None:
-    """Before and after, the points coloured by their distance."""
+    """Before and after, the points colored by their distance."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -66,8 +66,8 @@ class Scene:
             frame()
             moved, near = self.most.numpy().max(axis=0)
             if near > MOST_NEAR or (self.every == 1 and not moved <= half):
-                raise RuntimeError(f"unstable: a grain has {near:g} neighbours or moved {moved:g} m: shorten the step")
-            if not moved <= half:  # neighbours may have been missed: once more, with twice as many lists
+                raise RuntimeError(f"unstable: a grain has {near:g} neighbors or moved {moved:g} m: shorten the step")
+            if not moved <= half:  # neighbors may have been missed: once more, with twice as many lists
                 self.every //= 2
                 wp.copy(self.x, before[0])
                 wp.copy(self.v, before[1])

@@ -43,7 +43,7 @@ def animate(scene: Any, size: float, states: list[np.ndarray], frames: int, out:
         return
     from PIL import Image
 
-    # Grains are coloured by the layer in which they began: what the ring has mixed shows.
+    # Grains are colored by the layer in which they began: what the ring has mixed shows.
     height, started = states[0][:, 2], scene.time - len(states) / 60.0
     stand = stand_of(size, scene.w.radius, STILL_VOXELS)
     draw(out.with_suffix(".png"), scene, stand, size, states[-1], scene.time, height, STILL_SIZE)
@@ -90,7 +90,7 @@ def draw(
     pixels: tuple[int, int],
     label: str = "height at first [m]",
 ) -> None:
-    """One frame: the ring where it is at that time, the stand, and the grains coloured by ``value``."""
+    """One frame: the ring where it is at that time, the stand, and the grains colored by ``value``."""
     ring = scene.surface.mesh
     posed = gk.mesh.TriangleMesh(ring.vertices @ turned(scene.w.turn * at).T, ring.faces)
     gk.render.figure(

@@ -98,6 +98,6 @@ def _expected(near: NearSurface, voxel_size: float, half_width: float) -> Known:
     reach = half_width * voxel_size
     offset = rng.normal(size=points.shape)
     offset *= reach * rng.random((count, 1)) / np.linalg.norm(offset, axis=1, keepdims=True)
-    # Voxel centres lie at whole multiples of the voxel size.
+    # Voxel centers lie at whole multiples of the voxel size.
     centers = np.unique(np.rint((points + offset) / voxel_size), axis=0) * voxel_size
     return near.truth(centers, np.arange(len(centers)))

@@ -1,4 +1,4 @@
-"""Charts of neighbours: within a radius, by cell size and order of the rows, and the nearest k."""
+"""Charts of neighbors: within a radius, by cell size and order of the rows, and the nearest k."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ HASH_GRID, HASH_POINT = 16 << 20, 20
 
 
 def neighbors_chart(setup: PointsSetup) -> Chart:
-    """Shares of queries whose neighbours are not the right set, by cell size, order and precision.
+    """Shares of queries whose neighbors are not the right set, by cell size, order and precision.
 
     Counts are wrong where they differ. The error of a radius search is that of its distances.
     """
-    title = "Neighbours within a radius"
+    title = "Neighbors within a radius"
     return Chart("neighbors", title, "world", "queries", lambda: _radius_trials(setup), "wrong")
 
 
@@ -121,7 +121,7 @@ def _searching(grid: NeighborGrid, queries: Any, radius: float, order: str) -> C
 
 
 def _within(setup: PointsSetup) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Neighbours of the checked queries by ascending index, and how far they are."""
+    """Neighbors of the checked queries by ascending index, and how far they are."""
     found = reference.neighbors_within(setup.points, setup.checked, setup.radius)
     at = setup.checked
     return [(near, np.linalg.norm(setup.points[near] - at[i], axis=1)) for i, near in enumerate(found)]

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 NEIGHBORS = (8, 16, 32, 64)
 QUICK_NEIGHBORS = (8, 32)
 ORIENTATIONS = ("none", "propagation")
-# Where the two least eigenvalues are nearer to each other than this share of the largest, a neighbourhood has no plane
+# Where the two least eigenvalues are nearer to each other than this share of the largest, a neighborhood has no plane
 # that is better than others, and a rounding turns it.
 GAP = 1e-3
 # Radii of the torus, and how far its points are moved along the normals: a scanner's noise of a tenth of a percent.
@@ -34,10 +34,10 @@ COUNTS = (5_000, 20_000)
 
 
 def point_normals_charts(setup: PointsSetup) -> list[Chart]:
-    """Angles between normals and planes through the same neighbours, and between normals and those of a noisy torus.
+    """Angles between normals and planes through the same neighbors, and between normals and those of a noisy torus.
 
-    The first says what the arithmetic costs: neighbourhoods without a best plane are left out, signs do not count. The
-    second says what the number of neighbours does to the truth, and normals that look inward are wrong where
+    The first says what the arithmetic costs: neighborhoods without a best plane are left out, signs do not count. The
+    second says what the number of neighbors does to the truth, and normals that look inward are wrong where
     orientation was asked for; it is the same for all subjects.
     """
     title = "Normals of points"

@@ -1,4 +1,4 @@
-"""The charts of points: what neighbours, normals and smaller clouds cost, and how right they are.
+"""The charts of points: what neighbors, normals and smaller clouds cost, and how right they are.
 
 Every answer is held against float64 NumPy that shares no code with it (geokit/accuracy/reference) on a random subset
 with a fixed seed; the reference of a chart is computed once. Points are on the device before the clock runs; answers
@@ -25,7 +25,7 @@ def points_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
 
     - "neighbors": shares of wrong sets within a radius, by cell size, order and precision, and of warp's own hash grid.
     - "nearest": k nearest points, with a radius, in float32, with the tree made in the call.
-    - "point_normals" and "torus_normals": number of neighbours, against planes and against a shape that is known.
+    - "point_normals" and "torus_normals": number of neighbors, against planes and against a shape that is known.
     - "downsample": methods by the distance from the points to those that are left.
 
     Args:

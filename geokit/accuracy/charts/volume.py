@@ -65,7 +65,7 @@ def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
         The charts; none for a grid without active voxels.
     Raises:
         InputError: The subject has no volume.
-        UnsupportedGridError: The grid's values are not floating point or quantised.
+        UnsupportedGridError: The grid's values are not floating point or quantized.
     """
     from geokit.accuracy.charts.from_volume import isosurface_chart
     from geokit.accuracy.charts.gradients import gradients_chart

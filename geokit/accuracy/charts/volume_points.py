@@ -27,7 +27,7 @@ class VolumePoints:
     """Points near the active voxels of a volume, and its interpolants there; made when first asked for.
 
     Args:
-        volume: A scalar grid of floating point or quantised values.
+        volume: A scalar grid of floating point or quantized values.
         device: Where the methods run.
         quick: Whether to ask little.
     Raises:

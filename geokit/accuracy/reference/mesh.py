@@ -272,7 +272,7 @@ def _near_triangles(points: Floats, centers: Floats, radii: Floats) -> tuple[Ind
     """Points and triangles that may be nearest to them; by ascending point, then triangle."""
     x, y, z = _apart(points, centers)
     squared = x * x + y * y + z * z
-    # A centre lies on its triangle, and no point of the triangle is further from it than the radius.
+    # A center lies on its triangle, and no point of the triangle is further from it than the radius.
     reach = np.sqrt(squared.min(axis=1)) + SPHERE_MARGIN * (1.0 + _length(points))
     row, triangle = np.nonzero(squared <= (reach[:, None] + radii) ** 2)
     return row, triangle

@@ -1,4 +1,4 @@
-"""Neighbours of points and planes through them, in float64 NumPy: all distances. Shares no code with geokit."""
+"""Neighbors of points and planes through them, in float64 NumPy: all distances. Shares no code with geokit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 
 class PlaneReference(NamedTuple):
-    """Planes through neighbourhoods of points.
+    """Planes through neighborhoods of points.
 
     Attributes:
         normals: Unit normals, of either sign, shape (Q, 3).
@@ -74,11 +74,11 @@ def k_nearest(
 
 
 def plane_normals(points: ArrayLike, neighbors: ArrayLike) -> PlaneReference:
-    """Planes of least squares through the neighbours of Q points.
+    """Planes of least squares through the neighbors of Q points.
 
     Args:
         points: Positions, shape (N, 3).
-        neighbors: Indices of the points of each neighbourhood, shape (Q, k).
+        neighbors: Indices of the points of each neighborhood, shape (Q, k).
     Returns:
         PlaneReference.
     """

@@ -1,4 +1,4 @@
-"""Where the error sits: the checked answers of one setting, coloured by how far off they are."""
+"""Where the error sits: the checked answers of one setting, colored by how far off they are."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MESH_OPACITY = 0.3
 POINT_SIZES = (4.0, 9.0)
 FEW_POINTS = 100
 WRONG_COLOR = "#D55E00"
-# Colours of the file: what a palette holds.
+# Colors of the file: what a palette holds.
 PALETTE = 256
 
 
@@ -121,10 +121,10 @@ def _draw(subject: Subject, positions: NDArray[np.float64], color: Any, label: s
 
 
 def smaller(path: Path, colors: int) -> bytes:
-    """The PNG file with a palette: a third of the size for figures of few colours."""
+    """The PNG file with a palette: a third of the size for figures of few colors."""
     from PIL import Image
 
-    # The octree keeps colours that few pixels have, those of single points, and greys grey; other methods do not.
+    # The octree keeps colors that few pixels have, those of single points, and grays gray; other methods do not.
     stream = io.BytesIO()
     with Image.open(path) as picture:
         picture.convert("RGB").quantize(colors, method=Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)

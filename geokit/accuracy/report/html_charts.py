@@ -59,7 +59,7 @@ def svg(plot: Plot, title: str, answers: str) -> str:
 
 
 def legend(plot: Plot) -> str:
-    """What colours and lines mean, as a list."""
+    """What colors and lines mean, as a list."""
     items = [
         f'<li>{_swatch(number, ring=False, hollow=False)}{escape(name)}</li>'
         for number, name in enumerate(plot.methods)

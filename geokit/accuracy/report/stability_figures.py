@@ -15,7 +15,7 @@ from geokit.core.files import atomic_path
 __all__ = ["sweep_figure"]
 
 SIZE = (520, 400)
-# Colours of the file: two lines, a shade and grey text need no more.
+# Colors of the file: two lines, a shade and gray text need no more.
 PALETTE = 32
 ERROR_COLOR, WRONG_COLOR, ENVELOPE_COLOR = "#0072B2", "#D55E00", "#009E73"
 # Exact answers are drawn this many decades below the smallest error or promise.

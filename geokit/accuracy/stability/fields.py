@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = ["ball", "field", "level_set", "unit_vectors", "voxel_centres"]
+__all__ = ["ball", "field", "level_set", "unit_vectors", "voxel_centers"]
 
 Floats = NDArray[np.float64]
 Field = Callable[[Floats], Floats]
@@ -29,13 +29,13 @@ def unit_vectors(count: int, seed: int) -> Floats:
     return unit
 
 
-def ball(radius: float, centre: Floats = MIDDLE) -> Field:
+def ball(radius: float, center: Floats = MIDDLE) -> Field:
     """Signed distance from a sphere [voxels]."""
-    return lambda points: np.linalg.norm(points - centre, axis=-1) - radius
+    return lambda points: np.linalg.norm(points - center, axis=-1) - radius
 
 
-def voxel_centres(reach: int) -> Floats:
-    """All voxel centres with coordinates from -reach to reach, shape (n, n, n, 3)."""
+def voxel_centers(reach: int) -> Floats:
+    """All voxel centers with coordinates from -reach to reach, shape (n, n, n, 3)."""
     axis = np.arange(-reach, reach + 1.0)
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
 
@@ -45,7 +45,7 @@ def level_set(function: Field, reach: float, cut: float = 3.0) -> SparseVolume:
     from geokit.volume._dense import from_dense
 
     corner = int(np.ceil(reach)) + MARGIN
-    values = np.clip(function(voxel_centres(corner)), -cut, cut)
+    values = np.clip(function(voxel_centers(corner)), -cut, cut)
     return from_dense(values, voxel_size=1.0, origin=3 * (-corner,), background=cut, grid_class="level set")
 
 
@@ -54,5 +54,5 @@ def field(function: Field, reach: int, *, background: float = 0.0, transform: An
     from geokit.volume._dense import from_dense
 
     matrix = np.eye(4) if transform is None else transform
-    values = function(voxel_centres(reach))
+    values = function(voxel_centers(reach))
     return from_dense(values, transform=matrix, origin=3 * (-reach,), background=background)

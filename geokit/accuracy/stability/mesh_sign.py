@@ -64,7 +64,7 @@ def _flips(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
 
 
 def _flips_of_soup(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """No triangle touches another: none has a neighbour that could tell how it should wind."""
+    """No triangle touches another: none has a neighbor that could tell how it should wind."""
     mesh = flipped_faces(icosphere(3), share, seed)
     corners = mesh.vertices[mesh.faces]
     middle = corners.mean(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Neighbour searches towards failure: radii, crowds, extents, duplicates, ever more neighbours."""
+"""Neighbor searches towards failure: radii, crowds, extents, duplicates, ever more neighbors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COUNT, ASKED = 2000, 200
 SPACING = COUNT ** (-1 / 3)
 # Two roundings of float64: of the distance itself, and of its square before.
 ROUNDING = 2.0**-51
-# Neighbours of a query at most, and points that have more.
+# Neighbors of a query at most, and points that have more.
 MOST_NEIGHBORS, MANY = 1024, 3000
 # Share of the volume that the crowd is in.
 CROWDED = 0.01
@@ -33,7 +33,7 @@ def sweeps(device: Any = None) -> list[Sweep]:
     Args:
         device: Where the searches run; None for the first GPU, else the CPU.
     """
-    exact = "sets of neighbours are exact, and distances to 2^-51: no failure found."
+    exact = "sets of neighbors are exact, and distances to 2^-51: no failure found."
     return [
         _radius_search(
             "radius",
@@ -97,7 +97,7 @@ def _nearest(device: Any) -> Sweep:
     return Sweep(
         name="knn_k",
         method="points.NeighborGrid.knn",
-        parameter="neighbours of a query",
+        parameter="neighbors of a query",
         unit="relative",
         values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
         ask=partial(nearest, device=device),
@@ -111,13 +111,13 @@ def _nearest(device: Any) -> Sweep:
 
 
 def radii(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours within a multiple of the spacing, in cells made for twice the spacing."""
+    """Neighbors within a multiple of the spacing, in cells made for twice the spacing."""
     points = np.random.default_rng(seed).random((COUNT, 3))
     return _searched(points, 2.0 * SPACING, ratio * SPACING, seed, device)
 
 
 def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours in a cloud of which a share is in a small cube."""
+    """Neighbors in a cloud of which a share is in a small cube."""
     random = np.random.default_rng(seed)
     points = random.random((COUNT, 3))
     crowd = random.permutation(COUNT)[: round(share * COUNT)]
@@ -126,7 +126,7 @@ def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours within 1 in a cloud as wide as ``ratio``, half of which is within a few radii of the middle."""
+    """Neighbors within 1 in a cloud as wide as ``ratio``, half of which is within a few radii of the middle."""
     random = np.random.default_rng(seed)
     points = ratio * (random.random((COUNT, 3)) - 0.5)
     points[: COUNT // 2] = min(ratio, 8.0) * (random.random((COUNT // 2, 3)) - 0.5)
@@ -134,7 +134,7 @@ def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours in a cloud whose points are ``copies`` times there."""
+    """Neighbors in a cloud whose points are ``copies`` times there."""
     random = np.random.default_rng(seed)
     places = random.random((COUNT // int(copies), 3))
     points = random.permutation(np.repeat(places, int(copies), axis=0))
@@ -157,7 +157,7 @@ def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def _searched(points: Floats, cell: float, radius: float, seed: int, device: Any) -> Judgement:
-    """Wrong where a set of neighbours or its count differs; errors are those of the distances, in radii."""
+    """Wrong where a set of neighbors or its count differs; errors are those of the distances, in radii."""
     from geokit.points._neighbors import NeighborGrid
 
     queries = points[np.random.default_rng([seed, 1]).permutation(len(points))[:ASKED]]

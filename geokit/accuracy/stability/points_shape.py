@@ -1,4 +1,4 @@
-"""What is made of neighbourhoods, towards failure: normals, registration and densities."""
+"""What is made of neighborhoods, towards failure: normals, registration and densities."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# Neighbours of a normal unless told otherwise, and points along a side of the plane that noise is added to.
+# Neighbors of a normal unless told otherwise, and points along a side of the plane that noise is added to.
 K, SIDE = 16, 50
-# A torus whose tube has this radius, so many points on it, and the most neighbours that are asked for.
+# A torus whose tube has this radius, so many points on it, and the most neighbors that are asked for.
 MINOR, ON_TORUS, MOST = 0.35, 2500, 1024
 # Half axes of the ellipsoid that is registered, its points, and how many turns of an angle are tried.
 AXES = np.array([1.0, 0.7, 0.45])
@@ -80,7 +80,7 @@ def _curvature(device: Any) -> Sweep:
     return Sweep(
         name="normals_curvature",
         method="points.normals",
-        parameter="radius of the neighbourhood [radii of curvature]",
+        parameter="radius of the neighborhood [radii of curvature]",
         unit="degrees",
         values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
         ask=partial(wide_planes, device=device),
@@ -88,7 +88,7 @@ def _curvature(device: Any) -> Sweep:
             last=1.2,
             error=30.0,
             wrong_share=0.0,
-            statement="Neighbourhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
+            statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
             "worst (4 rms); those of twice that reach around the body, and normals may be of another side.",
         ),
     )
@@ -142,7 +142,7 @@ def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgemen
 
 
 def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Normals of a torus from neighbourhoods as wide as ``width`` times its tube's radius."""
+    """Normals of a torus from neighborhoods as wide as ``width`` times its tube's radius."""
     random = np.random.default_rng(seed)
     u, v, kept = random.random((3, 3 * ON_TORUS))
     u, v = 2.0 * np.pi * u, 2.0 * np.pi * v

@@ -1,4 +1,4 @@
-"""Level sets that change, towards failure: slopes that are not 1, sharp curvature, offsets past the centre."""
+"""Level sets that change, towards failure: slopes that are not 1, sharp curvature, offsets past the center."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.fields import ball, level_set, voxel_centres
+from geokit.accuracy.stability.fields import ball, level_set, voxel_centers
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
 
 if TYPE_CHECKING:
@@ -193,10 +193,10 @@ def _judged(
     volume: SparseVolume, distance: Any, radius: float, seed: int, device: Any, asked: float = ASKED
 ) -> Judgement:
     """Some of the voxels near the surface; wrong are those on the other side of it, by more than half a voxel."""
-    centres = voxel_centres(int(np.ceil(radius)) + 4).reshape(-1, 3)
-    true = distance(centres)
+    centers = voxel_centers(int(np.ceil(radius)) + 4).reshape(-1, 3)
+    true = distance(centers)
     near = np.flatnonzero(np.abs(true) < asked)
     near = np.random.default_rng(seed).permutation(near)[:COUNT]
-    found = volume.sample(centres[near], order=0, device=device)
+    found = volume.sample(centers[near], order=0, device=device)
     wrong = (found * true[near] < 0.0) & (np.abs(true[near]) > 0.5)
-    return Judgement(np.abs(found - true[near]), wrong, centres[near])
+    return Judgement(np.abs(found - true[near]), wrong, centers[near])

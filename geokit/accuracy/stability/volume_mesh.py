@@ -200,12 +200,12 @@ def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = No
     from geokit.mesh._from_volume import from_volume
 
     # Balls about the middle of a cell are the first to hold no voxel.
-    centres = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
+    centers = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
     judgements = []
-    for centre in centres:
-        body = level_set(ball(radius, centre), radius)
+    for center in centers:
+        body = level_set(ball(radius, center), radius)
         found = from_volume(body, method=method, device=device)
-        judgements.append(_judged_sphere(found, centre, radius, seed, backwards=30))
+        judgements.append(_judged_sphere(found, center, radius, seed, backwards=30))
     return _together(*zip(*judgements, strict=True))
 
 
@@ -255,15 +255,15 @@ def _distances_from(mesh: TriangleMesh, points: Floats) -> Floats:
     return reference.closest_point(mesh.vertices, mesh.faces, points).distance
 
 
-def _judged_sphere(mesh: TriangleMesh, centre: Floats, radius: float, seed: int, backwards: int) -> Judgement:
+def _judged_sphere(mesh: TriangleMesh, center: Floats, radius: float, seed: int, backwards: int) -> Judgement:
     """The mesh's vertices and a point of each face against a sphere, and some points of the sphere against the mesh."""
     if not len(mesh.faces):
-        return Judgement(np.zeros(1), np.ones(1, bool), centre[None])
+        return Judgement(np.zeros(1), np.ones(1, bool), center[None])
     weights = np.random.default_rng(seed).dirichlet([0.7] * 3, len(mesh.faces))
     on_faces = np.einsum("fk,fkc->fc", weights, mesh.vertices[mesh.faces])
     points = np.concatenate([mesh.vertices, on_faces])
-    errors = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-    asked = centre + radius * unit_vectors(backwards, seed)
+    errors = np.abs(np.linalg.norm(points - center, axis=1) - radius)
+    asked = center + radius * unit_vectors(backwards, seed)
     errors = np.concatenate([errors, _distances_from(mesh, asked)]) if backwards else errors
     return Judgement(errors, np.zeros(len(errors), bool), np.concatenate([points, asked]))
 

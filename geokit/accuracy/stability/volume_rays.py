@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 RADIUS, START = 16.0, 30.0
 RAYS = 4000
 # Trilinear interpolation puts the sphere's surface at most 0.25 voxel^2 / radius inside of it, where the cells that it
-# crosses hold the whole field; half as much again for those that are nearer to the centre than the surface.
+# crosses hold the whole field; half as much again for those that are nearer to the center than the surface.
 SURFACE = 1.5 * 0.25 / RADIUS
 # Rays that are aimed at something pass this share of the radius beside the middle at most.
 AIMED = 0.9
@@ -212,7 +212,7 @@ def scaled_hits(factor: float, *, seed: int = 0, device: Any = None) -> Judgemen
 
 
 def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays across slabs of even fog, straight and slanting; voxels whose centre is in the fog have its density."""
+    """Rays across slabs of even fog, straight and slanting; voxels whose center is in the fog have its density."""
     from geokit.volume._integrate import integrate
 
     random = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Sampling and quantised grids towards failure: fine features, the end of the band, far away, flat fields, few bits."""
+"""Sampling and quantized grids towards failure: fine features, the end of the band, far away, flat fields, few bits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FAR_VOXEL = 0.1
 SLOPE = np.array([0.5, 0.25, -0.75])
 # Trilinear interpolation of a distance is off by an eighth of its second derivatives' sum, 2 / radius [voxels^2].
 INTERPOLATION = 0.25
-# How much more than that a quantised grid may be off by to count as good.
+# How much more than that a quantized grid may be off by to count as good.
 WITH_CODEC = 3.0
 # Radius of the sphere whose grid keeps a tolerance [voxels].
 TOLERANCE_RADIUS = 30.0
@@ -170,7 +170,7 @@ def _flatness(codec: str, device: Any) -> Sweep:
         parameter="radius of curvature [voxels], band of half width 3",
         unit="voxels",
         values=values,
-        ask=partial(quantised_distances, codec=codec, device=device),
+        ask=partial(quantized_distances, codec=codec, device=device),
         envelope=Envelope(
             last=last,
             error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
@@ -240,11 +240,11 @@ def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None
     return _right(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), points)
 
 
-def quantised_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances within half a voxel of a piece of a sphere, by sampling its quantised band at order 1."""
+def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances within half a voxel of a piece of a sphere, by sampling its quantized band at order 1."""
     from geokit.volume._quantize import quantize
 
-    patch, direction, centre = _patch(radius, seed)
+    patch, direction, center = _patch(radius, seed)
     small = quantize(patch, codec)
     random = np.random.default_rng(seed)
     # Around the direction in which the piece lies, as far as the piece reaches.
@@ -252,7 +252,7 @@ def quantised_distances(radius: float, *, codec: str, seed: int = 0, device: Any
     toward = direction + spread * unit_vectors(4000, seed)
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     height = random.uniform(-0.5, 0.5, 4000)
-    points = centre + toward * (radius + height)[:, None]
+    points = center + toward * (radius + height)[:, None]
     return _right(np.abs(small.sample(points, device=device) - height), points)
 
 
@@ -268,15 +268,15 @@ def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> J
 
 
 def _patch(radius: float, seed: int) -> tuple[SparseVolume, Floats, Floats]:
-    """A piece of a sphere's band around the origin, the way from its centre to there, and the centre."""
+    """A piece of a sphere's band around the origin, the way from its center to there, and the center."""
     direction = unit_vectors(1, seed)[0]
-    centre = MIDDLE - radius * direction
+    center = MIDDLE - radius * direction
     patch = field(
-        lambda p: np.clip(np.linalg.norm(p - centre, axis=-1) - radius, -HALF_WIDTH, HALF_WIDTH),
+        lambda p: np.clip(np.linalg.norm(p - center, axis=-1) - radius, -HALF_WIDTH, HALF_WIDTH),
         FIELD_REACH,
         background=HALF_WIDTH,
     )
-    return patch, direction, centre
+    return patch, direction, center
 
 
 def _right(errors: Floats, points: Floats) -> Judgement:

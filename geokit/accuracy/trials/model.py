@@ -39,7 +39,7 @@ class Judgement(NamedTuple):
     Attributes:
         errors: How far each checked answer is from the reference, shape (M,), not negative [unit of the chart].
         wrong: Answers of another kind than the reference's, shape (M,) bool: outside for inside, a miss for a hit, a
-            neighbour missing. Their errors do not count.
+            neighbor missing. Their errors do not count.
         positions: Where each was asked [world], shape (M, 3); None where that cannot be drawn.
     """
 

@@ -103,14 +103,14 @@ def test_normals_against_planes(cloud):
         assert trial.count == len(cloud)
 
 
-def test_clouds_smaller_than_a_neighbourhood_have_fewer_charts_of_normals(cloud):
+def test_clouds_smaller_than_a_neighborhood_have_fewer_charts_of_normals(cloud):
     trials = list(charts_of(cloud[:20])["point_normals"].trials())
     assert [trial.parameters["k"] for trial in trials] == [8]
     judged(trials[0])
 
 
 def test_points_without_a_plane_have_no_normals_to_judge():
-    # Two points, four times each: every neighbourhood is a line.
+    # Two points, four times each: every neighborhood is a line.
     assert not list(charts_of(np.repeat([[0.0, 0, 0], [1.0, 0, 0]], 4, axis=0))["point_normals"].trials())
 
 

@@ -52,7 +52,7 @@ def test_a_hand_made_set():
     ]  # fmt: skip
 
 
-def test_fewer_points_than_neighbours():
+def test_fewer_points_than_neighbors():
     # All four others are taken: means 24, 23.5, 23.5, 24 and 88.5.
     assert outliers(LINE, k=100, ratio=1.0, device="cpu").tolist() == [False] * 4 + [True]
 

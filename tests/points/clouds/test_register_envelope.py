@@ -85,7 +85,7 @@ def test_partial_overlap(method, overlap):
         max_iterations=400, device="cpu",
     )  # fmt: skip
     assert found.fitness == pytest.approx(overlap * 2.0 / (1.0 + overlap), abs=0.08)
-    # At the rim points of the missing part find a neighbour instead, 0.03 away; planes there are the right ones yet.
+    # At the rim points of the missing part find a neighbor instead, 0.03 away; planes there are the right ones yet.
     assert np.abs(apply(found, points[low]) - target[low]).max() < (1e-3 if method == "point_to_plane" else 4e-3)
 
 

@@ -1,4 +1,4 @@
-"""Nearest neighbours pushed towards failure: scale, offset, outliers, crowds of all kinds, and the work they cost."""
+"""Nearest neighbors pushed towards failure: scale, offset, outliers, crowds of all kinds, and the work they cost."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def test_order_of_points_and_queries(cloud):
 
 @relaxed
 @given(clouds())
-def test_neighbourhood_is_mutual_and_every_point_is_its_own(cloud):
+def test_neighborhood_is_mutual_and_every_point_is_its_own(cloud):
     points, radius, _ = cloud
     found = NeighborGrid(points, radius, device="cpu").radius_search(points)
     owner = np.repeat(np.arange(len(points)), np.diff(found.offsets))

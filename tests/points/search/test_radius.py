@@ -88,7 +88,7 @@ def test_self_needs_as_many_queries_as_points(grid):
 
 
 def test_rows_by_distance_then_index():
-    # A lattice: many neighbours at the same distance.
+    # A lattice: many neighbors at the same distance.
     axis = np.arange(8.0)
     lattice = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     lattice = lattice[np.random.default_rng(2).permutation(len(lattice))]
