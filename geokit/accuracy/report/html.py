@@ -1,4 +1,4 @@
-"""report.html: one page that needs nothing but itself."""
+"""report.html: a self-contained page."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ more triangles, the chart shows the time of a call."""
 
 
 class Picture(NamedTuple):
-    """Where the error sits.
+    """A map of the errors.
 
     Attributes:
-        png: The file.
-        caption: What it shows.
+        png: Content of the PNG file.
+        caption: Caption of the figure.
     """
 
     png: bytes
@@ -53,16 +53,16 @@ def page(
     machine: Mapping[str, str],
     versions: Mapping[str, str],
 ) -> str:
-    """The page.
+    """Render the page.
 
     Args:
-        groups: What is charted.
-        failures: What could not be measured.
-        pictures: By the slugs of the groups.
+        groups: The charted rows.
+        failures: Trials that could not be measured.
+        pictures: Error maps by the slugs of the groups.
         machine: Facts about the machine.
-        versions: Of geokit and what it computes with.
+        versions: Versions of geokit and of its dependencies.
     Returns:
-        HTML without a reference to anything outside.
+        HTML without references to external resources.
     """
     failed = list(failures)
     body = [
@@ -134,7 +134,7 @@ def _choice_table(group: Group) -> str:
         "memory",
     )
     lines: list[list[str]] = []
-    # One line for all tolerances that lead to the same setting, one after another.
+    # One line for consecutive tolerances with the same setting.
     for (device, _), run in itertools.groupby(found, key=lambda choice: (choice.device, id(choice.row))):
         members = list(run)
         limits = [share_text(c.tolerance) if wrong else error_text(c.tolerance) for c in members]
@@ -196,7 +196,7 @@ def _failed(failures: Sequence[Failure]) -> str:
 
 
 def failure_text(failure: Failure) -> str:
-    """A failure in one line."""
+    """A failure as one line of text."""
     where = ", ".join(part for part in (failure.chart or "charts", failure.subject, failure.device) if part)
     what = ", ".join(part for part in (failure.method, failure.setting) if part) or "preparation"
     return f"{where}: {what}: failed: {failure.message}"
