@@ -92,7 +92,7 @@ def _write_page(target: Path, groups: list[Group], results: Results, pictures: b
     drawn, reason = pictures_of(groups, results.subjects) if pictures else ({}, "")
     failures = list(results.failures)
     if reason:
-        failures.append(Failure("pictures of where the error sits", "", "", "", "", reason))
+        failures.append(Failure("maps of the errors", "", "", "", "", reason))
     machine, versions = results.machine or machine_facts(), results.versions or version_facts()
     target.write_text(page(groups, failures, drawn, machine, versions), encoding="utf-8")
 

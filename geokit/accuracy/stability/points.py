@@ -1,4 +1,4 @@
-"""Where methods on points fail: sweeps of them all, each with the envelope that its docstring promises."""
+"""Sweeps of the methods of points towards failure."""
 
 from __future__ import annotations
 
