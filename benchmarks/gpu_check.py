@@ -1,6 +1,6 @@
-"""A GPU's answers against the CPU's, and its rates against raw warp: ``python -m benchmarks.gpu_check [--out DIR]``.
+"""Compares a GPU's answers with the CPU's, and its rates with raw warp: ``python -m benchmarks.gpu_check [--out DIR]``.
 
-Absolute times mean something only with the name of the GPU, which the table carries.
+Absolute times are meaningful only with the name of the GPU, which the table includes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from geokit.mesh.sign.choice import choose_sign
 
 
 class CudaExporter:
-    """No more than the protocol: what a library that geokit does not know would pass."""
+    """An object with only the CUDA array protocol, like one of a library unknown to geokit."""
 
     def __init__(self, array):
         self.array = array
@@ -40,7 +40,7 @@ def median_seconds(call, device, runs=5):
 
 
 def compare(mesh, device, rows):
-    """Answers of the two devices; every row says what was compared, over how many, and the largest difference."""
+    """Answers of the two devices; each row names the comparison, the number of answers and the largest difference."""
     cpu, gpu = gk.mesh.Surface(mesh, device="cpu"), gk.mesh.Surface(mesh, device=device)
     diagonal = mesh.diagonal
     points = np.concatenate([inputs.uniform(mesh, 100_000), inputs.near(mesh, 100_000)])
@@ -98,7 +98,7 @@ def compare(mesh, device, rows):
 
 
 def compare_deep(mesh, device, rows):
-    """Trees that end before every triangle has a leaf of its own: very many triangles, or all in one place."""
+    """Trees that end before every triangle has its own leaf: very many triangles, or all in one place."""
     large = inputs.subdivided(mesh, 4)
     heap = gk.mesh.TriangleMesh(
         np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[0]]]),
@@ -178,7 +178,7 @@ def check_leaks(gpu, device, rows):
 
 
 def rates(mesh, device, rows, count):
-    """Median times side by side with raw warp on arrays that lie on the device, random order."""
+    """Median times against raw warp on arrays on the device, in random order."""
     surface = gk.mesh.Surface(mesh, device=device)
     center, scale = surface.origin, surface.scale
     size = f"{len(mesh.faces):,} triangles"

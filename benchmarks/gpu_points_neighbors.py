@@ -1,4 +1,4 @@
-"""Radius search on a GPU: equal to the CPU's, beside raw ``wp.HashGrid`` in point order and in grid order."""
+"""Radius search on a GPU: comparison with the CPU, and times against raw ``wp.HashGrid`` in point and grid order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geokit.points import NeighborGrid
 CHECKED = 100_000
 COUNT = 4_000_000
 RUNS = 11
-# Cells of the peer's table on an axis: the quickest of 128, 256 and 512 at this count.
+# Cells of the peer's table on an axis: the fastest of 128, 256 and 512 at this number of points.
 TABLE = 256
 
 

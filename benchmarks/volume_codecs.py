@@ -80,7 +80,7 @@ def level_set(resolution: int) -> Any:
 
 
 def sizes(volume: Any) -> None:
-    """What each codec takes, how far it is off, and what sampling it costs."""
+    """Memory, error and sampling time of each codec."""
     voxel = float(volume.info.voxel_size[0])
     rng = np.random.default_rng(0)
     box = volume.info.index_bounds
@@ -218,7 +218,7 @@ def against_dense_evaluation(resolution: int) -> None:
 
 
 def memory_steps(resolution: int, folder: Path) -> dict[str, Callable[[], Callable[[], Any]]]:
-    """As benchmarks.volume_memory's: by name, what prepares the inputs and gives back the step itself."""
+    """As in benchmarks.volume_memory: by name, a function that prepares the inputs and returns the step itself."""
 
     def with_level_set(step: Callable[[Any], Any]) -> Callable[[], Callable[[], Any]]:
         def prepare() -> Callable[[], Any]:
@@ -282,7 +282,7 @@ def measured(name: str, resolution: int, folder: str, pipe: Any) -> None:
     benchmark = importlib.import_module("benchmarks.volume_memory")
     memory_steps(64, Path(folder))[name]()()
     step = memory_steps(resolution, Path(folder))[name]()
-    # What the preparation gave back must not be there for the step to use.
+    # Free the results of the preparation that the step does not use.
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak starts anew

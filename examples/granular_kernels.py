@@ -1,6 +1,6 @@
-"""Kernels of granular.py: who is near whom, and a step of all grains.
+"""Kernels of granular.py: neighbor lists, and a step of all grains.
 
-Only float32, and nothing is added up by atomics, so that a run gives the same bits each time, on any number of threads.
+Everything is float32 and without atomic sums, so that runs are bit-identical, for any number of threads.
 """
 
 import warp as wp

@@ -78,7 +78,7 @@ def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tu
 
 
 def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float = 0.35) -> TriangleMesh:
-    """A closed torus about the z axis of ``2 * around * across`` triangles, with vertices on the exact torus [world]."""
+    """A closed torus about the z axis of ``2 * around * across`` triangles, with vertices on the torus [world]."""
     i, j = (grid.ravel() for grid in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
     a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * j / across
     distance = major + minor * np.cos(b)

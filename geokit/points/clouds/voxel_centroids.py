@@ -38,6 +38,7 @@ class VoxelOrder(NamedTuple):
 
 def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", "wp.array"]:
     """Centroids of the occupied voxels by ascending (z, y, x), and the point of each voxel nearest to its centroid.
+
     Args:
         points: vec3d positions (N,) [world].
         voxel_size: Edge length of a voxel [world].
