@@ -1,4 +1,4 @@
-"""The charts of points: every trial runs and is judged right, and a method made worse on purpose is noticed."""
+"""Charts of points: every trial runs with right answers, and a method made worse on purpose is detected."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_nearest(cloud):
             assert judgement.errors.max() <= DOUBLE
         assert trial.byte_count > 0 or "made" in trial.method
     assert {k for _, k in found} == {1, 8, 32}
-    # The radius cuts rows short: the judge has to know.
+    # The radius cuts rows short, which the comparison has to take into account.
     assert (found["hybrid, float64", 8].indices.numpy() < 0).any()
 
 

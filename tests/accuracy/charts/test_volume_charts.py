@@ -1,4 +1,4 @@
-"""Charts of volumes: their references are right, and their judges notice answers that were made worse."""
+"""Charts of volumes: their references are right, and answers made worse on purpose are detected."""
 
 from __future__ import annotations
 

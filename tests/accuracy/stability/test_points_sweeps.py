@@ -1,4 +1,4 @@
-"""The sweeps of points: what they are made of, and that each notices a method made worse on purpose."""
+"""Sweeps of points: their structure, and that each detects a method made worse on purpose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Normals, density, outliers and clusters on drawn inputs: the definitions, and what must not change the answers."""
+"""Normals, density, outliers and clusters on random inputs: their definitions, and invariances of the results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def clouds(draw):
 
 
 def surfaces(random, count):
-    """Points of a bumpy surface, in no order, whose neighborhoods are planes that leave no doubt."""
+    """Points of a bumpy surface, in random order, whose neighborhoods have a unique best plane."""
     uv = random.random((count, 2))
     height = 0.1 * np.sin(5.0 * uv[:, 0]) * np.cos(4.0 * uv[:, 1])
     return np.column_stack([uv, height])

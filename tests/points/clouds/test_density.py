@@ -50,7 +50,7 @@ def test_equals_the_formula(kernel, radius):
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("radius", [0.5, 2.0])
 def test_integral_over_space_is_one(kernel, radius):
-    # One point, asked along a ray at the nodes of Gauss and Legendre: exact for polynomials, in each of two halves.
+    # One point, queried along a ray at Gauss-Legendre nodes: exact for polynomials, in each of two halves.
     nodes, weights = np.polynomial.legendre.leggauss(12)
     r = np.concatenate([(nodes + 1) / 4, (nodes + 3) / 4]) * radius
     queries = np.zeros((len(r), 3))

@@ -90,7 +90,7 @@ def test_offset_and_scale(offset, scale):
 
 @pytest.mark.parametrize("offset", [1e15, 1e18])
 def test_offset_that_leaves_no_digits(offset):
-    # Steps of the coordinates are 0.125 and 128: what is left are lattice points, then a single place.
+    # Steps of the coordinates are 0.125 and 128: the points become lattice points, then coincide.
     points, _, _ = plane(529)
     found = normals(points + offset, k=K, device="cpu").normals
     assert np.isfinite(found).all()
@@ -106,7 +106,7 @@ def test_noise(noise):
     noisy = points + np.random.default_rng(3).normal(size=(3025, 1)) * noise * h * true
     found = normals(noisy, k=K, orientation="none", device="cpu")
     assert np.median(angles(found.normals, true)) <= 3.0 * noise / np.sqrt(K)
-    # What the curvature measures is the square of the noise's share; 1.5 of it.
+    # The curvature measures the square of the noise's share; 1.5 of it is allowed.
     assert 1.0 * noise**2 <= np.median(found.curvature) <= 2.0 * noise**2
 
 

@@ -14,7 +14,7 @@ LINE = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [90, 0, 0]])
 
 
 def by_open3d(points, nb_neighbors, std_ratio):
-    """What Open3D's remove_statistical_outlier takes away: the point is the first of its own nb_neighbors."""
+    """The points that Open3D's remove_statistical_outlier removes: a point is the first of its own nb_neighbors."""
     mean = cKDTree(points).query(points, nb_neighbors)[0].mean(axis=1)
     return mean >= mean.mean() + std_ratio * mean.std(ddof=1)
 

@@ -73,7 +73,7 @@ def test_noise(noise):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("overlap", [0.9, 0.7, 0.5])
 def test_partial_overlap(method, overlap):
-    # Each half lacks what the other has beyond a plane. A distance of three spacings keeps the rest out.
+    # Each half lacks the part of the other beyond a plane. A distance of three spacings excludes the rest.
     points, normals = blob(6000)
     order = np.argsort(points[:, 0])
     count = int(len(points) * (1.0 + overlap) / 2.0)

@@ -107,7 +107,7 @@ def test_squared_distance_is_rounded_term_by_term():
 
 @pytest.mark.parametrize("name", ["cells_kernels", "radius_cuda_kernels"])
 def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
-    # nvrtc contracts unless told otherwise; the compiler comes with warp, so no GPU is needed to see what it wrote.
+    # nvrtc contracts by default; the compiler comes with warp, so no GPU is needed to inspect its output.
     launcher.resolve_device("cpu")
     module = importlib.import_module(f"geokit.points.search.{name}")
     wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
