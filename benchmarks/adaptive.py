@@ -1,12 +1,12 @@
 """Adaptive fields against uniform grids of the same tolerance: ``python -m benchmarks.adaptive [MESH ...]``.
 
-The uniform grid is that of the largest voxels of those tried (a fifteenth of an octave apart, and those of the adaptive
-field's levels, on its lattice) whose trilinear interpolant keeps the tolerance on the points that the adaptive field's
-error is measured on too: fresh ones, on faces, edges and corners and up to the tolerance from them. Its band is as
-narrow as the interpolant allows. Both hold floats. A grid that does not fit is counted, not made, and the time is that
-of the finest that does.
+The uniform grid has the largest voxels among those tried (a fifteenth of an octave apart, plus those of the adaptive
+field's levels, on its lattice) whose trilinear interpolant keeps the tolerance on the same points on which the adaptive
+field's error is measured: fresh points on faces, edges and corners and up to the tolerance from them. Its band is as
+narrow as the interpolant allows. Both hold floats. A grid that does not fit in memory is counted, not made, and the
+time is that of the finest grid that fits.
 
-Points to time are uniform over the surface, up to the tolerance from it, in random order, NumPy float64.
+Timed points are uniform over the surface, up to the tolerance from it, in random order, NumPy float64.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def uniform_of(lattice: CellLattice, field: AdaptiveSDF, points: np.ndarray, exa
     tried = []
     for number in range(120):
         size = 64.0 * tolerance * STEP**number
-        # Index 0 where the band begins, at a whole multiple of the voxel size, as from_mesh has it.
+        # Index 0 is where the band begins, at a whole multiple of the voxel size, as in from_mesh.
         tried.append((size, (np.floor((corner - tolerance) / size) - 3.0) * size))
     tried += [(size, corner - size * (np.ceil(tolerance / size) + 3.0)) for size in field.voxel_sizes]
     few = np.random.default_rng(1).permutation(len(points))[:4000]

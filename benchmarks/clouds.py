@@ -1,20 +1,20 @@
-"""Clouds that the benchmarks of points share; everything is seeded."""
+"""Clouds shared by the benchmarks of points; all random choices are seeded."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# Neighbours of a point on average.
+# Neighbors of a point on average.
 NEIGHBORS = 30
 
 
 def uniform(count: int) -> tuple[np.ndarray, float]:
-    """Points in the unit cube, and the radius within which about NEIGHBORS are."""
+    """Points in the unit cube, and the radius within which a point has about NEIGHBORS neighbors."""
     return np.random.default_rng(0).random((count, 3)), float((NEIGHBORS / (4.19 * count)) ** (1 / 3))
 
 
 def clustered(count: int) -> tuple[np.ndarray, float]:
-    """Half of the points in 1% of the volume; the radius gives the average point NEIGHBORS, that half twice as many."""
+    """Half of the points in 1% of the volume; the radius gives NEIGHBORS on average, twice as many in that half."""
     random = np.random.default_rng(1)
     points = random.random((count, 3))
     points[: count // 2] *= 0.01 ** (1 / 3)

@@ -1,4 +1,4 @@
-"""Peers that have no Python package: C++ files in cpp/, compiled here."""
+"""Peers without a Python package: C++ files in cpp/, compiled here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-# Without NDEBUG OpenVDB's templates check themselves as they run.
+# Without NDEBUG OpenVDB's templates check their own invariants at run time.
 FLAGS = ("-O3", "-DNDEBUG", "-march=native", "-std=c++17", "-pthread")
 SHARED = ("-fPIC", "-shared")
 
@@ -31,7 +31,7 @@ def program(name: str, *libraries: str) -> Path:
     """The program made of ``cpp/name.cpp``, kept in the temporary folder until the source changes.
 
     Raises:
-        ImportError: There is no compiler, or a header or library is missing; measure takes that for a missing peer.
+        ImportError: A compiler, header or library is missing; measure treats this as a missing peer.
     """
     return _made(name, (), libraries, "")
 

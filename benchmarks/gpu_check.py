@@ -1,6 +1,6 @@
-"""A GPU's answers against the CPU's, and its rates against raw warp: ``python -m benchmarks.gpu_check [--out DIR]``.
+"""Compares a GPU's answers with the CPU's, and its rates with raw warp: ``python -m benchmarks.gpu_check [--out DIR]``.
 
-Absolute times mean something only with the name of the GPU, which the table carries.
+Absolute times are meaningful only with the name of the GPU, which the table includes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from geokit.mesh.sign.choice import choose_sign
 
 
 class CudaExporter:
-    """No more than the protocol: what a library that geokit does not know would pass."""
+    """An object with only the CUDA array protocol, like one of a library unknown to geokit."""
 
     def __init__(self, array):
         self.array = array
@@ -40,7 +40,7 @@ def median_seconds(call, device, runs=5):
 
 
 def compare(mesh, device, rows):
-    """Answers of the two devices; every row says what was compared, over how many, and the largest difference."""
+    """Answers of the two devices; each row names the comparison, the number of answers and the largest difference."""
     cpu, gpu = gk.mesh.Surface(mesh, device="cpu"), gk.mesh.Surface(mesh, device=device)
     diagonal = mesh.diagonal
     points = np.concatenate([inputs.uniform(mesh, 100_000), inputs.near(mesh, 100_000)])
@@ -89,16 +89,16 @@ def compare(mesh, device, rows):
     grids = [gk.points.NeighborGrid(cloud, 0.04, device=d) for d in ("cpu", device)]
     a, b = (grid.radius_search(cloud[:20_000], radius=0.04) for grid in grids)
     same = all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-    rows.append(("neighbours: lists that differ", len(a.indices), 0 if same else 1))
+    rows.append(("neighbors: lists that differ", len(a.indices), 0 if same else 1))
     counts = [grid.count(cloud) for grid in grids]
-    rows.append(("neighbour counts that differ", len(cloud), int((counts[0] != counts[1]).sum())))
+    rows.append(("neighbor counts that differ", len(cloud), int((counts[0] != counts[1]).sum())))
     check_overlaps(cpu, gpu, points, rows)
     check_containers(gpu, points[:1000], device, rows)
     check_leaks(gpu, device, rows)
 
 
 def compare_deep(mesh, device, rows):
-    """Trees that end before every triangle has a leaf of its own: very many triangles, or all in one place."""
+    """Trees that end before every triangle has its own leaf: very many triangles, or all in one place."""
     large = inputs.subdivided(mesh, 4)
     heap = gk.mesh.TriangleMesh(
         np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[0]]]),
@@ -178,9 +178,9 @@ def check_leaks(gpu, device, rows):
 
 
 def rates(mesh, device, rows, count):
-    """Median times side by side with raw warp on arrays that lie on the device, random order."""
+    """Median times against raw warp on arrays on the device, in random order."""
     surface = gk.mesh.Surface(mesh, device=device)
-    centre, scale = surface.origin, surface.scale
+    center, scale = surface.origin, surface.scale
     size = f"{len(mesh.faces):,} triangles"
 
     def on_device(values, dtype):
@@ -188,7 +188,7 @@ def rates(mesh, device, rows, count):
 
     out = wp.empty(count, dtype=wp.float32, device=device)
     for name, points in (("uniform", inputs.uniform(mesh, count)), ("near", inputs.near(mesh, count))):
-        local = on_device((points - centre) / scale, wp.vec3)
+        local = on_device((points - center) / scale, wp.vec3)
         for label, dtype in (("float64", wp.vec3d), ("float32", wp.vec3f)):
             given = on_device(points, dtype)
             ours = median_seconds(lambda given=given: surface.closest_point(given), device)
@@ -202,7 +202,7 @@ def rates(mesh, device, rows, count):
         ("camera", inputs.camera_rays(mesh, 2000, count // 2000)),
     ):
         given = [on_device(a, wp.vec3d) for a in rays]
-        local = [on_device((rays[0] - centre) / scale, wp.vec3), on_device(rays[1] / scale, wp.vec3)]
+        local = [on_device((rays[0] - center) / scale, wp.vec3), on_device(rays[1] / scale, wp.vec3)]
         ours = median_seconds(lambda given=given: surface.raycast(*given), device)
         raw = median_seconds(
             lambda local=local: wp.launch(raw_ray_kernel, count, [surface.id, *local], [out], device=device), device
@@ -210,7 +210,7 @@ def rates(mesh, device, rows, count):
         rows.append((f"first hit, {name}, {size}", count, ours, raw))
     for calls in (1, 100):
         few = on_device(inputs.uniform(mesh, calls), wp.vec3d)
-        local = wp.array((few.numpy() - centre) / scale, dtype=wp.vec3, device=device)
+        local = wp.array((few.numpy() - center) / scale, dtype=wp.vec3, device=device)
         ours = median_seconds(lambda few=few: surface.closest_point(few), device, runs=200)
         raw = median_seconds(
             lambda local=local: wp.launch(raw_closest_kernel, len(local), [surface.id, local], [out], device=device),
@@ -255,7 +255,7 @@ def neighbor_rates(device, rows, count):
     raw = median_seconds(
         lambda: wp.launch(raw_count_in_order_kernel, count, [hashed.id, single, radius], [out], device=device), device
     )
-    rows.append(("neighbour counts, 30 each", count, ours, raw))
+    rows.append(("neighbor counts, 30 each", count, ours, raw))
     build = median_seconds(lambda: gk.points.NeighborGrid(given, radius, device=device), device)
     raw = median_seconds(lambda: hashed.build(single, radius), device)
     rows.append(("NeighborGrid build", count, build, raw))

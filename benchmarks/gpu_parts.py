@@ -1,6 +1,6 @@
 """Runs the parts of a GPU benchmark in turn: each is a file of its own, whose ``main(out)`` prints its table.
 
-A part that fails does not keep the others.
+A part that fails does not stop the others.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ RUNS = 5
 
 @wp.kernel
 def brute_density_kernel(points: wp.array(dtype=wp.vec3d), radius: wp.float64, out_density: wp.array(dtype=wp.float64)):
-    """What a user of warp would write first: all points for each point, Wendland's kernel."""
+    """Baseline as a warp user would write it first: all pairs of points, with Wendland's kernel."""
     i = wp.tid()
     p = points[i]
     total = wp.float64(0.0)
@@ -44,14 +44,14 @@ def ball(count: int) -> np.ndarray:
 def blobs(count: int) -> np.ndarray:
     """Nine tenths in fifty blobs, one tenth anywhere."""
     random = np.random.default_rng(1)
-    centres = random.random((50, 3))
+    centers = random.random((50, 3))
     many = count * 9 // 10
-    near = centres[random.integers(0, 50, many)] + random.normal(size=(many, 3)) * 0.03
+    near = centers[random.integers(0, 50, many)] + random.normal(size=(many, 3)) * 0.03
     return np.concatenate([near, random.random((count - many, 3))])
 
 
 def cases(count: int) -> dict[str, tuple[np.ndarray, Callable[[Any, str], Any]]]:
-    """Name, points, and what is asked of points on a device."""
+    """Name, points, and the call on points on a device."""
     near = 0.014 * (200_000 / count) ** (1 / 3)
     patch = 8.0 / np.sqrt(count)
     surface, crowd = ball(count), blobs(count)
@@ -73,7 +73,7 @@ def cases(count: int) -> dict[str, tuple[np.ndarray, Callable[[Any, str], Any]]]
 
 
 def check_clouds(out: Callable[[str], None], device: str = "cuda:0") -> None:
-    """Answers on both devices, from NumPy arrays: rows that differ, and by how much."""
+    """Differing rows between the two devices, from NumPy arrays, and their largest difference."""
     out(f"| {COMPARED} points | rows that differ | largest difference | NaN |")
     out("|---|---:|---:|---:|")
     for name, (points, ask) in cases(COMPARED).items():
@@ -97,7 +97,7 @@ def time_clouds(out: Callable[[str], None], device: str = "cuda:0") -> None:
 
 
 def time_brute_force(out: Callable[[str], None], device: str = "cuda:0") -> None:
-    """Density of few points beside a kernel that looks at all pairs: equal answers first."""
+    """Density of few points against a kernel over all pairs; equality of the answers is checked first."""
     points, radius = blobs(BRUTE), 0.022
     there = wp.array(points, dtype=wp.vec3d, device=device)
     result = wp.empty(BRUTE, dtype=wp.float64, device=device)

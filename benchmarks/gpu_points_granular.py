@@ -1,4 +1,4 @@
-"""The granular scene on a GPU, without pictures: frames a second, overlap, and what makes the time.
+"""The granular scene on a GPU without rendering: frames per second, overlap, and a breakdown of the time.
 
 The folder named by $OUT gets the grains' positions of the last frame, as .npz.
 """
@@ -18,7 +18,7 @@ from benchmarks.gpu_timing import device_median
 from benchmarks.granular import scene_of
 
 COUNTS = (5_000, 100_000, 400_000)
-# Frames that settle the grains and capture the graphs, and frames that are timed.
+# Frames for settling the grains and capturing the graphs, and frames that are timed.
 WARM, TIMED = 60, 60
 
 

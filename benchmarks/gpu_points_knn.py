@@ -1,4 +1,4 @@
-"""Nearest neighbours on a GPU: the CPU's answers, and the time beside a tiled brute force in raw warp."""
+"""Nearest neighbors on a GPU: comparison with the CPU's answers, and times against a tiled brute force in raw warp."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from geokit.points.search.nearest import build_tree, nearest
 
 COMPARED, POINTS = 20_000, 1 << 20
 LENGTHS = (1, 8, 16, 32, 100, 1024)
-# The brute force's list is as long as the k that it is compared at.
+# Length of the brute force's list, equal to the k of the comparison.
 K = 16
 TILE = wp.constant(256)
 THREADS = 128
 RUNS = 5
-# Queries of torch's blocks: their distances to a million points take 8 GiB.
+# Queries of a block of torch: their distances to a million points take 8 GiB.
 BLOCK = 2048
 
 distances16 = wp.types.vector(length=16, dtype=wp.float32)
@@ -79,7 +79,7 @@ def brute_force(points: wp.array) -> tuple[wp.array, wp.array]:
 
 
 def torch_brute_force(points: wp.array) -> Callable[[], Any] | None:
-    """The same through torch in blocks, where there is torch: its distances (N, 16)."""
+    """The same in torch by blocks, if torch is installed: distances (N, 16)."""
     try:
         import torch
     except ImportError:
@@ -96,7 +96,7 @@ def torch_brute_force(points: wp.array) -> Callable[[], Any] | None:
 
 
 def clouds(count: int) -> dict[str, np.ndarray]:
-    """Points by kind: evenly spread, and crowds that a grid of equal cells does not suit."""
+    """Points by kind: uniform, and crowds unsuited to a grid of equal cells."""
     random = np.random.default_rng(0)
     uniform = random.random((count, 3))
     cluster = uniform.copy()
@@ -124,7 +124,7 @@ def answers(points: np.ndarray, k: int, queries: np.ndarray | None, device: str,
 
 
 def check_bits(out: Callable[[str], None], device: str) -> None:
-    """Rows in which CPU and GPU differ: there must be none."""
+    """Number of rows in which CPU and GPU differ, which must be 0."""
     lengths = ", ".join(map(str, LENGTHS))
     out(f"Their own points, self excluded, and others within a limit; k = {lengths}.\n")
     out("| points | rows | rows that differ |")
@@ -148,7 +148,7 @@ def check_bits(out: Callable[[str], None], device: str) -> None:
 
 
 def check_times(out: Callable[[str], None], device: str, count: int = POINTS) -> None:
-    """Times at k = 16 beside the brute force, after a look at whether both find the same; then other k and crowds."""
+    """Times at k = 16 against the brute force, after comparing the answers; then other k and crowds."""
     points = clouds(count)["uniform"]
     rows = wp.array(points, dtype=wp.vec3d, device=device)
     single = wp.array(points.astype(np.float32), dtype=wp.vec3f, device=device)

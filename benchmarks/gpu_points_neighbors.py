@@ -1,4 +1,4 @@
-"""Radius search on a GPU: equal to the CPU's, beside raw ``wp.HashGrid`` in point order and in grid order."""
+"""Radius search on a GPU: comparison with the CPU, and times against raw ``wp.HashGrid`` in point and grid order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geokit.points import NeighborGrid
 CHECKED = 100_000
 COUNT = 4_000_000
 RUNS = 11
-# Cells of the peer's table on an axis: the quickest of 128, 256 and 512 at this count.
+# Cells of the peer's table on an axis: the fastest of 128, 256 and 512 at this number of points.
 TABLE = 256
 
 
@@ -28,7 +28,7 @@ def main(out: Callable[[str], None]) -> None:
 
 
 def check(device: str, out: Callable[[str], None]) -> None:
-    out("| CPU and GPU | queries | neighbours | lists that differ |")
+    out("| CPU and GPU | queries | neighbors | lists that differ |")
     out("|---|---:|---:|---:|")
     for name, make in clouds.SHAPES.items():
         for offset in (0.0, 1e6):
@@ -83,7 +83,7 @@ def against_raw(device: str, out: Callable[[str], None]) -> None:
 
 def shapes(device: str, out: Callable[[str], None]) -> None:
     out(f"\n{COUNT // 4:,} points of other shapes\n")
-    out("| shape | neighbours each | build ms | count ms | CSR ms | ns per found neighbour (count) | of uniform |")
+    out("| shape | neighbors each | build ms | count ms | CSR ms | ns per found neighbor (count) | of uniform |")
     out("|---|---:|---:|---:|---:|---:|---:|")
     usual = 0.0
     for name, make in clouds.SHAPES.items():

@@ -18,7 +18,7 @@ from geokit.points._compare import chamfer, hausdorff
 from geokit.points._downsample import downsample
 from geokit.points._register import register
 
-# Squares are rounded one by one, as in geokit: equally far points are equally far here too.
+# Squares are rounded one by one, as in geokit, so that ties are the same here.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 REPEATS = 5
@@ -96,7 +96,7 @@ def pose() -> np.ndarray:
 
 
 def once(run: Callable[[], Any]) -> tuple[Any, float]:
-    """A result and its seconds, after a run that does not count."""
+    """A result and its seconds, after one untimed run."""
     run()
     start = time.perf_counter()
     found = run()

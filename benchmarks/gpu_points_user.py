@@ -1,4 +1,4 @@
-"""The user's own kernels on a GPU: each program of docs/kernels.md and the fit by gradients, against the CPU.
+"""User kernels on a GPU against the CPU: each program of docs/kernels.md, and the fit by gradients.
 
 Run with ``python -m benchmarks.gpu_points_user``. Needs a GPU; numpy, warp and geokit, nothing else.
 """
@@ -35,7 +35,7 @@ def load_module(name: str, path: Path) -> ModuleType:
 
 
 def page_blocks(folder: Path) -> dict[str, ModuleType]:
-    """Each block of the page, run on the first GPU; warp reads the source of kernels from a file."""
+    """Each code block of the page, run on the first GPU; warp reads the source of kernels from a file."""
     text = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n# (\w+)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     modules = {}
@@ -74,7 +74,7 @@ def check_page(out: Out) -> None:
 
     grid = page["grid"]
     counts = gk.points.NeighborGrid(grid.points, radius=0.1, device="cpu").count(grid.points)
-    out(f"| grid | neighbours | {int(np.abs(grid.count.numpy() - counts).max())} |")
+    out(f"| grid | neighbors | {int(np.abs(grid.count.numpy() - counts).max())} |")
 
     every = page["all"]
     pushes = every.push.numpy()
@@ -100,7 +100,7 @@ def run_push_on_cpu(page: ModuleType, push: "wp.array") -> None:
 
 
 def check_fit(out: Out) -> None:
-    """Residuals and their Jacobian through wp.Tape on either; seconds for a million points."""
+    """Residuals and their Jacobian through wp.Tape on both devices; seconds for a million points."""
     fit = load_module("differentiable_fit", ROOT / "examples" / "differentiable_fit.py")
     bracket = gk.mesh.load(ROOT / "data" / "samples" / "bracket.obj")
     sdf = gk.volume.from_mesh(bracket, 0.5, half_width=20.0, device="cpu")
@@ -110,7 +110,7 @@ def check_fit(out: Out) -> None:
     gpu, cpu = wp.get_device("cuda:0"), wp.get_device("cpu")
     distance, jacobian = fit.residuals(sdf, points, center, gpu)
     expected_distance, expected_jacobian = fit.residuals(sdf, points, center, cpu)
-    # The gradient jumps where a point is on the face of a cell: there either side is right.
+    # The gradient jumps at the face of a cell, where both sides are right.
     apart = np.abs(jacobian - expected_jacobian).max(axis=1)
     out("\n## Residuals and Jacobian by wp.Tape (examples/differentiable_fit.py), GPU against CPU\n")
     out("| | largest difference | 99.9% of the points |\n|---|---|---|")

@@ -1,4 +1,4 @@
-"""Medians of runs on a GPU, by the wall clock or by the device's own."""
+"""Median times of runs on a GPU, by the wall clock or by the device's clock."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import warp as wp
 
 
 def wall_median(run: Callable[[], Any], runs: int, *, warm: int = 1) -> float:
-    """Seconds from call to result, the device waited for, after ``warm`` runs that do not count."""
+    """Seconds from the call to the synchronized result, after ``warm`` untimed runs."""
     for _ in range(warm):
         run()
     seconds = []
@@ -25,14 +25,14 @@ def wall_median(run: Callable[[], Any], runs: int, *, warm: int = 1) -> float:
 
 
 def mesh_medians(make: Callable[[Any], Any], device: Any, runs: int) -> tuple[float, float, float]:
-    """Seconds until ``make(device)``'s mesh is complete on the GPU, until it is in NumPy, and of that on the CPU."""
+    """Seconds until ``make(device)``'s mesh is complete on the GPU, until it is in NumPy, and of the CPU."""
     there = wall_median(lambda: make(device), runs, warm=2)
     in_numpy = wall_median(lambda: make(device).vertices, runs, warm=2)
     return there, in_numpy, wall_median(lambda: make("cpu").vertices, runs, warm=2)
 
 
 def device_median(run: Callable[[], Any], runs: int) -> float:
-    """Seconds on the device, by its own clock, after two runs that do not count."""
+    """Seconds by the device's clock, after two untimed runs."""
     run()
     run()
     seconds = []

@@ -35,7 +35,7 @@ def raw_band_kernel(
     reach: float,
     out_distance: wp.array(dtype=float),
 ):
-    """What a user of warp would write: a signed query for each voxel of the same tiles."""
+    """Baseline as a warp user would write it: a signed query for each voxel of the same tiles."""
     i = first + wp.tid()
     tile = tiles[i >> 9]
     voxel = i & 511
@@ -63,7 +63,7 @@ def median(run: Callable[[], Any]) -> float:
 
 @contextmanager
 def kernel_times(device: wp.Device) -> Iterator[dict[str, float]]:
-    """Seconds of each kernel while the context lasts, the device waited for after each."""
+    """Seconds of each kernel within the context, with the device synchronized after each."""
     spent: dict[str, float] = {}
     plain = launcher.launch
 
@@ -82,7 +82,7 @@ def kernel_times(device: wp.Device) -> Iterator[dict[str, float]]:
 
 
 def check_band(out: Callable[[str], None], device: str = "cuda:0") -> None:
-    """CPU and GPU: the same leaves, values within rounding, the same signs, the same nearest triangles."""
+    """Compares CPU and GPU: the same leaves, values within rounding, the same signs, the same nearest triangles."""
     out("| band | leaves and masks | largest difference [voxels] | other signs | other triangles | samples [voxels] |")
     out("|---|---|---:|---:|---:|---:|")
     cases: list[tuple[str, dict[str, Any]]] = [
@@ -98,7 +98,7 @@ def check_band(out: Callable[[str], None], device: str = "cuda:0") -> None:
             for where in ("cpu", device):
                 surface, voxel = surface_and_voxel(resolution, where)
                 made.append(from_mesh_with_triangles(surface, voxel, **options))
-            # Before anything is fetched: what stays on the device is sampled there.
+            # Sampled before any download: data that stays on the device is used there.
             points = inputs.near(surface.mesh, 10_000)
             sampled = [each.distance.sample(points, device=at) for each, at in zip(made, ("cpu", device), strict=True)]
             sound = float(np.abs(sampled[0] - sampled[1]).max() / voxel)

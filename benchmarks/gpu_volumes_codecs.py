@@ -1,4 +1,4 @@
-"""Volumes from points, dense arrays of them, and quantised grids on a GPU; part of benchmarks.gpu_volumes."""
+"""Volumes from points, dense arrays of them, and quantized grids on a GPU; part of benchmarks.gpu_volumes."""
 
 from __future__ import annotations
 

@@ -25,15 +25,15 @@ from geokit.core import launcher
 TRIANGLES = 190_000
 RESOLUTIONS = (256, 512, 1024, 2048)
 RUNS = 5
-# Surfaces of larger bands are as many triangles as a figure needs a thousand times.
+# Surfaces of larger bands have a thousand times as many triangles as a figure needs.
 LARGEST_MESHED = 1024
 
 
 class OpenVdb:
-    """OpenVDB's band of a mesh, and the surface of that, each timed inside.
+    """OpenVDB's band of a mesh and its surface, timed inside the library.
 
     Raises:
-        ImportError, OSError: OpenVDB is not to be had.
+        ImportError, OSError: OpenVDB is not available.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class OpenVdb:
         self._surface.argtypes = [ctypes.c_int, pointer]
 
     def band(self, mesh: Any, voxel: float) -> float:
-        """Seconds of the band; it is kept."""
+        """Seconds of the band, which is kept for ``surface``."""
         vertices = np.ascontiguousarray(mesh.vertices, np.float64)
         faces = np.ascontiguousarray(mesh.faces, np.int32)
         active = np.zeros(1, np.int64)
@@ -55,7 +55,7 @@ class OpenVdb:
         return float(self._band(*arrays, voxel, 3.0, launcher.thread_count(), active.ctypes.data))
 
     def surface(self, threads: int) -> tuple[float, int]:
-        """Seconds of the surface of the band made last, and its quads."""
+        """Seconds of the surface of the last band, and its number of quads."""
         quads = np.zeros(1, np.int64)
         return float(self._surface(threads, quads.ctypes.data)), int(quads[0])
 
@@ -106,7 +106,7 @@ def peer_threads() -> list[int]:
 
 
 def surface_row(what: str, volumes: dict[str, Any], device: str, peer: OpenVdb | None) -> str:
-    """A mesh of OpenVDB's last band beside ours: waited for on the GPU, in NumPy arrays, and on the CPU."""
+    """The surface of OpenVDB's last band against geokit's: synchronized on the GPU, in NumPy arrays, and on the CPU."""
     there, in_numpy, on_cpu = mesh_medians(lambda d: gk.mesh.from_volume(volumes[d], device=d), device, RUNS)
     faces = gk.mesh.from_volume(volumes[device], device=device).face_count
     theirs, quads = [], 0

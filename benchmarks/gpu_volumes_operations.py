@@ -49,7 +49,7 @@ def sphere_volume(radius: float, half_width: float = 3.0) -> SparseVolume:
     reach = int((radius + half_width) // 8) + 1
     steps = 8 * np.arange(-reach, reach)
     origins = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    # A leaf is 12.2 across: the others hold no voxel of the band.
+    # The diagonal of a leaf is below 12.2 voxels: other leaves hold no voxel of the band.
     middle = np.linalg.norm(origins + 3.5, axis=1)
     origins = origins[np.abs(middle - radius) < 6.1 + half_width].astype(np.int32)
     offsets = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
@@ -68,7 +68,7 @@ def sphere_volume(radius: float, half_width: float = 3.0) -> SparseVolume:
 
 
 def timed(run: Callable[[], Any], device: Any) -> float:
-    """Least time of some runs [ms], after one that is not counted."""
+    """Least time of some runs [ms], after one untimed run."""
     run()
     best = np.inf
     for _ in range(REPEATS):

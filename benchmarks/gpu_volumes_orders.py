@@ -1,4 +1,4 @@
-"""Orders 0 to 3, Hessians, curvatures and active states on a GPU: do they agree with the CPU, and what do they cost."""
+"""Orders 0 to 3, Hessians, curvatures and active states on a GPU: agreement with the CPU, and times."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def median(run: Callable[[], Any]) -> float:
 
 
 def difference(a: Any, b: Any) -> float:
-    """Largest difference, in units of the largest finite number; values that are not finite must be the same."""
+    """Largest difference, in units of the largest finite number; non-finite values must be identical."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     finite = np.isfinite(a)
     assert np.array_equal(finite, np.isfinite(b))

@@ -31,7 +31,8 @@ def march_kernel(
     step: float,
     out_t: wp.array(dtype=float),
 ):
-    """What a user of warp would write: half voxels until the sign changes, then ten halvings; float32, t only."""
+    """Baseline as a warp user would write it: steps of half a voxel until the sign changes, then ten bisections;
+    float32, t only."""
     i = first + wp.tid()
     t = start
     last = float(1.0)  # noqa: UP018 - a literal would be a constant of the kernel
@@ -60,7 +61,7 @@ def median(run: Callable[[], Any]) -> float:
 
 
 def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
-    """CPU and GPU: hits, by the blocks of the isovalue and without them, and light through fog."""
+    """Compares CPU and GPU: hits with and without the blocks of the isovalue, and light through fog."""
     out("| check | other hits | largest difference of t [voxels] | of normals |")
     out("|---|---:|---:|---:|")
     blocks_per_ray = crossing_blocks.BLOCKS_PER_RAY
@@ -92,7 +93,7 @@ def check_rays(out: Callable[[str], None], device: str = "cuda:0") -> None:
 
 
 def check_times(out: Callable[[str], None], device: str = "cuda:0") -> None:
-    """Times on arrays that are on the device, beside raw marching; what the blocks of an isovalue take."""
+    """Times on device arrays against raw marching, and the time for the blocks of an isovalue."""
     out("\n| rays | geokit M/s | raw marching M/s | ratio | blocks of an isovalue [ms] | fog M/s |")
     out("|---|---:|---:|---:|---:|---:|")
     target = launcher.resolve_device(device)

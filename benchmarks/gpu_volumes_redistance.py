@@ -1,4 +1,4 @@
-"""Redistancing on a GPU against the CPU: the same bits, and times. Needs numpy, warp and geokit only."""
+"""Redistancing on a GPU against the CPU: bit equality and times. Needs only numpy, warp and geokit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def seconds(run: Callable[[], Any]) -> float:
 
 
 def main(out: Callable[[str], None] = print, gpu: str = "cuda:0") -> None:
-    """A line for each operation; raises where the devices' results differ."""
+    """Print a line for each operation; raises if the results of the devices differ."""
     out("| operation | active voxels | CPU [s] | GPU [s] | ratio | bytes that differ |")
     out("| --- | ---: | ---: | ---: | ---: | ---: |")
     for radius in (20.0, 120.0):

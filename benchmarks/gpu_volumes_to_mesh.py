@@ -1,7 +1,7 @@
-"""Isosurfaces on a GPU: the same as on the CPU, and how quick; part of benchmarks.gpu_volumes.
+"""Isosurfaces on a GPU: equality with the CPU, and times; part of benchmarks.gpu_volumes.
 
-Needs no OpenVDB: the level sets are spheres with a ripple, made here. Beside them warp's own marching cubes, which want
-a dense float32 field; their time does not include making one. "There" is a mesh that stays on the GPU, waited for.
+Needs no OpenVDB: the level sets are rippled spheres, made here. The peer is warp's marching cubes, which needs a dense
+float32 field; its time does not include making that field. "There" means a mesh that stays on the GPU, synchronized.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ RUNS = 7
 
 
 def rippled_sphere(resolution: int) -> SparseVolume:
-    """About a level set, ``resolution`` voxels across, in voxel units."""
+    """Approximate level set of a rippled sphere, ``resolution`` voxels across, in voxel units."""
     radius = resolution / 2 - 4.0
     count = resolution // 8
     tiles = np.stack(np.meshgrid(*3 * [np.arange(-count // 2, count // 2, dtype=np.int32)], indexing="ij"), axis=-1)
     tiles = tiles.reshape(-1, 3)
-    # A tile reaches 7 voxels from its middle, the ripple two, the band three.
+    # A tile reaches 7 voxels from its center, the ripple two, the band three.
     near = np.abs(np.linalg.norm(8 * tiles + 3.5, axis=1) - radius) < 12.0
     origins = 8 * tiles[near]
     voxels = np.array(list(np.ndindex(8, 8, 8)), np.float32)
@@ -58,7 +58,7 @@ def median(run: Callable[[], Any]) -> float:
 
 
 def check_same(volume: SparseVolume, device: Any) -> list[str]:
-    """A row for each method: what differs between the CPU's mesh and the GPU's."""
+    """A row for each method with the differences between the CPU's mesh and the GPU's."""
     rows = []
     for method in METHODS:
         cpu, gpu = (gk.mesh.from_volume(volume, method=method, device=d) for d in ("cpu", device))
@@ -76,9 +76,9 @@ def check_same(volume: SparseVolume, device: Any) -> list[str]:
 
 
 def check_noise(device: Any) -> list[str]:
-    """As :func:`check_same`, for a field without any smoothness: every case occurs, tiles take part.
+    """The rows of :func:`check_same` for a field without any smoothness: all cases occur, tiles included.
 
-    A tenth of the voxels are not active: there the surface has boundary edges.
+    A tenth of the voxels are inactive, where the surface has boundary edges.
     """
     rng = np.random.default_rng(11)
     blocks = np.array(list(np.ndindex(4, 4, 4)), np.int32)
@@ -98,7 +98,7 @@ def check_noise(device: Any) -> list[str]:
 
 
 def gpu_stages(volume: SparseVolume, method: str, device: Any) -> str:
-    """Share of the time by kernel, each waited for; what is left is Python, scans, memory and the way to the host."""
+    """Share of the time by kernel, each synchronized; the rest is Python, scans, memory and the download."""
     spent: dict[str, float] = {}
     plain = launcher.launch
 

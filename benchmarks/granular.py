@@ -1,4 +1,4 @@
-"""The granular scene on a CPU, without pictures: frames a second against how far grains overlap, and against threads.
+"""The granular scene on a CPU without rendering: frames per second against the overlap of grains, and against threads.
 
 python -m benchmarks.granular [--grains 5000] [--threads 1 2 4 8]
 """
@@ -20,7 +20,7 @@ from geokit.core import launcher
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 
 OVERLAPS = (0.01, 0.02, 0.03, 0.05)
-# Frames in which the grains come to lie, and frames that are timed.
+# Frames for settling the grains, and frames that are timed.
 WARM, TIMED = 60, 30
 
 

@@ -1,4 +1,4 @@
-"""Tables of growth: time against triangles, which should be near-logarithmic a query, and against queries, linear."""
+"""Tables of growth: time per query against triangles, ideally near-logarithmic, and time against queries, linear."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmarks import inputs
 from benchmarks.measure import Report, median_seconds
 from geokit.mesh import Surface
 
-# Calls of fewer queries than this are quick, and vary: more runs.
+# Calls with fewer queries than this are short and vary more, so they get more runs.
 MANY = 100_000
 RUNS_OF_MANY, RUNS_OF_FEW = 3, 20
 

@@ -1,4 +1,4 @@
-"""Meshes, queries and rays that the benchmarks share; everything is seeded."""
+"""Meshes, queries and rays shared by the benchmarks; all random choices are seeded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from geokit.mesh import TriangleMesh
 
 
 def bunny() -> TriangleMesh:
-    """The Stanford bunny that warp's wheel brings, 12,200 triangles; a bumpy torus where it cannot be read."""
+    """The Stanford bunny from warp's wheel, 12,200 triangles; a bumpy torus if it cannot be read."""
     import os
 
     import warp as wp
@@ -22,9 +22,9 @@ def bunny() -> TriangleMesh:
 
 
 def bunny_of(triangles: int) -> TriangleMesh:
-    """The bunny, its triangles cut into four until there are as many: 195,200 and 3,123,200 are among the counts.
+    """The bunny with every triangle split into four until the number is reached: 195,200 and 3,123,200 among others.
 
-    Vertices are those of float32, so that peers of either precision have the same mesh.
+    Vertices are rounded to float32, so that peers of either precision have the same mesh.
     """
     mesh = bunny()
     while len(mesh.faces) < triangles:
@@ -50,7 +50,7 @@ def bumpy_torus(around: int, across: int) -> TriangleMesh:
 
 
 def subdivided(mesh: TriangleMesh, times: int) -> TriangleMesh:
-    """Each triangle cut into four at its edges' middles, ``times`` times."""
+    """Each triangle split into four at the midpoints of its edges, ``times`` times."""
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
     for _ in range(times):
         edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -66,13 +66,13 @@ def subdivided(mesh: TriangleMesh, times: int) -> TriangleMesh:
 
 
 def without_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
-    """The mesh with ``share`` of its faces, anywhere, taken away: a hole each."""
+    """The mesh without a random ``share`` of its faces: one hole each."""
     kept = np.random.default_rng(seed).random(len(mesh.faces)) >= share
     return TriangleMesh(mesh.vertices, mesh.faces[kept], name=mesh.name)
 
 
 def in_float32(values: np.ndarray) -> np.ndarray:
-    """What float32 can hold of them, in float64: then peers of either precision are asked the same question."""
+    """Values rounded to float32, in float64, so that peers of either precision get the same input."""
     return values.astype(np.float32).astype(np.float64)
 
 
@@ -94,10 +94,10 @@ def uniform(mesh: TriangleMesh, count: int, seed: int = 0) -> np.ndarray:
 
 
 def near(mesh: TriangleMesh, count: int, seed: int = 0, sigma: float = 0.01) -> np.ndarray:
-    """Points about the surface, normally distributed by ``sigma`` of the longest side."""
+    """Points around the surface, normally distributed with ``sigma`` as a share of the longest side."""
     rng = np.random.default_rng(seed)
-    centre = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]].mean(axis=1)
-    return centre + rng.normal(0, sigma * (mesh.bounds[1] - mesh.bounds[0]).max(), (count, 3))
+    center = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]].mean(axis=1)
+    return center + rng.normal(0, sigma * (mesh.bounds[1] - mesh.bounds[0]).max(), (count, 3))
 
 
 def random_rays(mesh: TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +117,7 @@ def camera_rays(mesh: TriangleMesh, width: int, height: int) -> tuple[np.ndarray
 
 
 def surface_points(mesh: TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Points anywhere in triangles that are drawn alike, and the normals there."""
+    """Points in triangles drawn with equal probability, and the normals there."""
     rng = np.random.default_rng(seed)
     corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count)]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -128,10 +128,11 @@ def surface_points(mesh: TriangleMesh, count: int, seed: int = 0) -> tuple[np.nd
 def surface_rays(
     mesh: TriangleMesh, count: int, seed: int = 0, start: float = 0.01, least: float = 0.1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from points of the surface to others; they set out at ``start`` of the way.
+    """Rays from points of the surface to others, starting at ``start`` of the way.
 
-    At the surface itself, whether a ray hits the triangle that it leaves would be up to the last bit: ends are at least
-    ``least`` diagonals apart, and so is the sine between a ray and the triangle that it leaves.
+    At the surface itself, rounding would decide whether a ray hits the triangle that it leaves. Both ends are therefore
+    at least ``least`` diagonals apart, and the sine between a ray and the triangle that it leaves is at least
+    ``least``.
     """
     origins, directions = np.zeros((0, 3)), np.zeros((0, 3))
     while len(origins) < count:

@@ -1,8 +1,8 @@
-"""A hundred million queries of two million triangles, and what memory they take: ``python -m benchmarks.large_inputs``.
+"""A hundred million queries of two million triangles, and their memory: ``python -m benchmarks.large_inputs``.
 
-Closest points, signed distances and first hits of points and rays that NumPy holds; some answers are compared with
-those of the same queries alone. On a GPU ``--device-memory`` gives all of its memory but so much away first, as a
-smaller one would have.
+Closest points, signed distances and first hits of points and rays in NumPy arrays; some answers are compared with those
+of the same queries alone. ``--device-memory`` first occupies all but this much of a GPU's memory, to emulate a smaller
+GPU.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CHUNK = 1 << 22
 
 
 def filled(count: int, make, *arguments) -> np.ndarray:
-    """``make(rng, size)`` in chunks: what makes the inputs must not take more memory than what is measured."""
+    """``make(rng, size)`` in chunks, so that making the inputs takes no more memory than the measured call."""
     rng, out = np.random.default_rng(0), np.empty((count, 3))
     for first in range(0, count, CHUNK):
         out[first : first + CHUNK] = make(rng, min(CHUNK, count - first), *arguments)
@@ -33,7 +33,7 @@ def filled(count: int, make, *arguments) -> np.ndarray:
 
 
 def peak_host() -> float:
-    """GiB that the process has had in memory at most."""
+    """Peak resident memory of the process [GiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 

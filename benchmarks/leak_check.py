@@ -1,7 +1,7 @@
-"""Rays from inside of closed meshes at their vertices and edges: ``python -m benchmarks.leak_check [--rays N]``.
+"""Rays from inside closed meshes at their vertices and edges: ``python -m benchmarks.leak_check [--rays N]``.
 
-A ray that hits nothing has leaked. Aims are exact in float64, or rounded to float32 as a float32 pipeline would have
-them. Of each case some first hits are compared with brute force over all triangles, in float64.
+A ray that hits nothing has leaked. Targets are exact in float64, or rounded to float32 as in a float32 pipeline. In
+each case some first hits are compared with brute force over all triangles, in float64.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def aimed(mesh: gk.mesh.TriangleMesh, start: np.ndarray, count: int, at_edges: b
 
 
 def largest_error(mesh, origins, directions, t) -> float:
-    """How much later than brute force a ray hits, relative, or how far from the surface it does, in diagonals.
+    """Largest relative delay of a hit behind brute force, or distance of a hit from the surface in diagonals.
 
-    Brute force leaks at edges itself: it may miss what is hit rightly, so an earlier hit need only be one.
+    Brute force itself leaks at edges and may miss a right hit, so an earlier hit only has to be on the surface.
     """
     pick = np.linspace(0, len(t) - 1, COMPARED).astype(int)
     origins, directions, t = origins[pick], directions[pick], t[pick]

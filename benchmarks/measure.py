@@ -1,7 +1,7 @@
-"""How the benchmarks measure: answers are compared first, then both run in turn; a ratio is that of the medians.
+"""Measurement: answers are compared first, then geokit and a peer run in turn; a ratio is that of the medians.
 
-A task runs in a process of its own, so that a peer that crashes or hangs costs one row: the task is started again
-without it. Rows travel to the parent as they come; bars are judged when a task is done.
+Each task runs in a process of its own, so that a peer that crashes or hangs costs one row: the task is restarted
+without it. Rows are sent to the parent as they are measured; required ratios are checked at the end of a task.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# A peer's answers may be float32: half a millionth of the size.
+# Tolerance for peers whose answers may be float32: half a millionth of the size.
 SAME = 5e-7
-# Share of rays, rounded up to a whole one, that may see another surface: at silhouettes float32 decides either way.
+# Share of rays, rounded up to a whole one, that may hit another surface: at silhouettes float32 decides either way.
 SILHOUETTES = 1e-5
-# A sign nearer to the surface than this share of the size is the sign of a rounding.
+# Closer to the surface than this share of the size, rounding determines the sign.
 SIGNED = 1e-6
-# A peer whose signs are right less often than this is not timed; what is right is printed.
+# A peer with a smaller share of right signs is not timed; the share is printed.
 SIGNS = 0.999
 RUNS = 5
-# Runs of calls that take longer than so many seconds: those vary little, and the first counts as it warms up little.
+# Runs of calls that take longer than this many seconds: they vary little, and warm-up hardly affects the first.
 FEWER_RUNS = ((6.0, 2), (2.0, 3))
-# OpenMP's threads spin on after their work, and would take the next call's cores.
+# Pause for OpenMP's threads, which keep spinning and would occupy cores of the next call.
 PAUSE = 0.02
-# Small calls: batches of calls, so that the clock's own cost and the first call's cold caches do not count.
+# Small calls are timed in batches, so that the clock's overhead and the first call's cold caches do not count.
 BATCHES, BATCH = 40, 25
-# A peer silent for so long [s] is given up.
+# Time-out of a silent peer [s].
 PATIENCE = 1200.0
-# Exit code of a task that failed by itself, not by a peer.
+# Exit code of a task that failed by itself, not because of a peer.
 FAILED = 70
 
 HEADER = (
@@ -48,14 +48,15 @@ HEADER = (
 
 
 class Asked(NamedTuple):
-    """A peer with everything prepared: what the clock sees, and how its answer becomes an array afterwards."""
+    """A prepared peer: the timed call, and the conversion of its answer to an array afterwards."""
 
     run: Callable[[], Any]
     read: Callable[[Any], np.ndarray] = np.asarray
 
 
 class Peer(NamedTuple):
-    """A peer by name; ``make`` prepares it, outside the clock. ``same`` is for one whose magnitudes are known off."""
+    """A peer by name; ``make`` prepares it, untimed. ``same`` is its tolerance if its magnitudes are known to be
+    off."""
 
     name: str
     make: Callable[[], Asked]
@@ -63,7 +64,7 @@ class Peer(NamedTuple):
 
 
 class Bar(NamedTuple):
-    """Least ratio to the best of the peers whose names begin so; without names, to the best of all."""
+    """Required ratio to the best of the peers whose names start with one of ``names``; without names, of all peers."""
 
     least: float
     peers: tuple[str, ...] = ()
@@ -74,17 +75,17 @@ class Case:
     """One question to geokit and its peers.
 
     Attributes:
-        task: What the first column says.
-        count: Queries (or triangles) that a call answers, for the rates.
+        task: Text of the first column.
+        count: Queries (or triangles) of a call, for the rates.
         ours: geokit's call.
-        peers: Who is asked the same.
-        size: What differences are relative to.
+        peers: Peers that answer the same question.
+        size: Length to which differences are relative.
         kind: "distance", "signed" or "hit" (also for yes and no): how answers are compared.
-        bars: What the ratios must reach.
-        read: Our answer as an array.
-        units: What answers are multiplied with before they are compared, such as lengths of directions.
+        bars: The required ratios.
+        read: Converts our answer to an array.
+        units: Factors on answers before comparison, such as lengths of directions.
         same: Largest relative difference of a right answer.
-        small: The time of a call is told in microseconds.
+        small: Whether the time of a call is printed in microseconds.
     """
 
     task: str
@@ -102,7 +103,7 @@ class Case:
 
 @dataclass
 class Row:
-    """One line of the table; cells are text, the ratio is kept for the bars."""
+    """One line of the table; cells are text, the ratio is kept for the required ratios."""
 
     task: str
     ours: str = "-"
@@ -121,7 +122,7 @@ class Row:
 
 @dataclass
 class Table:
-    """Lines of one report, printed as they come, and written with them; notes and other tables follow at its end."""
+    """Lines of one report, printed as they come and written together; notes and other tables follow at the end."""
 
     path: Path | None = None
     lines: list[str] = field(default_factory=list)
@@ -145,9 +146,10 @@ class Table:
 
 
 def paired(ours: Callable[[], Any], theirs: Callable[[], Any], small: bool = False) -> tuple[float, float]:
-    """Median seconds of a call of each, run in turn so that a machine that slows down slows both; the first warms up.
+    """Median seconds of a call of each, run in turn so that a slow phase of the machine affects both; the first warms
+    up.
 
-    Small calls run in batches, and are not paused between.
+    Small calls run in batches, without pauses between them.
     """
     seconds: tuple[list[float], list[float]] = ([], [])
     repeat, runs, warm = (BATCH, BATCHES, 1) if small else (1, RUNS, 1)
@@ -166,7 +168,7 @@ def paired(ours: Callable[[], Any], theirs: Callable[[], Any], small: bool = Fal
 
 
 def median_seconds(call: Callable[[], Any], runs: int, pause: float = PAUSE) -> float:
-    """After a call that warms up."""
+    """Median seconds of a call, after one that warms up."""
     call()
     seconds = []
     for _ in range(runs):
@@ -178,7 +180,7 @@ def median_seconds(call: Callable[[], Any], runs: int, pause: float = PAUSE) -> 
 
 
 def compared(case: Case, ours: np.ndarray, theirs: np.ndarray, same: float) -> tuple[bool, str]:
-    """Whether the answers are the same, and what the table says of it."""
+    """Whether the answers agree, and the table's text about it."""
     if np.shape(ours) != np.shape(theirs):
         return False, f"shape {np.shape(theirs)} for {np.shape(ours)}"
     a, b = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
@@ -221,7 +223,7 @@ def against(case: Case, answer: np.ndarray, peer: Peer) -> Row:
 
 
 def judge(rows: list[Row], bars: Iterable[Bar]) -> None:
-    """Write each bar, and whether it is met, into the row of the best peer that it speaks of."""
+    """Write each required ratio, and whether it is met, into the row of the best peer that it applies to."""
     for bar in bars:
         named = [row for row in rows if not bar.peers or row.peer.startswith(bar.peers)]
         timed = [row for row in named if row.ratio is not None]
@@ -235,7 +237,7 @@ def judge(rows: list[Row], bars: Iterable[Bar]) -> None:
 
 
 class Report:
-    """Where a task puts its cases, rows and lines: sent through a pipe, or kept where there is none.
+    """Receiver of a task's cases, rows and lines: sent through a pipe if there is one, else kept.
 
     Args:
         send: Takes the events: ("case", task, bars), ("begin", task, peer), ("row", row), ("line", text).
@@ -267,7 +269,7 @@ class Report:
 
 @dataclass
 class Gathered:
-    """What the parent has of one task."""
+    """The parent's record of one task."""
 
     rows: dict[str, list[Row]] = field(default_factory=dict)
     bars: dict[str, tuple[Bar, ...]] = field(default_factory=dict)
@@ -288,7 +290,7 @@ class Gathered:
             self.lines.append(rest[0])
 
     def gone(self, reason: str) -> bool:
-        """A row for the peer that the process died beside; False where there was none."""
+        """Add a row for the peer during which the process died; False if there was none."""
         if self.current is None:
             return False
         task, peer = self.current
@@ -305,10 +307,10 @@ class Gathered:
 
 
 def in_process(table: Table, name: str, task: Callable[..., None], *arguments: Any) -> None:
-    """``task(report, *arguments)`` in a process of its own, again and again while peers take it down with them."""
+    """Run ``task(report, *arguments)`` in a process of its own, restarted as long as peers crash it."""
     gathered = Gathered()
     while True:
-        # Lines come once the tables are whole: a task that starts again sends them again.
+        # Lines are printed once the tables are complete, because a restarted task sends them again.
         gathered.lines.clear()
         done = [(row.task, row.peer) for rows in gathered.rows.values() for row in rows]
         reason, own = _attempt(gathered, task, done, arguments)
@@ -322,7 +324,7 @@ def in_process(table: Table, name: str, task: Callable[..., None], *arguments: A
 
 
 def _attempt(gathered: Gathered, task: Callable[..., None], done: list, arguments: tuple) -> tuple[str | None, bool]:
-    """None when the task ran to its end, else what happened to its process; and whether that was its own doing."""
+    """None if the task ran to its end, else a description of its failure; and whether the task itself caused it."""
     context = multiprocessing.get_context("spawn")
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_child, args=(theirs, task, done, arguments))
@@ -349,7 +351,7 @@ def _attempt(gathered: Gathered, task: Callable[..., None], done: list, argument
 
 
 def _child(pipe: Connection, task: Callable[..., None], done: list, arguments: tuple) -> None:
-    # What peers print must not stand in the table.
+    # Output of peers must not appear in the table.
     os.dup2(2, 1)
     try:
         task(Report(pipe.send, done), *arguments)
@@ -357,5 +359,5 @@ def _child(pipe: Connection, task: Callable[..., None], done: list, arguments: t
         traceback.print_exc()
         os._exit(FAILED)
     pipe.close()
-    # Peers' threads and libraries have nothing left to say, and some crash on their way out.
+    # Skip the clean-up of peers' threads and libraries, some of which crash at exit.
     os._exit(0)

@@ -1,8 +1,8 @@
 """Mesh queries side by side with every peer: ``python -m benchmarks.mesh_queries [--quick] [--tasks NAME ...]``.
 
-Prints a table with ratios (above 1: geokit is quicker) and whether they reach what they must, then notes and tables of
-growth. How answers are compared and timed is in ``measure``, what peers are given in ``peers``. Points and rays are in
-random order; geokit's ordering of them is inside its time.
+Prints a table with ratios (above 1: geokit is faster) and whether they reach the required values, then notes and tables
+of growth. ``measure`` describes how answers are compared and timed, ``peers`` the inputs of peers. Points and rays are
+in random order; geokit's ordering of them is included in its time.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from geokit.mesh import Surface, TriangleMesh
 
 # libigl's signed_distance multiplies with 1 - 2w, and its fast w is off by hundredths; point-cloud-utils calls it too.
 SAME_LIBIGL_FAST = 0.1
-# Sine of the angle below which a ray counts as no flatter: what lies so flat must differ in length as well.
+# Sine of the angle below which a ray counts as grazing: for grazing rays the lengths must differ as well.
 LEAST_RISE = 1e-3
-# Share of its faces that the broken mesh lacks.
+# Share of faces missing from the broken mesh.
 BROKEN = 0.05
-# Points that libigl's exact winding number judges: it adds all triangles up for each.
+# Number of points checked by libigl's exact winding number, which sums all triangles for each.
 JUDGED = 2000
-# Points that show what peers gain by points in order.
+# Points that show the gain of peers from ordered points.
 ORDER_TRIAL = 50_000
-# Points asked of the large mesh: peers answer ten thousand a second.
+# Queries of the large mesh: peers answer ten thousand per second.
 LARGE_QUERIES = 50_000
-# Triangles of the large mesh, and the most seconds that its preparation may take.
+# Triangles of the large mesh, and the time limit of its preparation [s].
 LARGE, LARGE_SECONDS = 3_000_000, 3.0
 SMALL_RUNS = 500
-# Most seconds that a small call may take besides answering its queries.
+# Largest overhead of a small call [s].
 OVERHEAD = 200e-6
-# Bars: least ratios.
+# Required ratios.
 CLOSEST = (Bar(4.0),)
 WATERTIGHT = (Bar(1.0, ("Open3D",)),)
 QUICK_HIT = (Bar(1.2, ("Open3D",)),)
 SIGNED = (Bar(4.0, ("Open3D",)), Bar(2.5, ("warp",)))
 WINDING = (Bar(6.0, ("libigl",)),)
-# Half as quick as Open3D's build.
+# Half the speed of Open3D's build.
 BUILD = (Bar(0.5, ("Open3D",)),)
 
 
 class Setting(NamedTuple):
-    """What the tasks are run with.
+    """Settings of the tasks.
 
     Attributes:
         triangles: Least number of triangles of the bunny.
@@ -71,7 +71,7 @@ Task = Callable[[Report, Setting], None]
 
 
 def prepared(triangles: int) -> tuple[TriangleMesh, Surface, str]:
-    """The bunny, its surface on the CPU, and how tasks call it."""
+    """The bunny, its surface on the CPU, and its name in tasks."""
     mesh = inputs.bunny_of(triangles)
     return mesh, Surface(mesh, device="cpu"), f"{len(mesh.faces):,} triangles"
 
@@ -82,7 +82,7 @@ def point_sets(mesh: TriangleMesh, count: int) -> dict[str, np.ndarray]:
 
 
 def ray_sets(mesh: TriangleMesh, count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Rays by name; the camera's are as many as a picture of 4 to 3 has."""
+    """Rays by name; the camera has as many as a 4:3 picture."""
     height = max(1, round((count * 3 / 4) ** 0.5))
     sets = {
         "random": inputs.random_rays(mesh, count),
@@ -103,7 +103,7 @@ def closest_point(report: Report, setting: Setting) -> None:
 
 
 def closest_case(task: str, mesh: TriangleMesh, surface: Surface, points: np.ndarray, few: bool = False) -> Case:
-    """Against all peers, or the quickest few."""
+    """Comparison with all peers, or with the fastest few."""
     asked = [
         Peer("Open3D", partial(peers.open3d_distance, mesh, points)),
         Peer("fcpw", partial(peers.fcpw_distance, mesh, points)),
@@ -117,7 +117,7 @@ def closest_case(task: str, mesh: TriangleMesh, surface: Surface, points: np.nda
 
 
 def note_order(report: Report, mesh: TriangleMesh, count: int) -> None:
-    """What peers gain by points in order; the table gives nobody ordered ones."""
+    """The gain of peers from ordered points; the points of the table are unordered for all."""
     points = inputs.in_float32(inputs.uniform(mesh, count))
     ordered = inputs.in_morton_order(points)
     gains = []
@@ -149,7 +149,8 @@ def hit_case(
     watertight: bool,
     few: bool = False,
 ) -> Case:
-    """Watertight against all, or the quickest few; the quick way against Embree and those that are not robust."""
+    """Watertight hits against all peers, or the fastest few; fast hits against Embree and the peers that are not
+    robust."""
     robust = "robust" if watertight else "not robust"
     asked = [
         Peer("Open3D (Embree, robust)", partial(peers.open3d_first_hit, mesh, *rays)),
@@ -174,10 +175,10 @@ def hit_case(
 
 
 def height_over_hit(mesh: TriangleMesh, surface: Surface, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How much each ray rises over the plane of the triangle that it hits, for a t of 1.
+    """Rise of each ray over the plane of the triangle that it hits, for a t of 1.
 
-    A point that float32 has right but for its last digits is as far from the plane as those; along a ray that grazes
-    the plane it may be off by thousands of times that.
+    A point that is right in float32 up to its last digits is that far from the plane; along a grazing ray it may be off
+    by thousands of times that.
     """
     corners = mesh.vertices[mesh.faces[surface.raycast(origins, directions).triangle_id]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -229,7 +230,8 @@ def signed_case(
 
 
 def libigl_signed(mesh: TriangleMesh, points: np.ndarray, calls: bool) -> list[Peer]:
-    """By fast winding numbers: from prebuilt trees, and ``calls`` as well that build them anew, always slower."""
+    """Peers with fast winding numbers: from prebuilt trees and, if ``calls``, also building trees per call, always
+    slower."""
     asked = [Peer("libigl, fast winding, trees prebuilt", partial(peers.libigl_signed, mesh, points))]
     if calls:
         call = partial(peers.libigl_signed_call, mesh, points, "FAST_WINDING_NUMBER")
@@ -249,7 +251,7 @@ def broken(report: Report, setting: Setting) -> None:
 
 
 def judged_signs(name: str, mesh: TriangleMesh, surface: Surface, points: np.ndarray) -> str:
-    """Who is right, by the sum over all triangles."""
+    """Shares of right signs of geokit and libigl, by the exact sum over all triangles."""
     try:
         exact = peers.libigl_exact_winding(as_wound(surface), points)
         theirs = peers.libigl_signed(mesh, points)
@@ -266,7 +268,7 @@ def judged_signs(name: str, mesh: TriangleMesh, surface: Surface, points: np.nda
 
 
 def preparation(report: Report, setting: Setting) -> None:
-    """Each build with one query, as some build at the first."""
+    """Each build with one query, because some peers build at the first query."""
     mesh = inputs.bunny_of(setting.triangles)
     task = f"preparation and 1 point, {len(mesh.faces):,} triangles"
     build_case(report, task, mesh, signs=False, bars=BUILD)
@@ -313,7 +315,7 @@ def large(report: Report, setting: Setting) -> None:
 
 
 def small_calls(report: Report, setting: Setting) -> None:
-    """What a call costs besides its queries: all of a call for one, and what two calls for half cost more than one."""
+    """Overhead of a call: the whole time for one query, and the extra time of two calls with half the queries each."""
     mesh, surface, _ = prepared(setting.triangles)
     points = inputs.in_float32(inputs.uniform(mesh, 100))
     origins, directions = (inputs.in_float32(a) for a in inputs.random_rays(mesh, 100))
@@ -345,7 +347,7 @@ def in_halves(call: Callable[[slice], Any]) -> None:
 
 
 def growth(report: Report, setting: Setting) -> None:
-    """Tables in place of rows, of geokit alone."""
+    """Tables of geokit alone, without rows."""
     grow_triangles(report, setting.queries, powers(1_000, setting.growth))
     report.line("")
     _, surface, named = prepared(setting.triangles)
@@ -363,14 +365,14 @@ TASKS: dict[str, Task] = {
     "large": large,
     "growth": growth,
 }
-# What --quick leaves out.
+# Tasks left out by --quick.
 LENGTHY = ("large",)
 QUICK = Setting(triangles=48_800, queries=20_000, growth=100_000)
 
 
 def begin(setting: Setting, out: Path | None) -> Table:
-    """A table that says what it was measured on."""
-    # As many threads for peers as for geokit.
+    """A table with a description of the machine."""
+    # Peers get as many threads as geokit.
     os.environ.setdefault("OMP_NUM_THREADS", str(launcher.thread_count()))
     table = Table(path=out)
     table.add(
@@ -382,7 +384,7 @@ def begin(setting: Setting, out: Path | None) -> Table:
 
 
 def run_tasks(table: Table, tasks: dict[str, Task], setting: Setting) -> None:
-    """Each in a process of its own: a peer that crashes costs its row."""
+    """Run each task in a process of its own: a peer that crashes costs one row."""
     for name, task in tasks.items():
         in_process(table, name, task, setting)
 

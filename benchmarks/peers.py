@@ -1,15 +1,15 @@
-"""Peers that answer mesh queries, each at its best: trees prebuilt, all threads, float32 in its own containers.
+"""Peers for mesh queries, each in its best configuration: prebuilt trees, all threads, float32 in its own containers.
 
-A factory prepares everything, and returns an ``Asked``: ``run`` is what the clock sees, ``read`` makes its answer an
-array afterwards. A peer that is not installed raises ImportError. Queries keep the order that the user has them in.
+A factory prepares everything and returns an ``Asked``: ``run`` is the timed call, ``read`` converts its answer to an
+array afterwards. A peer that is not installed raises ImportError. Queries keep the order of the user.
 
 - Open3D's scene is Embree with RTC_SCENE_FLAG_ROBUST (cpp/open3d/t/geometry/RaycastingScene.cpp); the parity of one
   ray decides its signs. It builds at its first query, and uses all threads.
-- embreex lets go of the GIL: slices go to a pool of threads. It is robust only when asked to be.
-- fcpw wants columns (Fortran order), libigl rows of float64. libigl's AABB is prebuilt; its ``signed_distance`` builds
-  trees at each call, and multiplies distances by 1 - 2w where w is the fast winding number, which is not quite 0 or 1.
+- embreex releases the GIL: slices go to a pool of threads. It is robust only if requested.
+- fcpw needs columns (Fortran order), libigl rows of float64. libigl's AABB is prebuilt; its ``signed_distance`` builds
+  trees at each call, and multiplies distances by 1 - 2w with w the fast winding number, which is not exactly 0 or 1.
 - point-cloud-utils builds its tree at each call; its rays run on one thread and hold the GIL.
-- raw warp is what its users write, in slices over all threads, with the quicker of two leaf sizes.
+- raw warp is written as its users would, in slices over all threads, with the faster of two leaf sizes.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from benchmarks.measure import Asked
 from geokit.core import launcher
 from geokit.mesh import TriangleMesh
 
-# Leaves of a warp Mesh: the best on CPUs so far; which one depends on the mesh and the queries.
+# Leaf sizes of a warp Mesh: the best ones on CPUs; which one is faster depends on the mesh and the queries.
 LEAF_SIZES = (8, 4)
-# Queries that decide between them.
+# Queries that choose between them.
 LEAF_TRIAL = 20_000
-# More slices than threads, so that a hard slice keeps nobody waiting; fewer cost less in calls.
+# More slices than threads, so that a hard slice does not delay the end; fewer cost less call overhead.
 SLICES_PER_THREAD = 8
 
 
@@ -249,7 +249,7 @@ def libigl_signed_call(mesh: TriangleMesh, points: np.ndarray, method: str) -> A
 
 
 def libigl_exact_winding(mesh: TriangleMesh, points: np.ndarray) -> np.ndarray:
-    """The sum over all triangles: the judge of signs on broken meshes."""
+    """The sum over all triangles: the independent reference for signs on broken meshes."""
     import igl
 
     return igl.winding_number(np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.int64), points)
@@ -377,7 +377,7 @@ def warp_build(mesh: TriangleMesh, point: np.ndarray, signs: bool = False) -> As
     )
 
     def run() -> Any:
-        tree = build(LEAF_SIZES[0])  # by name: a mesh that nobody holds is freed before the launch
+        tree = build(LEAF_SIZES[0])  # a reference is kept: otherwise the mesh is freed before the launch
         launcher.launch(kernel, len(point), [tree.id, query], [out], device)
         return out
 

@@ -1,8 +1,9 @@
-"""Neighbours against every peer: ``python -m benchmarks.points [--tasks NAME ...] [--counts N ...] [--out FILE]``.
+"""Neighbors against every peer: ``python -m benchmarks.points [--tasks NAME ...] [--counts N ...] [--out FILE]``.
 
-Points are their own queries; building is part of each time, of geokit's and of the peer's. Answers are compared first:
-counts, and all lists of neighbours as sets; nobody sorts them. SciPy and nanoflann have float64 points; Open3D has
-float32 ones, as geokit has beside it, and decides in float32: of 100,000 lists one may be another. All get all threads.
+Points are their own queries; the build is part of each time, of geokit's and of the peer's. Answers are compared first:
+counts, and all lists of neighbors as sets; no list is sorted. SciPy and nanoflann use float64 points; Open3D uses
+float32 points, compared with geokit on float32, and decides in float32: one of 100,000 lists may differ. All use all
+threads.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ NEAREST = (8, 32)
 # The shapes are compared with the uniform cloud at this many points.
 SHAPE_COUNT = 500_000
 RUNS = 5
-# SciPy's lists are Python's: those of more points take minutes and gigabytes.
+# SciPy's lists are Python objects: for more points they take minutes and gigabytes.
 MOST_LISTS = 500_000
 
 
 def cloud_of(name: str, count: int) -> tuple[np.ndarray, float]:
-    """A cloud whose coordinates float32 holds: peers of either precision have the same points."""
+    """A cloud with coordinates that float32 represents, so that peers of either precision have the same points."""
     points, radius = clouds.SHAPES[name](count)
     return points.astype(np.float32).astype(np.float64), float(np.float32(radius))
 
@@ -61,7 +62,7 @@ def open3d_counts(points: np.ndarray, radius: float) -> Asked:
 
 
 def sums_of_rows(offsets: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """A number for each row that another set of indices would hardly have."""
+    """A hash of each row's set of indices, unlikely to collide."""
     mixed = (indices.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     total = np.concatenate([[np.uint64(0)], np.cumsum(mixed ^ (mixed >> np.uint64(29)), dtype=np.uint64)])
     return (total[offsets[1:]] - total[offsets[:-1]]) >> np.uint64(12)
@@ -73,7 +74,7 @@ def open3d_lists(points: np.ndarray, radius: float) -> Asked:
 
 
 def scipy_lists(points: np.ndarray, radius: float) -> Asked:
-    """As arrays: SciPy itself has lists of Python's."""
+    """SciPy's Python lists, converted to arrays."""
     from scipy.spatial import cKDTree
 
     def run() -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +102,7 @@ def nanoflann_nearest(points: np.ndarray, k: int) -> Asked:
         return tree.kneighbors(points, n_jobs=threads)
 
     def read(found: Any) -> np.ndarray:
-        # Whether distances come squared has changed between its versions.
+        # Whether distances are squared differs between its versions.
         values = np.asarray(found[0], dtype=np.float64).ravel()
         return values
 
@@ -200,7 +201,7 @@ def nearest(report: Report, count: int) -> None:
 
 
 def shapes(report: Report, _: int) -> None:
-    """Time for each neighbour found, of clouds of other shapes, in units of the uniform cloud's."""
+    """Time for each neighbor found, of clouds of other shapes, in units of the uniform cloud's."""
     usual: dict[str, float] = {}
     for name in clouds.SHAPES:
         points, radius = cloud_of(name, SHAPE_COUNT)
@@ -219,7 +220,7 @@ def shapes(report: Report, _: int) -> None:
                     f"{1e-6 / each:.1f}",
                     bar="2",
                     met="met" if against <= 2.0 else "NOT met",
-                    note=f"{number / len(points):.1f} neighbours each; {against:.2f} of the uniform time for each",
+                    note=f"{number / len(points):.1f} neighbors each; {against:.2f} of the uniform time for each",
                 )
             )
 

@@ -1,4 +1,4 @@
-"""Raw warp, as its users write it today: what the benchmarks compare with."""
+"""Raw warp kernels as users write them: the baseline of the benchmarks."""
 
 import warp as wp
 

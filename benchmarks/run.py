@@ -49,7 +49,7 @@ def neighbors(report: Report, setting: Setting) -> None:
         Peer("SciPy cKDTree", partial(scipy_counts, cloud, radius)),
         Peer("Open3D", partial(open3d_counts, cloud, radius)),
     ]
-    report.case(Case("neighbour counts, 30 each", len(cloud), partial(grid.count, cloud), asked, 1.0))
+    report.case(Case("neighbor counts, 30 each", len(cloud), partial(grid.count, cloud), asked, 1.0))
 
 
 def narrow_band(report: Report, setting: Setting) -> None:

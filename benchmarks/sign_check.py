@@ -1,9 +1,9 @@
 """Signs on broken meshes against libigl's exact winding number: ``python -m benchmarks.sign_check [--points N]``.
 
-The bunny is broken in each way of tests/support/mesh_catalog.py. libigl's exact sum judges both, geokit and libigl's
-fast winding number; it counts points whose exact winding number is farther than 0.01 from 1/2. geokit turns faces that
-are wound against their neighbours first, so the exact sum is taken over the mesh as it turned it. Speed is that of
-signed distances, libigl's trees built before the clock starts, and of winding numbers alone; medians of paired runs.
+The bunny is broken in each way of tests/support/mesh_catalog.py. libigl's exact sum is the independent reference for
+geokit and for libigl's fast winding number; only points with an exact winding number farther than 0.01 from 1/2 count.
+geokit first flips faces that are wound against their neighbors, so the exact sum is taken over the mesh with these
+flips. Times are those of
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Row(NamedTuple):
 
 
 def as_wound(surface: Surface) -> TriangleMesh:
-    """The mesh with the faces turned that the surface counts as turned."""
+    """The mesh with the faces flipped that the surface treats as flipped."""
     flipped = surface._orientation.flipped
     faces = np.where(flipped[:, None], surface.mesh.faces[:, ::-1], surface.mesh.faces)
     return TriangleMesh(surface.mesh.vertices, faces, name=surface.mesh.name)

@@ -2,9 +2,10 @@
 
 python -m benchmarks.tolerances [--share 4e-3] [NAME ...]
 
-The judge asks at points of its own seed, 50,000 of them and 20,000 more around the worst, with distances by geokit's
-float64 closest points (which tests/property hold against brute force). The search tries every order and codec at voxel
-sizes 2^(1/4) apart, makes each grid, and takes the smallest that keeps the tolerance by the same judge.
+Errors are measured at points with a seed of their own, 50,000 of them and 20,000 more around the worst, against
+distances by geokit's float64 closest points (which tests/property compare with brute force). The search tries every
+order and codec at voxel sizes 2^(1/4) apart, makes each grid, and takes the smallest that keeps the tolerance by the
+same measure.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ import geokit as gk
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.search import CODECS, ORDERS, Setting, options_of
 
-# Points anywhere in the zone; then so many of the worst, each moved so often by up to a share of a voxel.
+# Random points in the zone; then the number of worst points, and how often each is displaced by up to a share of a
+# voxel.
 JUDGED, WORST, MOVES, SHARES = 50_000, 500, 20, (0.4, 0.1)
 # Voxel sizes of the exhaustive search are this far apart; memory goes with the square.
 STEP = 2.0**-0.25
@@ -36,7 +38,7 @@ ASKED: dict[str, Any] = {
 
 
 def meshes() -> dict[str, gk.mesh.TriangleMesh]:
-    """Those of tests/volume/tolerance/test_from_mesh_property.py, the samples, and the bunny that warp brings."""
+    """The meshes of tests/volume/tolerance/test_from_mesh_property.py, the samples, and the bunny from warp's wheel."""
     import warp as wp
 
     from tests.volume.tolerance.test_from_mesh_property import MESHES
@@ -48,12 +50,12 @@ def meshes() -> dict[str, gk.mesh.TriangleMesh]:
 
 
 class Judge:
-    """Largest errors of fields, at points that are the same for all and around the worst of them.
+    """Largest errors of fields, at points common to all fields and around the worst of them.
 
     Args:
-        mesh: What the fields are of.
-        surface: Its distances.
-        within: How far from the surface they have to hold [world].
+        mesh: The mesh of the fields.
+        surface: Its exact distances.
+        within: Distance from the surface up to which the tolerance applies [world].
     """
 
     def __init__(self, mesh: gk.mesh.TriangleMesh, surface: gk.mesh.Surface, within: float) -> None:
@@ -64,7 +66,7 @@ class Judge:
         self.exact = np.asarray(surface.signed_distance(self.points).distance)
 
     def largest(self, field: gk.volume.SparseVolume, order: int, enough: float = math.inf) -> float:
-        """The largest error; any that is above ``enough`` will do."""
+        """The largest error; the search stops at any error above ``enough``."""
         random = np.random.default_rng(78)
         points, exact = self.points, self.exact
         errors = np.abs(field.sample(points, order=order, device="cpu") - exact)
@@ -83,7 +85,7 @@ class Judge:
 
 
 def exhaustive(surface: gk.mesh.Surface, tolerance: float, judge: Judge) -> tuple[float, str]:
-    """Fewest bytes of all settings that the judge says keep the tolerance, and which setting that is."""
+    """Fewest bytes of all settings that keep the tolerance by the measured error, and the setting."""
     search = tolerance_search(surface, tolerance, **ASKED, device="cpu")
     options = options_of(ORDERS, CODECS)
     best, what = math.inf, "-"

@@ -1,4 +1,4 @@
-"""Quantised grids and volumes from arrays, points and functions, side by side: ``python -m benchmarks.volume_codecs``.
+"""Quantized grids and volumes from arrays, points and functions, side by side: ``python -m benchmarks.volume_codecs``.
 
 Answers are compared first; then both sides run in turn and the ratio is that of the medians. Peers are programs of
 OpenVDB's packages (nanovdb_convert, vdb_tool, pyopenvdb for the system's Python), left out where they are not
@@ -80,14 +80,14 @@ def level_set(resolution: int) -> Any:
 
 
 def sizes(volume: Any) -> None:
-    """What each codec takes, how far it is off, and what sampling it costs."""
+    """Memory, error and sampling time of each codec."""
     voxel = float(volume.info.voxel_size[0])
     rng = np.random.default_rng(0)
     box = volume.info.index_bounds
     active = to_dense(volume, device="cpu").values
     near = np.argwhere(np.abs(active) < volume.info.background)[:: max(1, active.size // 10_000_000)] + box[0]
     points = (near[rng.permutation(len(near))] + rng.uniform(-0.5, 0.5, (len(near), 3))) * voxel
-    print("\n| codec | MiB | bytes of the float grid | largest error [voxels] | quantise ms | sample M/s |")
+    print("\n| codec | MiB | bytes of the float grid | largest error [voxels] | quantize ms | sample M/s |")
     print("|---|---:|---:|---:|---:|---:|")
     for codec, share in CODECS.items():
         tolerance = None if share is None else share * volume.info.background
@@ -218,7 +218,7 @@ def against_dense_evaluation(resolution: int) -> None:
 
 
 def memory_steps(resolution: int, folder: Path) -> dict[str, Callable[[], Callable[[], Any]]]:
-    """As benchmarks.volume_memory's: by name, what prepares the inputs and gives back the step itself."""
+    """As in benchmarks.volume_memory: by name, a function that prepares the inputs and returns the step itself."""
 
     def with_level_set(step: Callable[[Any], Any]) -> Callable[[], Callable[[], Any]]:
         def prepare() -> Callable[[], Any]:
@@ -282,7 +282,7 @@ def measured(name: str, resolution: int, folder: str, pipe: Any) -> None:
     benchmark = importlib.import_module("benchmarks.volume_memory")
     memory_steps(64, Path(folder))[name]()()
     step = memory_steps(resolution, Path(folder))[name]()
-    # What the preparation gave back must not be there for the step to use.
+    # Free the results of the preparation that the step does not use.
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak starts anew

@@ -1,9 +1,9 @@
 """Narrow bands beside OpenVDB's meshToVolume: ``python -m benchmarks.volume_from_mesh [--out FILE]``.
 
 Both make a NanoVDB buffer of a level set, half width 3, from the bunny of 195,200 triangles. OpenVDB starts from the
-arrays of the mesh. geokit is timed from a Surface that is there, as one that answers other queries too, and from the
-mesh alone, its tree and the proof that it is clean included. Before anything is timed, the distances of geokit are
-compared with ``Surface.closest_point`` at active voxels; how far OpenVDB's are off is told beside them.
+arrays of the mesh. geokit is timed from an existing Surface, which also answers other queries, and from the mesh alone,
+including its tree and the proof that it is clean. Before timing, geokit's distances are compared with
+``Surface.closest_point`` at active voxels; the error of OpenVDB is printed beside them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ RESOLUTIONS = (128, 256, 512)
 # Largest difference [voxels] of an active voxel from the exact distance: float32 rounds three voxels by 2e-7.
 EXACT = 1e-6
 CHECKED = 200_000
-# How many times as quick as OpenVDB it must be, from a Surface.
+# Required ratio to OpenVDB, from a Surface.
 LEAST_RATIO = 3.0
 
 
@@ -41,13 +41,13 @@ def mesh_and_voxel(resolution: int) -> tuple[Any, float]:
 
 
 def largest_error(surface: Any, volume: Any) -> tuple[float, int]:
-    """Largest difference [voxels] from the exact distance at voxels of the band, and how many were looked at."""
+    """Largest difference [voxels] from the exact distance at voxels of the band, and the number of voxels compared."""
     voxel = float(volume.info.voxel_size[0])
     near = inputs.near(surface.mesh, CHECKED, sigma=1.5 * voxel / float(np.ptp(surface.bounds, axis=0).max()))
-    centres = np.unique(np.round(near / voxel).astype(np.int64), axis=0) * voxel
-    value = volume.sample(centres, order=0, device="cpu")
+    centers = np.unique(np.round(near / voxel).astype(np.int64), axis=0) * voxel
+    value = volume.sample(centers, order=0, device="cpu")
     active = np.abs(value) < volume.info.background
-    exact = surface.signed_distance(centres[active]).distance
+    exact = surface.signed_distance(centers[active]).distance
     return float(np.abs(value[active] - exact).max() / voxel), int(active.sum())
 
 
@@ -103,7 +103,7 @@ def stages() -> Iterator[dict[str, float]]:
 
 
 def shares(report: Report, resolution: int) -> None:
-    """Where the time goes, by kernel; what is left is Python, sorting, scans and memory."""
+    """Share of the time by kernel; the rest is Python, sorting, scans and memory."""
     mesh, voxel = mesh_and_voxel(resolution)
     surface = gk.mesh.Surface(mesh, device="cpu")
     gk.volume.from_mesh(surface, voxel)
@@ -119,7 +119,7 @@ def shares(report: Report, resolution: int) -> None:
 
 
 def memory(report: Report, resolution: int) -> None:
-    """How far the resident size rises while a band is made, in a process of its own; Linux alone tells."""
+    """Rise of the resident set while a band is made, in a process of its own; Linux only."""
     text = """
 import sys
 from pathlib import Path

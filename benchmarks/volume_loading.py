@@ -27,7 +27,7 @@ CHECKED = 10_000
 
 
 def through_converter(source: Path, device: Any) -> Any:
-    """What one would do without geokit: Debian's converter into a file, and that file into a warp.Volume."""
+    """The way without geokit: Debian's converter writes a file, which becomes a warp.Volume."""
     target = source.with_suffix(".nvdb")
     subprocess.run(["nanovdb_convert", "-f", str(source), str(target)], check=True, capture_output=True)
     with target.open("rb") as file:

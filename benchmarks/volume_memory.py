@@ -1,7 +1,7 @@
 """Peak host memory of steps with volumes, against the size of what they make: ``python -m benchmarks.volume_memory``.
 
-Each step runs in a process of its own, once as a warm-up on a small input and once measured: what the process holds at
-most, less what it held before. Linux only.
+Each step runs in a process of its own, once as a warm-up on a small input and once measured: peak memory of the process
+minus the memory held before. Linux only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import geokit as gk
 from benchmarks import inputs
 
-# What the issue allows: a multiple of the result, and a constant for libraries and pools.
+# Allowed memory: a multiple of the result, plus a constant for libraries and pools.
 FACTOR, CONSTANT = 2.5, 200 << 20
 SMALL = 64
 
@@ -46,7 +46,7 @@ def size_of(result: Any) -> int:
 
 
 def steps(resolution: int, folder: Path) -> dict[str, Callable[[], Callable[[], Any]]]:
-    """By name: what prepares the inputs and gives back the step itself."""
+    """By name: a function that prepares the inputs and returns the step itself."""
     volume = gk.volume
     mesh = inputs.bunny_of(190_000)
     voxel = float((mesh.bounds[1] - mesh.bounds[0]).max()) / resolution
@@ -106,7 +106,7 @@ def steps(resolution: int, folder: Path) -> dict[str, Callable[[], Callable[[], 
 
 
 def measured(name: str, resolution: int, folder: str, pipe: Any) -> None:
-    # Libraries, pools and compiled kernels are there before anything is counted.
+    # Libraries, pools and compiled kernels are loaded before the measurement.
     steps(SMALL, Path(folder))[name]()()
     step = steps(resolution, Path(folder))[name]()
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak starts anew

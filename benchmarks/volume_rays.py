@@ -31,7 +31,7 @@ from geokit.volume.rays import crossing_blocks
 TRIANGLES = 195_200
 RESOLUTIONS = (128, 256, 512)
 RAYS = 400_000
-# Rays that are compared with samples, and how many samples there are in a voxel.
+# Rays compared with samples, and the number of samples in a voxel.
 CHECKED, FINE = 1000, 16
 LEAST_RATIO = 1.2
 
@@ -43,7 +43,7 @@ def level_set(resolution: int) -> Any:
 
 
 def random_rays(volume: Any, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """From all around, through points of the box around the band; as float32 has them."""
+    """Rays from all around through points of the band's bounding box, representable in float32."""
     rng = np.random.default_rng(seed)
     lower, upper = volume.info.world_bounds
     away = rng.normal(size=(count, 3))
@@ -53,7 +53,7 @@ def random_rays(volume: Any, count: int, seed: int = 0) -> tuple[np.ndarray, np.
 
 
 def camera_rays(volume: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of a square picture, row by row."""
+    """Rays of a square picture, row by row."""
     lower, upper = volume.info.world_bounds
     side = round(count**0.5)
     x, y = (np.linspace(lower[a], upper[a], side) for a in (0, 1))
@@ -73,7 +73,7 @@ KINDS: dict[str, Callable[[Any, int], tuple[np.ndarray, np.ndarray]]] = {"random
 
 
 def zero_crossing(volume: Any, origins: np.ndarray, directions: np.ndarray) -> Callable[[], np.ndarray]:
-    """The peer, built and ready; calls give t, inf for misses."""
+    """The peer, built and ready; calls return t, inf for misses."""
     peer = compiled("zero_crossing")
     starts, towards = (np.ascontiguousarray(rows, np.float32) for rows in (origins, directions))
     out = np.empty(len(starts), np.float32)
@@ -89,7 +89,7 @@ def zero_crossing(volume: Any, origins: np.ndarray, directions: np.ndarray) -> C
 
 
 def passed_over(volume: Any, origins: np.ndarray, directions: np.ndarray, t: np.ndarray) -> int:
-    """Of the first CHECKED rays, those on which samples change sign before t, by more than a sample's distance."""
+    """Number of the first CHECKED rays whose samples change sign before t by more than a sample's distance."""
     voxel = float(volume.info.voxel_size[0])
     lower, upper = volume.info.world_bounds
     size = float(np.linalg.norm(upper - lower))
@@ -134,7 +134,7 @@ def rays(report: Report, resolution: int, kind: str) -> None:
 
 
 def preparation(report: Report, resolution: int) -> None:
-    """What the first call with an isovalue adds, and rays without it; and light through fog."""
+    """Extra time of the first call with an isovalue, rays without blocks, and light through fog."""
     volume = level_set(resolution)
     origins, directions = random_rays(volume, RAYS)
     raycast(volume, origins, directions, device="cpu")

@@ -30,14 +30,14 @@ TRIANGLES = 195_200
 RESOLUTIONS = (256, 512)
 METHODS = ("surface_nets", "marching_cubes", "dual_contouring")
 RUNS, WARM = 9, 2
-# TBB's threads and ours spin on for a while.
+# TBB's threads and ours keep spinning for a while.
 PAUSE = 0.02
-# How many times as quick as OpenVDB surface nets must be.
+# Required ratio of surface nets to OpenVDB.
 LEAST_RATIO = 1.0
 
 
 class OpenVdb:
-    """A process that meshes one grid each time it is asked to."""
+    """A process that meshes one grid on each request."""
 
     def __init__(self, volume: Any, folder: Path, runs: int) -> None:
         path = folder / "grid.vdb"
@@ -98,7 +98,7 @@ def surfaces(report: Report, resolution: int) -> None:
 
 
 def shares(report: Report, resolution: int) -> None:
-    """Where the time goes, by kernel; what is left is Python, scans and memory."""
+    """Share of the time by kernel; the rest is Python, scans and memory."""
     volume = bunny_volume(resolution)
     for method in METHODS:
         gk.mesh.from_volume(volume, method=method, device="cpu")
@@ -123,7 +123,7 @@ def rotated_cube(first: float, second: float) -> Any:
 
 
 def edges(report: Report) -> None:
-    """How far the edges of a cube are from the meshes of its exact level set, 32 voxels along an edge."""
+    """Distance of a cube's edges from the meshes of its exact level set, 32 voxels along an edge."""
     voxel = 1 / 32
     for name, angles in (("square to the grid", (0.0, 0.0)), ("turned", (0.4, 0.7)), ("turned otherwise", (0.2, 1.1))):
         cube = rotated_cube(*angles)

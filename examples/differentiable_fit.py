@@ -1,9 +1,9 @@
-"""Fits the pose of a cloud to a mesh: the level set's distances are differentiated through the user's own kernel.
+"""Fit the pose of a cloud to a mesh by differentiating a level set's distances through a user kernel.
 
 python examples/differentiable_fit.py [--mesh MESH] [--angle 25] [--shift 0.15] [--noise 0.002] [--device cuda:0]
 
 The kernel moves each point by a small turn and shift and samples the level set there; ``wp.Tape`` differentiates it.
-Each point has the turn and the shift to itself, so that one backward pass gives all rows of the Jacobian.
+Each point has its own turn and shift, so that one backward pass gives all rows of the Jacobian.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import warp as wp
 import geokit as gk
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-# Half the width of the band in shares of the size: points farther out have no gradient and wait until they are near.
+# Half width of the band as a share of the size: points farther out have no gradient until they come near.
 REACH = 0.3
 # Steps below this share of the size no longer change a float32 pose.
 SMALLEST_STEP = 1e-6
@@ -40,7 +40,7 @@ def distance_kernel(
     shifts: wp.array(dtype=wp.vec3f),
     out_distance: wp.array(dtype=float),
 ):
-    """Signed distance of each point after its turn around the centre and its shift."""
+    """Signed distance of each point after its turn around the center and its shift."""
     i = wp.tid()
     moved = center + turned(turns[i], points[i] - center) + shifts[i]
     out_distance[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, moved), wp.Volume.LINEAR)
@@ -92,7 +92,7 @@ def check_gradient(sdf: gk.volume.SparseVolume, points: np.ndarray, center: np.n
 
 
 def fit(sdf: gk.volume.SparseVolume, points: np.ndarray, device: wp.Device, truth: np.ndarray) -> np.ndarray:
-    """Gauss-Newton with Levenberg's damping; the points where they end."""
+    """Gauss-Newton with Levenberg damping; returns the final points."""
     size = float(np.ptp(points, axis=0).max())
     background, damping, energy = float(sdf.info.background), 1e-3, np.inf
     moved, best = points, points
@@ -100,7 +100,7 @@ def fit(sdf: gk.volume.SparseVolume, points: np.ndarray, device: wp.Device, trut
     for step in range(60):
         center = moved.mean(axis=0)
         distance, jacobian = residuals(sdf, moved, center, device)
-        # Where the field is constant nothing says which way to go.
+        # A constant field gives no direction.
         inside = np.abs(distance) < 0.999 * background
         distance, jacobian = np.where(inside, distance, background), np.where(inside[:, None], jacobian, 0.0)
         now = float(np.mean(distance**2))
@@ -151,7 +151,7 @@ def main() -> None:
     print(f"worst {worst:.1e}")
     fitted = fit(sdf, start, device, truth)
 
-    # The pose that is left: of the fitted points against the true ones, by Kabsch's method.
+    # Remaining pose error: the rigid motion from the fitted to the true points, by Kabsch's method.
     a, b = fitted - fitted.mean(axis=0), truth - truth.mean(axis=0)
     u, _, v = np.linalg.svd(a.T @ b)
     left = v.T @ np.diag([1.0, 1.0, np.linalg.det(v.T @ u.T)]) @ u.T
@@ -166,7 +166,7 @@ def main() -> None:
 def draw(
     mesh: gk.mesh.TriangleMesh, start: np.ndarray, fitted: np.ndarray, surface: gk.mesh.Surface, path: Path
 ) -> None:
-    """Before and after, the points coloured by their distance."""
+    """Before and after, the points colored by their distance."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -23,7 +23,7 @@ STEP_SHARE = 0.22  # the default step's share of a pair's critical one, 2 / omeg
 
 
 def grains(radius=5e-3, density=1500.0, stiffness=5000.0, restitution=0.5, friction=0.4, bond=4.0, gravity=9.81):
-    """A world of grains whose pairs rebound with the restitution; bond times their weight pulls them together."""
+    """Material of grains: pairs rebound with the restitution, and attract with ``bond`` times their weight."""
     w, mass, loss = World(), density * 4.0 / 3.0 * np.pi * radius**3, -np.log(restitution)
     w.radius, w.mass, w.stiffness, w.friction, w.gravity = radius, mass, stiffness, friction, gravity
     w.damping, w.cohesion = np.sqrt(2.0 * stiffness * mass) * loss / np.hypot(np.pi, loss), bond * mass * 9.81
@@ -32,7 +32,8 @@ def grains(radius=5e-3, density=1500.0, stiffness=5000.0, restitution=0.5, frict
 
 
 def soft_grains(count, overlap=0.05):
-    """Grains as soft as those at the bottom of a bowl of so many may be [radii]: the softer, the longer their steps."""
+    """Grains as soft as the given overlap allows at the bottom of such a bowl [radii]; softer grains allow longer
+    steps."""
     w = grains()
     load = bowl_radius(count, w.radius) / (1.7 * w.radius) * w.mass * w.gravity + w.cohesion  # so many layers
     return grains(stiffness=load / (overlap * w.radius))
@@ -57,7 +58,7 @@ class Scene:
         self.team.sequence(self._list(0))()
 
     def advance(self, steps):
-        """Goes on by an even number of steps, the lists renewed as seldom as no grain has gone half of the skin."""
+        """Advance by an even number of steps; lists are renewed only when a grain has moved half of the skin."""
         before, moved, half = (wp.clone(self.x), wp.clone(self.v)), np.inf, 0.5 * SKIN * self.w.radius
         self.angle.fill_(self.w.turn * self.time % (2.0 * np.pi))
         while not moved <= half:
@@ -66,8 +67,8 @@ class Scene:
             frame()
             moved, near = self.most.numpy().max(axis=0)
             if near > MOST_NEAR or (self.every == 1 and not moved <= half):
-                raise RuntimeError(f"unstable: a grain has {near:g} neighbours or moved {moved:g} m: shorten the step")
-            if not moved <= half:  # neighbours may have been missed: once more, with twice as many lists
+                raise RuntimeError(f"unstable: a grain has {near:g} neighbors or moved {moved:g} m: shorten the step")
+            if not moved <= half:  # neighbors may have been missed: once more, with twice as many lists
                 self.every //= 2
                 wp.copy(self.x, before[0])
                 wp.copy(self.v, before[1])
@@ -78,7 +79,7 @@ class Scene:
         self.every = max(1, min(int(seldom) // 2 * 2, steps))  # even: fewer graphs
 
     def _frame(self, steps):
-        """What makes so many steps, again and again: a launch from list to list on a CPU, one graph on a GPU."""
+        """Calls for so many steps: a launch between list renewals on a CPU, one graph on a GPU."""
         calls, most = [], 1 if self.device.is_cuda else self.every  # only a CPU's threads wait within a launch
         for k in range(0, steps, most):
             end = min(k + most, steps)
@@ -88,7 +89,7 @@ class Scene:
         return self.team.sequence(calls)
 
     def _list(self, now):
-        """Calls that renew the lists. A CPU reads 8 cells of twice the reach sooner than 27 of the reach."""
+        """Calls that renew the lists. A CPU reads 8 cells of twice the reach faster than 27 of the reach."""
         cell = (1.0 if self.device.is_cuda else 2.0) * ((2.0 + SKIN) * self.w.radius + self.w.range)
         given = now, self.grid.id, self.xs, self.w, self.last_x, *self.lists, self.most
         return [lambda: self.grid.build(self.xs[now], cell), self.team.record(list_kernel, len(self.x), given)]

@@ -1,8 +1,8 @@
-"""Pictures of granular.py's scene: frames, an animation, and what the size of the step does to it.
+"""Pictures of granular.py's scene: frames, an animation, and the effect of the step size.
 
 python examples/granular_charts.py [OUT.png]   (the chart of docs/granular.md; about a minute on a CPU)
 
-Energies are computed here in float64 by geokit's own queries: no code is shared with the kernels that they judge.
+Energies are computed in float64 by geokit's own queries, independently of the simulation's kernels.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def animate(scene: Any, size: float, states: list[np.ndarray], frames: int, out:
         return
     from PIL import Image
 
-    # Grains are coloured by the layer in which they began: what the ring has mixed shows.
+    # Grains are colored by the layer in which they began: what the ring has mixed shows.
     height, started = states[0][:, 2], scene.time - len(states) / 60.0
     stand = stand_of(size, scene.w.radius, STILL_VOXELS)
     draw(out.with_suffix(".png"), scene, stand, size, states[-1], scene.time, height, STILL_SIZE)
@@ -62,9 +62,9 @@ def animate(scene: Any, size: float, states: list[np.ndarray], frames: int, out:
 
 
 def stand_of(size: float, radius: float, voxels: int) -> Any:
-    """What is drawn of the bowl, so that one sees inside: the far half, the whole rim, and a foot.
+    """The visible part of the bowl: the far half, the whole rim, and a foot.
 
-    Rim and foot also keep the camera still, which looks at the box around everything.
+    Rim and foot also keep the camera still, which frames the bounding box of everything.
     """
 
     def shape(p: np.ndarray) -> np.ndarray:
@@ -90,7 +90,7 @@ def draw(
     pixels: tuple[int, int],
     label: str = "height at first [m]",
 ) -> None:
-    """One frame: the ring where it is at that time, the stand, and the grains coloured by ``value``."""
+    """One frame: the ring where it is at that time, the stand, and the grains colored by ``value``."""
     ring = scene.surface.mesh
     posed = gk.mesh.TriangleMesh(ring.vertices @ turned(scene.w.turn * at).T, ring.faces)
     gk.render.figure(
@@ -147,7 +147,7 @@ def turned(angle: float) -> np.ndarray:
 
 
 def energy(scene: Any) -> Energy:
-    """Kinetic energy, that of springs, cohesion and weight, and the power that is lost."""
+    """Kinetic energy, energy of springs, cohesion and weight, and the dissipated power."""
     w = scene.w
     gap, normal, velocity, _, _ = touching(scene)
     inside, pull = np.maximum(-gap, 0.0), np.clip(w.range - gap, 0.0, w.range)
@@ -191,7 +191,7 @@ def stable_step(scene: Any, rounds: int = 400) -> float:
 def collision_gain(share: float, phases: int = 12) -> tuple[float, float]:
     """Least and greatest speed after a head-on collision without dashpots, as shares of the speed before it.
 
-    Exact is 1. What decides within the two is where between two steps the contact begins.
+    The exact value is 1. The result depends on where between two steps the contact begins.
     """
     import granular
 

@@ -1,6 +1,6 @@
-"""Kernels of granular.py: who is near whom, and a step of all grains.
+"""Kernels of granular.py: neighbor lists, and a step of all grains.
 
-Only float32, and nothing is added up by atomics, so that a run gives the same bits each time, on any number of threads.
+Everything is float32 and without atomic sums, so that runs are bit-identical, for any number of threads.
 """
 
 import warp as wp
@@ -90,7 +90,7 @@ def step_one(i: int, x: vectors, v: vectors, w: World, angle: float, dt: float, 
         local = (wp.quat_rotate_inv(turn, p) - w.origin) / w.scale
         found = wp.mesh_query_point_no_sign(w.mesh, local, act / w.scale)
         free[1] = w.radius
-        if found.result:  # the grain's centre never gets inside: no sign
+        if found.result:  # the grain's center never gets inside: no sign
             away = wp.quat_rotate(turn, local - wp.mesh_eval_position(w.mesh, found.face, found.u, found.v))
             gap = wp.length(away) * w.scale - w.radius
             moving = wp.cross(wp.vec3(0.0, 0.0, w.turn), p - away * w.scale)

@@ -1,8 +1,8 @@
-"""A scan against its part: each point's foot on the mesh, its signed distance, and a figure of where it deviates.
+"""Compare a scan with its part: closest points on the mesh, signed distances, and a figure of the deviations.
 
 python examples/project_cloud.py [CLOUD] [--mesh MESH] [--tolerance 0.3] [--device cuda:0] [--out scan]
 
-Without a cloud one is made up: the mesh, sampled, dented in one place, and with the noise of a scanner.
+Without a cloud a scan is generated: the sampled mesh, with a dent in one place and scanner noise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import geokit as gk
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-# Of the made-up scan, in shares of the part's size: the place, radius and depth of a dent, and the scanner's noise.
+# Generated scan, in shares of the part's size: position, radius and depth of the dent, and the scanner's noise.
 DENT, DENT_RADIUS, DENT_DEPTH, NOISE = (0.8, 0.25, 0.15), 0.2, 0.02, 0.002
 
 
@@ -27,7 +27,7 @@ def made_up_scan(mesh: gk.mesh.TriangleMesh, count: int, seed: int = 1) -> gk.po
     normals = face_normals(mesh)[samples.triangle_id]
     middle = np.argmin(np.linalg.norm(samples.points - (mesh.bounds[0] + DENT * np.ptp(mesh.bounds, axis=0)), axis=1))
     far = np.linalg.norm(samples.points - samples.points[middle], axis=1) / (DENT_RADIUS * size)
-    # Only the side that was hit: through a thin plate the other one is as near.
+    # Only the side that was hit: on a thin plate the other side is as near.
     depth = DENT_DEPTH * size * np.clip(1.0 - far**2, 0.0, None) ** 2 * (normals @ normals[middle] > 0.5)
     moved = samples.points + normals * (random.normal(0.0, NOISE * size, count) - depth)[:, None]
     return gk.points.PointCloud(moved, {"normals": normals})

@@ -1,4 +1,4 @@
-"""A tour of volumes: a mesh becomes a level set, is looked at by rays, measured, smoothed, cut and stored small.
+"""A tour of volumes: a mesh becomes a level set, is raycast, measured, smoothed, cut and stored compactly.
 
 python examples/volumes.py [MESH] [--smoke FILE.vdb] [--resolution 160] [--out volumes.png]
 """
@@ -27,7 +27,7 @@ def picture_rays(bounds: np.ndarray, pixels: int) -> tuple[np.ndarray, np.ndarra
 
 
 def shaded(volume: gk.volume.SparseVolume, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How bright the surface is where each ray meets it; NaN where none does."""
+    """Brightness of the surface where each ray hits it; NaN for misses."""
     hits = volume.raycast(origins, directions)
     return np.clip(hits.normals @ LIGHT, 0.0, 1.0)
 
@@ -47,14 +47,14 @@ def main() -> None:
     origins, directions = picture_rays(solid.info.world_bounds, arguments.pixels)
     pictures = {"level set": shaded(solid, origins, directions)}
 
-    # What the field knows of its surface where the rays meet it.
+    # Properties of the field where the rays hit.
     hits = solid.raycast(origins, directions)
     met = np.isfinite(hits.t)
     mean = np.full(len(origins), np.nan)
     mean[met] = np.clip(solid.curvature(hits.points[met]).mean * size, -30.0, 30.0)
     pictures["mean curvature"] = mean
 
-    # Operations give volumes again: flow, offset, and the difference to a ball that is a function.
+    # Operations return volumes: flow, offset, and the difference to a ball given by a function.
     smooth = gk.volume.smooth(solid, "mean_curvature", iterations=arguments.resolution // 10)
     pictures["mean curvature flow"] = shaded(smooth, origins, directions)
     middle = np.append(mesh.bounds.mean(axis=0)[:2], mesh.bounds[1, 2])
@@ -72,7 +72,7 @@ def main() -> None:
     light = smoke.integrate(origins, directions, extinction=deep, emission=smoke)
     pictures["transmittance"], pictures["emission"] = light.transmittance, light.emission
 
-    # Back to a mesh, and into a file: a hundredth of a voxel is kept.
+    # Back to a mesh, and to a file with a tolerance of a hundredth of a voxel.
     back = gk.mesh.from_volume(cut)
     small = solid.quantize(tolerance=0.01 * float(solid.info.voxel_size[0]))
     print(f"{mesh.name}: {len(mesh.faces)} triangles, {solid.info.active_voxel_count} active voxels")

@@ -13,7 +13,7 @@ extern "C" void zero_crossing(
     const void* buffer, const float* origins, const float* directions, long count, int threads, float* out_t)
 {
     const auto* grid = reinterpret_cast<const nanovdb::NanoGrid<float>*>(buffer);
-    // Slices as in geokit: more than threads, so that a slow one keeps nobody waiting.
+    // Slices as in geokit: more than threads, so that a slow slice does not delay the end.
     const long slices = 8 * threads, size = (count + slices - 1) / slices;
     std::atomic<long> next{0};
     auto work = [&]() {

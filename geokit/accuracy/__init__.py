@@ -1,6 +1,6 @@
-"""Accuracy against speed: geokit's methods measured on the user's own data, and where they fail."""
+"""Accuracy and speed of geokit's methods on the user's own data, and the limits beyond which they fail."""
 
 import lazy_loader
 
-# The public names stand in __init__.pyi, by task; each is imported when it is first used.
+# The public names are listed by task in __init__.pyi; each is imported on first use.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

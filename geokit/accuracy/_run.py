@@ -1,4 +1,4 @@
-"""Every chart of every subject on every device."""
+"""Runs every chart of every subject on every device."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ def run(
     charts: Iterable[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Results:
-    """Measure geokit's methods over their settings: how long an answer takes, how far it is from a float64 reference.
+    """Measure the time and the error of geokit's methods over their settings.
 
-    A method that raises does not end the run: it is listed in ``failures`` of the result, and its chart goes on with
-    the next one.
+    Errors are measured against an independent float64 reference. A method that raises does not end the run: it is
+    listed in ``failures`` of the result, and its chart continues with the next method.
 
     Args:
-        subjects: Meshes, volumes and clouds to measure on; None for the samples. Of equal names the later get a number.
-        devices: Where to compute ("cpu", "cuda:0"); None for every device there is.
+        subjects: Meshes, volumes and clouds to measure on; None for the samples. Duplicate names get a number appended.
+        devices: Where to compute ("cpu", "cuda:0"); None for every available device.
         quick: Fewer settings, smaller samples and shorter timing: under a minute for the samples on two cores.
         charts: Names of the charts to make; None for all.
-        progress: Called with a line before each trial.
+        progress: Called with a line of text before each trial.
     Returns:
-        A list of Measurement, in the order in which they were made, with ``charts``, ``subjects`` and ``failures``.
+        Results: a list of Measurement in order of measurement, with ``charts``, ``subjects`` and ``failures``.
     Raises:
-        InputError: No subject or none that holds exactly one thing, no such device, or no such chart; the message lists
-            those there are.
+        InputError: There is no subject, a subject does not hold exactly one thing, or a device or chart does not exist;
+            the message lists the available ones.
     Example:
         >>> import numpy as np
         >>> cloud = gk.accuracy.Subject("cloud", points=np.random.default_rng(0).random((100, 3)))
@@ -92,7 +92,7 @@ def _planned(
             for maker in _makers(subject):
                 try:
                     made = maker(subject, place.alias, quick)
-                except Exception as error:  # a chart that cannot be made must not take the others with it
+                except Exception as error:  # a chart that cannot be made must not stop the others
                     results.failures.append(Failure("", subject.name, place.alias, "", "", _message(error)))
                     continue
                 for chart in made:
@@ -100,7 +100,7 @@ def _planned(
 
 
 def _makers(subject: "Subject") -> list[ChartMaker]:
-    """What makes the charts of a subject of this kind."""
+    """The functions that make the charts of a subject of this kind."""
     if subject.mesh is not None:
         from geokit.accuracy.charts.mesh import mesh_charts
         from geokit.accuracy.charts.volume import mesh_volume_charts
@@ -149,7 +149,7 @@ def _measured(
             row = measure(trial, chart, subject.name, place, quick=quick)
         except Exception as error:
             failed(error, trial)
-            if trial is None:  # a generator that has raised gives nothing more
+            if trial is None:  # a generator that has raised yields nothing more
                 return
             continue
         yield row

@@ -1,4 +1,4 @@
-"""What is measured where the user names nothing: the samples, or small shapes of the same kinds."""
+"""Default subjects of a run: the samples, or small generated shapes of the same kinds."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from geokit.errors import GeokitError
 __all__ = ["default_subjects", "unique_names"]
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
-# Sharp, smooth and open; closed ones first. A quick run takes the first of each kind.
+# Sharp, smooth and open meshes, closed ones first. A quick run takes the first of each kind.
 MESHES = ("bracket.obj", "torus.ply", "shell.stl")
 CLOUDS = ("cloud.ply",)
 # File and grid.
 VOLUMES = (("torus.vdb", "torus"), ("smoke.vdb", "density"))
-# Corners around and across the generated torus, its radii, and the voxels of its level set.
+# Corners around and across the generated torus, its radii, and the number of voxels of its level set.
 SEGMENTS = (96, 48)
 RADII = (1.0, 0.4)
 VOXEL_SIZE = 0.04
@@ -27,12 +27,12 @@ CLOUD_COUNT = 20_000
 
 
 def default_subjects(*, quick: bool = False) -> list[Subject]:
-    """The samples of the source tree; where it is not there, as in an installed wheel, shapes made here.
+    """The samples of the source tree, or generated shapes if the samples are missing, as in an installed wheel.
 
     Samples that need a part of geokit that is not installed are replaced in the same way.
 
     Args:
-        quick: One mesh, one volume and one cloud.
+        quick: Return one mesh, one volume and one cloud.
     Returns:
         Subjects of each kind.
     """
@@ -43,7 +43,7 @@ def default_subjects(*, quick: bool = False) -> list[Subject]:
 
 
 def unique_names(subjects: list[Subject]) -> list[Subject]:
-    """The subjects, a number behind the name of each that has the name of one before it."""
+    """The subjects, with a number appended to every name that occurred before."""
     taken: set[str] = set()
     found: list[Subject] = []
     for subject in subjects:
@@ -108,7 +108,7 @@ def _torus_volume() -> Subject:
 
 def _torus_cloud() -> Subject:
     random = np.random.default_rng(6)
-    # Evenly over the area: the outside of the ring has more of it than the inside.
+    # Uniform by area: the outer side of the ring has more of it than the inner side.
     v = random.uniform(0.0, 2.0 * np.pi, 4 * CLOUD_COUNT)
     chosen = random.random(len(v)) * (RADII[0] + RADII[1]) < RADII[0] + RADII[1] * np.cos(v)
     v = v[chosen][:CLOUD_COUNT]

@@ -1,6 +1,6 @@
-"""Point sets: neighbors, normals, subsets, clusters, registration, and reading and writing point files."""
+"""Point clouds: neighbor searches, normals, subsets, clusters, registration, and point files."""
 
 import lazy_loader
 
-# The public names stand in __init__.pyi, by task; each is imported when it is first used.
+# The public names are listed by task in __init__.pyi; each is imported on first use.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Clusters of points by density (DBSCAN), without the lists of neighbours."""
+"""Density-based clustering of points (DBSCAN) without storing neighbor lists."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ from geokit.points._neighbors import NeighborGrid
 
 __all__ = ["cluster"]
 
-# Above every index.
+# Larger than every index.
 NO_INDEX = 2**31 - 1
 
 
 def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any = None) -> Any:
-    """Clusters of points by density: DBSCAN.
+    """Cluster points by density (DBSCAN).
 
     A core point has at least ``minimum_count`` points within the radius, itself among them. Core points within the
-    radius of each other are in one cluster. Any other point that is within the radius of a core point belongs to the
-    cluster of the nearest one (of the lowest index among equally near ones), and is noise otherwise. Clusters are
-    numbered from 0 by the lowest index of their core points.
+    radius of each other are in one cluster. Any other point within the radius of a core point joins the cluster of the
+    nearest core point (of the lowest index among equally near ones); otherwise it is noise. Clusters are numbered from
+    0 by the lowest index of their core points.
 
-    "Within" is ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` in float64, as in :class:`NeighborGrid`; the labels
-    are exactly those of the definition, on every device and for any number of threads. Memory: the grid, and 50 bytes a
-    point; neighbours are never listed. Held by tests/points/clouds/test_cluster.py and
-    tests/points/clouds/test_clouds_property.py.
+    "Within" is ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` in float64, as in :class:`NeighborGrid`. The labels
+    follow this definition exactly, on every device and for any number of threads. Memory: the grid and 50 bytes a
+    point; neighbor lists are never stored.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
-        radius: Largest distance of neighbours [world].
-        minimum_count: Fewest points within the radius of a core point, itself included; 1 or more.
+        radius: Largest distance between neighbors [world].
+        minimum_count: Least number of points within the radius of a core point, itself included; 1 or more.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
         Labels (N,) int32, -1 for noise, in the container of the points.
@@ -42,12 +41,14 @@ def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any =
             a whole number of 1 or more; there is no such device.
     Source:
         Ester, Kriegel, Sander, Xu, A density-based algorithm for discovering clusters (1996). Differs: a border point
-        goes to its nearest core point, where scikit-learn and Open3D give it to the cluster they visit first, which
-        depends on the order of the points.
+        joins its nearest core point. scikit-learn and Open3D give it to the cluster visited first, which depends on the
+        order of the points.
     Example:
         >>> line = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [9, 0, 0]]
         >>> gk.points.cluster(line, radius=1.0, minimum_count=3, device="cpu").tolist()
         [0, 0, 0, -1]
+
+    Held by: tests/points/clouds/test_cluster.py, tests/points/clouds/test_clouds_property.py
     """
     import warp as wp
 

@@ -1,4 +1,4 @@
-"""How far two point clouds are from each other: the chamfer and the Hausdorff distance."""
+"""Distances between two point clouds: chamfer and Hausdorff."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["ChamferDistance", "DirectedDistance", "HausdorffDistance", "chamfer"
 
 
 class DirectedDistance(NamedTuple):
-    """Distances from the points of one cloud to the nearest of another, all [world].
+    """Distances from the points of one cloud to their nearest points in another [world].
 
     Attributes:
-        max: The largest, that of ``index_from``: the directed Hausdorff distance.
-        mean: Their mean.
-        rms: Root of the mean of their squares.
-        index_from: The point of the first cloud that is ``max`` away; of several the lowest.
-        index_to: Its nearest point in the other cloud; of several the lowest.
+        max: Largest distance, at the point ``index_from``: the directed Hausdorff distance.
+        mean: Mean distance.
+        rms: Root mean square of the distances.
+        index_from: Point of the first cloud whose distance is ``max``; the lowest index among ties.
+        index_to: Its nearest point in the other cloud; the lowest index among ties.
     """
 
     max: float
@@ -53,13 +53,14 @@ class ChamferDistance(NamedTuple):
 
 
 class HausdorffDistance(NamedTuple):
-    """Largest distances between two clouds; ``max``, ``mean`` and ``rms`` are the larger direction's [world].
+    """Largest distances between two clouds; ``max``, ``mean`` and ``rms`` are those of the larger direction [world].
 
     Attributes:
         max: The Hausdorff distance, between ``index_a`` and ``index_b``.
-        mean: The larger mean.
-        rms: The larger root mean square.
-        index_a: A point of the first cloud; one of the two is the nearest point of its cloud to the other.
+        mean: The larger of the two directed means.
+        rms: The larger of the two directed root mean squares.
+        index_a: A point of the first cloud; either it or ``index_b`` is the nearest point of its cloud to the other
+            one.
         index_b: A point of the second cloud.
         a_to_b: From the points of the first cloud to the second.
         b_to_a: From the points of the second cloud to the first.
@@ -75,12 +76,12 @@ class HausdorffDistance(NamedTuple):
 
 
 def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
-    """Chamfer distance between two clouds: how far a point is from the other cloud on average.
+    """Chamfer distance between two clouds: the mean distance of a point from the other cloud.
 
-    Both usual definitions are given: ``distance`` is the mean of the two directed means of the distances, ``squared``
-    the sum of the two directed means of the squared distances. Each nearest distance is that of the float64
-    coordinates, rounded term by term; the means are good to a few roundings. The same for every device and number of
-    threads (tests/points/test_compare.py against all pairs).
+    Both common definitions are returned: ``distance`` is the mean of the two directed means of the distances,
+    ``squared`` the sum of the two directed means of the squared distances. Each nearest distance is that of the float64
+    coordinates, rounded term by term; the means have an error of a few roundings. The result is the same on every
+    device and for any number of threads.
 
     Args:
         a: Positions of the first cloud [world], shape (N, 3), float32 or float64; at least one.
@@ -98,6 +99,8 @@ def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
         >>> distance = gk.points.chamfer([[0, 0, 0], [1, 0, 0]], [[0, 0, 2]], device="cpu")
         >>> distance.squared, distance.a_to_b.max, distance.b_to_a.mean
         (8.5, 2.23606797749979, 2.0)
+
+    Held by: tests/points/test_compare.py
     """
     there, back = _directed(a, b, device)
     return ChamferDistance(
@@ -106,11 +109,11 @@ def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
 
 
 def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
-    """Hausdorff distance between two clouds: the farthest that a point of either is from the other cloud.
+    """Hausdorff distance between two clouds: the largest distance of a point of either cloud from the other cloud.
 
-    Exact for the float64 coordinates, rounded term by term; the same for every device and number of threads. Of several
-    farthest points the one with the lowest index is named, of the two directions ``a_to_b``
-    (tests/points/test_compare.py against all pairs). For surfaces there is :func:`geokit.mesh.hausdorff`.
+    Exact for the float64 coordinates, rounded term by term; the same on every device and for any number of threads.
+    Among equally far points the lowest index is returned; between equal directions, that of ``a_to_b``. For surfaces
+    see :func:`geokit.mesh.hausdorff`.
 
     Args:
         a: Positions of the first cloud [world], shape (N, 3), float32 or float64; at least one.
@@ -124,6 +127,8 @@ def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
         >>> distance = gk.points.hausdorff([[0, 0, 0], [4, 0, 0]], [[0, 0, 0], [1, 0, 0]], device="cpu")
         >>> distance.max, distance.index_a, distance.index_b, distance.b_to_a.max
         (3.0, 1, 1, 1.0)
+
+    Held by: tests/points/test_compare.py
     """
     there, back = _directed(a, b, device)
     forth = there.max >= back.max
@@ -150,10 +155,10 @@ def _directed(a: Any, b: Any, device: Any) -> tuple[DirectedDistance, DirectedDi
 def _from(points: "wp.array", others: "wp.array") -> DirectedDistance:
     distances, indices = nearest(build_tree(others), 1, points)
     distance: NDArray[np.float64] = distances.numpy().reshape(-1)
-    # The first of several: argmax does not look further.
+    # argmax returns the first of several equal values, hence the lowest index.
     index = int(distance.argmax())
     largest = float(distance[index])
-    # Of the largest's size before they are squared: neither very large nor very small distances are lost.
+    # Scale by the largest distance before squaring, so that squares neither overflow nor vanish.
     share = distance / largest if largest > 0.0 else distance
     return DirectedDistance(
         max=largest,

@@ -1,4 +1,4 @@
-"""Density of points: how much of them is around a place."""
+"""Density of points by a sum of smoothing kernels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geokit.points._neighbors import NeighborGrid
 
 __all__ = ["density"]
 
-# What makes the integral over space 1 for radius 1, and the name of the kernels' struct.
+# Factor that makes the integral over space 1 at radius 1, and the name of the kernel's struct.
 KERNELS = {
     "count": (3.0 / (4.0 * math.pi), "Count"),
     "cubic_spline": (8.0 / math.pi, "CubicSpline"),
@@ -32,49 +32,50 @@ def density(
     queries: Any = None,
     device: Any = None,
 ) -> Any:
-    """Density of the points at the queries: mass per volume.
+    """Mass density of the points at the queries.
 
-    The sum of ``mass[j] * W(|points[j] - query|)`` over all points within the radius; a query that is one of the points
-    counts that point too. With q the distance divided by the radius, W * radius^3 is
+    The density is the sum of ``mass[j] * W(|points[j] - query|)`` over all points within the radius. A query that is
+    itself one of the points counts that point too. With q the distance divided by the radius, W * radius^3 is
 
-    - "count": 3 / (4 pi) for q <= 1: number of points within the radius, divided by the volume of the ball;
+    - "count": 3 / (4 pi) for q <= 1: the number of points within the radius divided by the volume of the ball;
     - "cubic_spline": 8 / pi * (1 - 6 q^2 + 6 q^3) for q <= 1/2, 8 / pi * 2 (1 - q)^3 above;
     - "wendland_c2": 21 / (2 pi) * (1 - q)^4 (1 + 4 q);
     - "poly6": 315 / (64 pi) * (1 - q^2)^3.
 
-    All are 0 beyond the radius and the last three at it: ``radius`` is the support, which for the spline is twice what
-    many texts call the smoothing length h. Each integrates to 1 over space.
+    All kernels are 0 beyond the radius, and the last three at the radius. ``radius`` is the support, which for the
+    spline is twice the smoothing length h of many texts. Each kernel integrates to 1 over space.
 
-    Error: a relative (n + 20) * 2^-53, n the number of neighbours, for masses of one sign; which points are within the
-    radius is exact (:class:`NeighborGrid`). Sums are taken in the order of the cells: they do not depend on threads or
-    on the order of the queries. Held by tests/points/clouds/test_density.py.
+    Error: a relative (n + 20) * 2^-53, with n the number of neighbors, for masses of one sign. The set of points within
+    the radius is exact (:class:`NeighborGrid`). Sums run in the order of the cells, so they do not depend on the number
+    of threads or on the order of the queries.
 
-    On a lattice a radius of 2 spacings gives the density to 2 % (cubic_spline), 5 % (poly6), 8 % (wendland_c2), 50 %
-    (count); points at random scatter by 21, 18, 23 and 10 % rms at 3 spacings. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    On a lattice a radius of 2 spacings gives the density to 2 % (cubic_spline), 5 % (poly6), 8 % (wendland_c2) and 50 %
+    (count). For random points the scatter at 3 spacings is 21, 18, 23 and 10 % rms.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
         radius: Support of the kernel [world], greater than 0.
         kernel: "count", "cubic_spline", "wendland_c2" or "poly6".
-        mass: Mass of a point, one for all or one for each, shape (N,).
+        mass: Mass of a point: one number for all points, or one for each, shape (N,).
         queries: Positions [world], shape (Q, 3); None for the points themselves.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
         Densities (Q,) [mass / world^3], in the container of the queries, float32 for float32 queries.
     Raises:
-        InputError: points or queries is not (N, 3) or not finite; radius is not a finite number greater than 0, or so
-            small or large that 1 / radius^3 is not one; kernel is not known; mass is not finite, or not one or N
-            numbers; there is no such device.
+        InputError: points or queries is not (N, 3) or not finite; radius is not a finite number greater than 0, or 1 /
+            radius^3 overflows or underflows; kernel is not known; mass is not finite, or not one or N numbers; there is
+            no such device.
     Source:
         Monaghan, Lattanzio, A refined particle method for astrophysical problems (1985): cubic spline. Wendland,
-        Piecewise polynomial, positive definite and compactly supported radial functions (1995), normalised as by
+        Piecewise polynomial, positive definite and compactly supported radial functions (1995), normalized as by
         Dehnen, Aly, Improving convergence in smoothed particle hydrodynamics (2012). Mueller, Charypar, Gross,
         Particle-based fluid simulation for interactive applications (2003): poly6.
     Example:
         >>> around = gk.points.density([[0, 0, 0], [1, 0, 0]], radius=2.0, mass=8 * np.pi / 3, device="cpu")
         >>> around.round(12).tolist()
         [0.5, 0.5]
+
+    Held by: tests/points/clouds/test_density.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -100,7 +101,7 @@ def density(
 def _factor(norm: float, radius: float) -> float:
     volume = radius * radius * radius
     factor = norm / volume if volume > 0.0 else math.inf
-    # Either end of the range loses digits of the result, or all of them.
+    # At either end of the float64 range the result loses some or all of its digits.
     if not (np.finfo(np.float64).tiny < factor < np.inf):
         raise InputError(f"radius: {radius:g} has a volume that float64 cannot divide by; scale points and radius")
     return factor
@@ -120,5 +121,5 @@ def _require_masses(mass: Any, count: int) -> np.ndarray:
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(f"mass: row {row} is {values[row]}; give finite numbers")
-    # A kernel cannot index an array without entries; there is nothing to weigh then either.
+    # A kernel cannot index an empty array; without points no mass is read.
     return values if count else np.ones(1)

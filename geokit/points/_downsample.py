@@ -1,4 +1,4 @@
-"""Fewer points that stand for many: voxel centroids, farthest points, Poisson-disk subsets, covers."""
+"""Downsampling of points: voxel centroids, farthest points, Poisson-disk subsets and covers."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ __all__ = ["Cover", "Downsampled", "cover", "downsample"]
 
 
 class Downsampled(NamedTuple):
-    """points (M, 3) [world]; indices (M,) int32, the input point that each of them is, or is nearest to."""
+    """points (M, 3) [world]; indices (M,) int32: the input point that each one is, or is nearest to."""
 
     points: Any
     indices: Any
 
 
 class Cover(NamedTuple):
-    """Points near each of many, and how near.
+    """A subset of the points, and its distance from the points left out.
 
     Attributes:
-        points: The points that are left (M, 3) [world].
-        indices: Which of the input points they are (M,) int32, ascending.
-        deviation: The largest distance of an input point from the nearest of them [world], exact.
+        points: The points kept, shape (M, 3) [world].
+        indices: Their indices among the input points, shape (M,) int32, ascending.
+        deviation: Largest distance of an input point from the nearest kept point [world], exact.
         deviation_p999: The 99.9th percentile of these distances [world].
     """
 
@@ -47,36 +47,35 @@ def downsample(
     seed: int = 0,
     device: Any = None,
 ) -> Downsampled:
-    """Fewer points: one a voxel, or so many far apart, or as many as fit with a distance between them, or within one.
+    """Reduce a cloud to fewer points by voxels, by number, by least distance or to a tolerance.
 
-    Exactly one of ``voxel_size``, ``count``, ``radius`` and ``tolerance`` is given; it chooses the method. All of them
-    give the same bits on every device and for any number of threads.
+    Exactly one of ``voxel_size``, ``count``, ``radius`` and ``tolerance`` must be given; it selects the method. Every
+    method gives the same bits on every device and for any number of threads.
 
     - ``voxel_size``: the centroids of the occupied voxels of a grid through the origin, in ascending (z, y, x). The
       voxel of a coordinate is ``floor(coordinate / voxel_size)`` in float64. A centroid is summed in float64 relative
-      to the voxel's first point: good to a rounding of the coordinates and n * 2^-53 of the voxel, n the number of its
-      points. ``indices`` names the voxel's point that is nearest to the centroid, for whatever else belongs to points.
-    - ``count``: farthest point sampling. From point ``start`` on, each point is the one farthest from all taken before
-      it; ties go to the lowest index, and none is taken twice. This is the greedy answer, index for index, not an
-      approximation of it. ``points`` and ``indices`` are in the order in which they were taken.
-    - ``radius``: a Poisson-disk subset. Points are tried in random order, and taken where none taken before is nearer
-      than the radius: no two that are left are nearer to each other, and every input point is nearer than that to one
-      of them, or is one. ``indices`` ascend. The order is ``numpy.random.default_rng(seed).permutation(len(points))``;
-      "nearer" is ``(dx * dx + dy * dy) + dz * dz < radius * radius`` in float64.
-    - ``tolerance``: few points such that each input point is within it of one of them: the Poisson-disk subset of that
-      radius. :func:`cover` says how near they come. What no quick method has, the fewest that do, would be about a
-      sixth fewer (docs/design/simplification.md).
-
-    Held by tests/points/clouds/test_downsample.py and tests/points/clouds/test_downsample_property.py, against plain
-    NumPy loops.
+      to the first point of its voxel; its error is one rounding of the coordinates plus n * 2^-53 of the voxel, with n
+      the number of its points. ``indices`` gives the point of the voxel nearest to the centroid, for looking up other
+      data of the points.
+    - ``count``: farthest point sampling. Starting from point ``start``, each next point is the one farthest from all
+      points taken so far; ties go to the lowest index, and no point is taken twice. The result is the exact greedy
+      sequence, index for index, not an approximation of it. ``points`` and ``indices`` are in the order of selection.
+    - ``radius``: a Poisson-disk subset. Points are tried in random order and kept unless a kept point is nearer than
+      the radius. No two kept points are nearer to each other than the radius, and every other input point is nearer
+      than the radius to a kept one. ``indices`` ascend. The order is
+      ``numpy.random.default_rng(seed).permutation(len(points))``; "nearer" is
+      ``(dx * dx + dy * dy) + dz * dz < radius * radius`` in float64.
+    - ``tolerance``: a subset with a kept point within the tolerance of every input point: the Poisson-disk subset of
+      that radius. :func:`cover` also returns the distances reached. The smallest such subset, for which no fast method
+      is known, would have about a sixth fewer points (docs/design/simplification.md).
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
         voxel_size: Edge length of a voxel [world].
-        count: Number of points wanted, from 1 to N.
-        radius: Least distance between two points [world].
-        tolerance: Largest distance of an input point from the nearest that is left [world].
-        start: First point of farthest point sampling.
+        count: Number of points to keep, from 1 to N.
+        radius: Least distance between two kept points [world].
+        tolerance: Largest distance of an input point from the nearest kept point [world].
+        start: Index of the first point of farthest point sampling.
         seed: Seed of the random order of a Poisson-disk subset, 0 or more.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
@@ -97,6 +96,8 @@ def downsample(
         [0, 3, 2]
         >>> gk.points.downsample(line, radius=0.5, device="cpu").indices.tolist()
         [0, 2, 3]
+
+    Held by: tests/points/clouds/test_downsample.py, tests/points/clouds/test_downsample_property.py
     """
     given = {"voxel_size": voxel_size, "count": count, "radius": radius, "tolerance": tolerance}
     chosen = [name for name, value in given.items() if value is not None]
@@ -130,16 +131,15 @@ def downsample(
 
 
 def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -> Cover:
-    """:func:`downsample` to a tolerance, and how near the points that are left are to all others.
+    """Downsample to a tolerance and return the distances reached.
 
-    ``deviation`` is at most the tolerance; it is that of the float64 coordinates, rounded term by term. No two of the
-    points that are left are nearer to each other than the tolerance. The same bits on every device and for any number
-    of threads. Held by tests/points/clouds/test_downsample.py and tests/house/test_tolerances_property.py, against all
-    pairs.
+    The subset is that of :func:`downsample` with ``tolerance``. ``deviation`` is at most the tolerance and is exact for
+    the float64 coordinates, rounded term by term. No two kept points are nearer to each other than the tolerance. The
+    result has the same bits on every device and for any number of threads.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64; at least one.
-        tolerance: Largest distance of an input point from the nearest that is left [world].
+        tolerance: Largest distance of an input point from the nearest kept point [world].
         seed: Seed of the random order in which points are tried, 0 or more.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
@@ -153,6 +153,8 @@ def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -
         >>> found = gk.points.cover(line, tolerance=0.5, device="cpu")
         >>> found.indices.tolist(), round(found.deviation, 12)
         ([0, 2, 3], 0.2)
+
+    Held by: tests/points/clouds/test_downsample.py, tests/house/test_tolerances_property.py
     """
     target = launcher.resolve_device(device)
     distance = require_finite_scalar(tolerance, "tolerance", low=0.0)

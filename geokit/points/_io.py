@@ -1,4 +1,4 @@
-"""Point sets and rays in files."""
+"""Reading and writing of point clouds and rays."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points and what is known about each, checked when made.
+    """Points with named data arrays, validated on construction.
 
     Args:
-        points: Positions [world], shape (N, 3); kept as read-only float64.
-        data: Arrays of numbers with N rows, shape (N,) or (N, K), by name; kept in their own types.
+        points: Positions [world], shape (N, 3); stored as read-only float64.
+        data: Numeric arrays with N rows by name, shape (N,) or (N, K); their types are kept.
     Raises:
-        InputError: points is not (N, 3) or not finite, or an array of data is not numbers or has other than N rows.
+        InputError: points is not (N, 3) or not finite, or an array of data is not numeric or does not have N rows.
     """
 
     points: NDArray[np.float64]
@@ -46,40 +46,45 @@ class PointCloud:
 
 
 class Rays(NamedTuple):
-    """origins (N, 3) [world] and directions (N, 3), float64."""
+    """Rays: origins (N, 3) [world] and directions (N, 3), float64."""
 
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
 
 
 def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointCloud:
-    """Points from a file, with whatever numbers it has for each.
+    """Read points and their data arrays from a file.
 
-    Reads .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (columns named x, y, z,
-    else the first three), .pts, .npy ((N, K), the first three columns), .npz (the array ``points``, else the only one
-    of shape (N, 3); other arrays with N rows are data) and .obj (vertices). Columns ``name_x, name_y, name_z`` become
-    one array (N, 3), ``nx, ny, nz`` the array ``normals``, ``red, green, blue`` of one type the array ``rgb``; unnamed
-    columns are called ``column_3``, ``column_4``, ... Text gives float64 data, each number rounded correctly.
+    Formats: .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (columns named x, y,
+    z, else the first three), .pts, .npy ((N, K), the first three columns), .npz (the array ``points``, else the only
+    one of shape (N, 3); other arrays with N rows are data) and .obj (vertices).
 
-    Of .pcd, ``normal_x, normal_y, normal_z`` become ``normals``, a packed ``rgb`` or ``rgba`` an array of uint8; the
-    width, height and viewpoint are not kept, and the viewpoint is not applied. Of .pts, the colour becomes ``rgb``
-    uint8. Of .las, coordinates are the integers of the file times its scale in float64, within 2 roundings.
+    Columns ``name_x, name_y, name_z`` become one array (N, 3), ``nx, ny, nz`` the array ``normals``, and
+    ``red, green, blue`` of one type the array ``rgb``; unnamed columns are called ``column_3``, ``column_4``, ... Text
+    is read as float64, each number rounded correctly.
+
+    In .pcd files ``normal_x, normal_y, normal_z`` become ``normals``, and a packed ``rgb`` or ``rgba`` becomes an array
+    of uint8; width, height and viewpoint are not kept, and the viewpoint is not applied. In .pts files the color
+    becomes ``rgb`` uint8. Coordinates of .las files are the integers of the file times its scale in float64, within 2
+    roundings.
 
     Args:
-        path: The file; its extension says what is in it.
-        finite_only: Leave out points that are not finite, as scanners write for rays without an echo, together with
-            their rows of data; otherwise they are refused.
+        path: The file; its extension selects the format.
+        finite_only: Leave out points that are not finite, as scanners write them for rays without an echo, with their
+            rows of data. Otherwise such points raise FileFormatError.
     Returns:
         PointCloud.
     Raises:
-        InputError: The extension is none of these.
+        InputError: The extension is not one of these.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The content is damaged, has no coordinates, or a point that is not finite; the row is named.
-            Held by tests/formats/test_damaged_points_stability.py.
-        MissingDependencyError: A .las or .laz file without laspy installed.
+        FileFormatError: The content is damaged or has no coordinates, or a point is not finite; the message gives the
+            row.
+        MissingDependencyError: The file is .las or .laz and laspy is not installed.
     Example:
         >>> load("data/samples/cloud.ply")
         PointCloud(20000 points, data: normals)
+
+    Held by: tests/formats/test_damaged_points_stability.py
     """
     kind = require_extension(path, extensions("points", "r"), "point")
     path = require_file(path)
@@ -104,20 +109,20 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
 
 
 def load_rays(path: str | os.PathLike[str]) -> Rays:
-    """Rays from a file: .csv, .txt, .xyz, .npy with columns ox, oy, oz, dx, dy, dz (else the first six) or .npz.
+    """Read rays from a .csv, .txt, .xyz, .npy or .npz file.
 
-    An .npz holds the arrays ``origins`` and ``directions``, or one of shape (N, 6). Directions need not have unit
-    length.
+    Columns are named ox, oy, oz, dx, dy, dz; without these names the first six columns are used. An .npz file holds the
+    arrays ``origins`` and ``directions``, or one array of shape (N, 6). Directions need not have unit length.
 
     Args:
-        path: The file; its extension says what is in it.
+        path: The file; its extension selects the format.
     Returns:
         Rays(origins, directions), each (N, 3) float64.
     Raises:
-        InputError: The extension is none of these.
+        InputError: The extension is not one of these.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has no direction; its
-            row is named.
+        FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has a direction of
+            length zero; the message gives the row.
     """
     kind = require_extension(path, extensions("rays", "r"), "ray")
     path = require_file(path)
@@ -136,31 +141,35 @@ def save(
     data: Mapping[str, ArrayLike] | None = None,
     encoding: str | None = None,
 ) -> None:
-    """Writes points and arrays that go with them; whoever reads the file meanwhile sees the old one or the new one.
+    """Write points and their data arrays to a file, replacing it atomically.
+
+    A concurrent reader sees either the old file or the new one.
 
     .vtp, .csv, .npz, .pcd, .ply (binary), .pts and .xyz all keep float64. .las and .laz hold integers times a scale,
-    the least power of ten that reaches over the extent: coordinates are kept within 1.2e-9 of the extent along their
-    axis (and two roundings), which tests/formats/test_points_pcd_pts_las.py holds.
+    the least power of ten that covers the extent: coordinates are kept within 1.2e-9 of the extent along their axis
+    (plus two roundings).
 
     In .csv, .ply and .xyz an array (N, 3) becomes the columns ``name_x, name_y, name_z`` (``normals``: nx, ny, nz;
-    ``rgb``: red, green, blue), one of another width ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x,
-    normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as PCL has them; coordinates are
-    8-byte floats, 4-byte ones where points is a float32 array: PCL and Open3D read no others. .pts holds
-    ``intensity`` and ``rgb`` uint8 only. In .las, arrays with the name of a dimension go there, ``rgb`` as it is (LAS
-    means 16 bits), and all others into extra dimensions.
+    ``rgb``: red, green, blue); an array of another width becomes ``name_0, name_1, ...``. In .pcd ``normals`` become
+    normal_x, normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as in PCL. .pcd coordinates
+    are 8-byte floats, or 4-byte floats if points is a float32 array, the only ones that PCL and Open3D read. .pts holds
+    only ``intensity`` and ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` unchanged
+    (LAS expects 16 bits), and all others in extra dimensions.
 
     Args:
-        path: The file; its extension says what is written.
+        path: The file; its extension selects the format.
         points: Positions [world], shape (N, 3).
-        data: Arrays of numbers with N rows, shape (N,) or (N, K), by name.
-        encoding: Of .pcd: "binary" (the usual), "ascii" or "binary_compressed". None for the usual.
+        data: Numeric arrays with N rows by name, shape (N,) or (N, K).
+        encoding: Encoding of a .pcd file: "binary", "ascii" or "binary_compressed"; None for "binary".
     Raises:
-        InputError: The extension is none of these, points or data cannot be used, a name cannot stand in the format,
-            or the format has no such encoding.
+        InputError: The extension is not one of these, points or data is invalid, the format does not allow a name, or
+            the format does not have this encoding.
         FileAccessError: The folder is missing or the file cannot be written.
-        MissingDependencyError: A .las or .laz file without laspy installed.
+        MissingDependencyError: The file is .las or .laz and laspy is not installed.
     Example:
         >>> save("grains.pcd", [[0, 0, 0], [1, 0, 0]], data={"radius": [0.5, 0.25]}, encoding="ascii")
+
+    Held by: tests/formats/test_points_pcd_pts_las.py
     """
     kind = require_extension(path, extensions("points", "w"), "point")
     encodings = FORMATS[kind].encodings

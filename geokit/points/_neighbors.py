@@ -1,4 +1,4 @@
-"""Neighbours of points, exactly, on the CPU and on a GPU."""
+"""Exact neighbor searches on the CPU and on a GPU."""
 
 from __future__ import annotations
 
@@ -20,30 +20,31 @@ if TYPE_CHECKING:
 
 __all__ = ["KNearest", "NeighborBlock", "NeighborGrid", "Neighbors", "Pairs"]
 
-# Cells up to this much longer or shorter than the query radius are used as they are: at worst 6 x 6 rows of cells are
-# read, or 8 times the volume of the best cells. Beyond, the points are sorted again.
+# Cells are reused for query radii that differ from theirs by at most this factor: at worst 6 x 6 rows of cells are
+# read, or 8 times the volume of the best cells. Beyond it, the points are sorted again.
 RADIUS_RATIO = 2.0
-# The usual spacings that a radius chosen from the data is long: 33 neighbours in a volume, 12 on a surface.
+# Default radius in usual spacings: about 33 neighbors in a volume, 12 on a surface.
 SPACINGS = 2.0
-# Where a cell of the radius has no more points than this, averaged over the points, longer cells are tried; they are
-# kept where they have no more than the second: reading them takes less than finding the rows of shorter cells would.
+# If a cell of the radius holds no more points than the first number, averaged over the points, longer cells are tried.
+# They are kept if they hold no more than the second: testing their points is then cheaper than looking up more rows of
+# shorter cells.
 LONELY = 1.5
 MOST_CROWDED = 4.0
-# Cells for a radius of 0 are this part of the usual spacing long.
+# Cell length for a radius of 0, as a share of the usual spacing.
 LEAST_OF_SPACING = 1e-6
-# Crowded cells are shortened by this factor until they are not, or are as long as the radius.
+# Crowded cells are shortened by this factor until they are not crowded or are as long as the radius.
 SHORTENING = 4.0
-# Share of the free memory that a block of neighbours may take.
+# Share of the free memory that one block of neighbors may use.
 BLOCK_SHARE = 0.25
 
 
 class Neighbors(NamedTuple):
-    """Neighbours of Q queries, row after row (CSR).
+    """Neighbors of Q queries as compressed sparse rows (CSR).
 
     Attributes:
         offsets: Row i is ``[offsets[i], offsets[i + 1])``; shape (Q + 1,) int64.
-        indices: Indices of the neighbours among the grid's points; shape (M,) int32.
-        distance: Their distances from the query [world]; shape (M,).
+        indices: Indices of the neighbors among the points of the grid; shape (M,) int32.
+        distance: Distances of the neighbors from the query [world]; shape (M,).
     """
 
     offsets: Any
@@ -52,18 +53,18 @@ class Neighbors(NamedTuple):
 
 
 class NeighborBlock(NamedTuple):
-    """Neighbours of the queries from ``first`` on."""
+    """Neighbors of consecutive queries, starting with query ``first``."""
 
     first: int
     neighbors: Neighbors
 
 
 class Pairs(NamedTuple):
-    """Pairs of points, each once, ascending.
+    """Pairs of points, each pair once, in ascending order.
 
     Attributes:
         indices: Indices i < j of the two points; shape (M, 2) int32.
-        distance: How far they are from each other [world]; shape (M,).
+        distance: Distance between the two points [world]; shape (M,).
     """
 
     indices: Any
@@ -71,34 +72,36 @@ class Pairs(NamedTuple):
 
 
 class NeighborGrid:
-    """Points prepared for neighbour searches.
+    """Points prepared for neighbor searches.
 
-    The points are copied in float64 and sorted by cells of about the radius. Memory: 40 to 64 bytes a point, and up to
-    28 more while they are sorted, whatever the extent of the points.
+    The points are copied as float64 and sorted into cells of about the radius. Memory: 40 to 64 bytes a point, plus up
+    to 28 more during sorting, for any extent of the points.
 
-    Answers are exact: point j is a neighbour of query i where ``(dx * dx + dy * dy) + dz * dz <= radius * radius``
-    holds in float64, term by term, on the coordinates as they were given. They are the same on every device, for every
-    number of threads and order of the queries.
+    Results are exact: point j is a neighbor of query i if ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` holds in
+    float64, term by term, for the coordinates as given. They are the same on every device, for any number of threads
+    and any order of the queries.
 
-    Exact for radii of 1e-3 to 1e3 spacings, clouds of 1e-6 to 1e15 radii, any crowding, and 1000 points in one place.
-    Held by tests/accuracy/stability/test_envelopes.py.
+    Exactness is tested for radii of 1e-3 to 1e3 spacings, clouds of 1e-6 to 1e15 radii, any crowding, and 1000 points
+    in one place.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64, in any supported container.
-        radius: The search radius [world] that the cells are made for and that searches use unless told otherwise;
-            None for twice the spacing of the points (about 30 neighbours in a volume, 12 on a surface), in cells that
-            are made when a radius search first asks for them.
+        radius: Search radius [world] that the cells are made for, and the default radius of searches. None for twice
+            the spacing of the points (about 30 neighbors in a volume, 12 on a surface); the cells are then made by the
+            first radius search.
         device: Where the points live and queries run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Raises:
-        InputError: points is not (N, 3), not finite, or spreads over more than a float64 holds; radius is negative or
-            not a finite number; there is no such device.
+        InputError: points is not (N, 3), not finite, or its extent overflows float64; radius is negative or not a
+            finite number; there is no such device.
     Source:
-        Green, Particle Simulation using CUDA (2010). Differs: float64 decides, where float32 leaves a doubt; x-rows of
+        Green, Particle Simulation using CUDA (2010). Differs: float64 decides where float32 leaves a doubt; x-rows of
         cells are read as one range; a table over leading key bits bounds the memory for any extent.
     Example:
         >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 1.0, device="cpu")
         >>> grid.count([[0, 0, 0]]).tolist()
         [2]
+
+    Held by: tests/accuracy/stability/test_envelopes.py
     """
 
     def __init__(self, points: Any, radius: float | None = None, *, device: Any = None) -> None:
@@ -108,14 +111,15 @@ class NeighborGrid:
         self._device = launcher.resolve_device(device)
         batch = read_vectors(points, "points", self._device, defer=True, keep_float32=wanted is not None)
         rows = batch.array
-        # How answers about the points themselves go back; the rows are not kept.
+        # Container and device for results about the points themselves; the points are not kept.
         self._home, self._count = Batch(None, batch.is_float32, batch.to_caller), len(rows)
         self._survey = survey(rows, lambda: require_finite(batch, "points"))
         self._spacing = usual_spacing(self._survey, self._count)
-        # Points that all lie in one place have no spacing: any radius is as good.
+        # Points that coincide have no spacing; any radius serves.
         self._radius = (SPACINGS * self._spacing or 1.0) if wanted is None else wanted
-        # Cells with the least radius that they suit: those for the grid's radius, and those for the last query radius
-        # that these did not suit. Without a radius the points are kept as they are until a radius search sorts them.
+        # Each entry is a set of cells with the least radius that it suits: the cells of the grid's radius, and the
+        # cells of the last query radius that needed its own. Without a radius the points stay unsorted until the first
+        # radius search.
         self._own: tuple[Cells, float] | None = None
         self._other: tuple[Cells, float] | None = None
         self._rows: Any = None
@@ -128,7 +132,7 @@ class NeighborGrid:
 
     @property
     def radius(self) -> float:
-        """The radius [world] that searches use unless told otherwise."""
+        """Default search radius [world]."""
         return self._radius
 
     @property
@@ -138,14 +142,14 @@ class NeighborGrid:
 
     @property
     def id(self) -> int:
-        """Id of a ``wp.HashGrid`` over the points, for ``wp.hash_grid_query`` in the user's own kernels.
+        """Id of a ``wp.HashGrid`` over the points, for ``wp.hash_grid_query`` in user kernels.
 
-        It is built when first asked for (16 MiB and 20 bytes a point), with cells of ``radius``, over the points in
-        world coordinates as float32, in the order in which they were given; it lives as long as this object. Warp's
-        queries visit candidates in whole cells: the kernel compares the distances itself.
+        The hash grid is built on first access (16 MiB plus 20 bytes a point), with cells of ``radius``. It holds the
+        points in world coordinates as float32, in their original order, and lives as long as this object. Warp's
+        queries return candidates from whole cells; the kernel must compare the distances itself.
         """
         if self._hash_grid is None:
-            # Warp wants cells of some length also where the radius is 0.
+            # Warp needs a positive cell length even if the radius is 0.
             self._hash_grid = build_hash_grid(self._points(), self._radius or self._spacing or 1.0)
         return int(self._hash_grid[0].id)
 
@@ -156,21 +160,21 @@ class NeighborGrid:
         return f"NeighborGrid({self._count} points, radius={self._radius:g}, device={self.device!r})"
 
     def count(self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False) -> Any:
-        """Number of points within the radius of each query.
+        """Count the points within the radius of each query.
 
         Args:
             queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves, which is
-                quicker than to hand them in again.
-            radius: Search radius [world], or one for each query, shape (Q,); None for the grid's own. One more than
-                twice as long or less than half as long sorts the points again for it; the last such radius is
-                remembered.
-            exclude_self: Query i stands for point i, wherever it is, and does not count it; only that index is left
-                out, not other points in the same place.
+                faster than passing them again.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid. A radius
+                more than twice as long or less than half as long sorts the points again; the last such radius is
+                cached.
+            exclude_self: Query i stands for point i, at any position, and does not count it. Only that index is left
+                out, not other points at the same position.
         Returns:
             Counts (Q,) int32, in the container of the queries.
         Raises:
-            InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or there are
-                other than one or Q; exclude_self with queries that are not as many as the points.
+            InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or radius has
+                neither one nor Q entries; exclude_self is given and the number of queries is not the number of points.
         """
         asked, home = self._ask(queries, radius, exclude_self)
         return home.to_caller(search.count(asked))
@@ -178,24 +182,26 @@ class NeighborGrid:
     def radius_search(
         self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, order: str = "index"
     ) -> Neighbors:
-        """Points within the radius of each query, with their distances.
+        """Find the points within the radius of each query, with their distances.
 
         ``distance`` is the rounded square root of the squared distance that was compared.
 
         Args:
-            queries: As for :meth:`count`.
-            radius: As for :meth:`count`.
-            exclude_self: As for :meth:`count`.
-            order: "index" lists each row by ascending index, "distance" by ascending float64 distance, then index;
-                "any" leaves it in the order of the cells, which is the quickest, and the same on every device, but
-                another for another radius or set of points.
+            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid.
+            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
+            order: Order within a row. "index": ascending index. "distance": ascending float64 distance, then index.
+                "any": the order of the cells, which is fastest and the same on every device, but depends on the radius
+                and on the set of points.
         Returns:
             Neighbors with offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) [world], in the container of
             the queries; distance is float32 for float32 queries.
         Raises:
-            InputError: As for :meth:`count`; order is neither.
-            DeviceMemoryError: The neighbours would not fit in memory, or are more than 2^31 - 1 in all; nothing has
-                been allocated for them. :meth:`radius_search_blocks` gives them one block after the other.
+            InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or radius has
+                neither one nor Q entries; exclude_self is given and the number of queries is not the number of points;
+                order is not known.
+            DeviceMemoryError: The neighbors do not fit in memory, or number more than 2^31 - 1 in all; nothing has been
+                allocated for them. :meth:`radius_search_blocks` returns them block by block.
         """
         require_order(order)
         asked, home = self._ask(queries, radius, exclude_self)
@@ -212,23 +218,27 @@ class NeighborGrid:
         order: str = "index",
         memory: int | None = None,
     ) -> Iterator[NeighborBlock]:
-        """As :meth:`radius_search`, block after block: the neighbours of all queries need not fit in memory at once.
+        """Find the points within the radius of each query, one block of queries at a time.
 
-        Everything is counted and checked before the first block; blocks are made as they are asked for.
+        The rows are those of :meth:`radius_search`, but the neighbors of all queries need not fit in memory at once.
+        All arguments are checked and all neighbors counted before the first block; each block is computed on demand.
 
         Args:
-            queries: As for :meth:`count`.
-            radius: As for :meth:`count`.
-            exclude_self: As for :meth:`radius_search`.
-            order: As for :meth:`radius_search`.
-            memory: Bytes that a block's neighbours may take, 12 each; None for a quarter of what is free. A single
-                query with more is a block of its own.
+            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid.
+            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
+            order: Order within a row: "index", "distance" (then index) or "any" (that of the cells, the fastest).
+            memory: Most bytes for the neighbors of a block, 12 bytes each; None for a quarter of the free memory. A
+                single query that needs more is a block of its own.
         Returns:
-            NeighborBlock(first, neighbors) for consecutive queries: row i of ``neighbors`` is that of query
-            ``first + i``.
+            Iterator over NeighborBlock(first, neighbors) for consecutive queries: row i of ``neighbors`` belongs to
+            query ``first + i``. ``neighbors`` has offsets (B + 1,) int64 for the B queries of the block, indices (M,)
+            int32 and distance (M,) [world], float32 for float32 queries, in the container of the queries.
         Raises:
-            InputError: As for :meth:`radius_search`; memory is not a positive number.
-            DeviceMemoryError: One query has more neighbours than fit.
+            InputError: queries is not (Q, 3) or not finite; a radius is negative or not a finite number, or radius has
+                neither one nor Q entries; exclude_self is given and the number of queries is not the number of points;
+                order is not known; memory is not a positive number.
+            DeviceMemoryError: The neighbors of one query do not fit in memory.
         Example:
             >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 1.0, device="cpu")
             >>> [(first, found.indices.tolist()) for first, found in grid.radius_search_blocks(memory=24)]
@@ -245,16 +255,17 @@ class NeighborGrid:
         return self._blocks(batch, radii, exclude_self, order, counts, budget)
 
     def pairs(self, *, radius: float | None = None) -> Pairs:
-        """Pairs of points that are within the radius of each other, each once.
+        """Find all pairs of points within the radius of each other, each pair once.
 
         Args:
-            radius: Search radius [world]; None for the grid's own.
+            radius: Search radius [world]; None for the radius of the grid.
         Returns:
             Pairs with indices (M, 2) int32, i < j, ascending, and distance (M,) [world], in the container of the
             points.
         Raises:
             InputError: radius is negative or not a finite number.
-            DeviceMemoryError: As for :meth:`radius_search`, which this asks about all points.
+            DeviceMemoryError: The neighbors of all points, found first, do not fit in memory or number more than 2^31 -
+                1.
         """
         import warp as wp
 
@@ -273,47 +284,53 @@ class NeighborGrid:
         return Pairs(home.to_caller(pairs), home.to_caller(lengths))
 
     def knn(self, queries: Any = None, k: int = 1, *, exclude_self: bool = False) -> KNearest:
-        """The k nearest points of each query, however far.
+        """Find the k nearest points of each query at any distance.
 
-        Exact: the k smallest of ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once; of equally
-        near points those with lower indices. The same on every device; held by
-        tests/points/search/test_nearest_property.py. A tree over the points is made when first asked for (about 60
-        bytes a point) and kept.
+        Exact: the k smallest values of ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once; ties
+        go to the lower index. The result is the same on every device. The first call builds a tree over the points
+        (about 60 bytes a point), which is kept.
 
         Args:
             queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
-            k: Number of neighbours, 1 to 1024.
-            exclude_self: Query i is point i and is not among its own neighbours; other points in the same place are.
+            k: Number of neighbors, 1 to 1024.
+            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
         Returns:
             KNearest with distance (Q, k) [world], the nearest first, and indices (Q, k) int32, in the container of the
-            queries; inf and -1 where there are fewer points. distance is float32 for float32 queries.
+            queries; inf and -1 fill rows with fewer than k points. distance is float32 for float32 queries.
         Raises:
-            InputError: queries is not (Q, 3) or not finite; k is not a whole number from 1 to 1024; exclude_self with
-                queries that are not as many as the points.
-            DeviceMemoryError: The answers would not fit in memory.
+            InputError: queries is not (Q, 3) or not finite; k is not a whole number from 1 to 1024; exclude_self is
+                given and the number of queries is not the number of points.
+            DeviceMemoryError: The results do not fit in memory.
         Example:
             >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], device="cpu")
             >>> grid.knn([[2.5, 0, 0]], k=2).indices.tolist()
             [[2, 1]]
+
+        Held by: tests/points/search/test_nearest_property.py
         """
         return self._nearest(queries, k, np.inf, exclude_self)
 
     def hybrid(self, queries: Any = None, k: int = 1, *, radius: Any = None, exclude_self: bool = False) -> KNearest:
-        """The k nearest of the points within the radius of each query.
+        """Find the k nearest points within the radius of each query.
 
-        Exact as :meth:`knn` is, and the radius as that of :meth:`radius_search`: a point at exactly the radius counts.
+        Exact: among the points with ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` in float64, each operation
+        rounded once, those with the k smallest values of the left side; ties go to the lower index. A point at exactly
+        the radius counts.
 
         Args:
-            queries: As for :meth:`knn`.
-            k: As for :meth:`knn`.
-            radius: Search radius [world], or one for each query, shape (Q,); None for the grid's own.
-            exclude_self: As for :meth:`knn`.
+            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
+            k: Number of neighbors, 1 to 1024.
+            radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid.
+            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
         Returns:
-            As :meth:`knn`; inf and -1 where there are fewer points within the radius.
+            KNearest with distance (Q, k) [world], the nearest first, and indices (Q, k) int32, in the container of the
+            queries; inf and -1 fill rows with fewer than k points within the radius. distance is float32 for float32
+            queries.
         Raises:
-            InputError: As for :meth:`knn`; a radius is negative or not a finite number, or there are other than one or
-                Q.
-            DeviceMemoryError: As for :meth:`knn`.
+            InputError: queries is not (Q, 3) or not finite; k is not a whole number from 1 to 1024; a radius is
+                negative or not a finite number, or radius has neither one nor Q entries; exclude_self is given and the
+                number of queries is not the number of points.
+            DeviceMemoryError: The results do not fit in memory.
         """
         return self._nearest(queries, k, radius, exclude_self)
 
@@ -336,7 +353,7 @@ class NeighborGrid:
         return KNearest(*map(give, found))
 
     def _ask(self, queries: Any, radius: Any, exclude_self: bool) -> tuple[search.Asked, Batch]:
-        """The queries with their radii, checked, and the batch that gives results back in their container."""
+        """The checked queries with their radii, and the batch that returns results in their container."""
         if queries is None:
             radii = self._radii(radius, self._count)
             return self._asked(None, self._count, radii, exclude_self), self._home
@@ -355,7 +372,7 @@ class NeighborGrid:
             search.require_room(total, asked.count, self._device)
 
         if order == "distance":
-            # Sorted by that of float64; which order they come in does not matter.
+            # Rows are sorted by float64 distances, so the order in which they are filled does not matter.
             found = search.fill(asked, counts, refuse, order="any")
             search.sort_by_distance(*found)
             return found
@@ -378,7 +395,7 @@ class NeighborGrid:
         return Batch(self._points(), self._home.is_float32, self._home.to_caller)
 
     def _radii(self, radius: Any, count: int) -> Any:
-        """One radius, or an array of one for each query."""
+        """One radius, or an array with one for each query."""
         if radius is None:
             return self._radius
         if np.ndim(radius) == 0 and not hasattr(radius, "__len__"):
@@ -389,7 +406,7 @@ class NeighborGrid:
         for cells, least in filter(None, (self._sorted(), self._other)):
             if least <= radius <= RADIUS_RATIO * cells.radius:
                 return cells
-        # Let go of the old ones first: both need not fit at once.
+        # Release the old cells first: both may not fit in memory at once.
         self._other = None
         self._other = self._built(self._points(), radius)
         return self._other[0]
@@ -406,13 +423,13 @@ class NeighborGrid:
         return self._sorted()[0]
 
     def _points(self) -> "wp.array":
-        """The points as vec3d in the order in which they came."""
+        """The points as vec3d in their original order."""
         return search.points_of(self._cells.grid) if self._rows is None else self._rows
 
     def _built(self, rows: "wp.array", radius: float) -> tuple[Cells, float]:
         """Cells that suit a radius, and the least radius that they suit.
 
-        Where few points are within the radius of each other longer cells are better: there are fewer to look up.
+        If few points lie within the radius of each other, longer cells are faster: there are fewer cells to look up.
         """
         edge = radius or LEAST_OF_SPACING * self._spacing or 1.0
         cells = build_cells(rows, self._survey, edge)

@@ -1,4 +1,4 @@
-"""Normals of points: planes through their neighbourhoods, and signs that agree."""
+"""Normals of points: plane fits to neighborhoods, and consistent orientation."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 __all__ = ["PointNormals", "normals"]
 
 ORIENTATIONS = ("propagation", "viewpoint", "none")
-# Fewer points have no plane.
+# Fewer points do not define a plane.
 MIN_K = 3
-# 1 / radius stays finite; distances so short are 0 to each other anyway.
+# 1 / radius stays finite; shorter distances count as 0 in any case.
 MAX_INVERSE = 1e300
 
 
@@ -30,9 +30,9 @@ class PointNormals(NamedTuple):
     """Normals of N points.
 
     Attributes:
-        normals: Unit normals, or zeros where a neighbourhood has no plane; shape (N, 3).
-        curvature: Surface variation: the least eigenvalue of the neighbourhood's covariance over the sum of all three,
-            0 in a plane, 1/3 in a ball; shape (N,).
+        normals: Unit normals, or zeros where the neighborhood has no plane; shape (N, 3).
+        curvature: Surface variation: the least eigenvalue of the neighborhood's covariance over the sum of all three; 0
+            in a plane, 1/3 in a ball; shape (N,).
     """
 
     normals: Any
@@ -48,55 +48,56 @@ def normals(
     viewpoint: Any = None,
     device: Any = None,
 ) -> PointNormals:
-    """Normals of points, by planes through their neighbourhoods.
+    """Estimate normals of points from planes fitted to their neighborhoods.
 
-    The neighbourhood is the ``k`` nearest points, the point itself among them (ties to the lowest index), or all points
-    within ``radius``. Its normal is the eigenvector to the least eigenvalue of its covariance.
+    The neighborhood is the ``k`` nearest points, including the point itself (ties to the lowest index), or all points
+    within ``radius``. The normal is the eigenvector of the least eigenvalue of the neighborhood's covariance.
 
-    A neighbourhood without a plane gets zeros for normal and curvature: fewer than three points, all in one place, or
-    in a line (narrower than 1e-7 of its length, or than four roundings of its coordinates).
+    Normal and curvature are zero if the neighborhood has no plane: fewer than three points, all in one place, or in a
+    line (narrower than 1e-7 of its length, or than four roundings of its coordinates).
 
-    The sign of a normal is, by ``orientation``:
+    ``orientation`` sets the sign of a normal:
 
-    - "propagation": carried along a minimum spanning tree of the graph of the ``k`` nearest points, whose edges weigh
-      1 - abs(n_i . n_j); in each connected part, the point with the largest z (lowest index among equals) has its
-      normal upwards. Closed surfaces that are sampled well end up with outward normals.
+    - "propagation": signs propagate along a minimum spanning tree of the graph of the ``k`` nearest points, whose edges
+      weigh 1 - abs(n_i . n_j). In each connected component the normal of the point with the largest z (lowest index
+      among ties) points up. Well-sampled closed surfaces get outward normals.
     - "viewpoint": towards the viewpoint.
     - "none": the component of largest magnitude is positive.
 
-    Error, with n neighbours: a normal is off from the eigenvector of the exact covariance by at most (n + 128) * 2^-53
-    times the largest eigenvalue over the gap between the two least, whatever the offset and scale of the points;
-    curvature by (n + 16) * 2^-53.
-    Where the gap vanishes, as in a ball, no direction is preferred and any is returned. Held by
-    tests/points/clouds/test_normals.py and tests/points/clouds/test_normals_envelope.py; the latter also states how
-    far the plane is from the surface. Results do not depend on threads or device.
+    Error, with n neighbors: a normal deviates from the eigenvector of the exact covariance by at most (n + 128) * 2^-53
+    times the largest eigenvalue over the gap between the two least, for any offset and scale of the points; curvature
+    by (n + 16) * 2^-53. If the gap vanishes, as in a ball, no direction is preferred and any is returned. Results do
+    not depend on the number of threads or on the device.
 
-    Noise of a tenth of the spacing tilts normals by at most 15 degrees at k = 16; a neighbourhood with a radius of up
-    to 1.2 radii of curvature gives them to 30 degrees at worst, 4 rms. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    Against the true surface: noise of a tenth of the spacing tilts normals by at most 15 degrees at k = 16. A
+    neighborhood with a radius of up to 1.2 radii of curvature gives normals to 30 degrees at worst, 4 rms.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
-        k: Number of nearest points, 3 to 1024; also the degree of the graph that signs are carried along.
-        radius: Neighbourhoods are all points within it [world] instead; greater than 0.
+        k: Number of nearest points, 3 to 1024; also the degree of the graph along which signs propagate.
+        radius: If given, neighborhoods are all points within this distance [world]; greater than 0.
         orientation: "propagation", "viewpoint" or "none".
-        viewpoint: Where the points were seen from [world], three numbers; for "viewpoint" only, and needed there.
+        viewpoint: Position from which the points were seen [world], three numbers; required for "viewpoint", else not
+            allowed.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
         PointNormals with normals (N, 3) and curvature (N,), in the container of the points.
     Raises:
         InputError: points is not (N, 3) or not finite; k is not a whole number from 3 to 1024; radius is not a finite
-            number greater than 0; orientation is not known; viewpoint is missing, not three finite numbers, or given to
-            another orientation; there is no such device.
-        DeviceMemoryError: The nearest points of all points would not fit in memory: 12 k bytes a point.
+            number greater than 0; orientation is not known; viewpoint is missing, is not three finite numbers, or is
+            given with another orientation; there is no such device.
+        DeviceMemoryError: The nearest points of all points do not fit in memory: 12 k bytes a point.
     Source:
         Hoppe, DeRose, Duchamp, McDonald, Stuetzle, Surface reconstruction from unorganized points (1992). Differs: the
-        parts of the graph of nearest points are not joined, each has its own upward point. Curvature: Pauly, Gross,
-        Kobbelt, Efficient simplification of point-sampled surfaces (2002).
+        connected components of the graph of nearest points are not joined; each has its own upward point. Curvature:
+        Pauly, Gross, Kobbelt, Efficient simplification of point-sampled surfaces (2002).
     Example:
         >>> square = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
         >>> gk.points.normals(square, k=4, device="cpu").normals[0].tolist()
         [0.0, 0.0, 1.0]
+
+    Held by: tests/points/clouds/test_normals.py, tests/points/clouds/test_normals_envelope.py,
+    tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -128,13 +129,13 @@ def normals(
 
 
 class _Graph(NamedTuple):
-    """The nearest points of each point, along a curve on which they are near each other in memory.
+    """The graph of nearest points, stored along a space-filling curve for locality in memory.
 
     Attributes:
-        order: The points along the curve; shape (N,) or longer.
-        points: They themselves.
-        distance: How far the neighbours of each point are, in the order of the caller's points; shape (N, k).
-        neighbor: Places on the curve of the neighbours of the points along it; shape (N, k).
+        order: Indices of the points along the curve; shape (N,) or longer.
+        points: The points along the curve.
+        distance: Distances of the neighbors of each point, in the order of the caller's points; shape (N, k).
+        neighbor: Positions on the curve of the neighbors of each point along it; shape (N, k).
     """
 
     order: "wp.array"
@@ -161,7 +162,7 @@ def _graph(rows: "wp.array", k: int, device: "wp.Device") -> _Graph:
 
 
 def _scale(grid: Any, radius: float) -> float:
-    """What brings differences within the radius to 1 at most, and no further down than they must."""
+    """Scale that brings differences within the radius to at most 1, and no smaller than needed."""
     lower, upper = (np.array(corner, dtype=np.float64) for corner in (grid.lower, grid.upper))
     longest = min(radius, float((upper - lower).max()) or radius)
     return min(1.0 / longest, MAX_INVERSE)

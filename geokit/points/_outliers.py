@@ -1,4 +1,4 @@
-"""Points that stand apart from the others."""
+"""Detection of outliers: points far from the others."""
 
 from __future__ import annotations
 
@@ -31,41 +31,44 @@ def outliers(
     minimum_count: int = 2,
     device: Any = None,
 ) -> Any:
-    """Which points stand apart from the others.
+    """Mark points that are isolated from the others.
 
-    - "statistical": those whose mean distance to their ``k`` nearest others is greater than the mean of all such means
-      plus ``ratio`` times their standard deviation (with N - 1). Where there are fewer than ``k`` others all are taken.
-    - "radius": those with fewer than ``minimum_count`` others within the radius (``(dx * dx + dy * dy) + dz * dz <=
-      radius * radius`` in float64).
+    - "statistical": points whose mean distance to their ``k`` nearest other points exceeds the mean of all such means
+      by more than ``ratio`` times their standard deviation (with N - 1). If there are fewer than ``k`` other points,
+      all are used.
+    - "radius": points with fewer than ``minimum_count`` other points within the radius
+      (``(dx * dx + dy * dy) + dz * dz <= radius * radius`` in float64).
 
-    The neighbours and their distances are exact; a mean has a relative error of (k + 2) * 2^-53, mean and deviation of
-    all of about 2^-50: only points as near to the threshold as that may differ from the definition. The answer does not
-    depend on device or threads. Held by tests/points/clouds/test_outliers.py and
-    tests/points/clouds/test_clouds_property.py.
+    The neighbors and their distances are exact. A mean has a relative error of (k + 2) * 2^-53; the mean and the
+    deviation of all means have one of about 2^-50. Only points as close to the threshold as that may differ from the
+    definition. The result does not depend on the device or on the number of threads.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
         method: "statistical" or "radius".
-        k: Number of nearest others whose distances are averaged, 1 to 1024.
-        ratio: Standard deviations above the mean that are still usual.
-        radius: Largest distance of neighbours [world]; for "radius" only, and needed there.
-        minimum_count: Fewest others within the radius of a point that is no outlier; 1 or more.
+        k: Number of nearest other points whose distances are averaged, 1 to 1024.
+        ratio: Standard deviations above the mean at which the threshold lies.
+        radius: Largest distance between neighbors [world]; required for "radius", else not allowed.
+        minimum_count: Least number of other points within the radius of an inlier; 1 or more.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
-        Mask (N,) bool, True for outliers, in the container of the points. A single point is none to "statistical".
+        Mask (N,) bool, True for outliers, in the container of the points. A single point is not an outlier for
+        "statistical".
     Raises:
         InputError: points is not (N, 3) or not finite; method is neither; k, ratio, radius or minimum_count is out of
-            range; radius is missing, or given to "statistical"; there is no such device.
-        DeviceMemoryError: The nearest points of all points would not fit in memory: 12 k bytes a point.
+            range; radius is missing, or given with "statistical"; there is no such device.
+        DeviceMemoryError: The nearest points of all points do not fit in memory: 12 k bytes a point.
     Source:
         Rusu, Marton, Blodow, Dolha, Beetz, Towards 3D point cloud based object maps (2008). The definitions are those
-        of PCL's StatisticalOutlierRemoval and RadiusOutlierRemoval. Open3D counts a point as one of its own nearest
-        ones: ``nb_neighbors = k + 1`` there is ``k`` here. Differs from Open3D: points all of whose neighbours are in
-        the same place are no outliers.
+        of PCL's StatisticalOutlierRemoval and RadiusOutlierRemoval. Open3D counts a point among its own nearest points:
+        ``nb_neighbors = k + 1`` there is ``k`` here. Differs from Open3D: a point whose neighbors all coincide with it
+        is not an outlier.
     Example:
         >>> line = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [90, 0, 0]]
         >>> gk.points.outliers(line, method="radius", radius=1.5, minimum_count=1, device="cpu").tolist()
         [False, False, False, False, True]
+
+    Held by: tests/points/clouds/test_outliers.py, tests/points/clouds/test_clouds_property.py
     """
     if method not in METHODS:
         raise InputError(f"method: {method!r} is not known; give 'statistical' or 'radius'")
@@ -113,10 +116,10 @@ def _unusual(rows: "wp.array", k: int, ratio: float, device: "wp.Device") -> "wp
 
 
 def _threshold(means: np.ndarray, ratio: float) -> float:
-    # Relative to the least: equal means must not end up above their own average by a rounding.
+    # Relative to the least mean, so that rounding cannot put equal means above their own average.
     least = means.min()
     above = means - least
-    # Relative to the greatest: squares neither vanish nor overflow.
+    # Relative to the greatest mean, so that squares neither vanish nor overflow.
     greatest = above.max() or 1.0
     above /= greatest
     return float(least + greatest * (above.mean() + ratio * above.std(ddof=1)))

@@ -1,4 +1,4 @@
-"""Rigid registration of a cloud to another cloud, a surface or a distance field, by iterative closest points."""
+"""Rigid registration of a cloud to another cloud, a surface or a distance field by ICP (iterative closest points)."""
 
 from __future__ import annotations
 
@@ -20,27 +20,28 @@ if TYPE_CHECKING:
 __all__ = ["Registration", "register"]
 
 METHODS = ("point_to_plane", "point_to_point")
-# Pairs that determine a motion: each distance from a plane is one equation of six, three points are not on a line.
+# Least number of pairs that determine a motion: a distance from a plane gives one of six equations, and three points
+# determine a motion unless they are collinear.
 LEAST_PAIRS = {"point_to_plane": 6, "point_to_point": 3}
-# A given start whose columns are orthonormal to that is a rotation: six digits, as files keep them.
+# Tolerance on the orthonormality of a given start: six digits, as files store them.
 ROTATION_TOLERANCE = 1e-5
-# Steps shorter than some roundings of the coordinates are nothing but rounding.
+# Steps shorter than this many roundings of the coordinates are rounding noise.
 STEP_ROUNDINGS = 16.0 * np.finfo(np.float64).eps
-# Runs of sums that are worth a thread: each is 256 points.
+# Runs of sums that are worth a thread; each run has 256 points.
 RUN_GRAIN = 4
 
 
 class Registration(NamedTuple):
-    """How a source was brought to its target.
+    """Result of a registration.
 
     Attributes:
         transform: Source to target, shape (4, 4) float64: ``target = transform[:3, :3] @ source + transform[:3, 3]``.
-        rmse: Root mean squared distance between the points of pairs under it [world].
-        fitness: Share of the source's points that have a partner, from 0 to 1.
-        iterations: Steps taken.
+        rmse: Root mean squared distance between paired points under the transform [world].
+        fitness: Share of the source points that have a partner, from 0 to 1.
+        iterations: Number of steps taken.
         converged: Whether the last step moved no point by more than the tolerance.
-        rank: How many of the six ways to move the last pairs determine. Below 6 there are motions that no distance
-            notices, as of a plane along itself; the steps made none of them.
+        rank: Number of the six degrees of freedom that the last pairs determine. Below 6 there are motions that change
+            no distance, as of a plane along itself; the steps make none of them.
     """
 
     transform: NDArray[np.float64]
@@ -52,21 +53,22 @@ class Registration(NamedTuple):
 
 
 class _Pose(NamedTuple):
-    """``rotation @ (point - centre) + place``: about a point of the source nothing is lost far from the origin."""
+    """The motion ``rotation @ (point - center) + place``, about a center near the source to keep digits far from the
+    origin."""
 
     rotation: NDArray[np.float64]
-    centre: NDArray[np.float64]
+    center: NDArray[np.float64]
     place: NDArray[np.float64]
 
     @property
     def matrix(self) -> NDArray[np.float64]:
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation
-        matrix[:3, 3] = self.place - self.rotation @ self.centre
+        matrix[:3, 3] = self.place - self.rotation @ self.center
         return matrix
 
     def moved_by(self, step: Step) -> "_Pose":
-        return _Pose(orthonormal(step.rotation @ self.rotation), self.centre, self.place + step.shift)
+        return _Pose(orthonormal(step.rotation @ self.rotation), self.center, self.place + step.shift)
 
 
 def register(
@@ -81,59 +83,64 @@ def register(
     tolerance: float = 1e-9,
     device: Any = None,
 ) -> Registration:
-    """Rigid motion that brings a cloud to a target, by iterative closest points.
+    """Find the rigid motion that brings a cloud to a target, by iterative closest points.
 
-    Each step pairs every moved point with its closest point on the target and takes the motion that leaves the least
-    squares of the pairs' distances: "point_to_point" those between the points, "point_to_plane" those from the tangent
-    planes of the target, which needs far fewer steps on smooth shapes. This finds the nearest minimum, not the best
-    one: ``initial`` has to be about right. Where the shapes overlap in part, ``max_distance`` keeps out what has no
-    counterpart.
+    Each step pairs every moved point with its closest point on the target and applies the motion with the least sum of
+    squared distances: "point_to_point" uses the distances between the points, "point_to_plane" those from the tangent
+    planes of the target, which needs far fewer steps on smooth shapes. The method finds the nearest local minimum, not
+    the global one; ``initial`` has to be about right. If the shapes overlap only in part, ``max_distance`` excludes
+    points without a counterpart.
 
-    - A cloud: the closest point is its nearest point. The planes are those of ``target_normals``, or of
-      ``normals(target)`` over 16 neighbours where none are given.
-    - A ``Surface`` (or a ``TriangleMesh``, of which one is made): the closest point and the plane of its triangle.
-    - A level set (``SparseVolume``): from the point along the gradient by the distance, both interpolated trilinearly.
-      Points out of its band, or within a voxel of the band's edge, have no partner.
+    The target is one of:
 
-    On data without noise that match point by point the pose is exact to about 1e-12 of the source's size, plus a few
-    roundings of the coordinates (tests/points/clouds/test_register.py; tests/points/clouds/test_register_envelope.py
-    for starts, offsets, noise and overlap). Sums are float64, about a centre near the points, in a fixed order: the
-    transform is the same for any number of threads.
+    - A cloud: the partner is the nearest point. The planes are those of ``target_normals``, or of ``normals(target)``
+      over 16 neighbors if none are given.
+    - A ``Surface`` (or a ``TriangleMesh``, from which one is made): the partner is the closest point, the plane that of
+      its triangle.
+    - A level set (``SparseVolume``): the partner lies along the gradient at the signed distance, both interpolated
+      trilinearly. Points outside the band, or within a voxel of its edge, have no partner.
 
-    Motions that the pairs do not determine are not made: a plane does not slide along itself, a line does not turn
-    about itself. ``rank`` says how many of the six ways to move were determined.
+    Error: for noise-free data with matching points the pose is exact to about 1e-12 of the source's size, plus a few
+    roundings of the coordinates. Sums are float64, about a center near the points, in a fixed order: the transform is
+    the same for any number of threads.
 
-    An ellipsoid (axes 1, 0.7, 0.45) without noise is found again exactly from starts turned by up to 45 degrees; from
-    90 on some end elsewhere, and rmse shows it. Held by tests/accuracy/stability/test_envelopes.py.
+    Motions that the pairs do not determine are not made: a plane does not slide along itself, a line does not rotate
+    about itself. ``rank`` is the number of degrees of freedom determined.
+
+    Convergence: a noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45
+    degrees; from 90 degrees on some runs end at another pose, which rmse shows.
 
     Args:
         source: Positions [world], shape (N, 3), float32 or float64.
         target: Positions [world], shape (M, 3); a Surface or TriangleMesh; or a SparseVolume of class "level set".
         method: "point_to_plane" or "point_to_point".
-        target_normals: Normals of a target cloud, shape (M, 3), of any length and sense; zeros where there is none.
-        initial: Transform to start from, shape (4, 4), a rotation and a translation; None for none.
+        target_normals: Normals of a target cloud, shape (M, 3), of any length and sign; zeros where there is none.
+        initial: Transform to start from, shape (4, 4), a rotation and a translation; None for the identity.
         max_distance: Pairs farther apart than this [world] are left out of a step.
-        max_iterations: Most steps, 1 or more.
-        tolerance: A step that moves no point by more than this share of the source's size (the root mean squared
-            distance from its centroid) is the last.
-        device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. A Surface answers where
-            it is.
+        max_iterations: Largest number of steps, 1 or more.
+        tolerance: Iteration stops after a step that moves no point by more than this share of the source's size (the
+            root mean squared distance from its centroid).
+        device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. A Surface is queried on
+            its own device.
     Returns:
         Registration with transform (4, 4), rmse [world], fitness, iterations, converged, rank.
     Raises:
-        InputError: source, target or target_normals is not (N, 3), not finite or empty; they do not fit each other; the
-            volume is not a level set; method is not known; initial is not a rigid transform; max_distance, tolerance or
-            max_iterations is out of range; fewer pairs are within max_distance than a motion needs (6 for planes, 3 for
-            points).
+        InputError: source, target or target_normals is not (N, 3), not finite or empty; target and target_normals have
+            different lengths; the volume is not a level set; method is not known; initial is not a rigid transform;
+            max_distance, tolerance or max_iterations is out of range; fewer pairs are within max_distance than a motion
+            needs (6 for planes, 3 for points).
     Source:
-        Besl, McKay, "A method for registration of 3-D shapes" (1992); Chen, Medioni, "Object modelling by registration
+        Besl, McKay, "A method for registration of 3-D shapes" (1992); Chen, Medioni, "Object modeling by registration
         of multiple range images" (1992); Kabsch, "A solution for the best rotation to relate two sets of vectors"
-        (1976), with Umeyama's (1991) care for reflections. Differs: eigenvalues decide what is left alone.
+        (1976), with Umeyama's (1991) treatment of reflections. Differs: eigenvalues decide which motions are left out.
     Example:
         >>> corners = np.array([[0, 0, 0], [4, 0, 0], [0, 2, 0], [0, 0, 1.0]])
         >>> found = gk.points.register(corners, corners + [0.1, 0, 0], method="point_to_point", device="cpu")
         >>> float(found.transform[0, 3].round(6)), found.rank, found.converged
         (0.1, 6, True)
+
+    Held by: tests/points/clouds/test_register.py, tests/points/clouds/test_register_envelope.py,
+    tests/accuracy/stability/test_envelopes.py
     """
     if method not in METHODS:
         raise InputError(f"method: {method!r} is not known; use one of {', '.join(map(repr, METHODS))}")
@@ -146,17 +153,17 @@ def register(
     points = read_vectors(source, "source", goal.device).array
     if len(points) == 0:
         raise InputError("source: it has no points; give at least one")
-    centre, size, radius = _measure(points)
-    points = _in_order(points, centre, radius)
-    pose = _Pose(start[:3, :3], centre, start[:3, :3] @ centre + start[:3, 3])
+    center, size, radius = _measure(points)
+    points = _in_order(points, center, radius)
+    pose = _Pose(start[:3, :3], center, start[:3, :3] @ center + start[:3, 3])
     search = _Search(points, goal, method, limit, size)
     converged, steps = False, 0
     while not converged and steps < max_iterations:
         step = search.step(pose)
         pose, steps = pose.moved_by(step), steps + 1
-        # What a point of the source's outermost sphere moves at most.
+        # Upper bound on the motion of a point on the source's bounding sphere.
         moved = float(np.linalg.norm(step.rotation - np.eye(3), 2)) * radius + float(np.linalg.norm(step.shift))
-        rounding = STEP_ROUNDINGS * float(np.abs([pose.centre, pose.place]).max() + radius)
+        rounding = STEP_ROUNDINGS * float(np.abs([pose.center, pose.place]).max() + radius)
         converged = bool(moved <= tolerance * size + rounding)
     sums = search.sums(pose)
     rank = search.solve(sums).rank
@@ -185,7 +192,7 @@ class _Search:
 
         device = self._target.device
         moved = wp.empty(len(self._points), dtype=wp.vec3d, device=device)
-        given = [wp.mat33d(*pose.rotation.ravel().tolist()), wp.vec3d(*pose.centre), wp.vec3d(*pose.place)]
+        given = [wp.mat33d(*pose.rotation.ravel().tolist()), wp.vec3d(*pose.center), wp.vec3d(*pose.place)]
         launcher.launch(move_kernel, len(moved), [self._points, *given], [moved], device)
         sums = self._summed(moved, self._target.pairs(moved, self._limit), given[2])
         least = LEAST_PAIRS[self._method]
@@ -197,7 +204,7 @@ class _Search:
             )
         return sums
 
-    def _summed(self, moved: "wp.array", pairs: Pairs, centre: Any) -> NDArray[np.float64]:
+    def _summed(self, moved: "wp.array", pairs: Pairs, center: Any) -> NDArray[np.float64]:
         import warp as wp
 
         from geokit.points.clouds import register_kernels as kernels
@@ -206,34 +213,34 @@ class _Search:
         runs = -(-len(moved) // int(kernels.SUM_RUN))
         if self._method == "point_to_plane":
             kernel, width = kernels.plane_sums_kernel, int(kernels.PLANE_SUMS)
-            inputs = [moved, *pairs, centre, wp.float64(1.0 / self._size)]
+            inputs = [moved, *pairs, center, wp.float64(1.0 / self._size)]
         else:
             kernel, width = kernels.point_sums_kernel, int(kernels.POINT_SUMS)
-            inputs = [moved, pairs.partner, pairs.paired, centre]
+            inputs = [moved, pairs.partner, pairs.paired, center]
         sums = wp.empty((runs, width), dtype=wp.float64, device=device)
         launcher.launch(kernel, runs, inputs, [sums], device, grain=RUN_GRAIN)
         return sums.numpy().sum(axis=0)
 
 
 def _measure(points: "wp.array") -> tuple[NDArray[np.float64], float, float]:
-    """Centroid [world], root mean squared and largest distance from it [world]; 1.0 where there is no extent."""
+    """Centroid [world], root mean squared and largest distance from it [world]; 1.0 for a cloud without extent."""
     table: NDArray[np.float64] = points.numpy()
-    centre = table[0] + (table - table[0]).mean(axis=0)
-    away = np.linalg.norm(table - centre, axis=1)
+    center = table[0] + (table - table[0]).mean(axis=0)
+    away = np.linalg.norm(table - center, axis=1)
     radius = float(away.max())
     if radius == 0.0:
-        return centre, 1.0, 0.0
-    return centre, radius * float(np.sqrt(np.mean((away / radius) ** 2))), radius
+        return center, 1.0, 0.0
+    return center, radius * float(np.sqrt(np.mean((away / radius) ** 2))), radius
 
 
-def _in_order(points: "wp.array", centre: NDArray[np.float64], radius: float) -> "wp.array":
-    """The points along a curve through space: neighbours have partners that are neighbours, in memory too."""
+def _in_order(points: "wp.array", center: NDArray[np.float64], radius: float) -> "wp.array":
+    """The points along a space-filling curve: consecutive points have partners that are close in memory."""
     import warp as wp
 
     from geokit.points.clouds.register_kernels import order_kernel
 
     device: Any = points.device
-    order = launcher.morton_order(points, centre - radius, 2.0 * radius, device)
+    order = launcher.morton_order(points, center - radius, 2.0 * radius, device)
     ordered = wp.empty(len(points), dtype=wp.vec3d, device=device)
     launcher.launch(order_kernel, len(points), [points, order], [ordered], device)
     return ordered

@@ -1,4 +1,4 @@
-"""What a cloud can be registered to, each giving a partner and a normal for every moved point."""
+"""Registration targets: each returns a partner and a normal for every moved point."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Pairs", "Target", "make_target"]
 
-# Neighbours that a target's normals are estimated from where none are given.
+# Number of neighbors for estimating a target's normals if none are given.
 NORMAL_NEIGHBORS = 16
-# Within a voxel of the band's edge, interpolation sees the constant beyond it.
+# Within a voxel of the band's edge, interpolation reads the constant background beyond it.
 BAND_MARGIN = 1.0
 
 
 class Pairs(NamedTuple):
-    """Partner, its normal, and whether there is one (1 or 0) for each moved point; what has none is not set."""
+    """Partner, its normal, and a flag (1 or 0) for each moved point; entries without a partner are not set."""
 
     partner: "wp.array"
     normal: "wp.array"
@@ -35,10 +35,10 @@ class Pairs(NamedTuple):
 
 
 class Target(ABC):
-    """Anything that points can be brought to.
+    """A registration target.
 
     Attributes:
-        device: Where it answers.
+        device: Device on which the target is queried.
     """
 
     def __init__(self, device: "wp.Device") -> None:
@@ -47,10 +47,10 @@ class Target(ABC):
 
     @abstractmethod
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
-        """Partners within the distance for moved points, vec3d (N,) [world]; the next call writes over them."""
+        """Partners within the distance for moved points, vec3d (N,) [world]; the next call overwrites them."""
 
     def room(self, count: int) -> Pairs:
-        """Arrays for so many pairs, the same for every step."""
+        """Arrays for so many pairs, reused by every step."""
         import warp as wp
 
         if self._room is None or len(self._room.paired) != count:
@@ -63,10 +63,10 @@ class Target(ABC):
 
 
 def make_target(target: Any, target_normals: Any, wants_normals: bool, device: Any) -> Target:
-    """The target that an argument means.
+    """The Target for a ``target`` argument.
 
     Raises:
-        InputError: It is none, or the normals do not fit it.
+        InputError: The argument is not a valid target, or the normals do not fit it.
     """
     from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
@@ -101,7 +101,7 @@ class _CloudTarget(Target):
         elif wants_normals:
             from geokit.points._normals import normals as estimated
 
-            # Signs do not matter to distances from planes.
+            # Signs do not affect distances from planes.
             self._normals = estimated(self._points, k=NORMAL_NEIGHBORS, orientation="none", device=device).normals
         self._tree = build_tree(self._points)
         self._partner: Any = None
@@ -113,7 +113,7 @@ class _CloudTarget(Target):
 
         limit: Any = max_distance * max_distance
         if self._partner is not None:
-            # No farther than the partner of the step before: most searches end where they begin.
+            # The search radius is the distance to the previous partner: most searches end where they begin.
             given = [moved, self._points, self._partner, wp.float64(limit)]
             limit = wp.empty(len(moved), dtype=wp.float64, device=self.device)
             launcher.launch(limit_kernel, len(moved), given, [limit], self.device)
@@ -132,11 +132,11 @@ class _SurfaceTarget(Target):
         super().__init__(launcher.resolve_device(surface.device))
         self._surface = surface
         corners = surface.mesh.vertices[surface.mesh.faces]
-        # Of unit size before they are multiplied: products of very long or short edges stay in float64.
+        # Scale to unit size before multiplying, so that products of very long or short edges stay in the float64 range.
         edges = (corners[:, 1:] - corners[:, :1]) / surface.scale
         normals = np.cross(edges[:, 0], edges[:, 1])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        # A triangle without area has no plane: zeros take no part.
+        # A triangle without area has no plane; a zero normal takes no part.
         normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
         self._normals = wp.array(normals, dtype=wp.vec3d, device=self.device)
 

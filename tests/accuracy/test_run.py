@@ -289,7 +289,7 @@ def test_a_method_made_slower_leaves_the_front(mesh_chart):
     assert front_of([rows["worse"], rows["good"]], "error") == [1]
 
 
-# The subjects that nobody named.
+# Default subjects.
 
 
 def test_default_subjects_are_of_every_kind():

@@ -1,1 +1,1 @@
-"""Accuracy against speed: which settings each chart tries."""
+"""Charts of accuracy against speed: the settings that each one tries."""

@@ -1,4 +1,4 @@
-"""Charts of closest points: what exactness costs, and what a search radius saves."""
+"""Charts of closest points: the cost of exactness, and the gain from a search radius."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ __all__ = ["closest_point_charts", "warp_tree_bytes"]
 
 # Search radii [diagonals].
 RADII = (0.1, 0.01)
-# A distance that is nearer to the search radius than this [diagonals] may fall on either side of it.
+# Distances closer to the search radius than this [diagonals] may count as within or beyond it.
 BORDER = 1e-9
-# What warp's tree takes for each triangle [bytes], as the page about users' own kernels says.
+# Memory of warp's tree for each triangle [bytes], from docs/kernels.md.
 WARP_TREE = 100
 
 
 def closest_point_charts(setup: MeshSetup) -> list[Chart]:
-    """Errors of closest points, at queries anywhere and at queries near the surface.
+    """Errors of closest points, for queries anywhere and near the surface.
 
-    An error is the larger of two: how far ``distance`` is from the reference's, and how far the distance from the query
-    to the point that was returned is. Misses within the search radius and hits beyond it are wrong.
+    An error is the larger of two: the deviation of ``distance`` from the reference, and that of the distance from the
+    query to the returned point. Misses within the search radius and hits beyond it are wrong.
     """
     title = "Closest point on the surface"
     return [
@@ -40,7 +40,7 @@ def closest_point_charts(setup: MeshSetup) -> list[Chart]:
 
 
 def warp_tree_bytes(setup: MeshSetup) -> int:
-    """About what warp's own tree of the mesh takes, which no array shows."""
+    """Estimated memory of warp's tree of the mesh, which is not visible in any array."""
     return WARP_TREE * len(setup.mesh.faces)
 
 

@@ -1,4 +1,4 @@
-"""A chart of smaller clouds: how far the points that were left out are from those that stayed."""
+"""Chart of downsampling: the distance from the points left out to the points kept."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 __all__ = ["downsample_chart"]
 
-# Distances between the points that stay, over the radius that a NeighborGrid chooses by itself.
+# Distances between kept points, in units of a NeighborGrid's default radius.
 STEPS = (1.0, 2.0, 4.0)
 QUICK_STEPS = (2.0, 4.0)
 
 
 def downsample_chart(setup: PointsSetup) -> Chart:
-    """Distances from points of the cloud to the nearest that is left, for each method with as many left as fit.
+    """Distances from the points of the cloud to the nearest kept point, by method, at comparable numbers kept.
 
-    For each step the cloud, of a large one a random part, is thinned by Poisson disks of that radius, to voxels of that
-    size, and to as many farthest points as there are Poisson disks; ``kept`` is how many are left.
+    For each step the cloud, or a random part of a large one, is reduced by Poisson disks of that radius, to voxels of
+    that size, and to as many farthest points as there are Poisson disks; ``kept`` is the number of points kept.
     """
     title = "Distance from the points to the ones that are left"
     return Chart("downsample", title, "world", "points", lambda: _trials(setup))

@@ -1,4 +1,4 @@
-"""Charts of first hits: exact, watertight or quick, and through a distance field instead of the triangles."""
+"""Charts of first hits: exact, watertight or fast, and through a distance field instead of triangles."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ __all__ = ["first_hit_charts"]
 
 Floats = NDArray[np.float64]
 
-# Rays start on a sphere of this radius around the middle of the box [diagonals].
+# Rays start on a sphere of this radius around the center of the bounding box [diagonals].
 START = 1.0
-# Where two hits are farther apart than this [diagonals], one of them is on another part of the surface: a silhouette
-# was passed on the other side.
+# Two hits farther apart than this [diagonals] are on different parts of the surface: the rays passed a silhouette on
+# different sides.
 ELSEWHERE = 0.02
-# Rays through edges are asked for again, moved aside by this much [diagonals]: those whose answers differ touch a
-# silhouette, and may hit or pass. One is moved onto a face that has the edge, the others all around.
+# Rays through edges are repeated, displaced by this much [diagonals]: rays whose answers differ touch a silhouette, and
+# may hit or miss. One copy is moved onto a face of the edge, the others all around.
 ASIDE = 1e-9
 AROUND = 6
-# How far such answers may differ [diagonals]: what a grazing ray makes of ASIDE.
+# Allowed difference of such answers [diagonals]: the effect of ASIDE on a grazing ray.
 TOUCH = 1e-6
-# Voxel sizes [diagonals], in quick charts and in others.
+# Voxel sizes [diagonals], in quick charts and in full ones.
 QUICK_DIVISIONS = (32, 96)
 DIVISIONS = (32, 64, 128, 256)
 
 
 class Rays(NamedTuple):
-    """Origins and unit directions (N, 3) [world], and the rows of those that are checked."""
+    """Origins and unit directions (N, 3) [world], and the rows that are checked."""
 
     origins: Floats
     directions: Floats
@@ -49,17 +49,17 @@ class Rays(NamedTuple):
 
 
 class Known(NamedTuple):
-    """t of the checked rays, inf for a miss, and which of them count."""
+    """t of the checked rays, inf for a miss, and a mask of the rays that count."""
 
     t: Floats
     counts: NDArray[np.bool_]
 
 
 def first_hit_charts(setup: MeshSetup) -> list[Chart]:
-    """Errors of t for rays from all around, and shares of leaks for rays that are aimed at edges and vertices.
+    """Errors of t for rays from all around, and shares of leaks for rays aimed at edges and vertices.
 
-    Hits for misses, misses for hits and hits elsewhere are wrong: a silhouette that is somewhere else. Of the rays at
-    edges, those that touch a silhouette are left out.
+    Hits instead of misses, misses instead of hits, and hits elsewhere are wrong: the silhouette is displaced. Rays at
+    edges that touch a silhouette are left out.
     """
     title = "First hit of a ray"
     return [
@@ -81,7 +81,7 @@ def _leaks(setup: MeshSetup) -> Iterator[Trial]:
     targets, middles = _on_edges(setup)
     rays = _aimed(setup, targets, setup.rows(AROUND + 2))
     known = _undoubted(setup, rays, (middles - targets)[rays.rows])
-    # Of a mesh that is nothing but silhouettes no ray is left.
+    # On a mesh that consists only of silhouettes no ray remains.
     if known.counts.any():
         yield from _of_mesh(setup, rays, _judge(setup, rays, lambda: known))
 
@@ -141,7 +141,7 @@ def _in_box(setup: MeshSetup) -> Floats:
 
 
 def _on_edges(setup: MeshSetup) -> tuple[Floats, Floats]:
-    """Points on random edges, every fourth of them a vertex, and the middle of a face of each edge."""
+    """Points on random edges, every fourth of them a vertex, and the centroid of a face of each edge."""
     rng = np.random.default_rng(SEED + 5)
     corners = setup.mesh.vertices[setup.mesh.faces[rng.integers(len(setup.mesh.faces), size=setup.count)]]
     each, start = np.arange(setup.count), rng.integers(3, size=setup.count)
@@ -158,7 +158,7 @@ def _first(setup: MeshSetup, rays: Rays) -> Known:
 def _undoubted(setup: MeshSetup, rays: Rays, inward: Floats) -> Known:
     origins, directions = rays.origins[rays.rows], rays.directions[rays.rows]
     known = _hits(setup, origins, rays)
-    # The axis that a direction is least along is never along it.
+    # The coordinate axis with the smallest component is never parallel to the direction.
     u = np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)])
     turns = 2.0 * np.pi * np.arange(AROUND) / AROUND
     ways = [_unit(inward), *(np.cos(turn) * _unit(u) + np.sin(turn) * np.cross(directions, _unit(u)) for turn in turns)]
@@ -185,7 +185,7 @@ def _judge(setup: MeshSetup, rays: Rays, ask: Callable[[], Known]) -> Callable[[
         wanted, counts = known()
         errors = _apart(on_host(answer.t)[rays.rows], wanted)
         wrong = ~(errors <= ELSEWHERE * setup.size)
-        # Drawn where the ray should have hit, or where it starts if it should not.
+        # Wrong answers are drawn where the ray should have hit, or at its start if it should have missed.
         reach = np.where(np.isinf(wanted), 0.0, wanted)[:, None]
         positions = rays.origins[rays.rows] + reach * rays.directions[rays.rows]
         return judged(errors[counts], positions[counts], wrong[counts])

@@ -1,4 +1,4 @@
-"""Chart of level sets made from a mesh: voxel size, half width and method."""
+"""Chart of level sets made from a mesh, by voxel size, half width and method."""
 
 from __future__ import annotations
 
@@ -19,23 +19,22 @@ if TYPE_CHECKING:
 __all__ = ["from_mesh_chart"]
 
 HALF_WIDTHS = {True: (1.5, HALF_WIDTH), False: (1.5, HALF_WIDTH, 6.0)}
-# OpenVDB's method takes ten times as long, by the triangle: it is there for the usual half width only, and in a quick
-# chart once, for meshes of up to so many triangles.
+# OpenVDB's method takes ten times as long, in proportion to the triangles. It is measured only at the default half
+# width, and in a quick chart once, for meshes of up to so many triangles.
 QUICK_TRIANGLES = 15_000
-# Voxels nearer to the band's border than this share of a voxel may be active or not: bands are that wide in float32.
+# Voxels closer to the band's border than this share of a voxel may be active or not: band widths are float32.
 BORDER = 1e-4
-# Distances smaller than this share of a voxel have the sign of a rounding.
+# Distances smaller than this share of a voxel have a sign determined by rounding.
 SIGNED = 1e-4
 
 
 def from_mesh_chart(near: NearSurface) -> Chart:
-    """How exact the active voxels of a level set are, by voxel size, half width and method.
+    """Errors of the active voxels of a level set, by voxel size, half width and method.
 
-    Checked are random voxels nearer to the surface than the band is wide, against their distance to the triangles by
-    brute force in float64, with the sign of the winding number; those that are not active, or on the other side, are
-    wrong. Left out are those whose winding number is about one half, in the mouth of an open mesh. The rate counts
-    active voxels. OpenVDB's own method is there, at the usual half width, where geokit was built with it and the mesh
-    is closed.
+    Random voxels within the band are compared with their distance to the triangles by brute force in float64, with the
+    sign of the winding number. Inactive voxels and wrong signs count as wrong. Voxels with a winding number of about
+    one half, in the opening of an open mesh, are left out. The rate counts active voxels. OpenVDB's own method is
+    included, at the default half width, if geokit was built with it and the mesh is closed.
     """
     title = "Level set of a mesh: its active voxels"
     return Chart("from_mesh", title, "world", "voxels", lambda: _trials(near))
@@ -69,7 +68,7 @@ def _trial(near: NearSurface, expected: Known, parameters: dict[str, Any]) -> Tr
         return near.level_set(voxel_size, half_width=half_width, method=method)
 
     try:
-        # Once before it is timed, to know how many voxels there are.
+        # One untimed run gives the number of voxels.
         info = make().info
     except Exception as error:
         return failed(name, parameters, error)
@@ -98,6 +97,6 @@ def _expected(near: NearSurface, voxel_size: float, half_width: float) -> Known:
     reach = half_width * voxel_size
     offset = rng.normal(size=points.shape)
     offset *= reach * rng.random((count, 1)) / np.linalg.norm(offset, axis=1, keepdims=True)
-    # Voxel centres lie at whole multiples of the voxel size.
+    # Voxel centers lie at whole multiples of the voxel size.
     centers = np.unique(np.rint((points + offset) / voxel_size), axis=0) * voxel_size
     return near.truth(centers, np.arange(len(centers)))

@@ -1,4 +1,4 @@
-"""Charts of surfaces made from volumes: how far they are from the mesh, or from the level, that they stand for."""
+"""Charts of surfaces made from volumes: their distance from the original mesh, or from the level of the interpolant."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ __all__ = ["from_volume_chart", "isosurface_chart"]
 
 OWN = ("surface_nets", "marching_cubes", "dual_contouring")
 ADAPTIVITIES = {True: (0.0, 0.5), False: (0.0, 0.1, 0.5, 1.0)}
-# Gradients shorter than this share of a value range per voxel give a distance that is a guess.
+# Gradients shorter than this share of the value range per voxel give no reliable distance.
 FLAT = 1e-3
 
 
 def from_volume_chart(near: NearSurface) -> Chart:
-    """How far a mesh is from itself after it was a level set, by voxel size, method and adaptivity.
+    """Hausdorff distance between a mesh and the surface of its level set, by voxel size, method and adaptivity.
 
-    A sampled Hausdorff distance: the errors are the distances of points of the result to the mesh, and of points of the
-    mesh to the result, by brute force in float64; half the points are vertices. The size is the level set's.
+    The distance is sampled: errors are the distances of points of the result from the mesh, and of points of the mesh
+    from the result, by brute force in float64; half of the points are vertices. The level set's size is the reported
+    memory.
     """
     title = "Mesh to level set and back: Hausdorff distance to the mesh"
     return Chart("from_volume", title, "world", "triangles", lambda: _round_trips(near))
@@ -44,7 +45,7 @@ def _round_trips(near: NearSurface) -> Iterator[Trial]:
     def judge(result: TriangleMesh) -> Judgement:
         if len(result.faces) == 0:
             return judged(np.full(len(asked), np.inf), asked)
-        # Fewer where the result has more triangles than the mesh: each is looked at for each point.
+        # Fewer points if the result has more triangles than the mesh: each point is compared with each triangle.
         count = Effort.of(near.device, near.quick, len(result.faces)).checked
         to, back = asked[:count], surface_samples(result, near.effort.checked, SEED + 4)
         there = reference.closest_point(result.vertices, result.faces, to).distance
@@ -62,11 +63,11 @@ def _round_trips(near: NearSurface) -> Iterator[Trial]:
 
 
 def isosurface_chart(field: VolumePoints) -> Chart:
-    """How far the vertices of an isosurface are from the level of the volume's interpolant, by method and adaptivity.
+    """Distance of the vertices of an isosurface from the level of the volume's interpolant, by method and adaptivity.
 
-    The distance is the interpolant's difference from the isovalue over the length of its gradient, in float64 NumPy:
-    right to first order. Vertices where the gradient is shorter than a thousandth of the value range per voxel are left
-    out. The isovalue is 0 for a level set, else the median of the active voxels.
+    The distance is the difference of the interpolant from the isovalue over the length of its gradient, in float64
+    NumPy, correct to first order. Vertices with a gradient shorter than a thousandth of the value range per voxel are
+    left out. The isovalue is 0 for a level set, else the median of the active voxels.
     """
     title = "Isosurface of a volume: distance of its vertices from the level"
     return Chart("isosurface", title, "world", "triangles", lambda: _isosurfaces(field))
@@ -107,7 +108,7 @@ def _trial(volume: SparseVolume, isovalue: float, parameters: dict[str, Any], ju
         return mesh
 
     try:
-        # Once before it is timed, to know how many triangles there are.
+        # One untimed run gives the number of triangles.
         count = len(make().faces)
     except Exception as error:
         return failed(name, parameters, error)

@@ -1,4 +1,4 @@
-"""Charts of gradients of volumes: orders against the direction of the exact distance, or of the float64 interpolant."""
+"""Charts of gradients of volumes, by order, against the exact distance or the float64 interpolant."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 __all__ = ["gradients_chart", "sdf_gradients_chart"]
 
 ORDERS = (0, 1, 2, 3)
-# How far the voxels that the cubic takes are from a point along an axis, at most [voxels].
+# Largest distance along an axis between a point and the voxels of its cubic stencil [voxels].
 REACH = 2.0
 CORNERS = 8
-# Points that are checked at least, where so many are known.
+# Least number of checked points, if as many are known.
 FEWEST = 64
-# Within those voxels a surface may turn by this much [degrees]; where it turns more it is not resolved.
+# Within the stencil the surface may turn by this much [degrees]; beyond it, the surface is not resolved.
 TURN = 30.0
-# Nearer to the surface than this share of the diagonal the direction to it has too few digits.
+# Closer to the surface than this share of the diagonal, the direction to it has too few digits.
 NEAREST = 1e-9
 
 
 def sdf_gradients_chart(near: NearSurface) -> Chart:
-    """How far gradients of level sets of a mesh point from the direction to its closest point, by voxel size and order.
+    """Angles between gradients of level sets of a mesh and the direction to its closest point, by voxel size and order.
 
-    Left out, for each voxel size, are points near the medial axis or an edge: those where the face that is closest, or
-    the direction to it, turns by more than 30 degrees between the point and a corner of the box of voxels that order 3
-    takes (two voxels to each side). A voxel size that leaves no point has no trials. A gradient of length 0 is wrong.
+    For each voxel size, points near the medial axis or an edge are left out: those where the closest face, or the
+    direction to it, turns by more than 30 degrees between the point and a corner of the stencil of order 3 (two voxels
+    to each side). A voxel size without remaining points has no trials. A gradient of length 0 is wrong.
     """
     title = "Gradient near a mesh, from its level set"
     return Chart("sdf_gradients", title, "degrees", "gradients", lambda: _sdf_trials(near))
@@ -46,7 +46,8 @@ def sdf_gradients_chart(near: NearSurface) -> Chart:
 
 def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
     points = send(near.points, near.device)
-    # Eight more references for each: an eighth of the checked points are as much work, of which some are left out.
+    # Eight more references for each point: an eighth of the checked points is as much work, and some points are left
+    # out.
     step = max(1, min(CORNERS, len(near.known.rows) // FEWEST))
     known = near.known.take(np.arange(0, len(near.known.rows), step))
     for voxel_size in near.voxel_sizes:
@@ -68,21 +69,21 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
 
 
 def _directions(points: NDArray[np.float64], closest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors from the closest points to the points; zero where they are the same."""
+    """Unit vectors from the closest points to the points; zero where the two coincide."""
     apart = points - closest
     length = np.linalg.norm(apart, axis=-1, keepdims=True)
     return apart / np.where(length > 0.0, length, 1.0)
 
 
 def _is_smooth(mesh: TriangleMesh, known: Known, voxel_size: float) -> NDArray[np.bool_]:
-    """Points in whose stencil the closest face and the direction to it turn by little."""
+    """Mask of points within whose stencil the closest face and the direction to it turn by little."""
     corners = REACH * voxel_size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
     around = (known.points[:, None] + corners).reshape(-1, 3)
     found = reference.closest_point(mesh.vertices, mesh.faces, around)
     normals = reference.face_normals(mesh.vertices, mesh.faces)
     least = np.cos(np.radians(TURN))
     normal = (normals[known.triangle_id][:, None] * normals[found.triangle_id].reshape(-1, CORNERS, 3)).sum(axis=2)
-    # Either way: the corners lie on both sides of the surface.
+    # In either direction: the corners lie on both sides of the surface.
     here, there = _directions(known.points, known.closest), _directions(around, found.points).reshape(-1, CORNERS, 3)
     turned = np.abs((here[:, None] * there).sum(axis=2))
     defined = np.abs(known.distance) > NEAREST * mesh.diagonal
@@ -90,11 +91,11 @@ def _is_smooth(mesh: TriangleMesh, known: Known, voxel_size: float) -> NDArray[n
 
 
 def gradients_chart(field: VolumePoints) -> Chart:
-    """How far gradients of a volume are from those of its own interpolant, by order and codec.
+    """Errors of gradients of a volume against its own interpolant, by order and codec.
 
-    The reference for each order is the gradient of the interpolant of that order of the values as the volume came, in
-    float64 NumPy (central differences for order 0); an error is the length of the difference over the root mean square
-    of the reference's lengths.
+    The reference for each order is the gradient of the interpolant of that order of the original values, in float64
+    NumPy (central differences for order 0). An error is the length of the difference over the root mean square of the
+    lengths of the reference.
     """
     title = "Gradients of a volume, as stored and in fewer bits"
     return Chart("gradients", title, "relative", "gradients", lambda: _volume_trials(field))

@@ -1,8 +1,9 @@
-"""The charts of meshes: what closest points, signs, first hits and normals cost, and how right they are.
+"""Charts of meshes: time and error of closest points, signs, first hits and normals.
 
-Every answer is held against float64 NumPy that shares no code with it (geokit/accuracy/reference) on a random subset
-with a fixed seed; the reference of a chart is computed once. Queries are on the device before the clock runs, and
-answers stay there. Tested in tests/accuracy/charts/test_mesh_charts.py, which also makes methods worse on purpose.
+Every answer is compared with an independent reference (geokit/accuracy/reference): float64 NumPy that shares no code
+with the method, on a random subset with a fixed seed. The reference of a chart is computed once. Queries are on the
+device before timing starts, and answers stay there. Tested in tests/accuracy/charts/test_mesh_charts.py, which also
+makes methods worse on purpose.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ __all__ = ["mesh_charts"]
 def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     """Charts of queries on a mesh.
 
-    - "closest_point" and "closest_point_near": geokit's exact answers in float64 and float32, with search radii, with
-      the tree made in the call, and warp's own query in float32; anywhere and near the surface.
-    - "sign", "sign_hole", "sign_flips" and, unless it has to be quick, "sign_doubles": shares of wrong signs of every
-      method; on the mesh, and on it with a hole, with turned faces, with doubled faces.
+    - "closest_point" and "closest_point_near": geokit's exact answers in float64 and float32, with search radii and
+      with the tree built in the call, and warp's own query in float32; anywhere and near the surface.
+    - "sign", "sign_hole", "sign_flips" and, unless quick, "sign_doubles": shares of wrong signs of every method, on the
+      mesh, and on the mesh with a hole, with flipped faces and with doubled faces.
     - "first_hit": watertight or not, warp's own query, and rays through level sets of several voxel sizes.
-    - "first_hit_edges": shares of leaks of rays that are aimed at edges and vertices.
-    - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the faces' normals.
+    - "first_hit_edges": shares of leaks of rays aimed at edges and vertices.
+    - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the normals of the faces.
 
     Args:
-        subject: One with a mesh.
+        subject: A subject with a mesh.
         device: Where the methods run.
         quick: Smaller inputs and fewer settings.
     Returns:
-        The charts; nothing is computed before their trials are asked for.
+        The charts; nothing is computed before their trials are requested.
     Raises:
         InputError: The subject has no mesh, or one without faces.
     """

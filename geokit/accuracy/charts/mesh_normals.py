@@ -1,4 +1,4 @@
-"""A chart of normals on a mesh's surface that are read from its distance field."""
+"""Chart of surface normals of a mesh computed from its distance field."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ ORDERS = (0, 1, 2, 3)
 
 
 def normals_chart(setup: MeshSetup) -> Chart:
-    """Angles between gradients of level sets and the normals of the faces that the points lie on.
+    """Angles between gradients of level sets and the normals of the faces on which the points lie.
 
-    Where faces meet at an angle no field of finite voxels follows them: the largest error is there. A gradient of
-    length 0 is wrong.
+    The largest error is at edges between faces, which no field of finite voxels resolves. A gradient of length 0 is
+    wrong.
     """
     title = "Normal on the surface, from a level set"
     return Chart("normals", title, "degrees", "gradients", lambda: _trials(setup))

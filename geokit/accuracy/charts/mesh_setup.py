@@ -1,4 +1,4 @@
-"""What the charts of a mesh share: queries, which of them are checked, and how many there are."""
+"""Shared setup of the charts of a mesh: queries, and the rows that are checked."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ __all__ = ["MeshSetup", "Queries"]
 
 Floats = NDArray[np.float64]
 
-# Seed of every random choice: charts of two runs ask the same.
+# Seed of every random choice: two runs use the same queries.
 SEED = 17
-# Queries of a timed call, in a quick chart and else: 1 to 50 ms, and up to 300 ms, on two cores; more for a GPU, which
-# would only be launched otherwise.
+# Queries of a timed call, in a quick chart and in a full one: 1 to 50 ms, and up to 300 ms, on two cores; more on a
+# GPU, where launch overhead would dominate otherwise.
 COUNTS = {"cpu": (20_000, 100_000), "cuda": (1_000_000, 4_000_000)}
-# Pairs of a query and a triangle that the references of a chart may look at. A pair takes 10 ns where most triangles
-# are ruled out by their spheres, and ten times that where all solid angles are summed: of those there are fewer, and
-# their reference is shared by two charts.
+# Budget of pairs of a query and a triangle for the references of a chart. A pair takes 10 ns where bounding spheres
+# rule out most triangles, and ten times that where all solid angles are summed: such references check fewer queries,
+# and two charts share them.
 QUICK_PAIRS = 20_000_000
 PAIRS = 100_000_000
 SOLID_ANGLE = 4
-# At least and at most so many answers are checked.
+# Least and greatest number of checked answers.
 LEAST, MOST = 32, 4000
-# How far uniform queries reach beyond the box of the mesh, and near ones from its surface [diagonals].
+# Extent of uniform queries beyond the bounding box of the mesh, and of near queries from its surface [diagonals].
 MARGIN = 0.1
 NEAR = 0.01
 
 
 class Queries(NamedTuple):
-    """Points (N, 3) [world], and the rows of those that are checked."""
+    """Points (N, 3) [world], and the rows that are checked."""
 
     points: Floats
     rows: NDArray[np.int64]
 
     @property
     def checked(self) -> Floats:
-        """Those points."""
+        """The checked points."""
         return self.points[self.rows]
 
 
 class MeshSetup:
-    """A mesh on a device, with queries; made when first asked for.
+    """A mesh on a device, with queries; attributes are computed on first access.
 
     Args:
         mesh: The triangles.
         device: Where the methods run.
-        quick: Whether to ask little.
+        quick: Use fewer queries.
     """
 
     def __init__(self, mesh: TriangleMesh, device: Any, quick: bool) -> None:
@@ -65,14 +65,14 @@ class MeshSetup:
 
     @cached_property
     def surface(self) -> Surface:
-        """The mesh, prepared."""
+        """The mesh prepared for queries."""
         from geokit.mesh._surface import Surface
 
         return Surface(self.mesh, device=self.device)
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every edge is run through as often one way as the other: winding numbers are then whole."""
+        """Whether every edge is traversed equally often in both directions: winding numbers are then whole."""
         ends = np.concatenate([np.roll(self.mesh.faces, -k, axis=1)[:, :2] for k in range(3)]).astype(np.int64)
         ways, counts = np.unique(ends @ [len(self.mesh.vertices), 1], return_counts=True)
         back = ways % len(self.mesh.vertices) * len(self.mesh.vertices) + ways // len(self.mesh.vertices)
@@ -81,7 +81,7 @@ class MeshSetup:
 
     @cached_property
     def oriented(self) -> TriangleMesh:
-        """The mesh with faces that wind outward: what its winding number is the reference of."""
+        """The mesh with faces wound outward, for which the reference computes winding numbers."""
         if self.is_closed and self.surface.orientation == 1:
             return self.mesh
         from geokit.mesh._repair import orient
@@ -89,21 +89,21 @@ class MeshSetup:
         return orient(self.mesh).mesh
 
     def shared(self, share: float) -> float:
-        """A length as a share of the diagonal, in three digits, so that a reader can type what a chart says."""
+        """A length as a share of the diagonal, rounded to three digits so that a reader can reproduce a setting."""
         return float(f"{share * self.size:.3g}")
 
     def checked_count(self, weight: int = 1) -> int:
-        """How many answers are checked where a pair of a query and a triangle costs ``weight`` times the usual."""
+        """Number of checked answers if a pair of a query and a triangle costs ``weight`` times the usual."""
         pairs = (QUICK_PAIRS if self.quick else PAIRS) // weight
         return min(max(pairs // len(self.mesh.faces), LEAST), MOST, self.count)
 
     def rows(self, weight: int = 1) -> NDArray[np.int64]:
-        """Rows of the queries that are checked, ascending."""
+        """Rows of the checked queries, ascending."""
         chosen = np.random.default_rng(SEED).choice(self.count, self.checked_count(weight), replace=False)
         return np.sort(chosen)
 
     def uniform(self, weight: int = 1) -> Queries:
-        """Points anywhere in the box of the mesh and a little around it."""
+        """Points anywhere in the bounding box of the mesh and slightly beyond."""
         lower, upper = self.mesh.bounds
         margin = MARGIN * self.size
         points = np.random.default_rng(SEED + 1).uniform(lower - margin, upper + margin, (self.count, 3))
@@ -119,6 +119,6 @@ class MeshSetup:
         )
 
     def mixed(self, weight: int = 1) -> Queries:
-        """Uniform ones and near ones in turns."""
+        """Uniform and near points, alternating."""
         uniform, near = self.uniform(weight), self.near(weight)
         return Queries(np.where(np.arange(self.count)[:, None] % 2 == 0, uniform.points, near.points), uniform.rows)

@@ -1,4 +1,4 @@
-"""Charts of neighbours: within a radius, by cell size and order of the rows, and the nearest k."""
+"""Charts of neighbor searches: within a radius, by cell size and order of the rows, and the k nearest."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 
 __all__ = ["nearest_chart", "neighbors_chart"]
 
-# The radii that cells are made for over the radius that is asked for. Up to 2 the cells are used as they are; beyond,
-# the points are sorted again on the first call.
+# Radii that cells are made for, in units of the search radius. Up to 2 the cells are used as they are; beyond, the
+# first call sorts the points again.
 CELLS = (0.5, 1.0, 2.0, 4.0)
 QUICK_CELLS = (0.5, 1.0, 2.0)
 ORDERS = ("any", "index", "distance")
 NEAREST = (1, 8, 32)
-# Of the radius that a NeighborGrid chooses: so short that some rows are not filled.
+# Share of a NeighborGrid's default radius: so short that some rows of k are not filled.
 HYBRID = 0.25
-# A warp HashGrid takes 16 MiB and 20 bytes a point, says the page about users' own kernels.
+# Memory of a warp HashGrid: 16 MiB plus 20 bytes a point, from docs/kernels.md.
 HASH_GRID, HASH_POINT = 16 << 20, 20
 
 
 def neighbors_chart(setup: PointsSetup) -> Chart:
-    """Shares of queries whose neighbours are not the right set, by cell size, order and precision.
+    """Shares of queries with a wrong set of neighbors, by cell size, order and precision.
 
-    Counts are wrong where they differ. The error of a radius search is that of its distances.
+    A count is wrong if it differs from the reference. The error of a radius search is that of its distances.
     """
-    title = "Neighbours within a radius"
+    title = "Neighbors within a radius"
     return Chart("neighbors", title, "world", "queries", lambda: _radius_trials(setup), "wrong")
 
 
 def nearest_chart(setup: PointsSetup) -> Chart:
-    """Errors of distances to the nearest k points; other indices than the reference's are wrong."""
+    """Errors of distances to the k nearest points; indices that differ from the reference are wrong."""
     return Chart("nearest", "The nearest k points", "world", "queries", lambda: _nearest_trials(setup))
 
 
@@ -89,7 +89,7 @@ def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
     from geokit.points._neighbors import NeighborGrid
 
     grid = NeighborGrid(setup.points, setup.radius, device=setup.device)
-    grid.knn(setup.queries[:1])  # makes the tree
+    grid.knn(setup.queries[:1])  # builds the tree
     queries = send(setup.queries, setup.device)
     single = wp.array(setup.queries.astype(np.float32), dtype=wp.vec3f, device=setup.device)
     known = cache(lambda: reference.k_nearest(setup.points, max(NEAREST), setup.checked))
@@ -121,7 +121,7 @@ def _searching(grid: NeighborGrid, queries: Any, radius: float, order: str) -> C
 
 
 def _within(setup: PointsSetup) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Neighbours of the checked queries by ascending index, and how far they are."""
+    """Neighbors of the checked queries by ascending index, and their distances."""
     found = reference.neighbors_within(setup.points, setup.checked, setup.radius)
     at = setup.checked
     return [(near, np.linalg.norm(setup.points[near] - at[i], axis=1)) for i, near in enumerate(found)]

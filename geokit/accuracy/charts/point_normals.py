@@ -1,4 +1,4 @@
-"""Charts of normals of points: against planes in float64, and against the shape that points were taken from."""
+"""Charts of normals of points: against plane fits in float64, and against a known shape."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ Floats = NDArray[np.float64]
 NEIGHBORS = (8, 16, 32, 64)
 QUICK_NEIGHBORS = (8, 32)
 ORIENTATIONS = ("none", "propagation")
-# Where the two least eigenvalues are nearer to each other than this share of the largest, a neighbourhood has no plane
-# that is better than others, and a rounding turns it.
+# If the two least eigenvalues differ by less than this share of the largest, a neighborhood has no unique best plane,
+# and rounding turns it.
 GAP = 1e-3
-# Radii of the torus, and how far its points are moved along the normals: a scanner's noise of a tenth of a percent.
+# Radii of the torus, and the standard deviation of the noise along its normals: a tenth of a percent, like a scanner's.
 MAJOR, MINOR, NOISE = 1.0, 0.4, 1e-3
-# Points of the torus, in a quick chart and else, on a CPU.
+# Points of the torus, in a quick chart and in a full one, on a CPU.
 COUNTS = (5_000, 20_000)
 
 
 def point_normals_charts(setup: PointsSetup) -> list[Chart]:
-    """Angles between normals and planes through the same neighbours, and between normals and those of a noisy torus.
+    """Angles between normals and planes through the same neighbors, and between normals and those of a noisy torus.
 
-    The first says what the arithmetic costs: neighbourhoods without a best plane are left out, signs do not count. The
-    second says what the number of neighbours does to the truth, and normals that look inward are wrong where
-    orientation was asked for; it is the same for all subjects.
+    The first chart shows the arithmetic error: neighborhoods without a unique best plane are left out, and signs do not
+    count. The second shows the effect of the number of neighbors on the true error; normals that point inward are wrong
+    if orientation was requested. It is the same for all subjects.
     """
     title = "Normals of points"
     return [
@@ -48,15 +48,15 @@ def point_normals_charts(setup: PointsSetup) -> list[Chart]:
 
 
 def torus_cloud(count: int, noise: float = NOISE) -> tuple[Floats, Floats]:
-    """Points (N, 3) of a torus around the z axis, evenly spread but for chance, and its normals there (N, 3).
+    """Random points (N, 3), uniform by area, of a torus around the z axis, and its normals there (N, 3).
 
     Args:
-        count: How many.
-        noise: Standard deviation of how far they are moved along the normals.
+        count: Number of points.
+        noise: Standard deviation of the displacement along the normals.
     """
     rng = np.random.default_rng(SEED + 2)
     across = rng.uniform(0.0, 2.0 * np.pi, 3 * count)
-    # A ring has area in proportion to its radius.
+    # The area of a ring is proportional to its radius.
     kept = across[rng.uniform(0.0, MAJOR + MINOR, len(across)) < MAJOR + MINOR * np.cos(across)][:count]
     around = rng.uniform(0.0, 2.0 * np.pi, len(kept))
     normals = np.stack([np.cos(kept) * np.cos(around), np.cos(kept) * np.sin(around), np.sin(kept)], axis=1)

@@ -1,8 +1,9 @@
-"""The charts of points: what neighbours, normals and smaller clouds cost, and how right they are.
+"""Charts of points: time and error of neighbor searches, normals and downsampling.
 
-Every answer is held against float64 NumPy that shares no code with it (geokit/accuracy/reference) on a random subset
-with a fixed seed; the reference of a chart is computed once. Points are on the device before the clock runs; answers
-stay there. Tested in tests/accuracy/charts/test_points_charts.py, which also makes methods worse on purpose.
+Every answer is compared with an independent reference (geokit/accuracy/reference): float64 NumPy that shares no code
+with the method, on a random subset with a fixed seed. The reference of a chart is computed once. Points are on the
+device before timing starts, and answers stay there. Tested in tests/accuracy/charts/test_points_charts.py, which also
+makes methods worse on purpose.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["points_charts"]
 
-# Fewer points have no plane, and no spacing to speak of.
+# Fewer points define neither a plane nor a meaningful spacing.
 FEWEST = 8
 
 
@@ -24,16 +25,16 @@ def points_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     """Charts of a cloud.
 
     - "neighbors": shares of wrong sets within a radius, by cell size, order and precision, and of warp's own hash grid.
-    - "nearest": k nearest points, with a radius, in float32, with the tree made in the call.
-    - "point_normals" and "torus_normals": number of neighbours, against planes and against a shape that is known.
-    - "downsample": methods by the distance from the points to those that are left.
+    - "nearest": k nearest points, also within a radius, in float32, and with the tree built in the call.
+    - "point_normals" and "torus_normals": by number of neighbors, against plane fits and against a known shape.
+    - "downsample": methods by the distance from the points to the nearest kept point.
 
     Args:
-        subject: One with points.
+        subject: A subject with points.
         device: Where the methods run.
         quick: Smaller inputs and fewer settings.
     Returns:
-        The charts; nothing is computed before their trials are asked for.
+        The charts; nothing is computed before their trials are requested.
     Raises:
         InputError: The subject has no points, or fewer than eight.
     """

@@ -1,4 +1,4 @@
-"""Warp's own float32 queries on what geokit prepared, through the handles that users' kernels take."""
+"""Warp's own float32 queries on structures prepared by geokit, through the handles for user kernels."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RawHits(NamedTuple):
 
 
 def raw_closest_point(surface: Surface, points: "wp.array") -> RawClosest:
-    """Closest points (vec3d in, float32 out) as ``wp.mesh_query_point_no_sign`` finds them."""
+    """Closest points (vec3d in, float32 out) by ``wp.mesh_query_point_no_sign``."""
     import warp as wp
 
     from geokit.accuracy.charts.raw_queries_kernels import raw_closest_point_kernel
@@ -43,7 +43,7 @@ def raw_closest_point(surface: Surface, points: "wp.array") -> RawClosest:
 
 
 def raw_raycast(surface: Surface, origins: "wp.array", directions: "wp.array") -> RawHits:
-    """First hits (vec3d in, float32 out) as ``wp.mesh_query_ray`` finds them."""
+    """First hits (vec3d in, float32 out) by ``wp.mesh_query_ray``."""
     import warp as wp
 
     from geokit.accuracy.charts.raw_queries_kernels import raw_raycast_kernel

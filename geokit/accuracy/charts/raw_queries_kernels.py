@@ -1,7 +1,7 @@
-"""Warp's own queries in float32, as a user's kernels would call them: what geokit's exact answers are compared with.
+"""Warp's own float32 queries, as user kernels would call them: the baseline for geokit's exact answers.
 
-What warp finds is kept: nothing is evaluated again in float64, boxes are not padded, and of equally near triangles any
-is taken.
+Warp's results are used as they are: without re-evaluation in float64, without padded boxes, and with any of equally
+near triangles.
 """
 
 # mypy: ignore-errors
@@ -10,7 +10,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Farther than any local point: there is no limit.
+# Larger than any local distance: no limit.
 FAR = wp.constant(1.0e30)
 
 

@@ -1,4 +1,4 @@
-"""Charts of sampling: voxel size, order and codec against the truth, in time and in memory."""
+"""Charts of sampling: error, time and memory by voxel size, order and codec."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ ORDERS = (0, 1, 2, 3)
 
 
 def sdf_sampling_chart(near: NearSurface) -> Chart:
-    """How far sampled level sets of a mesh are from the exact distance, by voxel size, order and codec.
+    """Errors of sampled level sets of a mesh against the exact distance, by voxel size, order and codec.
 
     The queries lie up to half the smallest voxel from the surface. The reference is the distance to the triangles by
-    brute force in float64, negative where the winding number of the mesh, its faces turned alike, is over one half;
-    points where that is in doubt, in the mouth of an open mesh, are left out.
+    brute force in float64, negative where the winding number of the consistently oriented mesh exceeds one half. Points
+    where the sign is ambiguous, in the opening of an open mesh, are left out.
     """
     title = "Distance near a mesh, sampled from its level set"
     return Chart("sdf_sampling", title, "world", "samples", lambda: _sdf_trials(near))
@@ -42,7 +42,7 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
         except Exception as error:
             yield failed("volume.from_mesh", {"voxel_size": voxel_size}, error)
             continue
-        # A quick chart has all of them for its smallest voxels only.
+        # A quick chart has all codecs only for its smallest voxels.
         for codec in QUICK_CODECS if near.quick and voxel_size != min(near.voxel_sizes) else known_codecs():
             try:
                 grid = coded(band, codec, 2.0 * HALF_WIDTH * voxel_size)
@@ -55,11 +55,11 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
 
 
 def sampling_chart(field: VolumePoints) -> Chart:
-    """How far samples of a volume are from its own interpolant, by order and codec.
+    """Errors of samples of a volume against its own interpolant, by order and codec.
 
-    The reference for each order is the interpolant of that order of the values as the volume came, summed up in float64
-    NumPy: float grids show the roundings of sampling alone, and the codecs what they lose. Errors are in world units
-    for level sets, else relative to the range of the values.
+    The reference for each order is the interpolant of that order of the original values, summed in float64 NumPy: float
+    grids show only the rounding of sampling, and codecs their loss. Errors are in world units for level sets, else
+    relative to the range of the values.
     """
     title = "Values of a volume, as stored and in fewer bits"
     return Chart("sampling", title, field.unit, "samples", lambda: _volume_trials(field))

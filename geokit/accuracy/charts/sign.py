@@ -1,4 +1,4 @@
-"""Charts of signs: which method calls outside what is inside, on the mesh and on damaged ones."""
+"""Charts of signs: wrong inside/outside answers by method, on the mesh and on damaged copies."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["DAMAGES", "damaged", "sign_charts"]
 
 METHODS = ("auto", "pseudonormal", "parity", "winding")
-# Points nearer to the surface than this [diagonals] are neither inside nor outside.
+# Points closer to the surface than this [diagonals] are neither inside nor outside.
 ON_SURFACE = 1e-9
-# Of an open mesh, points whose winding number is nearer to 1/2 than this may count as either.
+# On an open mesh, points with a winding number closer to 1/2 than this may count as either.
 AMBIGUOUS = 0.1
-# Share of the area that a hole takes, and of the faces that are turned over or doubled.
+# Share of the area removed by a hole, and of the faces that are flipped or doubled.
 HOLE = 0.03
 FLIPPED = 0.1
 DOUBLED = 0.1
@@ -35,12 +35,12 @@ DAMAGES = {"hole": "with a hole", "flips": "with turned faces", "doubles": "with
 
 
 def sign_charts(setup: MeshSetup) -> list[Chart]:
-    """Shares of wrong signs: of the mesh as it is, and of the mesh with a hole, with turned and with doubled faces.
+    """Shares of wrong signs: on the mesh as it is, and with a hole, with flipped faces and with doubled faces.
 
-    What one damage does to a method says nothing about another: each has a chart of its own.
-    Inside is where the winding number of the whole mesh, with faces that wind outward, is over one half; damaged meshes
-    are held against the whole one. Half of the points are near the surface. Points on it are left out, and those of an
-    open mesh where the winding number is near one half.
+    Each kind of damage has a chart of its own, because methods react differently to each. Inside is where the winding
+    number of the undamaged mesh, with faces wound outward, exceeds one half; damaged meshes are compared with the
+    undamaged one. Half of the points are near the surface. Points on the surface, and points of an open mesh with a
+    winding number near one half, are left out.
     """
     title, judge = "Inside or outside", _judge(setup)
     return [
@@ -61,12 +61,12 @@ def sign_charts(setup: MeshSetup) -> list[Chart]:
 
 
 def damaged(mesh: TriangleMesh, damage: str, seed: int = 0) -> TriangleMesh:
-    """The mesh with one hole of 3% of its area, or with a tenth of its faces turned over or doubled.
+    """The mesh with one hole of 3% of its area, or with a tenth of its faces flipped or doubled.
 
     Args:
         mesh: The triangles.
         damage: "hole", "flips" or "doubles".
-        seed: Which faces.
+        seed: Seed of the choice of faces.
     """
     rng, faces = np.random.default_rng(seed), mesh.faces
     if damage == "flips":

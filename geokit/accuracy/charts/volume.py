@@ -1,9 +1,9 @@
-"""The charts of volumes: what sampling, level sets, surfaces, rays and gradients cost, and how right they are.
+"""Charts of volumes: time and error of sampling, level sets, surfaces, rays and gradients.
 
-Every answer is held against float64 NumPy that shares no code with it (geokit/accuracy/reference/mesh.py
-and volume.py) on a random subset with a fixed seed; the reference of a chart is computed once. Queries are on the
-device before the clock runs. Tested in tests/accuracy/charts/test_volume_charts.py, which also makes methods worse on
-purpose.
+Every answer is compared with an independent reference (geokit/accuracy/reference/mesh.py and volume.py): float64 NumPy
+that shares no code with the method, on a random subset with a fixed seed. The reference of a chart is computed once.
+Queries are on the device before timing starts. Tested in tests/accuracy/charts/test_volume_charts.py, which also makes
+methods worse on purpose.
 
 geokit writes no grids of half floats, so "half" is not among the codecs.
 """
@@ -21,20 +21,20 @@ __all__ = ["mesh_volume_charts", "volume_charts"]
 
 
 def mesh_volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
-    """Charts of the volumes that are made of a mesh.
+    """Charts of the volumes that are made from a mesh.
 
-    - "sdf_sampling": voxel size, order and codec of a level set against the exact distance; the sizes of the grids say
-      what a tolerance costs in memory.
+    - "sdf_sampling": voxel size, order and codec of a level set against the exact distance; the sizes of the grids show
+      the memory that a tolerance costs.
     - "from_mesh": voxel size, half width and method against exact distances at the active voxels.
-    - "from_volume": voxel size, method and adaptivity of the way back, by the Hausdorff distance to the mesh.
+    - "from_volume": voxel size, method and adaptivity of the conversion back, by the Hausdorff distance to the mesh.
     - "sdf_gradients": voxel size and order against the direction to the closest point.
 
     Args:
-        subject: One with a mesh.
+        subject: A subject with a mesh.
         device: Where the methods run.
         quick: Smaller inputs and fewer settings.
     Returns:
-        The charts; nothing is computed before their trials are asked for.
+        The charts; nothing is computed before their trials are requested.
     Raises:
         InputError: The subject has no mesh, or one without faces.
     """
@@ -51,21 +51,21 @@ def mesh_volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart
 
 
 def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
-    """Charts of a volume as it is.
+    """Charts of a volume as given.
 
-    - "sampling" and "gradients": order and codec against the float64 interpolant of the values as they came.
+    - "sampling" and "gradients": order and codec against the float64 interpolant of the original values.
     - "isosurface": method and adaptivity, by the distance of vertices from the level.
-    - "volume_raycast", of level sets: codec against a fine march through the float64 interpolant.
+    - "volume_raycast", of level sets: codec against a fine ray march through the float64 interpolant.
 
     Args:
-        subject: One with a volume.
+        subject: A subject with a volume.
         device: Where the methods run.
         quick: Smaller inputs and fewer settings.
     Returns:
         The charts; none for a grid without active voxels.
     Raises:
         InputError: The subject has no volume.
-        UnsupportedGridError: The grid's values are not floating point or quantised.
+        UnsupportedGridError: The grid's values are not floating point or quantized.
     """
     from geokit.accuracy.charts.from_volume import isosurface_chart
     from geokit.accuracy.charts.gradients import gradients_chart

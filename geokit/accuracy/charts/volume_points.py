@@ -1,4 +1,4 @@
-"""What the charts of a volume share: points where it is active, and what it says there."""
+"""Shared setup of the charts of a volume: points near active voxels, and reference values there."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ __all__ = ["VolumePoints"]
 
 Floats = NDArray[np.float64]
 
-# What quantize can make a float grid of; each value stays what it is, but for float64 that float32 does not hold.
+# Grid types that quantize can convert to float; values are unchanged, except float64 values that float32 cannot hold.
 SOURCES = ("float", "double", *QUANTIZED)
 
 
 class VolumePoints:
-    """Points near the active voxels of a volume, and its interpolants there; made when first asked for.
+    """Points near the active voxels of a volume, and its interpolants there; attributes are computed on first access.
 
     Args:
-        volume: A scalar grid of floating point or quantised values.
+        volume: A scalar grid of floating point or quantized values.
         device: Where the methods run.
-        quick: Whether to ask little.
+        quick: Use fewer queries.
     Raises:
         UnsupportedGridError: The grid is of another type.
     """
@@ -50,30 +50,30 @@ class VolumePoints:
 
     @cached_property
     def active(self) -> NDArray[np.int64]:
-        """Active voxels (N, 3), as many as there are queries or fewer."""
+        """Active voxels (N, 3), at most as many as queries."""
         return self.voxels.draw_active(self.effort.queries, SEED)
 
     @cached_property
     def points(self) -> Floats:
-        """Queries [world], each anywhere in an active voxel."""
+        """Queries [world], each at a random position in an active voxel."""
         rng = np.random.default_rng(SEED + 1)
         chosen = self.active[rng.integers(len(self.active), size=self.effort.queries)]
         return self.voxels.to_world(chosen + rng.uniform(-0.5, 0.5, chosen.shape))
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """Rows of the points that are checked."""
+        """Rows of the checked points."""
         return np.arange(min(self.effort.checked, len(self.points)))
 
     @cached_property
     def value_range(self) -> float:
-        """Between the least and the largest value of those voxels; 1 where they are equal."""
+        """Difference between the largest and the least value of those voxels; 1 if they are equal."""
         values = self.voxels(self.active)
         return float(np.ptp(values)) or 1.0
 
     @property
     def error_scale(self) -> float:
-        """What a difference of values is divided by to be an error in the chart's unit."""
+        """Divisor that converts a difference of values to an error in the chart's unit."""
         return 1.0 if self.is_level_set else self.value_range
 
     @cached_property
@@ -86,7 +86,7 @@ class VolumePoints:
         return self._kept("value", order)
 
     def gradients(self, order: int) -> Floats:
-        """Its gradients there."""
+        """The gradients of the interpolant at the checked points."""
         return self._kept("gradient", order)
 
     def _kept(self, what: str, order: int) -> Floats:

@@ -1,4 +1,4 @@
-"""Chart of rays on a level set, as stored and in fewer bits, against a fine march through the float64 interpolant."""
+"""Chart of rays on a level set, as stored and quantized, against a fine ray march through the float64 interpolant."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["volume_raycast_chart"]
 
-# Beyond the leaves by this many voxels a trilinear interpolant is the background's.
+# Farther than this many voxels beyond the leaves, a trilinear interpolant is the background.
 MARGIN = 2.0
-# The march overlooks a level that is touched, or crossed twice within a sixteenth of a cell. A hit before the first
-# level that it found counts if the interpolant has the level there, but for this share of the values' range: some
+# The march misses a level that is touched, or crossed twice within a sixteenth of a cell. A hit before the first level
+# of the march counts as right if the interpolant has the level there, up to this share of the range of values: some
 # hundred times the roundings of a sum of eight float32 voxels in float64 at coordinates of 1e4 voxels.
 ROUNDINGS = 1e-10
 
@@ -34,11 +34,11 @@ class _Rays(NamedTuple):
 
 
 def volume_raycast_chart(field: VolumePoints) -> Chart:
-    """How far along a ray the hits on a level set are from those of its interpolant, by codec.
+    """Errors of the ray parameter of hits on a level set, by codec.
 
-    Rays of length 1 come from a sphere around the volume and aim at random active voxels. The reference marches through
-    the trilinear interpolant of the values as they came, in float64 NumPy, in steps of a sixteenth of a cell; a hit for
-    a miss or a miss for a hit is wrong.
+    Rays of unit direction start on a sphere around the volume and aim at random active voxels. The reference marches
+    through the trilinear interpolant of the original values, in float64 NumPy, in steps of a sixteenth of a cell. A hit
+    instead of a miss or a miss instead of a hit is wrong.
     """
     title = "First hit of a ray on a level set, as stored and in fewer bits"
     return Chart("volume_raycast", title, "world", "rays", lambda: _trials(field))
@@ -82,14 +82,14 @@ def _rays(field: VolumePoints) -> _Rays:
 
 
 def _box(field: VolumePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Index box of the leaves around the active voxels: beyond, a level set has its background only."""
+    """Index bounding box of the leaves around the active voxels; beyond it a level set is background."""
     bounds = field.volume.info.index_bounds
     assert bounds is not None  # a volume without active voxels has no charts
     return (bounds[0] & ~7) - MARGIN, (bounds[1] | 7) + MARGIN
 
 
 def _reference(field: VolumePoints, rays: _Rays, count: int) -> NDArray[np.float64]:
-    """Ray parameters (count,) of the first level, inf for none."""
+    """Ray parameters (count,) of the first crossing of the level, inf for none."""
     lower, upper = _box(field)
     start = field.voxels.to_index(rays.origins[:count])
     toward = field.voxels.to_index(rays.origins[:count] + rays.directions[:count]) - start

@@ -1,4 +1,4 @@
-"""What the charts of volumes share: how much is asked, codecs, and points near a mesh."""
+"""Shared setup of the charts of volumes: sizes of the workload, codecs, and points near a mesh."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-# What geokit can make. "half" is a .vdb file's, measured as it comes back from one: NanoVDB only has a name for it.
+# Codecs that geokit can make. "half" comes from a .vdb file, measured as read back: NanoVDB only has a name for it.
 CODECS = ("float", "half", "fp16", "fp8", "fp4", "fpn")
-# Those of a quick chart where it has another question than what codecs lose.
+# Codecs of a quick chart that is not about the loss of codecs.
 QUICK_CODECS = ("float", "fp8")
-# The tolerance that "fpn" is given, as a share of the values' range: between the steps of fp8 (1/255 of a leaf's range)
-# and fp16, so that its leaves differ in their bits.
+# Tolerance for "fpn", as a share of the range of values: between the steps of fp8 (1/255 of a leaf's range) and fp16,
+# so that its leaves use different numbers of bits.
 FPN_SHARE = 1e-3
-# Of the level sets [voxels], where a chart does not vary it: what from_mesh makes by itself.
+# Half width of level sets [voxels] where a chart does not vary it: the default of from_mesh.
 HALF_WIDTH = 3.0
-# Where the winding number is this near to one half, in the mouth of an open mesh, there is no side to be right about;
-# geokit's own winding number is good to 0.02.
+# If the winding number is this close to one half, in the opening of an open mesh, no side is right; geokit's own
+# winding number is accurate to 0.02.
 UNDECIDED = 0.05
-# Seed of every random choice: charts of two runs ask the same.
+# Seed of every random choice: two runs use the same queries.
 SEED = 61
 
 
 class Effort(NamedTuple):
-    """How much of everything, so that a timed call takes 1 to 50 ms in quick charts and up to 300 ms in others.
+    """Sizes of the workload, so that a timed call takes 1 to 50 ms in quick charts and up to 300 ms in full ones.
 
     Attributes:
         queries: Points of a timed call.
         rays: Rays of a timed call.
-        checked: Answers that are held against the reference.
-        checked_rays: Rays that are; each is marched through the volume.
+        checked: Number of answers compared with the reference.
+        checked_rays: Number of rays compared; each is marched through the volume.
         divisions: Diagonal over voxel size, ascending.
     """
 
@@ -68,7 +68,8 @@ class Effort(NamedTuple):
 
     @classmethod
     def of(cls, device: Any, quick: bool, triangle_count: int = 0) -> Effort:
-        """For a device, and a mesh: references look at each triangle for each answer, 3e6 pairs in a quick chart."""
+        """The workload for a device and a mesh; references compare each answer with each triangle, 3e6 pairs if
+        quick."""
         more = 10 if str(device).startswith("cuda") else 1
         pairs, least, most = (3_000_000, 64, 600) if quick else (30_000_000, 256, 2000)
         checked = min(max(pairs // max(triangle_count, 1), least), most)
@@ -78,14 +79,14 @@ class Effort(NamedTuple):
 
 
 class Known(NamedTuple):
-    """The truth about M points near a mesh.
+    """Reference values at M points near a mesh.
 
     Attributes:
-        rows: Which of the queries they are (M,).
-        points: Where they are [world], shape (M, 3).
+        rows: Their rows among the queries (M,).
+        points: Positions [world], shape (M, 3).
         distance: Signed distances [world], shape (M,).
         closest: Closest points [world], shape (M, 3).
-        triangle_id: On which triangles, shape (M,).
+        triangle_id: Triangles of the closest points, shape (M,).
     """
 
     rows: NDArray[np.int64]
@@ -99,18 +100,18 @@ class Known(NamedTuple):
 
 
 class NearSurface:
-    """Points near a mesh and what is true there; made when first asked for, and shared by the charts of a mesh.
+    """Points near a mesh and reference values there; computed on first access and shared by the charts of a mesh.
 
     Args:
         mesh: The triangles.
         device: Where the methods run.
-        quick: Whether to ask little.
+        quick: Use fewer queries.
     """
 
     def __init__(self, mesh: TriangleMesh, device: Any, quick: bool) -> None:
         self.mesh, self.device, self.quick = mesh, device, quick
         self.effort = Effort.of(device, quick, len(mesh.faces))
-        # Three digits, so that a reader can type what a chart says.
+        # Rounded to three digits, so that a reader can reproduce a setting.
         self.voxel_sizes = tuple(float(f"{mesh.diagonal / parts:.3g}") for parts in self.effort.divisions)
 
     @cached_property
@@ -122,7 +123,8 @@ class NearSurface:
 
     @cached_property
     def points(self) -> Floats:
-        """Queries [world] up to half the smallest voxel from the surface: where every grid of the charts has a band."""
+        """Queries [world] up to half the smallest voxel from the surface, within the band of every grid of the
+        charts."""
         rng = np.random.default_rng(SEED)
         points, face = area_samples(self.mesh, self.effort.queries, rng)
         offset = rng.uniform(-0.5, 0.5, len(points)) * min(self.voxel_sizes)
@@ -130,20 +132,20 @@ class NearSurface:
 
     @cached_property
     def oriented(self) -> TriangleMesh:
-        """The mesh with its faces wound alike, outward, without which no sign means anything."""
+        """The mesh with consistently outward faces, without which signs are undefined."""
         from geokit.mesh._repair import orient
 
         return orient(self.mesh).mesh
 
     @cached_property
     def known(self) -> Known:
-        """What is true at the rows of the points that are checked."""
+        """Reference values at the rows of the checked points."""
         count = min(self.effort.checked, len(self.points))
         rows = np.sort(np.random.default_rng(SEED + 1).choice(len(self.points), count, replace=False))
         return self.truth(self.points[rows], rows)
 
     def truth(self, points: Floats, rows: NDArray[np.int64]) -> Known:
-        """Closest points and signed distances, of the points whose side can be told."""
+        """Closest points and signed distances of the points whose side is unambiguous."""
         mesh = self.oriented
         winding = reference.winding_number(mesh.vertices, mesh.faces, points)
         told = np.abs(winding - 0.5) > UNDECIDED
@@ -152,7 +154,7 @@ class NearSurface:
         return Known(rows[told], points[told], distance, closest.points, closest.triangle_id)
 
     def level_set(self, voxel_size: float, *, half_width: float = HALF_WIDTH, method: str = "geokit") -> SparseVolume:
-        """geokit's level set of the mesh; what it says of pieces that are too thin is for the charts to show."""
+        """geokit's level set of the mesh; warnings about thin components are dropped, as the charts show them."""
         from geokit.volume._from_mesh import from_mesh
 
         options: dict[str, Any] = {"half_width": half_width, "method": method, "device": self.device}
@@ -171,7 +173,8 @@ def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> tu
 
 
 def surface_samples(mesh: TriangleMesh, count: int, seed: int) -> Floats:
-    """Points of a surface that tell how far it is from another: half of them vertices, where corners are; shuffled."""
+    """Shuffled points of a surface for measuring its distance from another; half are vertices, which include
+    corners."""
     rng = np.random.default_rng(seed)
     used = np.unique(mesh.faces)
     vertices = mesh.vertices[rng.choice(used, min(count // 2, len(used)), replace=False)]
@@ -179,14 +182,14 @@ def surface_samples(mesh: TriangleMesh, count: int, seed: int) -> Floats:
 
 
 def known_codecs() -> tuple[str, ...]:
-    """Those that this build can make: "half" needs OpenVDB."""
+    """The codecs that this build can make: "half" needs OpenVDB."""
     from geokit import native
 
     return CODECS if native.available() else tuple(codec for codec in CODECS if codec != "half")
 
 
 def coded(volume: SparseVolume, codec: str, value_range: float) -> SparseVolume:
-    """A float grid in another codec."""
+    """A float grid converted to another codec."""
     if codec == "float":
         return volume
     if codec == "half":

@@ -1,1 +1,1 @@
-"""Slow float64 answers in NumPy that charts and tests compare with. Shares no code with geokit."""
+"""Independent reference answers in float64 NumPy for charts and tests: slow, and without code shared with geokit."""

@@ -1,7 +1,7 @@
-"""Slow and obviously right: float64 NumPy answers that charts and tests hold geokit's against. Shares no code with it.
+"""Independent reference for mesh queries, for charts and tests: slow, simple float64 NumPy without shared code.
 
-Nothing here walks a tree. Where a query has many candidates, spheres around the triangles tell which cannot be the
-answer; all others are computed.
+Nothing here traverses a tree. If a query has many candidates, bounding spheres of the triangles exclude those that
+cannot be the answer; all others are computed.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ __all__ = [
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Rows of work at once, queries x triangles. A dozen temporaries then stay in the caches; where all of them are
-# candidates, what is computed for each takes 50 MB.
+# Rows of work at once, queries x triangles. A dozen temporaries then stay in the caches; if all of them are candidates,
+# their intermediate results take 50 MB.
 BLOCK = 40_000
-# Queries whose winding numbers are computed at once: what is read of a vertex is then one stretch of memory.
+# Queries whose winding numbers are computed at once: the data of a vertex is then read contiguously.
 QUERIES = 64
-# Whether a ray meets a sphere is told by a difference that cancels: squared distances are good to 1e-15 of the squared
-# extent of what takes part, distances to 3e-8 of it. Thirty times as much is allowed for.
+# The test of a ray against a sphere takes a difference that cancels: squared distances are accurate to 1e-15 of the
+# squared extent of the data, distances to 3e-8 of it. Thirty times as much is allowed.
 SPHERE_MARGIN = 1e-6
-# Twice the area of a triangle over the product of two edges, below which it is made of nothing but roundings.
+# Twice the area of a triangle over the product of two edges; below it, the area is only rounding error.
 NO_AREA = 4.0 * 2.0**-52
 
 
@@ -51,8 +51,8 @@ class ClosestReference(NamedTuple):
 
     Attributes:
         points: The points [world], shape (N, 3).
-        distance: How far they are [world], shape (N,).
-        triangle_id: The lowest of those at the smallest computed distance, shape (N,).
+        distance: Their distances [world], shape (N,).
+        triangle_id: The lowest index among the triangles at the smallest computed distance, shape (N,).
         barycentric: Weights of the triangle's corners, shape (N, 3).
     """
 
@@ -66,8 +66,8 @@ class RayReference(NamedTuple):
     """First hits of rays.
 
     Attributes:
-        t: In units of the ray's direction, inf for a miss, shape (N,).
-        triangle_id: The lowest of those at the smallest computed t, -1 for a miss, shape (N,).
+        t: Ray parameter in units of the direction, inf for a miss, shape (N,).
+        triangle_id: The lowest index among the triangles at the smallest computed t, -1 for a miss, shape (N,).
         barycentric: Weights of the triangle's corners, zero for a miss, shape (N, 3).
     """
 
@@ -79,7 +79,7 @@ class RayReference(NamedTuple):
 def closest_point(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -> ClosestReference:
     """Closest point over all triangles: the nearest of the three edges and, where it falls inside, the plane.
 
-    Good to a few roundings of the extent of mesh and queries together
+    Error: a few roundings of the common extent of mesh and queries
     (tests/accuracy/reference/test_mesh_points_reference.py).
 
     Args:
@@ -90,8 +90,8 @@ def closest_point(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -> 
         ClosestReference.
     """
     corners, queries = _corners(vertices, faces), np.asarray(queries, np.float64)
-    # Differences between nearby coordinates are exact, so the origin may lie anywhere near; and so are products with
-    # powers of two, which keep products of lengths in range.
+    # Differences between nearby coordinates are exact, so the origin may be any nearby point. Products with powers of
+    # two are exact too, and keep products of lengths in range.
     origin = corners.mean(axis=(0, 1))
     corners, moved = corners - origin, queries - origin
     exponent = _exponent(corners)
@@ -119,7 +119,7 @@ def closest_point(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -> 
 
 
 def winding_number(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -> Floats:
-    """Sum of the triangles' signed solid angles over 4 pi, (N,): 1 inside of a closed, outward-wound surface.
+    """Winding numbers (N,): sum of the triangles' signed solid angles over 4 pi; 1 inside a closed, outward mesh.
 
     Args:
         vertices: Vertices of the mesh [world], shape (V, 3).
@@ -135,7 +135,7 @@ def winding_number(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) ->
     corners, queries = np.asarray(vertices, np.float64)[used], np.asarray(queries, np.float64)
     winding = np.zeros(len(queries))
     for rows in _blocks(len(queries), BLOCK // QUERIES):
-        # Component by component, and vertex by vertex: a fraction of the time of rows of three for every corner.
+        # By component and by vertex: a fraction of the time of rows of three for every corner.
         x, y, z = (corners[:, axis, None] - queries[rows, axis] for axis in range(3))
         table = x, y, z, np.sqrt(x * x + y * y + z * z)
         for some in _blocks(len(triangles), QUERIES):
@@ -145,7 +145,7 @@ def winding_number(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) ->
 
 
 def signed_distance(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -> Floats:
-    """Closest distance (N,), negative where the winding number is over one half."""
+    """Closest distance (N,), negative where the winding number exceeds one half."""
     distance = closest_point(vertices, faces, queries).distance
     return np.where(winding_number(vertices, faces, queries) > 0.5, -distance, distance)
 
@@ -155,8 +155,8 @@ def all_ray_hits(
 ) -> tuple[Floats, Floats]:
     """Parameters t (N, T), inf for a miss, and barycentric (N, T, 3) of each ray on each triangle, edges included.
 
-    A hit is where the ray passes all three edges on the same side; t is in units of the direction's length. Triangles
-    without area are never hit.
+    A ray hits if it passes all three edges on the same side; t is in units of the direction's length. Triangles without
+    area are never hit.
     """
     corners = _corners(vertices, faces)
     origins, directions = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
@@ -174,7 +174,7 @@ def first_hit(
     directions: ArrayLike,
     max_distance: float = math.inf,
 ) -> RayReference:
-    """The hit of smallest t for each ray, (-1, inf) where there is none up to ``max_distance`` (inclusive).
+    """The hit of smallest t for each ray, (-1, inf) if there is none up to ``max_distance`` (inclusive).
 
     Args:
         vertices: Vertices of the mesh [world], shape (V, 3).
@@ -220,7 +220,7 @@ def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Floats:
 
 
 def segment_parameter(a: Floats, b: Floats, points: Floats) -> Floats:
-    """Where on the segments from ``a`` to ``b``, 0 to 1, the points are nearest; rows of three."""
+    """Parameters, 0 to 1, of the points on the segments from ``a`` to ``b`` nearest to ``points``; rows of three."""
     length = _dot(b - a, b - a)
     return np.clip(_dot(points - a, b - a) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
 
@@ -231,7 +231,7 @@ def _corners(vertices: ArrayLike, faces: ArrayLike) -> Floats:
 
 
 def _exponent(values: Floats) -> int:
-    """Of the power of two that brings the values to 1 at most; 0 for zeros."""
+    """Exponent of the power of two that scales the values to at most 1; 0 for zeros."""
     return int(np.frexp(np.abs(values).max(initial=0.0))[1])
 
 
@@ -251,13 +251,13 @@ def _length(rows: Floats) -> Floats:
 
 
 def _combined(weights: Floats, corners: Floats) -> Floats:
-    # From one corner along two edges: weights that do not quite add up to 1 then move the point within its plane only.
+    # From one corner along two edges: if the weights do not sum to exactly 1, the point moves only within its plane.
     a = corners[..., 0, :]
     return a + (weights[..., 1:2] * (corners[..., 1, :] - a) + weights[..., 2:] * (corners[..., 2, :] - a))
 
 
 def _spheres(corners: Floats) -> tuple[Floats, Floats]:
-    """Centroids of triangles, and how far their corners are from them."""
+    """Centroids of triangles, and the distances of their corners from them."""
     centers = corners.mean(axis=1)
     return centers, _length(corners - centers[:, None]).max(axis=1)
 
@@ -269,17 +269,17 @@ def _apart(points: Floats, centers: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _near_triangles(points: Floats, centers: Floats, radii: Floats) -> tuple[Indices, Indices]:
-    """Points and triangles that may be nearest to them; by ascending point, then triangle."""
+    """Points and the triangles that may be nearest to them, by ascending point, then triangle."""
     x, y, z = _apart(points, centers)
     squared = x * x + y * y + z * z
-    # A centre lies on its triangle, and no point of the triangle is further from it than the radius.
+    # A center lies on its triangle, and no point of the triangle is farther from it than the radius.
     reach = np.sqrt(squared.min(axis=1)) + SPHERE_MARGIN * (1.0 + _length(points))
     row, triangle = np.nonzero(squared <= (reach[:, None] + radii) ** 2)
     return row, triangle
 
 
 def _near_rays(starts: Floats, unit: Floats, centers: Floats, radii: Floats) -> tuple[Indices, Indices]:
-    """Rays and triangles whose sphere the ray meets, or may meet; by ascending ray, then triangle."""
+    """Rays and the triangles whose bounding sphere the ray may meet, by ascending ray, then triangle."""
     reach = radii + SPHERE_MARGIN * (1.0 + _length(starts))[:, None]
     x, y, z = _apart(starts, centers)
     along = x * unit[:, :1] + y * unit[:, 1:2] + z * unit[:, 2:]
@@ -291,7 +291,7 @@ def _near_rays(starts: Floats, unit: Floats, centers: Floats, radii: Floats) -> 
 def _batches(
     near: Callable[[slice], tuple[Indices, Indices]], count: int, width: int
 ) -> Iterator[tuple[Indices, Indices]]:
-    """What ``near`` gives for blocks of the rows, many blocks at once: all candidates of a row are in one batch."""
+    """The results of ``near`` for blocks of rows, many blocks at once; all candidates of a row are in one batch."""
     found: list[tuple[Indices, Indices]] = []
     for rows in _blocks(count, width):
         row, triangle = near(rows)
@@ -312,7 +312,7 @@ def _first_least(rows: Indices, values: Floats) -> Indices:
 
 
 def _half_angles(a: list[Floats], b: list[Floats], c: list[Floats]) -> Floats:
-    """Half the solid angles of triangles, summed; x, y, z and length (T, Q) of each corner as seen from the queries."""
+    """Half the solid angles of triangles, summed; x, y, z and length (T, Q) of each corner relative to the queries."""
     (ax, ay, az, la), (bx, by, bz, lb), (cx, cy, cz, lc) = a, b, c
     numerator = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
     denominator = la * lb * lc
@@ -356,12 +356,12 @@ def _crossings(corners: Floats, origins: Floats, directions: Floats) -> tuple[Fl
     """Parameters t and weights of rays (..., 3) on triangles (..., 3, 3), inf and zero where they miss."""
     a, b, c = (corners[..., corner, :] - origins for corner in range(3))
     d = np.broadcast_to(directions, a.shape)
-    # Volumes of the ray's direction with each edge (Pluecker): all of one sign where the line crosses inside.
+    # Volumes spanned by the ray's direction and each edge (Pluecker): all of one sign if the line crosses inside.
     volumes = np.stack([_dot(d, np.cross(p, q)) for p, q in ((b, c), (c, a), (a, b))], axis=-1)
     total = volumes.sum(axis=-1)
     crosses = ((volumes >= 0.0).all(axis=-1) | (volumes <= 0.0).all(axis=-1)) & (total != 0.0)
     share = volumes / np.where(total == 0.0, 1.0, total)[..., None]
-    # The plane tells t to a few roundings, also from afar and on slivers, where the shares have lost digits.
+    # The plane gives t to a few roundings, even from afar and on slivers, where the weights have lost digits.
     corner, normal = _planes(corners)
     slope = _dot(normal, d)
     t = _dot(normal, corner - origins) / np.where(slope == 0.0, 1.0, slope)
@@ -370,7 +370,7 @@ def _crossings(corners: Floats, origins: Floats, directions: Floats) -> tuple[Fl
 
 
 def _planes(corners: Floats) -> tuple[Floats, Floats]:
-    """A corner and a normal, not of unit length, of each triangle (..., 3, 3): those between the two shortest edges.
+    """A corner and a normal, not of unit length, of each triangle (..., 3, 3), from its two shortest edges.
 
     The normal of a triangle without area is zero.
     """

@@ -1,4 +1,5 @@
-"""Neighbours of points and planes through them, in float64 NumPy: all distances. Shares no code with geokit."""
+"""Independent reference for neighbors and plane fits: float64 NumPy over all distances, without code shared with
+geokit."""
 
 from __future__ import annotations
 
@@ -13,12 +14,12 @@ Floats = NDArray[np.float64]
 
 
 class PlaneReference(NamedTuple):
-    """Planes through neighbourhoods of points.
+    """Plane fits to neighborhoods of points.
 
     Attributes:
         normals: Unit normals, of either sign, shape (Q, 3).
-        gap: Between the two least eigenvalues of the covariance, over the largest, shape (Q,): where it is 0 no plane
-            is better than all others. 0 where all points lie in one place.
+        gap: Difference of the two least eigenvalues of the covariance over the largest, shape (Q,). If it is 0 there is
+            no unique best plane; 0 if all points coincide.
     """
 
     normals: Floats
@@ -26,9 +27,9 @@ class PlaneReference(NamedTuple):
 
 
 def neighbors_within(points: ArrayLike, queries: ArrayLike, radius: float) -> list[NDArray[np.int64]]:
-    """For each query the ascending indices of the points at a distance of at most ``radius``.
+    """For each query, the ascending indices of the points at a distance of at most ``radius``.
 
-    That is ``(dx * dx + dy * dy) + dz * dz <= radius * radius``, rounded term by term.
+    The test is ``(dx * dx + dy * dy) + dz * dz <= radius * radius``, rounded term by term.
     """
     points, queries = np.asarray(points, np.float64), np.asarray(queries, np.float64)
     axes = np.ascontiguousarray(points.T)
@@ -43,16 +44,16 @@ def k_nearest(
     limit_squared: NDArray[Any] | float = np.inf,
     exclude_self: bool = False,
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Distances and indices of the k points with the smallest (squared distance, index), from a list of all of them.
+    """Distances and indices of the k points with the smallest (squared distance, index), from all distances.
 
     Args:
         points: Positions, shape (P, 3).
-        k: How many.
-        queries: Where to look from, shape (N, 3); None for the points themselves.
+        k: Number of points.
+        queries: Query positions, shape (N, 3); None for the points themselves.
         limit_squared: Points at a larger squared distance do not count; one for all queries or one for each.
         exclude_self: Point i does not count for query i.
     Returns:
-        Distances and indices (N, k), the nearest first; rows are filled up with inf and -1.
+        Distances and indices (N, k), the nearest first; rows are padded with inf and -1.
     """
     queries = points if queries is None else queries
     distance, indices = np.full((len(queries), k), np.inf), np.full((len(queries), k), -1)
@@ -62,7 +63,7 @@ def k_nearest(
         squared = _squared(axes, query)
         order = np.arange(len(squared))
         if k + 1 < len(squared):
-            # One more than wanted: the query itself may be among them. All that tie with the last stay in.
+            # One more than needed, because the query itself may be among them. All ties with the last one are kept.
             order = np.flatnonzero(squared <= np.partition(squared, k)[k])
         order = order[np.argsort(squared[order], kind="stable")]
         order = order[squared[order] <= limits[i]]
@@ -74,11 +75,11 @@ def k_nearest(
 
 
 def plane_normals(points: ArrayLike, neighbors: ArrayLike) -> PlaneReference:
-    """Planes of least squares through the neighbours of Q points.
+    """Least-squares planes through the neighbors of Q points.
 
     Args:
         points: Positions, shape (N, 3).
-        neighbors: Indices of the points of each neighbourhood, shape (Q, k).
+        neighbors: Indices of the points of each neighborhood, shape (Q, k).
     Returns:
         PlaneReference.
     """

@@ -1,8 +1,8 @@
-"""Slow and obviously right: what a volume says at a point, in float64 NumPy. Shares no code with what it judges.
+"""Independent reference for volumes: values at points in slow, simple float64 NumPy, without code shared with geokit.
 
-The voxels are read from the bytes of the grid, by plain indexing; the interpolants are polynomials summed up voxel by
-voxel. Distances of shapes are in accuracy/stability/shapes.py, those of meshes in accuracy/reference/mesh.py. Tested
-against hand-laid trees, polynomials and analytic shapes in tests/accuracy/charts/test_volume_charts.py.
+Voxels are read from the bytes of the grid by plain indexing; interpolants are polynomials summed voxel by voxel.
+Distances of shapes are in accuracy/stability/shapes.py, those of meshes in accuracy/reference/mesh.py. Tested against
+hand-made trees, polynomials and analytic shapes in tests/accuracy/charts/test_volume_charts.py.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ __all__ = [
 Floats = NDArray[np.float64]
 Reader = Callable[[NDArray[np.int64]], NDArray[Any]]
 
-# Of NanoVDB's float grids (PNanoVDB.h), in bytes: the grid's header; a root and one row of its table; where nodes of
-# the two inner levels have their child masks and their slots; where leaves have their value mask and their values.
+# Byte offsets in NanoVDB's float grids (PNanoVDB.h): size of the grid header; of a root and of one row of its table;
+# child masks and slots of the two inner levels; value mask and values of leaves.
 _GRID, _ROOT, _ROW = 672, 64, 32
 _UPPER, _LOWER, _LEAF_MASK, _LEAF_VALUES, _LEAF = (32 + 4096, 8256), (32 + 512, 1088), 16, 96, 2144
-# Leaves of which the masks are opened up at once when voxels are drawn: 4 MB.
+# Leaves whose masks are unpacked at once when voxels are drawn: 4 MB.
 _OPENED = 8192
 
 
@@ -48,7 +48,7 @@ class Voxels:
     Args:
         volume: A grid of type "float".
     Raises:
-        UnsupportedGridError: It is of another type.
+        UnsupportedGridError: The grid is of another type.
     """
 
     def __init__(self, volume: SparseVolume) -> None:
@@ -59,7 +59,7 @@ class Voxels:
             )
         buffer = volume.nanovdb[: len(volume.nanovdb) // 8 * 8]
         self._bytes, self._words, self._floats = buffer, buffer.view("<i8"), buffer.view("<f4")
-        # Floats and words are indexed by offset over size: every node starts at a multiple of 32.
+        # Floats and words are indexed by offset over size, since every node starts at a multiple of 32.
         leaf, _, _, root = (int(word) for word in self._words[_GRID // 8 : _GRID // 8 + 4])
         self._leaves = _GRID + leaf
         self._leaf_count = int(buffer[_GRID + 32 : _GRID + 36].view("<u4")[0])
@@ -74,7 +74,7 @@ class Voxels:
         self._inverse = np.linalg.inv(self.transform[:3, :3])
 
     def __call__(self, ijk: NDArray[np.int64]) -> Floats:
-        """Values (N,) of voxels (N, 3): those of leaves, of tiles, or the background."""
+        """Values (N,) of voxels (N, 3), from leaves, tiles or the background."""
         return self._walk(np.asarray(ijk, np.int64))[0]
 
     def leaf_values(self, ijk: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
@@ -86,7 +86,7 @@ class Voxels:
         return values, active
 
     def draw_active(self, count: int, seed: int) -> NDArray[np.int64]:
-        """Up to ``count`` different active voxels of leaves (N, 3), at random."""
+        """Up to ``count`` distinct random active voxels of leaves (N, 3)."""
         rng = np.random.default_rng(seed)
         chosen = np.arange(self._leaf_count)
         if self._leaf_count > _OPENED:
@@ -101,11 +101,11 @@ class Voxels:
         return corner[leaf] + np.stack([slot >> 6, slot >> 3 & 7, slot & 7], axis=1)
 
     def to_index(self, points: Floats) -> Floats:
-        """World points in index coordinates (N, 3)."""
+        """World points converted to index coordinates (N, 3)."""
         return (np.asarray(points, np.float64) - self.transform[:3, 3]) @ self._inverse.T
 
     def to_world(self, index: Any) -> Floats:
-        """Index coordinates in world space (N, 3)."""
+        """Index coordinates converted to world space (N, 3)."""
         return np.asarray(index, np.float64) @ self.transform[:3, :3].T + self.transform[:3, 3]
 
     def sample(self, points: Floats, order: int) -> Floats:
@@ -113,7 +113,7 @@ class Voxels:
         return interpolant(self, self.to_index(points), order)
 
     def gradient(self, points: Floats, order: int) -> Floats:
-        """Its gradient (N, 3) [value / world]."""
+        """Gradient of the interpolant at world points (N, 3) [value / world]."""
         return interpolant_gradient(self, self.to_index(points), order) @ self._inverse
 
     def _walk(self, ijk: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
@@ -149,8 +149,7 @@ def axis_weights(order: int, t: Floats, derivative: int = 0) -> Floats:
     """Weights (N, order + 1) of the voxels along an axis for a point at t between voxels 0 and 1.
 
     Order 1 is the line through voxels 0 and 1, order 2 the parabola through -1, 0 and 1. The cubic of order 3, over -1,
-    0, 1 and 2, has the values of voxels 0 and 1, and there as slopes half the differences of the voxels beside them, in
-    Hermite's form.
+    0, 1 and 2, interpolates voxels 0 and 1 with central differences as slopes, in Hermite form.
     """
     from numpy.polynomial import Polynomial
 
@@ -170,10 +169,10 @@ def tensor_interpolant(at: Reader, u: Floats, order: int, derivatives: tuple[int
     """Trilinear, triquadratic or tricubic interpolant at index coordinates, or one of its derivatives.
 
     Args:
-        at: Gives the values (N, ...) of voxels (N, 3).
+        at: Returns the values (N, ...) of voxels (N, 3).
         u: Index coordinates (N, 3).
         order: 1, 2 or 3.
-        derivatives: How often to differentiate along each index axis.
+        derivatives: Order of the derivative along each index axis.
     Returns:
         Values (N, ...).
     """
@@ -196,7 +195,7 @@ def interpolant(at: Reader, u: Floats, order: int) -> Any:
 
 
 def interpolant_gradient(at: Reader, u: Floats, order: int) -> Floats:
-    """Its gradient (N, 3), per index unit; of order 0 the central differences around the nearest voxel."""
+    """Gradient of the interpolant (N, 3), per index unit; for order 0, central differences around the nearest voxel."""
     axes = np.eye(3, dtype=np.int64)
     if order == 0:
         nearest = np.floor(u + 0.5).astype(np.int64)
@@ -208,10 +207,10 @@ def interpolant_along(at: Reader, start: Floats, toward: Floats, t: Floats) -> F
     """Trilinear interpolant at ``start + t * toward`` (index space), shape (T,).
 
     Args:
-        at: Gives the values (N,) of voxels (N, 3).
-        start: Where the ray starts.
-        toward: Its direction.
-        t: Where to look along it.
+        at: Returns the values (N,) of voxels (N, 3).
+        start: Start of the ray.
+        toward: Direction of the ray.
+        t: Ray parameters.
     """
     u = start + t[:, None] * toward
     base = np.floor(u)
@@ -219,13 +218,13 @@ def interpolant_along(at: Reader, start: Floats, toward: Floats, t: Floats) -> F
     total = np.zeros(len(t))
     for corner in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(corner, share, 1.0 - share), axis=1)
-        # A weight of zero must not make NaN of a voxel that does not count.
+        # A weight of zero must not turn an unused voxel into NaN.
         total += np.where(weight == 0.0, 0.0, weight * at(base.astype(np.int64) + corner))
     return total
 
 
 def borders_along(start: Floats, toward: Floats, first: float, last: float) -> Floats:
-    """Where the ray passes from cell to cell between ``first`` and ``last``, and these two, ascending."""
+    """Ray parameters between ``first`` and ``last`` at which the ray changes cells, with both ends, ascending."""
     found = [np.array([first, last])]
     for a in range(3):
         if toward[a] != 0.0:
@@ -238,10 +237,10 @@ def borders_along(start: Floats, toward: Floats, first: float, last: float) -> F
 def first_level(
     at: Reader, start: Floats, toward: Floats, isovalue: float, first: float, last: float, fine: int = 16
 ) -> float:
-    """First t at which the trilinear interpolant along a ray has changed its side of the isovalue; inf for none.
+    """First t at which the trilinear interpolant along a ray has crossed the isovalue; inf for none.
 
-    Every cell is cut into ``fine`` pieces, and a piece in which the side changes into 32 pieces ten times: what touches
-    the isovalue, or crosses it twice within a piece, is overlooked.
+    Every cell is cut into ``fine`` pieces, and a piece with a crossing is cut into 32 pieces ten times. Levels that are
+    touched, or crossed twice within a piece, are missed.
     """
     borders = borders_along(start, toward, first, last)
     share = np.arange(fine) / fine
@@ -256,11 +255,11 @@ def first_level(
 
 
 class LevelHit(NamedTuple):
-    """What :func:`nearest_to_level` finds.
+    """Result of :func:`nearest_to_level`.
 
     Attributes:
-        distance: How far the interpolant's level is, to first order [world], shape (N,).
-        steep: Where the gradient is long enough to say so, shape (N,) bool.
+        distance: Distance to the level of the interpolant, to first order [world], shape (N,).
+        steep: Whether the gradient is long enough for this, shape (N,) bool.
     """
 
     distance: Floats
@@ -268,17 +267,17 @@ class LevelHit(NamedTuple):
 
 
 def nearest_to_level(voxels: Voxels, points: Floats, isovalue: float, flat: float) -> LevelHit:
-    """How far points are from a level of the trilinear interpolant: its difference over its gradient's length.
+    """Distances of points from a level of the trilinear interpolant: its difference over the length of its gradient.
 
-    To first order only: right for points that are near compared with the radius of the level's curvature.
+    Correct to first order: accurate for points that are near compared with the radius of curvature of the level.
 
     Args:
         voxels: The field.
         points: Points [world], shape (N, 3).
         isovalue: The level.
-        flat: Gradients shorter than this [value / world] say nothing about a distance.
+        flat: Gradients shorter than this [value / world] give no distance.
     Returns:
-        LevelHit; distances are 0 where it is not steep.
+        LevelHit; distances are 0 where ``steep`` is False.
     """
     off = np.abs(voxels.sample(points, 1) - isovalue)
     slope = np.linalg.norm(voxels.gradient(points, 1), axis=1)

@@ -1,1 +1,1 @@
-"""Results as a folder that a person can read: tables, figures, one page."""
+"""Reports of measurements: a folder with tables, figures and one HTML page."""

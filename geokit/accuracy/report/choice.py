@@ -1,4 +1,4 @@
-"""Which setting to take for which tolerance."""
+"""The fastest setting for each tolerance."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["Choice", "choices"]
 
 
 class Choice(NamedTuple):
-    """A tolerance, and the fastest setting that keeps it.
+    """A tolerance, and the fastest setting that meets it.
 
     Attributes:
-        device: Where.
-        tolerance: Largest error, or largest share of wrong answers where the chart shows those; 0 is exact.
-        row: The setting; None where none keeps it.
+        device: Name of the device.
+        tolerance: Largest error, or largest share of wrong answers if the chart shows those; 0 is exact.
+        row: The setting; None if none meets the tolerance.
     """
 
     device: str
@@ -30,15 +30,15 @@ class Choice(NamedTuple):
 def choices(rows: Sequence[Measurement], vertical: str, per_call: bool = False) -> list[Choice]:
     """The fastest setting of a chart for each power of ten within the range of its errors, on each device.
 
-    What keeps a tolerance has no checked error above it and no wrong answer. That is a measurement on the answers that
-    were checked, not a bound for all.
+    A setting meets a tolerance if no checked error exceeds it and no checked answer is wrong. This is a measurement of
+    the checked answers, not a bound for all.
 
     Args:
         rows: Measurements of one chart and subject.
         vertical: What the chart shows: "error" or "wrong".
         per_call: Compare times of calls instead of times per answer.
     Returns:
-        Choices device by device, the widest tolerance first; those that no setting keeps are among them.
+        Choices by device, the largest tolerance first, including tolerances that no setting meets.
     """
     wrong = vertical == "wrong"
     values = [row.wrong_share if wrong else row.max_error for row in rows]

@@ -1,4 +1,4 @@
-"""Where the error sits: the checked answers of one setting, coloured by how far off they are."""
+"""Maps of the error: the checked answers of one setting, colored by their error."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from geokit.accuracy.trials.results import Group
 
 __all__ = ["chosen_row", "error_picture"]
 
-# Small enough that dozens of them stay a page that loads at once.
+# Small enough for a page with dozens of figures to load quickly.
 SIZE = (460, 340)
-# More points hide each other.
+# Most points; more would hide each other.
 MOST_POINTS = 3000
-# Errors this far below the largest look alike: the map shows where the large ones are.
+# Decades below the largest error that share a color: the map shows where large errors are.
 DECADES = 6.0
 MESH_OPACITY = 0.3
-# Diameter of a point [pixels]: many small, few large enough to be found.
+# Diameter of a point [pixels], for many points and for few.
 POINT_SIZES = (4.0, 9.0)
 FEW_POINTS = 100
 WRONG_COLOR = "#D55E00"
-# Colours of the file: what a palette holds.
+# Number of colors in the file's palette.
 PALETTE = 256
 
 
 def chosen_row(group: Group) -> Measurement | None:
-    """The setting whose picture tells most: the knee of the front, or the worst where that one is exact.
+    """The setting with the most informative map: the knee of the front, or the worst setting if the knee is exact.
 
-    None where no judgement has positions, or every answer is exact and right.
+    None if no judgement has positions, or every answer is exact and right.
     """
     wrong = group.chart.vertical == "wrong"
 
@@ -58,10 +58,10 @@ def chosen_row(group: Group) -> Measurement | None:
 
 
 def error_picture(group: Group, subject: Subject) -> Picture | None:
-    """A small figure of the answers that tell most, or None where there is nothing to show.
+    """A small figure of the most informative answers, or None if there is nothing to show.
 
     Raises:
-        MissingDependencyError: No OpenGL library works here.
+        MissingDependencyError: No OpenGL library is usable.
     """
     row = chosen_row(group)
     if row is None or row.judgement is None or row.judgement.positions is None:
@@ -84,7 +84,7 @@ def error_picture(group: Group, subject: Subject) -> Picture | None:
 
 
 def _some(mask: NDArray[np.bool_], errors: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Rows to draw: all, or those of the largest errors and as many of the others, evenly taken."""
+    """Rows to draw: all, or those of the largest errors and evenly many of the others."""
     rows = np.flatnonzero(mask)
     if len(rows) <= MOST_POINTS:
         return rows
@@ -121,10 +121,10 @@ def _draw(subject: Subject, positions: NDArray[np.float64], color: Any, label: s
 
 
 def smaller(path: Path, colors: int) -> bytes:
-    """The PNG file with a palette: a third of the size for figures of few colours."""
+    """The PNG file with a palette: a third of the size for figures of few colors."""
     from PIL import Image
 
-    # The octree keeps colours that few pixels have, those of single points, and greys grey; other methods do not.
+    # The octree method keeps rare colors, those of single points, and neutral grays; other methods do not.
     stream = io.BytesIO()
     with Image.open(path) as picture:
         picture.convert("RGB").quantize(colors, method=Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)
@@ -132,7 +132,7 @@ def smaller(path: Path, colors: int) -> bytes:
 
 
 def pictures_of(groups: Sequence[Group], subjects: Any) -> tuple[dict[str, Picture], str]:
-    """Pictures by the slugs of the groups, and why there are none where there could have been."""
+    """Pictures by the slugs of the groups, and the reason why pictures are missing, if any."""
     from geokit.errors import GeokitError
 
     found: dict[str, Picture] = {}

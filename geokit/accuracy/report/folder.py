@@ -1,4 +1,4 @@
-"""A folder that a person can read: results.csv, figures and report.html."""
+"""The report folder: results.csv, figures and report.html."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ TABLE, PAGE, FIGURES = "results.csv", "report.html", "figures"
 def write_report(
     measurements: Sequence[Measurement], out: str | os.PathLike[str], *, force: bool = False, pictures: bool = True
 ) -> Path:
-    """Write results.csv, a figure for each chart and subject, and one page that needs no network.
+    """Write results.csv, a figure for each chart and subject, and one self-contained HTML page.
 
-    A new folder appears whole or not at all. In one that is there, nothing is replaced before everything is made; then
-    files are moved into place one by one, the page last. With ``force``, those of an earlier report are replaced, and
-    its figures that this one does not have are removed; other files in the folder stay as they are.
+    A new folder appears complete or not at all. In an existing folder nothing is replaced before everything is made;
+    then files are moved into place one by one, the page last. With ``force``, the files of an earlier report are
+    replaced, and figures that this report does not have are removed; other files in the folder are kept.
 
     Args:
-        measurements: What ``run`` gave, or rows from ``read_table``, which come without titles, pictures and failures.
-        out: The folder; it is made where it is missing.
+        measurements: Result of ``run``, or rows from ``read_table``, which lack titles, pictures and failures.
+        out: The folder; created if missing.
         force: Replace the report in a folder that is not empty.
-        pictures: Draw where the errors sit; they need OpenGL, and without it the page says why there are none.
+        pictures: Draw error maps. They need OpenGL; without it the page says why there are none.
     Returns:
         Path of the page.
     Raises:
@@ -49,7 +49,7 @@ def write_report(
     groups = grouped(results)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        # Inside a folder that is there, which may be a file system of its own; else beside the one to be.
+        # Inside an existing folder, which may be a separate file system; otherwise beside the folder to be created.
         made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder if folder.is_dir() else folder.parent))
     except OSError as error:
         raise FileAccessError(f"{folder}: cannot write there ({error.strerror}); choose another folder") from error
@@ -71,13 +71,13 @@ def write_report(
 
 
 def check_folder(out: str | os.PathLike[str], *, force: bool) -> Path:
-    """Refuse a folder before the work rather than after it.
+    """Check that the folder can be used, before the work starts.
 
     Raises:
-        InputError: It is not empty, and ``force`` is not given.
-        FileAccessError: It is a file.
+        InputError: The folder is not empty, and ``force`` is not given.
+        FileAccessError: The path is a file.
     """
-    # "." and "report/.." have no name of their own to put a temporary one beside.
+    # "." and "report/.." have no name to derive a temporary name from.
     folder = Path(out).resolve()
     if folder.exists() and not folder.is_dir():
         raise FileAccessError(f"{out}: is a file, not a folder; choose another")
@@ -92,7 +92,7 @@ def _write_page(target: Path, groups: list[Group], results: Results, pictures: b
     drawn, reason = pictures_of(groups, results.subjects) if pictures else ({}, "")
     failures = list(results.failures)
     if reason:
-        failures.append(Failure("pictures of where the error sits", "", "", "", "", reason))
+        failures.append(Failure("maps of the errors", "", "", "", "", reason))
     machine, versions = results.machine or machine_facts(), results.versions or version_facts()
     target.write_text(page(groups, failures, drawn, machine, versions), encoding="utf-8")
 
@@ -117,7 +117,7 @@ def _figure(target: Path, group: Group, machine: str) -> None:
         for alias, front in zip(plot.devices, plot.fronts, strict=True)
     ]
     wrong = group.chart.vertical == "wrong"
-    # The setting last: it is what is cut where the list is too narrow.
+    # The setting last, because a narrow list cuts off the end.
     entries = [
         f"{mark.letter}  {seconds_text(mark.x)}, "
         + (share_text(mark.row.wrong_share) if wrong else error_text(mark.row.max_error))
@@ -163,7 +163,7 @@ def _publish(made: Path, folder: Path) -> None:
 
 
 def _figures_of(folder: Path) -> set[str]:
-    """Names of the figures that belong to the report in ``folder``, as its table tells."""
+    """Names of the figures that belong to the report in ``folder``, according to its table."""
     with contextlib.suppress(GeokitError, OSError):
         return {f"{group.slug}.png" for group in grouped(read_table(folder / TABLE))}
     return set()

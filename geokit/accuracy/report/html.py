@@ -1,4 +1,4 @@
-"""report.html: one page that needs nothing but itself."""
+"""report.html: a self-contained page."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _ROW_COLUMNS = (
 _NUMBERS = frozenset((*_ROW_COLUMNS[4:], "tolerance", "memory"))
 
 
-INTRODUCTION = """geokit's methods over their settings, each answer held against a float64 reference that shares no code
-with the method. Further left is faster, further down is more exact; both axes are logarithmic. The stepped line is the
-Pareto front: no other setting is both faster and more exact than one on it, and none that gave a wrong answer is on it
-where there is one that did not. Errors are those of the answers that were checked, not bounds for all. Times are
-medians; they compare within this report only. Where settings give different numbers of answers, as finer voxels give
+INTRODUCTION = """geokit's methods over their settings, each answer compared with an independent float64 reference that
+shares no code with the method. Further left is faster, further down is more exact; both axes are logarithmic. The
+stepped line is the Pareto front: no other setting is both faster and more exact than one on it. Settings with wrong
+answers are on it only if every setting has some. Errors are those of the checked answers, not bounds for all. Times are
+medians and comparable within this report only. Where settings give different numbers of answers, as finer voxels give
 more triangles, the chart shows the time of a call."""
 
 
 class Picture(NamedTuple):
-    """Where the error sits.
+    """A map of the errors.
 
     Attributes:
-        png: The file.
-        caption: What it shows.
+        png: Content of the PNG file.
+        caption: Caption of the figure.
     """
 
     png: bytes
@@ -53,16 +53,16 @@ def page(
     machine: Mapping[str, str],
     versions: Mapping[str, str],
 ) -> str:
-    """The page.
+    """Render the page.
 
     Args:
-        groups: What is charted.
-        failures: What could not be measured.
-        pictures: By the slugs of the groups.
+        groups: The charted rows.
+        failures: Trials that could not be measured.
+        pictures: Error maps by the slugs of the groups.
         machine: Facts about the machine.
-        versions: Of geokit and what it computes with.
+        versions: Versions of geokit and of its dependencies.
     Returns:
-        HTML without a reference to anything outside.
+        HTML without references to external resources.
     """
     failed = list(failures)
     body = [
@@ -113,7 +113,7 @@ def _section(group: Group, picture: Picture | None) -> str:
     if picture is not None:
         data = base64.b64encode(picture.png).decode("ascii")
         caption = escape(picture.caption)
-        parts.append("<h3>Where the error sits</h3>")
+        parts.append("<h3>Map of the errors</h3>")
         parts.append(f'<figure><img alt="{caption}" src="data:image/png;base64,{data}">')
         parts.append(f"<figcaption>{caption}</figcaption></figure>")
     return "\n".join([*parts, "</section>"])
@@ -134,7 +134,7 @@ def _choice_table(group: Group) -> str:
         "memory",
     )
     lines: list[list[str]] = []
-    # One line for all tolerances that lead to the same setting, one after another.
+    # One line for consecutive tolerances with the same setting.
     for (device, _), run in itertools.groupby(found, key=lambda choice: (choice.device, id(choice.row))):
         members = list(run)
         limits = [share_text(c.tolerance) if wrong else error_text(c.tolerance) for c in members]
@@ -147,11 +147,11 @@ def _choice_table(group: Group) -> str:
                           error_text(row.max_error), bytes_text(row.byte_count + row.peak_bytes)])  # fmt: skip
     what = "share of wrong answers" if wrong else f"tolerance [{group.chart.unit}]"
     return (
-        f"<h3>What to choose for which {escape(what)}</h3>"
+        f"<h3>Fastest setting for each {escape(what)}</h3>"
         + _table(columns, lines)
-        + '<p class="quiet">The fastest setting that keeps it'
+        + '<p class="quiet">The fastest setting that meets it'
         + ("" if wrong else " without a wrong answer")
-        + ". Memory: what is prepared and the peak of a call.</p>"
+        + ". Memory: prepared structures plus the peak of a call.</p>"
     )
 
 
@@ -192,11 +192,11 @@ def _failed(failures: Sequence[Failure]) -> str:
     if not failures:
         return ""
     items = "".join(f"<li>{escape(failure_text(failure))}</li>" for failure in failures)
-    return f'<section id="failures"><h2>What could not be measured</h2><ul class="failed">{items}</ul></section>'
+    return f'<section id="failures"><h2>Failures</h2><ul class="failed">{items}</ul></section>'
 
 
 def failure_text(failure: Failure) -> str:
-    """A failure in one line."""
+    """A failure as one line of text."""
     where = ", ".join(part for part in (failure.chart or "charts", failure.subject, failure.device) if part)
     what = ", ".join(part for part in (failure.method, failure.setting) if part) or "preparation"
     return f"{where}: {what}: failed: {failure.message}"

@@ -1,4 +1,4 @@
-"""A chart as SVG inside a page: nothing is loaded, and what a mark stands for is in its title."""
+"""A chart as inline SVG: no external resources; the title of a mark describes it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["legend", "svg"]
 WIDTH, HEIGHT = 760, 430
 LEFT, RIGHT, TOP, BOTTOM = 74, 16, 14, 50
 RADIUS = 5.5
-# Outlines of the markers, in units of their radius; the first is a circle. In the order of matplotlib's that
-# geokit.render takes, so that a method looks alike in the page and in the figure.
+# Outlines of the markers, in units of their radius; the first is a circle. They are in the order of matplotlib's
+# markers in geokit.render, so that a method looks the same in the page and in the figure.
 SHAPES: tuple[tuple[tuple[float, float], ...], ...] = (
     (),
     ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
@@ -32,13 +32,13 @@ DASHES = ("", "7 4", "2 3", "8 3 2 3")
 
 
 def svg(plot: Plot, title: str, answers: str) -> str:
-    """The drawing; ``title`` is what a reader that sees no pictures says of it."""
+    """The SVG drawing; ``title`` is its text alternative."""
     parts = [
         f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}" '
         'xmlns="http://www.w3.org/2000/svg">'
     ]
     parts += _axes(plot)
-    # At the left below and at the right above: where a chart has no marks.
+    # At the lower left and upper right, where a chart has no marks.
     levels = ((plot.floor, plot.floor_name, LEFT + 4, "start"), (plot.ceiling, "not finite", WIDTH - RIGHT - 4, "end"))
     for height, name, x, anchor in levels:
         if height is not None:
@@ -59,7 +59,7 @@ def svg(plot: Plot, title: str, answers: str) -> str:
 
 
 def legend(plot: Plot) -> str:
-    """What colours and lines mean, as a list."""
+    """The meaning of colors and lines, as a list."""
     items = [
         f'<li>{_swatch(number, ring=False, hollow=False)}{escape(name)}</li>'
         for number, name in enumerate(plot.methods)
@@ -105,7 +105,7 @@ def _axes(plot: Plot) -> list[str]:
 
 
 def _steps(plot: Plot, front: list[Mark]) -> str:
-    """A step, not a slope: with less time than the next setting takes, the error of this one is the best there is."""
+    """The front as steps, not slopes: with less time than the next setting needs, no smaller error is available."""
     points = [(_x(plot, mark.x), _y(plot, mark.y)) for mark in front]
     path = f"M{points[0][0]:.1f} {points[0][1]:.1f}"
     return path + "".join(f"H{x:.1f}V{y:.1f}" for x, y in points[1:])

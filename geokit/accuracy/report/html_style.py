@@ -1,4 +1,4 @@
-"""How the page looks, on a screen and on paper, and what it does where scripts may run."""
+"""Style sheet of the page, for screen and print, and its optional script."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ figcaption { font-size: .9rem; color: #444; }
 }
 """
 
-# Without it, browsers show the titles of the marks by themselves, after a moment.
+# Without the script, browsers show the titles of the marks themselves after a moment.
 SCRIPT = """
 (function () {
   var tip = document.getElementById("tip");

@@ -1,4 +1,4 @@
-"""Settings that no other one beats in both speed and accuracy."""
+"""Pareto front: settings that no other setting beats in both speed and accuracy."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from geokit.errors import InputError
 
 __all__ = ["cost_of", "front", "front_of", "knee", "tolerance_steps"]
 
-# Exact answers lie this many decades below the smallest error where distances on a logarithmic axis are compared.
+# Decades below the smallest error at which exact answers are placed for distances on a logarithmic axis.
 EXACT_DECADES = 1.0
-# The largest error of the answers that were checked says no more about all of them: another sample's differs by more.
+# The largest error of the checked answers is only this precise as an estimate for all: that of another sample differs
+# by more.
 ERROR_RESOLUTION = 0.01
 
 
 def front(seconds: ArrayLike, errors: ArrayLike, *, resolution: float = 0.0) -> NDArray[np.int64]:
-    """Rows that no other row beats: none is as fast and as exact, and better in one of the two.
+    """Rows on the Pareto front: no other row is at least as fast and as accurate, and better in one of the two.
 
-    Exact: numbers are compared, nothing is rounded. Of rows that are equal in both, the first stands for all.
+    Numbers are compared exactly, without rounding. Among rows that are equal in both, only the first is returned.
 
     Args:
         seconds: Times, shape (N,).
         errors: Errors, shape (N,); a row whose error is NaN is beaten by all.
-        resolution: Share by which an error must be smaller than that of the faster row before it on the front; with 0,
-            any amount will do.
+        resolution: Share by which an error must be smaller than that of the next faster row on the front; with 0 any
+            amount suffices.
     Returns:
-        Row numbers, the fastest first; errors fall along them.
+        Row numbers, the fastest first; errors decrease along them.
     Raises:
-        InputError: The two do not have the same length.
+        InputError: The arrays do not have the same length.
     Example:
         >>> front([1.0, 2.0, 3.0], [1e-1, 1e-3, 1e-2]).tolist()
         [0, 1]
@@ -40,7 +41,7 @@ def front(seconds: ArrayLike, errors: ArrayLike, *, resolution: float = 0.0) -> 
     if times.ndim != 1 or times.shape != values.shape:
         raise InputError(f"seconds: shape {times.shape} does not go with errors {values.shape}; give (N,) each")
     known = np.flatnonzero(~np.isnan(values) & ~np.isnan(times))
-    # The sort is stable: of equal rows the first comes first.
+    # The sort is stable: among equal rows the first comes first.
     order = known[np.lexsort((values[known], times[known]))]
     if len(order) == 0:
         return order
@@ -52,15 +53,15 @@ def front(seconds: ArrayLike, errors: ArrayLike, *, resolution: float = 0.0) -> 
 
 
 def cost_of(row: Measurement, per_call: bool) -> float:
-    """The time that counts for a row [s]: that of a call, or that of each of its answers."""
+    """The time by which a row is compared [s]: that of a call, or that of each answer."""
     return row.seconds if per_call else 1.0 / row.rate
 
 
 def front_of(rows: Sequence[Measurement], vertical: str, per_call: bool = False) -> list[int]:
-    """Rows of one chart, subject and device that are on its front.
+    """Rows of one chart, subject and device that are on the Pareto front.
 
-    Where the chart shows errors, only rows without wrong answers can be on it, as a wrong answer has no error; where
-    every row has some, those with the smallest share. Nor can a row whose largest error is infinite.
+    If the chart shows errors, only rows without wrong answers qualify, since a wrong answer has no error; if every row
+    has wrong answers, those with the smallest share qualify. Rows with an infinite largest error never do.
 
     Args:
         rows: Measurements of one chart, one subject and one device.
@@ -73,7 +74,7 @@ def front_of(rows: Sequence[Measurement], vertical: str, per_call: bool = False)
     if vertical == "wrong":
         return front(seconds, [row.wrong_share for row in rows]).tolist()
     errors = np.array([row.max_error for row in rows])
-    # What is not a number is no answer, however quick.
+    # NaN errors are excluded, however fast the setting.
     errors[~np.isfinite(errors)] = np.nan
     shares = np.where(np.isnan(errors), np.nan, [row.wrong_share for row in rows])
     if np.isnan(shares).all():
@@ -83,13 +84,13 @@ def front_of(rows: Sequence[Measurement], vertical: str, per_call: bool = False)
 
 
 def knee(seconds: ArrayLike, errors: ArrayLike) -> int:
-    """The row of a front that is nearest to its best time and its best error at once, on logarithmic axes.
+    """The row of a front closest to both its best time and its best error, on logarithmic axes.
 
     Args:
         seconds: Times along a front, shape (N,).
         errors: Errors along it, shape (N,).
     Returns:
-        A row number; the first of several that are equally near.
+        A row number; the first one among ties.
     Raises:
         InputError: There is no row.
     """
@@ -116,13 +117,14 @@ def _share(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def tolerance_steps(errors: ArrayLike) -> list[float]:
-    """Powers of ten that tell settings of these errors apart: from the first that the smallest positive one keeps to
-    the first that all keep.
+    """Powers of ten that separate settings with these errors.
+
+    They run from the first one that the smallest positive error meets to the first one that all errors meet.
     """
     values = np.asarray(errors, dtype=np.float64)
     usual = values[(values > 0.0) & np.isfinite(values)]
     if len(usual) == 0:
         return []
     first, last = (int(np.ceil(np.log10(value))) for value in (usual.min(), usual.max()))
-    # float("1e-3"), not 10.0 ** -3: the nearest number to what is printed.
+    # float("1e-3"), not 10.0 ** -3, gives the number nearest to the printed one.
     return [float(f"1e{exponent}") for exponent in range(last, first - 1, -1)]

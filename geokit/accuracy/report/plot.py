@@ -1,4 +1,4 @@
-"""Where the marks of a chart stand: what the drawing in the report and the PNG figure share."""
+"""Layout of a chart, shared by the SVG drawing of the report and the PNG figure."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from geokit.render._pareto_chart import MOST_LABELS, decade_ticks
 
 __all__ = ["Mark", "Plot", "named_ticks", "plot_of", "tip_of"]
 
-# Decades left free beside the outermost marks.
+# Decades of space beyond the outermost marks.
 MARGIN = 0.18
-# The line of exact answers lies this many decades below the smallest error, that of infinite ones above the largest.
+# Decades between the smallest error and the line of exact answers, and between the largest error and that of infinite
+# ones.
 GAP = 1.0
-# A tick nearer than this to the floor or the ceiling would read as their value.
+# Decades within which a tick near the floor or the ceiling would be read as their value.
 TICK_CLEARANCE = 2.0
-# Where every answer is exact there is no error to place the line by.
+# Position of the floor if every answer is exact and no error determines it.
 LONE_FLOOR = 1e-16
-# An axis shows no less than this many decades: noise should not look like a trend.
+# Least number of decades of an axis: noise should not look like a trend.
 FEWEST_DECADES = 1.0
 
 
@@ -30,12 +31,12 @@ class Mark(NamedTuple):
 
     Attributes:
         row: Its measurement.
-        x: Time per answer, or of a call where those compare [s].
-        y: What the chart shows; on the floor or the ceiling where that has no place on a logarithmic axis.
+        x: Time per answer, or per call if calls are compared [s].
+        y: The charted quantity; on the floor or the ceiling if it has no position on a logarithmic axis.
         method: Number of its method in the chart's list.
         device: Number of its device.
-        hollow: It gave wrong answers, and the chart shows errors.
-        letter: Its name in the list of the front, "" where it is not on it.
+        hollow: Whether it gave wrong answers while the chart shows errors.
+        letter: Its letter in the list of the front, "" if it is not on the front.
     """
 
     row: Measurement
@@ -51,14 +52,14 @@ class Plot(NamedTuple):
     """A chart, ready to be drawn.
 
     Attributes:
-        marks: The settings that have a place.
+        marks: The settings that can be placed.
         methods, devices: Names by number.
         fronts: Marks of each device's front, the fastest first.
         x_range, y_range: Ends of the axes, both logarithmic.
-        y_ticks: Values that are named on the vertical axis: none where floor and ceiling are all there is.
-        x_label, y_label: What they show.
-        floor, floor_name: Where values of zero are drawn, and what that means; None where there are none.
-        ceiling: Where infinite values are drawn; None where there are none.
+        y_ticks: Labeled values of the vertical axis; none if there are only floor and ceiling.
+        x_label, y_label: Axis labels.
+        floor, floor_name: Position and meaning of zero values; None if there are none.
+        ceiling: Position of infinite values; None if there are none.
         left_out: Settings whose answers are all wrong, which have no error.
     """
 
@@ -78,7 +79,7 @@ class Plot(NamedTuple):
 
 
 def plot_of(group: Group) -> Plot:
-    """Place the marks of a group; rows without an error are named, not drawn."""
+    """Place the marks of a group; rows without an error are listed, not drawn."""
     wrong = group.chart.vertical == "wrong"
     rows = group.rows
     values = [row.wrong_share if wrong else row.max_error for row in rows]
@@ -123,14 +124,14 @@ def _singular(noun: str) -> str:
 def named_ticks(
     ends: tuple[float, float], floor: float | None, ceiling: float | None, most: int = MOST_LABELS
 ) -> list[float]:
-    """Ticks of a vertical axis but those at its floor and its ceiling, whose heights are no values."""
+    """Ticks of a vertical axis except those at its floor and its ceiling, whose positions are not values."""
     low = 0.0 if floor is None else TICK_CLEARANCE * floor
     high = math.inf if ceiling is None else ceiling / TICK_CLEARANCE
     return [tick for tick in decade_ticks(ends, most) if low < tick < high]
 
 
 def _letters(group: Group, devices: list[str]) -> dict[int, str]:
-    """Names of the rows on each device's front, in their order: A, B, ... Z, AA, AB, ..."""
+    """Letters of the rows on each device's front, in order: A, B, ... Z, AA, AB, ..."""
     named: dict[int, str] = {}
     rows = group.rows
     for device in devices:
@@ -159,7 +160,7 @@ def _axis(values: list[float]) -> tuple[float, float]:
 
 
 def tip_of(row: Measurement, answers: str) -> str:
-    """What hovering over a mark shows, in lines."""
+    """Tooltip text of a mark, in lines."""
     lines = [
         row.method,
         row.setting,

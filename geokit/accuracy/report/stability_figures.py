@@ -1,4 +1,4 @@
-"""The figure of a sweep: error and share of wrong answers against what grows worse, the envelope shaded."""
+"""The figure of a sweep: error and share of wrong answers against the parameter, with the envelope shaded."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from geokit.core.files import atomic_path
 __all__ = ["sweep_figure"]
 
 SIZE = (520, 400)
-# Colours of the file: two lines, a shade and grey text need no more.
+# Number of colors in the file's palette: two lines, a shade and gray text need no more.
 PALETTE = 32
 ERROR_COLOR, WRONG_COLOR, ENVELOPE_COLOR = "#0072B2", "#D55E00", "#009E73"
-# Exact answers are drawn this many decades below the smallest error or promise.
+# Decades below the smallest error or promise at which exact answers are drawn.
 GAP = 1.0
 LONE_FLOOR = 1e-16
 
@@ -42,16 +42,16 @@ def sweep_figure(
 
     Args:
         path: Target, a .png file.
-        values: Of the parameter.
-        errors: Largest error at each; NaN where there is none.
-        wrong: Share of wrong answers at each.
-        refused: Where the method refused.
-        covered: Values that the envelope covers.
-        promised: Largest error allowed at each of those.
-        allowed: Largest share of wrong answers allowed there.
+        values: Values of the parameter.
+        errors: Largest error at each value; NaN if there is none.
+        wrong: Share of wrong answers at each value.
+        refused: Whether the method raised an error at each value.
+        covered: Values inside the envelope.
+        promised: Largest allowed error at each of those values.
+        allowed: Largest allowed share of wrong answers there.
         x_label: The parameter, with its unit.
-        y_label: What the errors are, with their unit; None where answers are only right or wrong.
-        title: Text above.
+        y_label: The quantity and unit of the errors; None if answers are only right or wrong.
+        title: Title of the figure.
         logarithmic: Whether the parameter's axis is logarithmic.
     Returns:
         The path that was written.
@@ -63,7 +63,7 @@ def sweep_figure(
 
     figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    # Placed by hand: a layout engine would draw everything twice to find the same.
+    # Placed by hand, because a layout engine would draw everything twice for the same result.
     x = np.asarray(values, dtype=np.float64)
     lower = figure.add_axes((0.15, 0.13, 0.82, 0.79 if y_label is None else 0.18))
     _scale(lower, x, logarithmic)
@@ -77,7 +77,7 @@ def sweep_figure(
     share = np.where(np.asarray(refused), np.nan, np.asarray(wrong, dtype=np.float64))
     lower.plot(x, 100.0 * share, color=WRONG_COLOR, marker="s", markersize=4, linewidth=1.2)
     if len(covered):
-        # Below zero, so that a promise of none shows.
+        # Starts below zero, so that a promise of zero is visible.
         bottom = -100.0 if y_label is None else -2.0
         lower.fill_between(covered, bottom, 100.0 * allowed, color=ENVELOPE_COLOR, alpha=0.2, linewidth=0)
     turned_down = np.asarray(refused, dtype=bool)
@@ -96,19 +96,20 @@ def sweep_figure(
         axis.xaxis.label.set_fontsize(9)
         axis.yaxis.label.set_fontsize(9)
     if x[0] > x[-1]:
-        lower.invert_xaxis()  # worse is to the right
+        lower.invert_xaxis()  # sweeps run towards failure on the right
     return _save(figure, path)
 
 
 def _scale(axis: Any, x: NDArray[np.float64], logarithmic: bool) -> None:
-    """A logarithmic axis where there is something to take the logarithm of, its ticks in plain text."""
+    """A logarithmic axis with plain tick labels, if any value is positive."""
     from geokit.render._pareto_chart import decade_ticks, power_text
 
     positive = np.abs(x[x != 0.0])
     if not logarithmic or (x < 0.0).any() or len(positive) == 0:
         return
     low, high = float(positive.min()), float(positive.max())
-    # Half a decade beside the outermost values; zero has no place on the axis, which is linear below the smallest.
+    # Half a decade beyond the outermost values. Zero has no position on a logarithmic axis, which is linear below the
+    # smallest value.
     ends = (low / 2.0, high * 2.0)
     zero = [0.0] if (x == 0.0).any() else []
     if zero:
@@ -168,7 +169,7 @@ def _plain(text: str) -> str:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    """Write it with a palette, which takes a third of the space."""
+    """Save the figure with a palette, which takes a third of the space."""
     from PIL import Image
 
     from geokit.render._image import DPI

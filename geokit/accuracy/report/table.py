@@ -1,4 +1,4 @@
-"""results.csv: one row for each method, setting and device, written and read back."""
+"""results.csv: one row for each method, setting and device; writing and reading."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from geokit.errors import FileFormatError
 
 __all__ = ["COLUMNS", "cells_of", "read_table", "write_table"]
 
-# The attributes of Measurement in their order; what they mean stands there.
+# The attributes of Measurement in order; they are documented there.
 COLUMNS = tuple(field.name for field in dataclasses.fields(Measurement) if field.name != "judgement")
 _INTEGERS = ("peak_bytes", "byte_count", "checked")
 _FLOATS = ("seconds", "spread", "rate", "max_error", "rms_error", "p999_error", "wrong_share")
 
 
 def write_table(rows: Iterable[Measurement], path: str | os.PathLike[str]) -> Path:
-    """Write measurements as CSV, each number so that it is read back bit for bit.
+    """Write measurements as CSV; each number is read back bit for bit.
 
     Args:
         rows: The measurements.
@@ -52,12 +52,12 @@ def _cell(name: str, value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON lacks: NumPy's numbers and arrays as Python's, all else by its text."""
+    """Convert values for JSON: NumPy numbers and arrays to Python's, all else to text."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def read_table(path: str | os.PathLike[str]) -> list[Measurement]:
-    """Measurements from a results.csv; their judgements are not in it.
+    """Read measurements from a results.csv; judgements are not stored there.
 
     Args:
         path: The file.

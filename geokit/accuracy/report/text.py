@@ -1,4 +1,4 @@
-"""Numbers as a report prints them."""
+"""Formatting of numbers in reports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def seconds_text(seconds: float) -> str:
 
 
 def tick_text(seconds: float) -> str:
-    """A round time without digits that say nothing: "10 µs"."""
+    """A round time without insignificant digits: "10 µs"."""
     return seconds_text(seconds).replace(".00 ", " ").replace(".0 ", " ")
 
 
@@ -38,7 +38,7 @@ def bytes_text(count: float) -> str:
 
 
 def error_text(error: float) -> str:
-    """An error with three digits; 0 is "exact", no error at all "-"."""
+    """An error with three digits; 0 is "exact", a missing error "-"."""
     if math.isnan(error):
         return "-"
     if math.isinf(error):
@@ -47,14 +47,14 @@ def error_text(error: float) -> str:
 
 
 def share_text(share: float) -> str:
-    """A share as a percentage, never rounded to none or to all."""
+    """A share as a percentage, never rounded to 0% or 100%."""
     if share in (0.0, 1.0):
         return f"{share:.0%}"
     return f"{100.0 * share:.3g}%"
 
 
 def _rounded(value: float) -> float:
-    """Three significant digits: what rounds up to the next unit should be printed in it."""
+    """Round to three significant digits first: a value that rounds up to the next unit is printed in that unit."""
     return float(f"{value:.2e}")
 
 

@@ -1,1 +1,1 @@
-"""Sweeps towards failure, and the envelope that each method promises."""
+"""Sweeps that run methods towards failure, the envelopes that they promise, and the page that shows both."""

@@ -1,4 +1,4 @@
-"""Fields whose values are known, on voxels of size 1 about the origin, and rays: what the sweeps of volumes ask."""
+"""Fields with known values on voxels of size 1 around the origin, and rays, for the sweeps of volumes."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = ["ball", "field", "level_set", "unit_vectors", "voxel_centres"]
+__all__ = ["ball", "field", "level_set", "unit_vectors", "voxel_centers"]
 
 Floats = NDArray[np.float64]
 Field = Callable[[Floats], Floats]
 
-# Where the middle of a body is [voxels]: neither on a voxel nor on a plane of symmetry of the voxels.
+# Center of a body [voxels]: neither on a voxel nor on a plane of symmetry of the voxels.
 MIDDLE = np.array([0.13, 0.27, 0.41])
-# Voxels beyond a body that are stored: more than the widest band that is asked.
+# Voxels stored beyond a body: more than the widest band that is queried.
 MARGIN = 6
 
 
 def unit_vectors(count: int, seed: int) -> Floats:
-    """Directions spread evenly at random, shape (count, 3)."""
+    """Random unit vectors, uniform on the sphere, shape (count, 3)."""
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     unit: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return unit
 
 
-def ball(radius: float, centre: Floats = MIDDLE) -> Field:
+def ball(radius: float, center: Floats = MIDDLE) -> Field:
     """Signed distance from a sphere [voxels]."""
-    return lambda points: np.linalg.norm(points - centre, axis=-1) - radius
+    return lambda points: np.linalg.norm(points - center, axis=-1) - radius
 
 
-def voxel_centres(reach: int) -> Floats:
-    """All voxel centres with coordinates from -reach to reach, shape (n, n, n, 3)."""
+def voxel_centers(reach: int) -> Floats:
+    """All voxel centers with coordinates from -reach to reach, shape (n, n, n, 3)."""
     axis = np.arange(-reach, reach + 1.0)
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
 
 
 def level_set(function: Field, reach: float, cut: float = 3.0) -> SparseVolume:
-    """A function cut off at +-cut, on the voxels up to MARGIN beyond ``reach``; farther out it is ``cut``."""
+    """A function clipped to +-cut, on the voxels up to MARGIN beyond ``reach``; farther out it is ``cut``."""
     from geokit.volume._dense import from_dense
 
     corner = int(np.ceil(reach)) + MARGIN
-    values = np.clip(function(voxel_centres(corner)), -cut, cut)
+    values = np.clip(function(voxel_centers(corner)), -cut, cut)
     return from_dense(values, voxel_size=1.0, origin=3 * (-corner,), background=cut, grid_class="level set")
 
 
 def field(function: Field, reach: int, *, background: float = 0.0, transform: Any = None) -> SparseVolume:
-    """A function of the index on all voxels from -reach to reach, every one of them stored."""
+    """A function of the index on all voxels from -reach to reach, all of them stored."""
     from geokit.volume._dense import from_dense
 
     matrix = np.eye(4) if transform is None else transform
-    values = function(voxel_centres(reach))
+    values = function(voxel_centers(reach))
     return from_dense(values, transform=matrix, origin=3 * (-reach,), background=background)

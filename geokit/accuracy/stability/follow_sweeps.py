@@ -1,4 +1,4 @@
-"""Where methods fail: sweeps towards failure, the envelope that each method promises, and the page that shows both."""
+"""Runs sweeps towards failure and writes the page with the envelope that each method promises."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from geokit.errors import FileAccessError, GeokitError, InputError
 __all__ = ["Outcome", "follow", "inside", "keeps", "promised", "sweeps", "write_stability"]
 
 INTRODUCTION = """\
-Each sweep makes one thing worse until a method fails, and holds the answers against a float64 reference that shares no
-code with it. Up to the last value of its envelope the promise holds, and `tests/accuracy/stability/test_envelopes.py`
-asserts it; beyond it, nothing is promised. In the figures the envelope is shaded, exact answers lie on the lowest
-line, and crosses are values at which the method refuses with a named error. The step of the granular example is swept
-in docs/granular.md."""
-# The unit of sweeps whose answers are right or wrong and nothing between.
+Each sweep varies one parameter towards failure and compares the answers with an independent float64 reference that
+shares no code with the method. The promise holds up to the last value of the envelope, which
+`tests/accuracy/stability/test_envelopes.py` asserts; beyond it, nothing is promised. In the figures the envelope is
+shaded, exact answers lie on the lowest line, and crosses mark values at which the method refuses with a named error.
+The step of the granular example is swept in docs/granular.md."""
+# Unit of sweeps whose answers are only right or wrong.
 NO_UNIT = "none"
 PAGE, FIGURES = "stability.md", Path("figures") / "stability"
 
 
 class Outcome(NamedTuple):
-    """What came of a sweep at one value of its parameter.
+    """Outcome of a sweep at one value of its parameter.
 
     Attributes:
-        value: Of the parameter.
-        max_error: Largest error of the answers that are not wrong [unit of the sweep]; NaN where there is none.
+        value: Value of the parameter.
+        max_error: Largest error of the answers that are not wrong [unit of the sweep]; NaN if there is none.
         wrong_share: Share of the answers that are wrong.
-        refusal: The method's own error where it refused to answer, else "".
+        refusal: The method's own error if it refused to answer, else "".
     """
 
     value: float
@@ -45,12 +45,12 @@ class Outcome(NamedTuple):
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Every sweep there is: of meshes, of volumes, of points.
+    """All sweeps of meshes, volumes and points.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
     Returns:
-        The sweeps, their names all different. Those of methods that need OpenVDB are left out where it is not there.
+        The sweeps, with unique names. Those of methods that need OpenVDB are left out if it is missing.
     """
     from geokit.accuracy.stability.mesh import mesh_sweeps
     from geokit.accuracy.stability.points import points_sweeps
@@ -60,17 +60,17 @@ def sweeps(device: Any = None) -> list[Sweep]:
 
 
 def follow(sweep: Sweep, values: Iterable[float] | None = None) -> list[Outcome]:
-    """Ask a sweep's method at each value.
+    """Run the method of a sweep at each value.
 
-    A GeokitError is an outcome of its own: the method says that it cannot answer, which is not a wrong answer.
+    A GeokitError is an outcome of its own: the method refuses to answer, which is not a wrong answer.
 
     Args:
         sweep: The sweep.
-        values: Values of its parameter; None for all of its own.
+        values: Values of the parameter; None for those of the sweep.
     Returns:
         One outcome for each value.
     Raises:
-        InputError: The sweep's judge checked no answer.
+        InputError: The sweep checked no answer.
     """
     return [_asked(sweep, value) for value in (sweep.values if values is None else values)]
 
@@ -84,13 +84,13 @@ def _asked(sweep: Sweep, value: float) -> Outcome:
     if len(wrong) == 0:
         raise InputError(f"sweep {sweep.name!r}: no answer was checked at {value:g}; give its judge at least one")
     right = errors[~wrong]
-    # An answer that is not a number is not right.
+    # NaN is not a right answer: it counts as an infinite error.
     largest = float(np.where(np.isfinite(right), right, np.inf).max()) if len(right) else math.nan
     return Outcome(value, largest, float(wrong.mean()))
 
 
 def inside(sweep: Sweep, value: float) -> bool:
-    """Whether the envelope covers the value: it is not beyond ``last`` in the direction of the sweep."""
+    """Whether the envelope covers the value, which must not lie beyond ``last`` in the direction of the sweep."""
     last = sweep.envelope.last
     return value >= last if sweep.values[0] > sweep.values[-1] else value <= last
 
@@ -102,12 +102,12 @@ def promised(sweep: Sweep, value: float) -> float:
 
 
 def keeps(sweep: Sweep, outcome: Outcome) -> bool:
-    """Whether the outcome obeys the envelope's promise; a refusal does not, as nothing was answered."""
+    """Whether the outcome keeps the promise of the envelope; a refusal does not."""
     if outcome.refusal:
         return False
     if outcome.wrong_share > sweep.envelope.wrong_share:
         return False
-    # Where all answers are wrong, and may be, there is no error to judge.
+    # If all answers are wrong, and the promise allows it, there is no error to compare.
     return math.isnan(outcome.max_error) or outcome.max_error <= promised(sweep, outcome.value)
 
 
@@ -119,21 +119,21 @@ def write_stability(
     device: Any = None,
     progress: Callable[[str], None] | None = None,
 ) -> Path:
-    """Follow the sweeps to their ends and write stability.md with a figure for each, in figures/stability.
+    """Run all values of the sweeps and write stability.md, with a figure for each sweep in figures/stability.
 
-    Each file is replaced as a whole, the page last; a sweep that fails in another way than by refusing ends the writing
-    with the earlier page left as it was.
+    Each file is replaced atomically, the page last. A sweep that raises anything but a GeokitError ends the run and
+    leaves the earlier page unchanged.
 
     Args:
-        out: The folder, which may hold other files; it is made where it is missing.
+        out: The folder, which may hold other files; created if missing.
         force: Replace an earlier page.
         chosen: The sweeps; None for all.
         device: Where the methods of all sweeps compute; None for the first GPU, else the CPU.
-        progress: Called with a line before each sweep.
+        progress: Called with a line of text before each sweep.
     Returns:
         Path of the page.
     Raises:
-        InputError: The folder holds a page already and ``force`` is not given, there is no sweep, or two have one name.
+        InputError: The folder already holds a page and ``force`` is not given, there is no sweep, or two share a name.
         FileAccessError: The folder cannot be written.
     """
     folder = Path(out)
@@ -161,10 +161,10 @@ def write_stability(
 
 
 def check_page(folder: str | os.PathLike[str], *, force: bool) -> Path:
-    """Where the page goes, refused before the work.
+    """Path of the page, checked before the work starts.
 
     Raises:
-        InputError: There is one already, and ``force`` is not given.
+        InputError: The page exists, and ``force`` is not given.
     """
     page = Path(folder) / PAGE
     if page.exists() and not force:
@@ -198,7 +198,7 @@ def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]]) -> str:
         "",
         f"Written by `geokit bench --stability` (geokit {geokit.__version__}). {INTRODUCTION}",
         "",
-        "| method | what grows worse | holds up to | largest error | wrong answers |",
+        "| method | parameter | holds up to | largest error | wrong answers |",
         "|---|---|---:|---:|---:|",
     ]
     for sweep in found:

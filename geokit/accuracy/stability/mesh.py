@@ -1,4 +1,4 @@
-"""The methods of meshes on their way towards failure."""
+"""Sweeps of the methods of meshes towards failure."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ __all__ = ["mesh_sweeps"]
 
 
 def mesh_sweeps(device: Any = "cpu") -> list[Sweep]:
-    """Sweeps of the methods of :mod:`geokit.mesh`, each with what it promises.
+    """Sweeps of the methods of :mod:`geokit.mesh`, each with its promise.
 
-    Closest points, signed distances, signs and rays by place and size of the mesh, slivers, holes, flips, copies,
-    overlaps, edges, vertices and grazing angles; Hausdorff distances, orientation, merging and audits by what breaks
-    them. Answers are held against analytic shapes and float64 brute force; each promise leaves at least a factor of
-    four to what was measured on several seeds (tests/accuracy/stability/test_mesh_sweeps.py).
+    Closest points, signed distances, signs and rays are swept by position and size of the mesh, slivers, holes, flips,
+    copies, overlaps, edges, vertices and grazing angles; Hausdorff distances, orientation, merging and audits by the
+    inputs that break them. Answers are compared with analytic shapes and float64 brute force. Each promise leaves at
+    least a factor of four to the values measured on several seeds.
 
     Args:
         device: Where the methods run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
-        list of Sweep, in the order in which a report would show them.
+        Sweeps in the order of the report.
     Example:
         >>> sweep = mesh_sweeps()[0]
         >>> sweep.name, bool(sweep.ask(1e8).errors.max() <= sweep.envelope.error)
         ('closest_point_origin', True)
+
+    Held by: tests/accuracy/stability/test_mesh_sweeps.py
     """
     return [*distance_sweeps(device), *sign_sweeps(device), *ray_sweeps(device), *repair_sweeps(device)]

@@ -1,4 +1,4 @@
-"""Closest points and signed distances on their way towards failure: place, size, slivers, far queries, thin walls."""
+"""Sweeps of closest points and signed distances: position, size, slivers, far queries, thin walls."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from geokit.mesh._model import TriangleMesh
 __all__ = ["distance_sweeps"]
 
 QUERIES = 200
-# Brute force over queries from afar takes longest: nothing far away is left out early.
+# Queries of sweeps from afar: brute force is slowest there, because no candidate is excluded early.
 FAR_QUERIES = 50
-# From so far away float64 cannot tell the mesh from the point that it is about, and squares of brute force overflow
+# Beyond this distance float64 cannot distinguish the mesh from its center point; squares of brute force overflow
 # farther out [sizes].
 POINT_LIKE = 1e18
-# Slivers of a fan: few, so that slanted ones fit already at small aspect ratios.
+# Number of slivers in a fan: few, so that slanted ones fit even at small aspect ratios.
 FAN = 6
-# The far edge of the fan leans by this many times its width: slivers then have an angle of some degrees at the short
-# edge, where digits are lost first.
+# The far edge of the fan is slanted by this many times its width: slivers then have an angle of some degrees at the
+# short edge, where digits are lost first.
 LEAN = 30.0
-# Signs are asked for at this distance from the surface and farther [sizes]: more than ten times what rounding the
-# coordinates moves at the last place that keeps its promise.
+# Signs are checked at this distance from the surface and beyond [sizes]: more than ten times the effect of rounding the
+# coordinates at the last position that keeps its promise.
 CLEAR = 1e-5
-# A thin wall is asked about so deep inside of it, and as far outside [thicknesses].
+# Depth inside a thin wall, and equal distance outside, at which it is queried [thicknesses].
 DEPTH = 0.25
 
 
 class _Known(NamedTuple):
-    """A mesh of size 1 next to the origin, and what is right there by brute force."""
+    """A mesh of size 1 next to the origin, with reference answers by brute force."""
 
     mesh: TriangleMesh
     queries: NDArray[np.float64]
@@ -55,7 +55,7 @@ class _Known(NamedTuple):
 
 
 def _torus(seed: int) -> TriangleMesh:
-    """Smooth and not convex, turned at random; few triangles, so that brute force is quick."""
+    """A smooth non-convex mesh, randomly rotated; few triangles keep brute force fast."""
     return unit_sized(rotated(torus(20, 10), seed))
 
 
@@ -70,7 +70,7 @@ def _known(seed: int) -> _Known:
 
 
 def _closest_at(offset: float, device: Any, seed: int = 0) -> Judgement:
-    """Held against the mesh next to the origin, as the user means it: what float64 loses on the way there counts."""
+    """Comparison with the ideal mesh near the origin: float64 rounding of moved coordinates counts as error."""
     known, away = _known(seed), offset * OBLIQUE
     found = surface_of(moved(known.mesh, away), device).closest_point(known.queries + away)
     errors = np.linalg.norm(found.points - away - known.points, axis=1)
@@ -96,12 +96,12 @@ def _signed_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _closest_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
-    """Known from the triangle that all slivers make together, which is of two dimensions before it is turned."""
+    """Distances from a fan of slivers, known from the planar triangle that all slivers form together."""
     rng = np.random.default_rng(seed)
     width = FAN / aspect
     slant = min(LEAN * width, 0.5)
     outline = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0 - slant, width, 0.0]])
-    # On them, and at all distances from that.
+    # Points on the slivers, and at all distances from them.
     away = rng.normal(size=(2 * QUERIES, 3)) * 10.0 ** rng.uniform(-16.0, 0.0, (2 * QUERIES, 1))
     queries = rng.dirichlet(np.ones(3), 2 * QUERIES) @ outline + away
     surface = surface_of(rotated(sliver_fan(FAN, aspect, slant), seed), device)
@@ -122,7 +122,7 @@ def _flat_distance(points: NDArray[np.float64], corners: NDArray[np.float64]) ->
 
 
 def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
-    """Errors are shares of the distance."""
+    """Distances of far queries; errors are relative to the distance."""
     mesh = _torus(seed)
     queries = unit_vectors(FAR_QUERIES, np.random.default_rng(seed)) * distance
     found = surface_of(mesh, device).signed_distance(queries, sign="winding").distance
@@ -133,7 +133,7 @@ def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _signed_within(thickness: float, device: Any, seed: int = 0) -> Judgement:
-    """Points in a plate and as many outside, equally near to its faces, not at its rim."""
+    """Points inside a plate and as many outside, equally near to its faces, away from its rim."""
     rng = np.random.default_rng(seed)
     queries = rng.uniform(-0.45, 0.45, (QUERIES, 3))
     inside = rng.random(QUERIES) < 0.5
@@ -163,8 +163,8 @@ def _closest_sweeps(device: Any) -> list[Sweep]:
                 1e8,
                 1e-6,
                 0.0,
-                "Closest points stay within 1e-6 of the mesh's size up to 1e8 sizes from the origin: farther away the "
-                "float64 coordinates themselves do not hold that.",
+                "Closest points have an error of at most 1e-6 of the mesh's size up to 1e8 sizes from the origin; "
+                "farther away float64 coordinates themselves are coarser.",
             ),
         ),
         Sweep(
@@ -174,7 +174,9 @@ def _closest_sweeps(device: Any) -> list[Sweep]:
             unit,
             (*powers(0, 70, 10), 1e74, *powers(80, 90, 10)),
             partial(_closest_sized, device=device),
-            Envelope(1e70, 1e-14, 0.0, "Distances are good to 1e-14 of the mesh's size for sizes up to 1e70."),
+            Envelope(
+                1e70, 1e-14, 0.0, "Distances have an error of at most 1e-14 of the mesh's size for sizes up to 1e70."
+            ),
         ),
         Sweep(
             "closest_point_small",
@@ -183,7 +185,12 @@ def _closest_sweeps(device: Any) -> list[Sweep]:
             unit,
             (*powers(0, -70, -10), 1e-74, *powers(-80, -90, -10)),
             partial(_closest_sized, device=device),
-            Envelope(1e-70, 1e-14, 0.0, "Distances are good to 1e-14 of the mesh's size for sizes down to 1e-70."),
+            Envelope(
+                1e-70,
+                1e-14,
+                0.0,
+                "Distances have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70.",
+            ),
         ),
         Sweep(
             "closest_point_slivers",
@@ -196,7 +203,8 @@ def _closest_sweeps(device: Any) -> list[Sweep]:
                 1e13,
                 1e-12,
                 0.0,
-                "Distances are good to 1e-12 of the mesh's size on slivers of any aspect ratio: no failure found.",
+                "Distances have an error of at most 1e-12 of the mesh's size on slivers of any aspect ratio: no "
+                "failure found.",
             ),
         ),
     ]
@@ -216,8 +224,8 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
                 1e9,
                 1e-6,
                 0.0,
-                "Distances stay within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the "
-                "surface, up to 1e9 sizes from the origin.",
+                "Distances have an error of at most 1e-6 of the mesh's size, and signs are right for points 1e-5 "
+                "sizes from the surface, up to 1e9 sizes from the origin.",
             ),
         ),
         Sweep(
@@ -227,7 +235,12 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
             unit,
             (*powers(0, 70, 10), *powers(80, 90, 10)),
             partial(_signed_sized, device=device),
-            Envelope(1e70, 1e-14, 0.0, "Signed distances are right to 1e-14 of the mesh's size for sizes up to 1e70."),
+            Envelope(
+                1e70,
+                1e-14,
+                0.0,
+                "Signed distances have an error of at most 1e-14 of the mesh's size for sizes up to 1e70.",
+            ),
         ),
         Sweep(
             "signed_distance_small",
@@ -237,7 +250,10 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
             (*powers(0, -70, -10), *powers(-80, -90, -10)),
             partial(_signed_sized, device=device),
             Envelope(
-                1e-70, 1e-14, 0.0, "Signed distances are right to 1e-14 of the mesh's size for sizes down to 1e-70."
+                1e-70,
+                1e-14,
+                0.0,
+                "Signed distances have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70.",
             ),
         ),
         Sweep(
@@ -251,7 +267,8 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
                 1e150,
                 4e-15,
                 0.0,
-                "Distances are good to 4e-15 of themselves, and outside is outside, up to 1e150 from the mesh.",
+                "Distances have a relative error of at most 4e-15, and points outside have the right sign, up to "
+                "1e150 from the mesh.",
             ),
         ),
         Sweep(
@@ -265,8 +282,8 @@ def _signed_sweeps(device: Any) -> list[Sweep]:
                 1e-11 if on_gpu(device) else 1e-14,
                 4e-15,
                 0.0,
-                "The two sides of a wall are told apart down to a thickness of 1e-14 of the mesh's size, "
-                "on a GPU of 1e-11.",
+                "The two sides of a wall are distinguished down to a thickness of 1e-14 of the mesh's size, on a GPU "
+                "of 1e-11.",
             ),
         ),
     ]

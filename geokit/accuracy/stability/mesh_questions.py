@@ -1,4 +1,4 @@
-"""What the sweeps of meshes have in common: where they ask, and how answers become judgements."""
+"""Helpers shared by the sweeps of meshes: query points, rotations, and judgements."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ __all__ = [
     "unit_vectors",
 ]
 
-# Where meshes are moved to: along no axis and no diagonal, and of length 1 but for rounding.
+# Direction in which meshes are moved: along no axis and no diagonal, of length 1 up to rounding.
 OBLIQUE = np.array([2.0, -1.0, 2.0]) / 3.0
 
 
 def powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
-    """Powers of ten, both ends included where the step meets the last."""
+    """Powers of ten, with both ends if the step reaches the last."""
     return tuple(float(f"1e{k}") for k in range(first, last + (1 if step > 0 else -1), step))
 
 
 def judged(errors: Any, wrong: Any, positions: NDArray[np.float64] | None = None) -> Judgement:
-    """Errors where the answers are right in kind; what is no number there is infinitely wrong."""
+    """A Judgement with errors where answers are right in kind; NaN counts as an infinite error."""
     missed = np.asarray(wrong, bool)
     numbers = np.where(missed, 0.0, np.nan_to_num(np.abs(errors), nan=np.inf, posinf=np.inf))
     return Judgement(numbers, missed, positions)
 
 
 def unit_sized(mesh: TriangleMesh) -> TriangleMesh:
-    """With a bounding box of diagonal 1: errors are then shares of the size."""
+    """The mesh scaled to a bounding box of diagonal 1, so that errors are shares of its size."""
     return scaled(mesh, 1.0 / mesh.diagonal)
 
 
 def around_and_near(mesh: TriangleMesh, count: int, seed: int) -> NDArray[np.float64]:
-    """Half of the points in twice the box, half about the surface, at 1e-3 of the size."""
+    """Points, half of them in twice the bounding box, half at 1e-3 of the size from the surface."""
     rng = np.random.default_rng(seed)
     lower, upper = mesh.bounds
     around = lower + (2.0 * rng.random((count - count // 2, 3)) - 0.5) * (upper - lower)
@@ -65,7 +65,7 @@ def unit_vectors(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def turned(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Points as :func:`geokit.accuracy.stability.shapes.rotated` would turn them."""
+    """Points rotated as by :func:`geokit.accuracy.stability.shapes.rotated`."""
     return points @ rotation(seed).T
 
 

@@ -1,4 +1,4 @@
-"""Rays on their way towards failure: place, size, slivers, edges and vertices, grazing angles, their own surface."""
+"""Sweeps of rays: position, size, slivers, edges and vertices, grazing angles, starts on the surface."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from geokit.mesh._model import TriangleMesh
 __all__ = ["ray_sweeps"]
 
 RAYS = 300
-# Leaks are rare: more rays find them.
+# More rays, because leaks are rare.
 EDGE_RAYS = 3000
 FAN = 24
-# From there rays go to the slivers, which lie in the plane z = 0 before they are turned.
+# Start of the rays towards the slivers, which lie in the plane z = 0 before rotation.
 START = np.array([0.3, 0.2, 1.0])
-# Rays from hits inward stray by up to this from the face's normal, before they are made unit vectors.
+# Rays from hits inward deviate by up to this much from the face normal, before normalization.
 STRAY = 0.8
-# Nearer hits are the face that the ray starts on: the other side of the box is farther [edges of the box].
+# Nearer hits are on the starting face, since the other side of the box is farther [edges of the box].
 OWN_FACE = 0.01
 
 
 class _Known(NamedTuple):
-    """A sphere of size 1 next to the origin, unit rays from well inside of it, and where they hit by brute force."""
+    """A sphere of size 1 next to the origin, unit rays from well inside it, and their hits by brute force."""
 
     mesh: TriangleMesh
     starts: NDArray[np.float64]
@@ -57,7 +57,7 @@ def _known(seed: int) -> _Known:
 
 
 def _hits_at(offset: float, device: Any, seed: int = 0) -> Judgement:
-    """Held against the mesh next to the origin, as the user means it."""
+    """Comparison with the ideal mesh near the origin."""
     known, away = _known(seed), offset * OBLIQUE
     found = surface_of(moved(known.mesh, away), device).raycast(known.starts + away, known.headings)
     return judged(found.t - known.t, found.triangle_id < 0, known.starts)
@@ -70,7 +70,7 @@ def _hits_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
-    """Aimed from all sides at the middle of a face that looks there."""
+    """Rays from all sides at the centroid of a face that faces them."""
     rng = np.random.default_rng(seed)
     mesh = _sphere(seed)
     targets = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=RAYS)]].mean(axis=1)
@@ -80,7 +80,7 @@ def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _hits_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
-    """Aimed at random places of a fan of slivers, which has no gaps, well away from its border."""
+    """Rays at random points of a gapless fan of slivers, well away from its border."""
     rng = np.random.default_rng(seed)
     width = FAN / aspect
     x = rng.uniform(0.2, 0.9, RAYS)
@@ -92,7 +92,7 @@ def _hits_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
 
 
 class _Aims(NamedTuple):
-    """A sphere, starts within it, places on its edges and vertices, and unit vectors from there into a face."""
+    """A sphere, ray starts inside it, targets on its edges and vertices, and unit vectors from there into a face."""
 
     mesh: TriangleMesh
     starts: NDArray[np.float64]
@@ -105,7 +105,7 @@ def _aims(seed: int) -> _Aims:
     rng = np.random.default_rng(seed)
     mesh = rotated(icosphere(3), seed)
     a, b, c = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=EDGE_RAYS)]].transpose(1, 0, 2)
-    # A third of them are vertices.
+    # A third of the targets are vertices.
     places = a + rng.random((EDGE_RAYS, 1)) * (rng.random((EDGE_RAYS, 1)) < 0.67) * (b - a)
     across = (a + b + c) / 3.0 - places
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -114,21 +114,21 @@ def _aims(seed: int) -> _Aims:
 
 
 def _hits_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
-    """The sphere is convex: what is aimed at from within is hit at t = 1."""
+    """The sphere is convex: a target seen from inside is hit at t = 1."""
     mesh, starts, places, across = _aims(seed)
     found = surface_of(mesh, device).raycast(starts, places + offset * across - starts)
     return judged(found.t - 1.0, found.triangle_id < 0, places)
 
 
 def _crossings_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
-    """A ray from within a convex mesh crosses it once."""
+    """A ray from inside a convex mesh crosses it once."""
     mesh, starts, places, across = _aims(seed)
     count = surface_of(mesh, device).crossing_count(starts, places + offset * across - starts)
     return judged(np.zeros(EDGE_RAYS), count != 1, places)
 
 
 def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
-    """Rays that come down on the top of a box at this angle to it."""
+    """Rays towards the top of a box at this angle to it."""
     rng = np.random.default_rng(seed)
     targets = np.stack([rng.uniform(-0.1, 0.1, RAYS), rng.uniform(-0.4, 0.4, RAYS), np.full(RAYS, 0.5)], axis=1)
     distance = rng.uniform(0.2, 0.4, RAYS)
@@ -139,7 +139,7 @@ def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
-    """Rays from hits on a box, rounded as they are, inward: the hit that is asked for is on another side."""
+    """Rays inward from rounded hits on a box; the right hit is on another side."""
     rng = np.random.default_rng(seed)
     surface = surface_of(rotated(box(), seed), device)
     outward = turned(np.eye(3)[rng.integers(3, size=RAYS)] * rng.choice([-1.0, 1.0], (RAYS, 1)), seed)
@@ -166,7 +166,9 @@ def _placed_sweeps(device: Any) -> list[Sweep]:
             unit,
             powers(0, 13),
             partial(_hits_at, device=device),
-            Envelope(1e9, 1e-6, 0.0, "Hits stay within 1e-6 of the mesh's size up to 1e9 sizes from the origin."),
+            Envelope(
+                1e9, 1e-6, 0.0, "Hits have an error of at most 1e-6 of the mesh's size up to 1e9 sizes from the origin."
+            ),
         ),
         Sweep(
             "raycast_large",
@@ -175,7 +177,7 @@ def _placed_sweeps(device: Any) -> list[Sweep]:
             unit,
             (*powers(0, 60, 15), *powers(70, 120, 10)),
             partial(_hits_sized, device=device),
-            Envelope(1e70, 1e-14, 0.0, "Hits are good to 1e-14 of the mesh's size for sizes up to 1e70."),
+            Envelope(1e70, 1e-14, 0.0, "Hits have an error of at most 1e-14 of the mesh's size for sizes up to 1e70."),
         ),
         Sweep(
             "raycast_small",
@@ -184,7 +186,9 @@ def _placed_sweeps(device: Any) -> list[Sweep]:
             unit,
             (*powers(0, -60, -15), *powers(-70, -120, -10)),
             partial(_hits_sized, device=device),
-            Envelope(1e-70, 1e-14, 0.0, "Hits are good to 1e-14 of the mesh's size for sizes down to 1e-70."),
+            Envelope(
+                1e-70, 1e-14, 0.0, "Hits have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70."
+            ),
         ),
         Sweep(
             "raycast_afar",
@@ -197,8 +201,8 @@ def _placed_sweeps(device: Any) -> list[Sweep]:
                 1e8,
                 1e-6,
                 0.0,
-                "Rays that start up to 1e8 sizes away hit what they are aimed at, within 1e-6 of the mesh's size; from "
-                "1e12 sizes they may miss the mesh.",
+                "Rays that start up to 1e8 sizes away hit their targets, within 1e-6 of the mesh's size; from 1e12 "
+                "sizes they may miss the mesh.",
             ),
         ),
     ]
@@ -220,7 +224,7 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
                 1e15,
                 1e-14,
                 0.0,
-                "Slivers are hit, and t is that of their planes, until rounding their corners makes gaps between them.",
+                "Slivers are hit at the t of their planes, until rounding of their corners opens gaps between them.",
             ),
         ),
         Sweep(
@@ -234,7 +238,7 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
                 offsets[-1],
                 1e-14,
                 0.0,
-                "No ray from within a closed mesh gets out, however near to an edge or a vertex it is aimed: no "
+                "No ray from inside a closed mesh leaks, however close to an edge or a vertex it is aimed: no "
                 "failure found.",
             ),
         ),
@@ -249,8 +253,7 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
                 offsets[-1],
                 0.0,
                 0.0,
-                "A passage through an edge or a vertex is one crossing, however exactly it is aimed at: no failure "
-                "found.",
+                "A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure found.",
             ),
         ),
         Sweep(
@@ -264,8 +267,8 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
                 1e-9,
                 1e-6,
                 0.0,
-                "t is good to 1e-15 of the mesh's size over the sine of the angle between ray and face: 1e-6 at 1e-9 "
-                "radians; no hit is missed down to 1e-15 radians.",
+                "t has an error of at most 1e-15 of the mesh's size over the sine of the angle between ray and face, "
+                "1e-6 at 1e-9 radians; no hit is missed down to 1e-15 radians.",
             ),
         ),
         Sweep(
@@ -279,7 +282,7 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
                 1e-13,
                 0.0,
                 0.0,
-                "Rays that start at a hit pass over the face they start on with a t_min of 1e-13 of the mesh's size.",
+                "Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
             ),
         ),
     ]

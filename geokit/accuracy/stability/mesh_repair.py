@@ -1,4 +1,4 @@
-"""Distances between meshes, repairs and audits on their way towards failure: tolerances, flips, slivers, place."""
+"""Sweeps of distances between meshes, repairs and audits: tolerances, flips, slivers, position."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from geokit.mesh._model import TriangleMesh
 __all__ = ["repair_sweeps"]
 
 FAN = 24
-# Two boxes at the ends of a plate: the farthest point of the plate lies halfway between them, where no vertex is.
+# Two boxes at the ends of a plate: the farthest point of the plate lies halfway between them, away from any vertex.
 GAP = 2.3
-# Corners that are one are apart by up to this [shortest edges].
+# Distance of duplicate corners [shortest edges].
 NOISE = 1e-3
 
 
 def _plate_and_ends() -> tuple[TriangleMesh, TriangleMesh, float]:
-    """A plate between two boxes, and its Hausdorff distance from them: half the gap, and nothing else is so far."""
+    """A plate between two boxes, and its Hausdorff distance from them: half the gap, the largest distance of all."""
     half = 0.5 * GAP
     plate = box((-half, -0.2, -0.1), (half, 0.2, 0.1))
     ends = [box((x, -0.5, -0.5), (x + 0.5, 0.5, 0.5)) for x in (-half - 0.5, half)]
@@ -40,7 +40,7 @@ def _plate_and_ends() -> tuple[TriangleMesh, TriangleMesh, float]:
 
 
 def _hausdorff_bounds(tolerance: float, device: Any, offset: float = 0.0, seed: int = 0) -> Judgement:
-    """Errors: the width of the bounds, and by how much the truth lies outside of them, as shares of the diagonal."""
+    """Errors: the width of the bounds, and the distance of the true value from them, as shares of the diagonal."""
     from geokit.mesh._hausdorff import hausdorff
 
     plate, ends, truth = _plate_and_ends()
@@ -58,7 +58,7 @@ def _hausdorff_at(offset: float, device: Any, seed: int = 0) -> Judgement:
 
 
 def _oriented(mesh: TriangleMesh, share: float, seed: int) -> Judgement:
-    """Faces of a part of a sphere, some flipped: those that orient leaves facing inward are wrong."""
+    """Faces of part of a sphere, some flipped; faces that orient leaves facing inward are wrong."""
     from geokit.mesh._repair import orient
 
     mended = orient(flipped_faces(mesh, share, seed)).mesh
@@ -77,9 +77,9 @@ def _oriented_sphere(share: float, seed: int = 0) -> Judgement:
 
 
 def _merged(tolerance: float, seed: int = 0) -> Judgement:
-    """Triangles with vertices of their own: wrong are corners that stay apart from their like or join others.
+    """Triangles with separate vertices; wrong are corners not merged with their duplicates or merged with others.
 
-    Errors are how far the corners moved, in shortest edges, as the tolerance is.
+    Errors are the displacements of the corners in shortest edges, like the tolerance.
     """
     from geokit.mesh._repair import merge_vertices
 
@@ -99,7 +99,7 @@ def _merged(tolerance: float, seed: int = 0) -> Judgement:
 
 
 def _aspects_of_slivers(aspect: float, seed: int = 0) -> Judgement:
-    """Aspect ratios and the area that audit gives; wrong are ratios of triangles that it takes for degenerate."""
+    """Aspect ratios and area from audit; ratios of triangles that it classifies as degenerate are wrong."""
     from geokit.mesh._audit import audit
     from geokit.mesh.topology.audit import ASPECT_QUANTILES
 
@@ -113,7 +113,7 @@ def _aspects_of_slivers(aspect: float, seed: int = 0) -> Judgement:
 def _fan_aspects(aspect: float) -> NDArray[np.float64]:
     low, high = np.arange(FAN) / aspect, np.arange(1, FAN + 1) / aspect
     edges = np.stack([np.hypot(1.0, low), np.hypot(1.0, high), high - low])
-    # The radius of the inscribed circle is twice the area, here the far edge, over the perimeter.
+    # The radius of the inscribed circle is twice the area over the perimeter; twice the area is here the far edge.
     return edges.max(axis=0) * edges.sum(axis=0) / (2.0 * np.sqrt(3.0) * (high - low))
 
 
@@ -136,8 +136,8 @@ def _hausdorff_sweeps(device: Any) -> list[Sweep]:
                 1e-11,
                 lambda tolerance: tolerance + 1e-12,
                 0.0,
-                "The Hausdorff distance lies within the bounds, which are no farther apart than the tolerance, down to "
-                "1e-11 diagonals.",
+                "The bounds contain the Hausdorff distance and are at most the tolerance apart, down to 1e-11 "
+                "diagonals.",
             ),
         ),
         Sweep(
@@ -151,8 +151,8 @@ def _hausdorff_sweeps(device: Any) -> list[Sweep]:
                 1e8,
                 4e-6,
                 0.0,
-                "Bounds that are asked for to 1e-7 diagonals stay within 4e-6 up to 1e8 diagonals from the origin: "
-                "they are never closer than 32 roundings of the coordinates.",
+                "Bounds requested to 1e-7 diagonals are at most 4e-6 diagonals apart up to 1e8 diagonals from the "
+                "origin: they are never closer than 32 roundings of the coordinates.",
             ),
         ),
     ]
@@ -172,7 +172,8 @@ def _orient_sweeps() -> list[Sweep]:
                 0.45,
                 0.0,
                 0.0,
-                "Open pieces come out the way most of their faces wound: right while fewer than half were flipped.",
+                "Open components are oriented like the majority of their faces: right while fewer than half were "
+                "flipped.",
             ),
             logarithmic=False,
         ),
@@ -187,7 +188,7 @@ def _orient_sweeps() -> list[Sweep]:
                 1.0,
                 0.0,
                 0.0,
-                "Closed pieces come out outward, however many faces were flipped: no failure found.",
+                "Closed components are oriented outward, however many faces were flipped: no failure found.",
             ),
             logarithmic=False,
         ),
@@ -206,8 +207,8 @@ def _merge_sweep() -> Sweep:
             0.9,
             2.0 * NOISE,
             0.0,
-            "Vertices that belong together become one, and no others, for tolerances between their distance and 0.9 of "
-            "the shortest edge.",
+            "Vertices that belong together are merged, and no others, for tolerances between their distance and 0.9 "
+            "of the shortest edge.",
         ),
     )
 
@@ -224,7 +225,7 @@ def _audit_sweep() -> Sweep:
             1e9,
             1e-6,
             0.0,
-            "Aspect ratios and areas of slivers are good to 1e-15 times the aspect ratio, as the rounding of their "
-            "coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
+            "Aspect ratios and areas of slivers are accurate to 1e-15 times the aspect ratio, as the rounding of "
+            "their coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
         ),
     )

@@ -1,4 +1,4 @@
-"""Inside or outside on the way towards failure: holes, flips, copies, overlaps, and points next to the surface."""
+"""Sweeps of inside/outside tests: holes, flips, copies, overlaps, and points next to the surface."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from geokit.mesh._model import TriangleMesh
 __all__ = ["sign_sweeps"]
 
 POINTS = 2000
-# Points nearer to the true sphere are not asked for: between it and its facets either answer is right [radii].
+# Points closer to the true sphere are not checked: between it and its facets either answer is right [radii].
 FACETS = 0.02
-# Edge of the box that points are drawn from [diameters]: an eighth of them or so is inside.
+# Edge of the box from which points are drawn [diameters]: about an eighth of them are inside.
 BOX = 1.5
-# What is left of the edges of triangles that shall not touch.
+# Scale factor on the edges of triangles that must not touch each other.
 SHRUNK = 0.999
-# Share of wrong answers that counts as nearly none: of 2000 points two or so are wrong by chance, and four times that.
+# Share of wrong answers that counts as nearly none: about two of 2000 points are wrong by chance; four times that.
 FEW = 0.005
 
 
@@ -44,7 +44,7 @@ def _asked(mesh: TriangleMesh, points: NDArray[np.float64], inside: Any, sign: s
 
 
 def _asked_of_sphere(mesh: TriangleMesh, sign: str, device: Any, seed: int) -> Judgement:
-    """Points about the unit sphere that the mesh once was."""
+    """Points around the unit sphere from which the mesh was made."""
     points = np.random.default_rng(seed).uniform(-BOX, BOX, (POINTS, 3))
     distance = sphere_distance(points)
     clear = np.abs(distance) > FACETS
@@ -64,7 +64,7 @@ def _flips(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
 
 
 def _flips_of_soup(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """No triangle touches another: none has a neighbour that could tell how it should wind."""
+    """Separate triangles: none has a neighbor that could determine its winding."""
     mesh = flipped_faces(icosphere(3), share, seed)
     corners = mesh.vertices[mesh.faces]
     middle = corners.mean(axis=1, keepdims=True)
@@ -78,7 +78,7 @@ def _copies(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
 
 
 def _overlap(depth: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """Two unit spheres, the second so deep in the first."""
+    """Two unit spheres that overlap by this depth."""
     apart = 2.0 - depth
     points = np.random.default_rng(seed).uniform((-BOX, -BOX, -BOX), (BOX, BOX, BOX + apart), (POINTS, 3))
     distances = np.stack([sphere_distance(points), sphere_distance(points - [0.0, 0.0, apart])])
@@ -88,7 +88,7 @@ def _overlap(depth: float, sign: str, device: Any, seed: int = 0) -> Judgement:
 
 
 def _near(distance: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """Points at this distance from places on a torus, on both sides of its triangles; some at edges and vertices."""
+    """Points at this distance from a torus, on both sides of its triangles; some at edges and vertices."""
     rng = np.random.default_rng(seed)
     mesh = rotated(torus(24, 12), seed)
     corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=POINTS)]]
@@ -140,7 +140,7 @@ def _near_sweeps(device: Any) -> list[Sweep]:
             (*powers(-2, -14, -4), *powers(-15, -18, -1)),
             _near,
             (
-                # A GPU's winding numbers are good to 0.02, and this near that is on either side of a half.
+                # Winding numbers on a GPU are accurate to 0.02: this close to the surface either side of 1/2 occurs.
                 1e-6 if sign == "winding" and on_gpu(device) else 1e-14,
                 0.0,
                 f"On a clean mesh the {name} is right for points 1e-14 sizes from the surface and farther{further}.",
@@ -159,7 +159,7 @@ def _hole_sweeps(device: Any) -> list[Sweep]:
     one, many = "share of the area that one hole removes", "share of the area that many small holes remove"
     shares = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
     more = (*shares, 0.7)
-    half = "of the points in 1.5 times the box are on the wrong side"
+    half = "of the points in 1.5 times the box on the wrong side"
     return [
         _sweep(
             "sign_hole",
@@ -167,7 +167,7 @@ def _hole_sweeps(device: Any) -> list[Sweep]:
             one,
             shares,
             _hole,
-            (0.1, 0.03, f"A hole of 10% of a sphere's area is closed by the winding number so that under 3% {half}."),
+            (0.1, 0.03, f"With a hole of 10% of a sphere's area the winding number leaves under 3% {half}."),
             device,
         ),
         _sweep(
@@ -194,7 +194,7 @@ def _hole_sweeps(device: Any) -> list[Sweep]:
             many,
             more,
             _holes,
-            (0.2, FEW, f"Small holes of 20% of the area in all leave the winding number right: under 0.5% {half}."),
+            (0.2, FEW, f"With small holes of 20% of the area in total the winding number leaves under 0.5% {half}."),
             device,
         ),
         _sweep(
@@ -203,7 +203,7 @@ def _hole_sweeps(device: Any) -> list[Sweep]:
             many,
             more,
             _holes,
-            (0.03, FEW, f"With small holes of 3% of the area in all a vote of rays leaves under 0.5% {half}."),
+            (0.03, FEW, f"With small holes of 3% of the area in total a vote of rays leaves under 0.5% {half}."),
             device,
         ),
     ]
@@ -219,7 +219,7 @@ def _flip_sweeps(device: Any) -> list[Sweep]:
             parameter,
             shares[::2],
             _flips,
-            (0.6, 0.0, "Faces of a closed mesh may wind as they like: they are turned first; no failure found."),
+            (0.6, 0.0, "Faces of a closed mesh may have any winding, which is corrected first: no failure found."),
             device,
             logarithmic=False,
         ),
@@ -232,8 +232,8 @@ def _flip_sweeps(device: Any) -> list[Sweep]:
             (
                 0.1,
                 0.015,
-                "Of triangles that share no vertices 10% may be flipped: under 1.5% of the points are on the wrong side"
-                " of the winding number then, and nearly all of those inside where 40% are flipped.",
+                "If 10% of triangles that share no vertices are flipped, the winding number is wrong for under 1.5% "
+                "of the points; if 40% are flipped, for nearly all points inside.",
             ),
             device,
             logarithmic=False,
@@ -247,8 +247,8 @@ def _flip_sweeps(device: Any) -> list[Sweep]:
             (
                 0.01,
                 0.06,
-                "Of triangles that share no vertices a flipped one turns the pseudonormal for all points nearest to "
-                "it: 1% of flips make under 6% of wrong signs.",
+                "Among triangles that share no vertices a flipped one reverses the pseudonormal for all points "
+                "nearest to it: 1% of flips gives under 6% of wrong signs.",
             ),
             device,
             logarithmic=False,
@@ -259,7 +259,11 @@ def _flip_sweeps(device: Any) -> list[Sweep]:
             soup,
             shares,
             _flips_of_soup,
-            (0.6, FEW, "Rays do not care how faces wind: no failure found, at gaps of 0.1% of an edge."),
+            (
+                0.6,
+                FEW,
+                "A vote of rays does not depend on the winding of faces: no failure found, at gaps of 0.1% of an edge.",
+            ),
             device,
             logarithmic=False,
         ),
@@ -275,7 +279,7 @@ def _copy_sweeps(device: Any) -> list[Sweep]:
             parameter,
             shares,
             _copies,
-            (1.0, FEW, "Faces may be there twice: no failure found of the winding number."),
+            (1.0, FEW, "Duplicate faces do not affect the winding number: no failure found."),
             device,
         ),
         _sweep(
@@ -287,7 +291,7 @@ def _copy_sweeps(device: Any) -> list[Sweep]:
             (
                 0.03,
                 FEW,
-                "Faces that are there twice are holes to a vote of rays: 3% of them make under 0.5% of wrong signs.",
+                "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs.",
             ),
             device,
         ),
@@ -303,7 +307,7 @@ def _overlap_sweeps(device: Any) -> list[Sweep]:
             parameter,
             depths,
             _overlap,
-            (1.0, 0.0, "Bodies may overlap: no failure found of the winding number."),
+            (1.0, 0.0, "Overlapping bodies do not affect the winding number: no failure found."),
             device,
             logarithmic=False,
         ),
@@ -316,8 +320,8 @@ def _overlap_sweeps(device: Any) -> list[Sweep]:
             (
                 0.01,
                 FEW,
-                "Where bodies overlap, pseudonormals are wrong: under 0.5% of the points about spheres that are 0.01 "
-                "radii in each other, 1% at 0.1 radii.",
+                "Where bodies overlap, pseudonormals give wrong signs: for under 0.5% of the points around spheres "
+                "that overlap by 0.01 radii, 1% at 0.1 radii.",
             ),
             device,
             logarithmic=False,
@@ -331,8 +335,8 @@ def _overlap_sweeps(device: Any) -> list[Sweep]:
             (
                 0.1,
                 FEW,
-                "Where two bodies overlap, a vote of rays says outside: under 0.5% of the points about spheres that "
-                "are 0.1 radii in each other.",
+                "Where two bodies overlap, a vote of rays says outside: for under 0.5% of the points around spheres "
+                "that overlap by 0.1 radii.",
             ),
             device,
             logarithmic=False,

@@ -1,4 +1,4 @@
-"""Where methods on points fail: sweeps of them all, each with the envelope that its docstring promises."""
+"""Sweeps of the methods of points towards failure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["points_sweeps"]
 
 
 def points_sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of neighbour searches, normals, registration and densities.
+    """Sweeps of neighbor searches, normals, registration and densities.
 
     Args:
         device: Where the methods compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.

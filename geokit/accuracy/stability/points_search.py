@@ -1,4 +1,4 @@
-"""Neighbour searches towards failure: radii, crowds, extents, duplicates, ever more neighbours."""
+"""Sweeps of neighbor searches: radius, crowding, extent, duplicates, and number of neighbors."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# Points of a cloud in the unit cube, and how many of them are asked.
+# Points of a cloud in the unit cube, and the number of them used as queries.
 COUNT, ASKED = 2000, 200
 SPACING = COUNT ** (-1 / 3)
-# Two roundings of float64: of the distance itself, and of its square before.
+# Two roundings of float64: of the squared distance, and of the distance itself.
 ROUNDING = 2.0**-51
-# Neighbours of a query at most, and points that have more.
+# Most neighbors of a query, and the number of points of a cloud with more.
 MOST_NEIGHBORS, MANY = 1024, 3000
-# Share of the volume that the crowd is in.
+# Share of the volume that holds the crowd.
 CROWDED = 0.01
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``points.NeighborGrid``.
+    """Sweeps of ``points.NeighborGrid``.
 
     Args:
         device: Where the searches run; None for the first GPU, else the CPU.
     """
-    exact = "sets of neighbours are exact, and distances to 2^-51: no failure found."
+    exact = "sets of neighbors are exact, and distances to 2^-51: no failure found."
     return [
         _radius_search(
             "radius",
@@ -48,7 +48,7 @@ def sweeps(device: Any = None) -> list[Sweep]:
             "share of the points in 1 % of the volume",
             (0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
             crowds,
-            f"However many of the points crowd into 1 % of the volume, {exact}",
+            f"With any share of the points in 1 % of the volume, {exact}",
             device,
             logarithmic=False,
         ),
@@ -97,7 +97,7 @@ def _nearest(device: Any) -> Sweep:
     return Sweep(
         name="knn_k",
         method="points.NeighborGrid.knn",
-        parameter="neighbours of a query",
+        parameter="neighbors of a query",
         unit="relative",
         values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
         ask=partial(nearest, device=device),
@@ -111,13 +111,13 @@ def _nearest(device: Any) -> Sweep:
 
 
 def radii(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours within a multiple of the spacing, in cells made for twice the spacing."""
+    """Neighbors within a multiple of the spacing, in cells made for twice the spacing."""
     points = np.random.default_rng(seed).random((COUNT, 3))
     return _searched(points, 2.0 * SPACING, ratio * SPACING, seed, device)
 
 
 def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours in a cloud of which a share is in a small cube."""
+    """Neighbors in a cloud with a share of its points in a small cube."""
     random = np.random.default_rng(seed)
     points = random.random((COUNT, 3))
     crowd = random.permutation(COUNT)[: round(share * COUNT)]
@@ -126,7 +126,7 @@ def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours within 1 in a cloud as wide as ``ratio``, half of which is within a few radii of the middle."""
+    """Neighbors within 1 in a cloud of extent ``ratio``, half of it within a few radii of the center."""
     random = np.random.default_rng(seed)
     points = ratio * (random.random((COUNT, 3)) - 0.5)
     points[: COUNT // 2] = min(ratio, 8.0) * (random.random((COUNT // 2, 3)) - 0.5)
@@ -134,7 +134,7 @@ def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Neighbours in a cloud whose points are ``copies`` times there."""
+    """Neighbors in a cloud with ``copies`` copies of each point."""
     random = np.random.default_rng(seed)
     places = random.random((COUNT // int(copies), 3))
     points = random.permutation(np.repeat(places, int(copies), axis=0))
@@ -142,7 +142,7 @@ def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement
 
 
 def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """The k nearest points of a cloud in which some coincide; errors relative to the distance."""
+    """The k nearest points of a cloud in which some points coincide; errors are relative to the distance."""
     from geokit.points._neighbors import NeighborGrid
 
     random = np.random.default_rng(seed)
@@ -157,7 +157,7 @@ def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def _searched(points: Floats, cell: float, radius: float, seed: int, device: Any) -> Judgement:
-    """Wrong where a set of neighbours or its count differs; errors are those of the distances, in radii."""
+    """Radius search against the reference: a different set or count is wrong; errors are in radii."""
     from geokit.points._neighbors import NeighborGrid
 
     queries = points[np.random.default_rng([seed, 1]).permutation(len(points))[:ASKED]]

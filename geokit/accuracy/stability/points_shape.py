@@ -1,4 +1,4 @@
-"""What is made of neighbourhoods, towards failure: normals, registration and densities."""
+"""Sweeps of normals, registration and densities."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# Neighbours of a normal unless told otherwise, and points along a side of the plane that noise is added to.
+# Default number of neighbors of a normal, and points along a side of the noisy plane.
 K, SIDE = 16, 50
-# A torus whose tube has this radius, so many points on it, and the most neighbours that are asked for.
+# Radius of the tube of a torus, the number of points on it, and the most neighbors requested.
 MINOR, ON_TORUS, MOST = 0.35, 2500, 1024
-# Half axes of the ellipsoid that is registered, its points, and how many turns of an angle are tried.
+# Half axes of the registered ellipsoid, its number of points, and the number of rotations tried for each angle.
 AXES = np.array([1.0, 0.7, 0.45])
 ON_ELLIPSOID, TRIALS = 300, 3
-# Poses that are found again are so to rounding: others are a different place.
+# Recovered poses are exact up to rounding; larger deviations are other poses.
 FOUND = 1e-9
-# Half the side of the lattice whose density is 1, and how far from its middle it is asked [spacings].
+# Half the side of the lattice of density 1, and the extent of its queries [spacings].
 LATTICE, ASKED = 9, 4.0
 
 
 class _Kernel(NamedTuple):
-    """What a kernel of two spacings promises on a lattice, and its rms error at three spacings of random points."""
+    """Promised error of a kernel at two spacings on a lattice, and its rms error at three spacings of random points."""
 
     error: float
     scattered: float
@@ -45,7 +45,7 @@ KERNELS = {
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``points.normals``, ``points.register`` and ``points.density``.
+    """Sweeps of ``points.normals``, ``points.register`` and ``points.density``.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
@@ -70,8 +70,8 @@ def _noise(device: Any) -> Sweep:
             last=0.1,
             error=15.0,
             wrong_share=0.0,
-            statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) where k "
-            "= 16, less noise in proportion; noise of a whole spacing leaves directions that say nothing.",
+            statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k "
+            "= 16, less noise in proportion; at noise of a whole spacing directions carry no information.",
         ),
     )
 
@@ -80,7 +80,7 @@ def _curvature(device: Any) -> Sweep:
     return Sweep(
         name="normals_curvature",
         method="points.normals",
-        parameter="radius of the neighbourhood [radii of curvature]",
+        parameter="radius of the neighborhood [radii of curvature]",
         unit="degrees",
         values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
         ask=partial(wide_planes, device=device),
@@ -88,8 +88,9 @@ def _curvature(device: Any) -> Sweep:
             last=1.2,
             error=30.0,
             wrong_share=0.0,
-            statement="Neighbourhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
-            "worst (4 rms); those of twice that reach around the body, and normals may be of another side.",
+            statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
+            "worst (4 rms); neighborhoods twice as large reach around the body, and normals may be those of "
+            "another side.",
         ),
     )
 
@@ -106,8 +107,8 @@ def _turned(method: str, device: Any) -> Sweep:
             last=45.0,
             error=1e-12,
             wrong_share=0.0,
-            statement="An ellipsoid (axes 1, 0.7, 0.45) without noise is found again exactly from starts that are "
-            "turned by up to 45 degrees; from 90 on some end at another pose, and rmse shows it.",
+            statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to "
+            "45 degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
         ),
         logarithmic=False,
     )
@@ -126,14 +127,14 @@ def _support(kernel: str, device: Any) -> Sweep:
             last=2.0,
             error=error,
             wrong_share=0.0,
-            statement=f"On a lattice a radius of 2 spacings and more gives the density to {error:.0%}, one of 1 "
-            f"spacing nothing like it. Points at random scatter more: {scattered:.0%} rms at 3 spacings.",
+            statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
+            f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
         ),
     )
 
 
 def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Normals of a plane with a point somewhere in each cell, moved across it at random."""
+    """Normals of a noisy plane with one random point in each cell."""
     random = np.random.default_rng(seed)
     cells = np.stack(np.meshgrid(*2 * [np.arange(float(SIDE))]), axis=-1).reshape(-1, 2)
     flat = cells + random.random(cells.shape)
@@ -142,11 +143,11 @@ def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgemen
 
 
 def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Normals of a torus from neighbourhoods as wide as ``width`` times its tube's radius."""
+    """Normals of a torus from neighborhoods as wide as ``width`` times its tube's radius."""
     random = np.random.default_rng(seed)
     u, v, kept = random.random((3, 3 * ON_TORUS))
     u, v = 2.0 * np.pi * u, 2.0 * np.pi * v
-    # Evenly by area: the outer side has more of it.
+    # Uniform by area: the outer side has more of it.
     chosen = kept * (1.0 + MINOR) < 1.0 + MINOR * np.cos(v)
     u, v = u[chosen][:ON_TORUS], v[chosen][:ON_TORUS]
     normals = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=1)
@@ -157,7 +158,7 @@ def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement
 
 
 def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
-    """An ellipsoid's points to themselves, turned about some axes; wrong where they end elsewhere."""
+    """Registration of an ellipsoid's points to a rotated copy; other poses are wrong."""
     from geokit.points._register import register
 
     errors, wrong = np.zeros(TRIALS), np.zeros(TRIALS, bool)
@@ -175,7 +176,7 @@ def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any =
 
 
 def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any = None) -> Judgement:
-    """Densities anywhere between points that are 1 apart, which is 1."""
+    """Densities at random positions in a lattice of spacing 1; the exact density is 1."""
     from geokit.points._density import density
 
     axis = np.arange(-LATTICE, LATTICE + 1.0)
@@ -186,7 +187,7 @@ def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any 
 
 
 def _angles(points: Floats, true: Floats, k: int, device: Any) -> Judgement:
-    """Angles between normals and the true ones, of either sign [degrees]; wrong where there is none."""
+    """Angles between normals and the true ones, of either sign [degrees]; a missing normal is wrong."""
     from geokit.points._normals import normals
 
     found = normals(points, k=k, orientation="none", device=device).normals
@@ -196,7 +197,7 @@ def _angles(points: Floats, true: Floats, k: int, device: Any) -> Judgement:
 
 
 def _rotation(axis: Floats, angle: float) -> Floats:
-    """By Rodrigues' formula, about a unit axis."""
+    """Rotation matrix about a unit axis, by Rodrigues' formula."""
     x, y, z = axis
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turn: Floats = np.eye(3) + np.sin(angle) * across + (1.0 - np.cos(angle)) * across @ across

@@ -1,4 +1,4 @@
-"""Shapes whose answers are known, and what goes wrong with them: meshes that the sweeps towards failure ask."""
+"""Shapes with known answers, and ways to damage them: meshes for the sweeps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
     "without_faces",
 ]
 
-# Vertex 4 z + 2 y + x of a box stands at the lower (0) or upper (1) end of each axis; two triangles a side, outward.
+# Vertex 4 z + 2 y + x of a box is at the lower (0) or upper (1) end of each axis; two outward triangles a side.
 _BOX_SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 
 
@@ -51,7 +51,7 @@ def thin_plate(thickness: float) -> TriangleMesh:
 def icosphere(subdivisions: int = 3, radius: float = 1.0) -> TriangleMesh:
     """A closed sphere of ``20 * 4**subdivisions`` triangles, its vertices ``radius`` [world] from the origin."""
     angle = np.arange(5) * (2.0 * np.pi / 5.0)
-    # The corners of an icosahedron on a corner: the two rings stand at the heights +-1 / sqrt(5).
+    # Corners of an icosahedron standing on a corner: the two rings are at the heights +-1 / sqrt(5).
     rings = [
         np.stack([2.0 * np.cos(angle + turn), 2.0 * np.sin(angle + turn), np.full(5, height)], axis=1)
         for turn, height in ((0.0, 1.0), (np.pi / 5.0, -1.0))
@@ -69,7 +69,7 @@ def icosphere(subdivisions: int = 3, radius: float = 1.0) -> TriangleMesh:
 
 
 def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray, NDArray]:
-    """Four triangles in place of each, with the middles of its edges."""
+    """Each triangle split into four at the midpoints of its edges."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, edge = np.unique(edges, axis=0, return_inverse=True)
     middle = len(vertices) + edge.reshape(-1, 3)
@@ -78,7 +78,7 @@ def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tu
 
 
 def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float = 0.35) -> TriangleMesh:
-    """A closed torus about the z axis of ``2 * around * across`` triangles, its vertices on the true one [world]."""
+    """A closed torus about the z axis of ``2 * around * across`` triangles, with vertices on the torus [world]."""
     i, j = (grid.ravel() for grid in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
     a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * j / across
     distance = major + minor * np.cos(b)
@@ -92,8 +92,8 @@ def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float =
 def sliver_fan(count: int, aspect: float, slant: float = 0.0) -> TriangleMesh:
     """``count`` triangles from the origin to a segment that starts at (1, 0, 0), each ``1 / aspect`` wide in y.
 
-    Open, in the plane z = 0; together they are the triangle of the origin, that corner, and the segment's other end at
-    ``(1 - slant, count / aspect, 0)``. Each of them starts with another of its corners.
+    The mesh is open, in the plane z = 0. Together the slivers form the triangle of the origin, that corner, and the
+    other end of the segment at ``(1 - slant, count / aspect, 0)``. The first corner of a face varies among them.
     """
     share = np.arange(count + 1) / count
     ends = np.stack([1.0 - slant * share, count / aspect * share, np.zeros(count + 1)], axis=1)
@@ -105,13 +105,13 @@ def sliver_fan(count: int, aspect: float, slant: float = 0.0) -> TriangleMesh:
 
 
 def without_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
-    """Without faces drawn one by one until they made up this share of the area: small holes everywhere."""
+    """The mesh without random faces that make up this share of the area: many small holes."""
     order = np.random.default_rng(seed).permutation(len(mesh.faces))
     return _without_first(mesh, order, share)
 
 
 def without_cap(mesh: TriangleMesh, share: float) -> TriangleMesh:
-    """Without the highest faces, until they made up this share of the area: one round hole in a sphere."""
+    """The mesh without its highest faces, up to this share of the area: one round hole in a sphere."""
     height = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
     return _without_first(mesh, np.argsort(-height, kind="stable"), share)
 
@@ -123,7 +123,7 @@ def _without_first(mesh: TriangleMesh, order: NDArray[np.int64], share: float) -
 
 
 def flipped_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
-    """With this share of the faces, drawn at random, wound the wrong way."""
+    """The mesh with this share of its faces, drawn at random, wound the wrong way."""
     chosen = np.random.default_rng(seed).permutation(len(mesh.faces))[: round(share * len(mesh.faces))]
     faces = mesh.faces.copy()
     faces[chosen] = faces[chosen, ::-1]
@@ -131,35 +131,35 @@ def flipped_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMe
 
 
 def copied_faces(mesh: TriangleMesh, share: float, seed: int = 0) -> TriangleMesh:
-    """With this share of the faces, drawn at random, once more at the end."""
+    """The mesh with this share of its faces, drawn at random, appended a second time."""
     chosen = np.random.default_rng(seed).permutation(len(mesh.faces))[: round(share * len(mesh.faces))]
     return TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[chosen]]), name=mesh.name)
 
 
 def join(*meshes: TriangleMesh) -> TriangleMesh:
-    """All of them as one mesh."""
+    """The union of the vertices and faces of all meshes."""
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]
     return TriangleMesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), name=meshes[0].name)
 
 
 def moved(mesh: TriangleMesh, offset: tuple[float, float, float] | NDArray[np.float64]) -> TriangleMesh:
-    """``offset`` [world] farther."""
+    """The mesh translated by ``offset`` [world]."""
     return TriangleMesh(mesh.vertices + np.asarray(offset, np.float64), mesh.faces, name=mesh.name)
 
 
 def scaled(mesh: TriangleMesh, factor: float) -> TriangleMesh:
-    """``factor`` times as large about the origin."""
+    """The mesh scaled by ``factor`` about the origin."""
     return TriangleMesh(mesh.vertices * factor, mesh.faces, name=mesh.name)
 
 
 def rotated(mesh: TriangleMesh, seed: int) -> TriangleMesh:
-    """Turned by :func:`rotation` about the origin."""
+    """The mesh rotated by :func:`rotation` about the origin."""
     return TriangleMesh(mesh.vertices @ rotation(seed).T, mesh.faces, name=mesh.name)
 
 
 def rotation(seed: int) -> NDArray[np.float64]:
-    """A rotation matrix (3, 3) drawn at random: what lies along the axes then lies along none."""
+    """A random rotation matrix (3, 3), so that nothing stays aligned with the axes."""
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))

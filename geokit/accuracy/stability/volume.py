@@ -1,4 +1,4 @@
-"""Where methods on volumes fail: sweeps of them all, each with the envelope that its docstring promises."""
+"""Sweeps of the methods of volumes towards failure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def volume_sweeps(device: Any = None) -> list[Sweep]:
     Args:
         device: Where the methods compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
-        Sweeps with different names. Those of methods that need OpenVDB are left out where geokit was built without.
+        Sweeps with different names. Those of methods that need OpenVDB are left out if geokit was built without it.
     """
     parts = (volume_mesh, volume_sample, volume_rays, volume_change)
     return [sweep for part in parts for sweep in part.sweeps(device)]

@@ -1,4 +1,4 @@
-"""Level sets that change, towards failure: slopes that are not 1, sharp curvature, offsets past the centre."""
+"""Sweeps of operations on level sets: slopes other than 1, sharp curvature, offsets past the center."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.fields import ball, level_set, voxel_centres
+from geokit.accuracy.stability.fields import ball, level_set, voxel_centers
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
 
 if TYPE_CHECKING:
@@ -19,21 +19,21 @@ __all__ = ["sweeps"]
 Floats = NDArray[np.float64]
 
 HALF_WIDTH = 3.0
-# Radius of the spheres whose fields are spoiled [voxels].
+# Radius of the spheres whose fields are distorted [voxels].
 RADIUS = 16.0
 # Radius of the ball that is shrunk [voxels].
 SHRINKING = 12.0
-# Voxels are asked so far from the surface [voxels], so many of them.
+# Distance from the surface up to which voxels are checked [voxels], and their number.
 ASKED, COUNT = 2.5, 5000
-# A wave of slope 1 + a sin(k x) changes by a k a voxel; this is k.
+# Wave number k: a wave of slope 1 + a sin(k x) changes by a k a voxel.
 WAVE_NUMBER = 0.25
-# Four passes of a mean over three voxels have a variance of 4 * 2/3 voxels^2, half of which times the curvature 2 / R
-# is how far a sphere shrinks [voxels^2].
+# Four passes of a mean over three voxels have a variance of 4 * 2/3 voxels^2. Half of it times the curvature 2 / R is
+# the shrinkage of a sphere [voxels^2].
 GAUSSIAN_SHRINKS = 8.0 / 3.0
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``volume.renormalize``, ``offset`` and, where geokit was built with OpenVDB, ``smooth``.
+    """Sweeps of ``volume.renormalize``, ``offset`` and, with OpenVDB, ``smooth``.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
@@ -56,8 +56,9 @@ def _slope(device: Any) -> Sweep:
             last=1.7,
             error=0.02,
             wrong_share=0.0,
-            statement="Even slopes up to half_width / 1.75 become distances to 0.02 voxel (radius of 16 voxels). "
-            "Steeper fields are cut off within the cells that the surface crosses: it is no longer known where.",
+            statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
+            "(radius of 16 voxels). Steeper fields are cut off within the cells that the surface crosses, which "
+            "hides its position.",
         ),
     )
 
@@ -74,8 +75,8 @@ def _uneven(device: Any) -> Sweep:
             last=0.02,
             error=0.1,
             wrong_share=0.0,
-            statement="Where the slope changes by up to 2 % a voxel, distances are right to 0.1 voxel (with 4 % just "
-            "so); with 20 % they are a voxel off.",
+            statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 "
+            "% only just); at 20 % they are a voxel off.",
         ),
     )
 
@@ -92,8 +93,8 @@ def _curvature(device: Any) -> Sweep:
             last=10.0,
             error=0.02,
             wrong_share=0.0,
-            statement="Distances are right to 0.02 voxel around surfaces whose radius of curvature is at least 10 "
-            "voxels.",
+            statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
+            "least 10 voxels.",
         ),
     )
 
@@ -110,8 +111,8 @@ def _offset(device: Any) -> Sweep:
             last=8.0,
             error=0.05,
             wrong_share=0.0,
-            statement="Offsets are exact to 0.05 voxel as long as the radius of curvature is at least 8 voxels, before "
-            "and after.",
+            statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
+            "before and after.",
         ),
     )
 
@@ -128,14 +129,15 @@ def _smooth(device: Any) -> Sweep:
             last=8.0,
             error=0.05,
             wrong_share=0.0,
-            statement="One pass of width 1 moves the surface inwards by 2.7 voxel^2 over the radius of curvature, to "
-            "0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less disappear.",
+            statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, "
+            "with an error of at most 0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less "
+            "disappear.",
         ),
     )
 
 
 def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances that are made of multiplied ones."""
+    """Redistancing of distances multiplied by a constant."""
     from geokit.volume._morphology import renormalize
 
     distance = ball(RADIUS)
@@ -144,7 +146,7 @@ def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
 
 def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances that are made of those multiplied by a wave, 1 on average."""
+    """Redistancing of distances multiplied by a wave with mean 1."""
     from geokit.volume._morphology import renormalize
 
     distance = ball(RADIUS)
@@ -154,7 +156,7 @@ def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
 
 def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances around balls, made of less than them."""
+    """Redistancing around balls from fields with a slope below 1."""
     from geokit.volume._morphology import renormalize
 
     distance = ball(radius)
@@ -163,7 +165,7 @@ def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
 
 def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances around what is left of a ball."""
+    """Distances around a ball after an inward offset."""
     from geokit.volume._morphology import offset
 
     body = _band(ball(SHRINKING), ball(SHRINKING), SHRINKING)
@@ -171,7 +173,7 @@ def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
 
 def smoothed_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances around smoothed balls, against those around balls that are as much smaller as theory says."""
+    """Distances around smoothed balls, against balls that are smaller by the theoretical shrinkage."""
     from geokit.volume._filters import smooth
 
     body = _band(ball(radius), ball(radius), radius)
@@ -180,7 +182,7 @@ def smoothed_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judge
 
 
 def _band(distance: Any, values: Any, radius: float) -> SparseVolume:
-    """What ``values`` has on the voxels within HALF_WIDTH of the surface."""
+    """The values of a volume on voxels within HALF_WIDTH of the surface."""
 
     def cut(points: Floats) -> Floats:
         d = distance(points)
@@ -192,11 +194,11 @@ def _band(distance: Any, values: Any, radius: float) -> SparseVolume:
 def _judged(
     volume: SparseVolume, distance: Any, radius: float, seed: int, device: Any, asked: float = ASKED
 ) -> Judgement:
-    """Some of the voxels near the surface; wrong are those on the other side of it, by more than half a voxel."""
-    centres = voxel_centres(int(np.ceil(radius)) + 4).reshape(-1, 3)
-    true = distance(centres)
+    """Voxels sampled near the surface; those on the wrong side by more than half a voxel are wrong."""
+    centers = voxel_centers(int(np.ceil(radius)) + 4).reshape(-1, 3)
+    true = distance(centers)
     near = np.flatnonzero(np.abs(true) < asked)
     near = np.random.default_rng(seed).permutation(near)[:COUNT]
-    found = volume.sample(centres[near], order=0, device=device)
+    found = volume.sample(centers[near], order=0, device=device)
     wrong = (found * true[near] < 0.0) & (np.abs(true[near]) > 0.5)
-    return Judgement(np.abs(found - true[near]), wrong, centres[near])
+    return Judgement(np.abs(found - true[near]), wrong, centers[near])

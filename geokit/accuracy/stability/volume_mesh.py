@@ -1,4 +1,4 @@
-"""Level sets of meshes and their isosurfaces towards failure: thin walls, small bodies, far away, out of the band."""
+"""Sweeps of level sets of meshes and of isosurfaces: thin walls, small bodies, far positions, the end of the band."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# Half the side of a wall [voxels], and how far from its middle it is asked: farther from the rim than it is thick.
+# Half the side of a wall [voxels], and the extent of its queries: farther from the rim than the wall is thick.
 WALL_HALF, WALL_ASKED = 8.0, 4.0
-# Share of half the thickness that the asked points keep from the faces: nearer, a sign is that of a rounding.
+# Share of half the thickness that queries keep from the faces: closer, rounding determines the sign.
 WALL_SKIN = 0.1
-# How many walls of a thickness are asked.
+# Number of walls of each thickness.
 WALLS = 3
-# float32 keeps distances of a band of half width 3 to half of 2^-22.
+# float32 stores distances of a band of half width 3 to half of 2^-22.
 ROUNDING = 1e-6
-# Radius of the body whose band is left [voxels].
+# Radius of the sphere whose isovalues leave the band [voxels].
 BAND_RADIUS = 20.0
 # By method, error times radius [voxels^2]. A triangle has edges of up to sqrt(3) voxels and sags by 3/8 below a sphere
-# that its corners are on; corners are off by 1/8 (marching cubes) to 3/8 more. Measured 0.73, 0.52 and 0.67: twice that
-# is promised.
+# through its corners; corners are off by another 1/8 (marching cubes) to 3/8. Measured 0.73, 0.52 and 0.67; the promise
+# is twice that.
 CURVATURE_ERROR = {"surface_nets": 1.5, "marching_cubes": 1.0, "dual_contouring": 1.5}
-# Voxels across the torus that is moved away, and how far its voxels are asked from random vertices [voxels].
+# Voxels across the moved torus, and the distance of checked voxels from random vertices [voxels].
 FAR_VOXELS, FAR_REACH = 40.0, 2
-# Directions of no particular ratio, so that no coordinate stays exact.
+# Direction without a simple ratio of components, so that no coordinate stays exact.
 FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``volume.from_mesh`` and ``mesh.from_volume``.
+    """Sweeps of ``volume.from_mesh`` and ``mesh.from_volume``.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
@@ -70,8 +70,9 @@ def _walls_by_sample(device: Any) -> Sweep:
             # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
             error=0.5 + ROUNDING,
             wrong_share=0.0,
-            statement="Points inside walls of 2 voxels and more are inside; the interpolated distance is off by up to "
-            "half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
+            statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is "
+            "off by up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no "
+            "inside.",
         ),
     )
 
@@ -88,8 +89,8 @@ def _walls_by_surface(device: Any) -> Sweep:
             last=2.0,
             error=0.1,
             wrong_share=0.0,
-            statement="Both faces of walls of 2 voxels and more come back to 0.1 voxel; walls of 1 voxel and less are "
-            "half a voxel off and more, have holes, or are lost.",
+            statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and "
+            "less are off by half a voxel and more, have holes, or are lost.",
         ),
     )
 
@@ -107,7 +108,8 @@ def _isovalue(device: Any) -> Sweep:
             error=0.06,
             wrong_share=0.0,
             statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel "
-            "on a sphere of 20 voxels; nearer to the end of the band it is up to a voxel off, and then there is none.",
+            "on a sphere of 20 voxels; closer to the end of the band the surface is up to a voxel off, and "
+            "beyond it there is none.",
         ),
         logarithmic=False,
     )
@@ -126,7 +128,7 @@ def _small_balls(method: str, device: Any) -> Sweep:
             last=1.0,
             error=lambda radius: constant / radius,
             wrong_share=0.0,
-            statement=f"Of a distance field the surface is off by at most {constant:g} voxel^2 over the radius of "
+            statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
             "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
         ),
     )
@@ -144,14 +146,14 @@ def _far_away(device: Any) -> Sweep:
             last=1e9,
             error=1e-6,
             wrong_share=0.0,
-            statement="Distances are right to 1e-6 of the size up to 1e9 sizes from the origin: they are off by a few "
+            statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
             "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
         ),
     )
 
 
 def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Signed distance at points inside walls, by sampling their level set at order 1."""
+    """Signed distances at points inside walls, sampled from their level set at order 1."""
     errors, wrong, positions = [], [], []
     for number in range(WALLS):
         mesh, turn, middle = _wall(thickness, seed, number)
@@ -167,7 +169,7 @@ def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Ju
 
 
 def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """How far points on both faces of a wall are from the surface that comes back."""
+    """Distances of points on both faces of a wall from the reconstructed surface."""
     from geokit.mesh._from_volume import from_volume
 
     errors, wrong, positions = [], [], []
@@ -184,7 +186,7 @@ def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Jud
 
 
 def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """How far the surfaces inside and outside of a sphere are from the spheres that they should be."""
+    """Distances of the isosurfaces inside and outside of a sphere from the exact spheres."""
     from geokit.mesh._from_volume import from_volume
 
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS)
@@ -196,21 +198,21 @@ def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Ju
 
 
 def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
-    """How far the surfaces of balls are from the balls', and the balls' from them."""
+    """Distances between balls and their reconstructed surfaces, in both directions."""
     from geokit.mesh._from_volume import from_volume
 
-    # Balls about the middle of a cell are the first to hold no voxel.
-    centres = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
+    # Balls centered on a cell are the first to contain no voxel.
+    centers = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
     judgements = []
-    for centre in centres:
-        body = level_set(ball(radius, centre), radius)
+    for center in centers:
+        body = level_set(ball(radius, center), radius)
         found = from_volume(body, method=method, device=device)
-        judgements.append(_judged_sphere(found, centre, radius, seed, backwards=30))
+        judgements.append(_judged_sphere(found, center, radius, seed, backwards=30))
     return _together(*zip(*judgements, strict=True))
 
 
 def far_distances(distance: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Voxels near the surface of a torus far away, against the same torus brought back without rounding."""
+    """Voxels near the surface of a far torus, against the same torus moved back without rounding."""
     near = shapes.torus(24, 12)
     size = float(np.linalg.norm(near.vertices.max(axis=0) - near.vertices.min(axis=0)))
     offset = distance * size * FAR_DIRECTION
@@ -223,14 +225,14 @@ def far_distances(distance: float, *, seed: int = 0, device: Any = None) -> Judg
     index = np.rint((chosen - start) / voxel_size) + random.integers(-FAR_REACH, FAR_REACH + 1, (300, 3))
     points = index * voxel_size + start
     found = grid.sample(points, order=0, device=device)
-    # Differences of numbers that are near each other are exact.
+    # Differences of close numbers are exact.
     true = reference.signed_distance(mesh.vertices - offset, mesh.faces, points - offset)
     true = np.clip(true, -grid.info.background, grid.info.background)
     return Judgement(np.abs(found - true) / size, np.zeros(300, bool), points)
 
 
 def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Floats, Floats]:
-    """A wall, how it is turned, and where its middle is; the first one square to the voxels and halfway between two."""
+    """A wall, its rotation and its center; the first wall is axis-aligned and halfway between two voxels."""
     turn = shapes.rotation(4 * seed + number) if number else np.eye(3)
     middle = np.random.default_rng([seed, number, 1]).random(3) if number else np.array([0.2, 0.3, 0.5])
     half = (WALL_HALF, WALL_HALF, 0.5 * thickness)
@@ -244,7 +246,7 @@ def _level_set_of(mesh: TriangleMesh, device: Any, voxel_size: float = 1.0) -> S
     from geokit.volume._from_mesh import from_mesh
 
     with warnings.catch_warnings():
-        # That pieces are lost is what is asked here.
+        # Warnings about lost components are expected: the sweep measures their loss.
         warnings.simplefilter("ignore", UserWarning)
         return from_mesh(mesh, voxel_size, device=device)
 
@@ -255,15 +257,15 @@ def _distances_from(mesh: TriangleMesh, points: Floats) -> Floats:
     return reference.closest_point(mesh.vertices, mesh.faces, points).distance
 
 
-def _judged_sphere(mesh: TriangleMesh, centre: Floats, radius: float, seed: int, backwards: int) -> Judgement:
+def _judged_sphere(mesh: TriangleMesh, center: Floats, radius: float, seed: int, backwards: int) -> Judgement:
     """The mesh's vertices and a point of each face against a sphere, and some points of the sphere against the mesh."""
     if not len(mesh.faces):
-        return Judgement(np.zeros(1), np.ones(1, bool), centre[None])
+        return Judgement(np.zeros(1), np.ones(1, bool), center[None])
     weights = np.random.default_rng(seed).dirichlet([0.7] * 3, len(mesh.faces))
     on_faces = np.einsum("fk,fkc->fc", weights, mesh.vertices[mesh.faces])
     points = np.concatenate([mesh.vertices, on_faces])
-    errors = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-    asked = centre + radius * unit_vectors(backwards, seed)
+    errors = np.abs(np.linalg.norm(points - center, axis=1) - radius)
+    asked = center + radius * unit_vectors(backwards, seed)
     errors = np.concatenate([errors, _distances_from(mesh, asked)]) if backwards else errors
     return Judgement(errors, np.zeros(len(errors), bool), np.concatenate([points, asked]))
 

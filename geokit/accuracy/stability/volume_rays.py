@@ -1,4 +1,4 @@
-"""Rays through volumes towards failure: steep and flat fields, grazing rays, narrow bands, dense fog."""
+"""Sweeps of rays through volumes: steep and flat fields, grazing rays, narrow bands, dense fog."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# The sphere that rays are shot at, and where they start [voxels].
+# The target sphere and the distance at which rays start [voxels].
 RADIUS, START = 16.0, 30.0
 RAYS = 4000
-# Trilinear interpolation puts the sphere's surface at most 0.25 voxel^2 / radius inside of it, where the cells that it
-# crosses hold the whole field; half as much again for those that are nearer to the centre than the surface.
+# Trilinear interpolation moves the sphere's surface inward by at most 0.25 voxel^2 / radius if the cells that it
+# crosses hold the whole field; half as much again for cells nearer to the center than the surface.
 SURFACE = 1.5 * 0.25 / RADIUS
-# Rays that are aimed at something pass this share of the radius beside the middle at most.
+# Aimed rays pass the center within this share of the radius.
 AIMED = 0.9
-# A cell's diagonal and more [voxels]: the corners of those that the surface crosses are no farther from it.
+# A cell's diagonal and more [voxels]: bounds the distance from the surface to the corners of the cells that it crosses.
 CELL = 1.75
 HALF_WIDTH = 3.0
 # Half the width of the fog [voxels].
 FOG_REACH = 12
-# What integrate promises of its quadrature.
+# Error that integrate promises for its quadrature.
 EMISSION_ERROR = 1e-9
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``volume.raycast`` and ``volume.integrate``.
+    """Sweeps of ``volume.raycast`` and ``volume.integrate``.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
@@ -61,9 +61,9 @@ def _slope(device: Any) -> Sweep:
             last=1.7,
             error=SURFACE,
             wrong_share=0.0,
-            statement="No slope makes rays miss: they find the interpolant's surface, which is the field's own up to a "
-            "slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, and it "
-            "is up to half a voxel off.",
+            statement="Rays hit at any slope: they find the interpolant's surface, which is that of the field up to "
+            "a slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, "
+            "and the surface is up to half a voxel off.",
         ),
     )
 
@@ -81,7 +81,7 @@ def _half_width(device: Any) -> Sweep:
             error=SURFACE,
             wrong_share=0.0,
             statement="A half width of 1.75 voxels is enough: the corners of the cells that the surface crosses are "
-            "then in the band. In narrower ones hits are up to half a voxel off.",
+            "then in the band. In narrower bands hits are up to half a voxel off.",
         ),
     )
 
@@ -98,8 +98,8 @@ def _exponent(device: Any) -> Sweep:
             last=2.0,
             error=0.25,
             wrong_share=0.0,
-            statement="Fields that are no distances lose no rays: what moves is the interpolant's surface, by up to a "
-            "quarter voxel where a field is as flat as the distance's square, by half a voxel for high powers.",
+            statement="Fields that are not distances lose no rays; only the interpolant's surface moves, by up to a "
+            "quarter voxel where a field is as flat as the squared distance, by half a voxel for high powers.",
         ),
     )
 
@@ -116,9 +116,9 @@ def _grazing(device: Any) -> Sweep:
             last=4.0,
             error=SURFACE,
             wrong_share=0.0,
-            statement="Rays at 4 degrees and more to a surface with a radius of 16 voxels hit it; in general, those "
-            "that would be 0.375 voxel^2 over the radius below it. The interpolant's surface lies that much inside at "
-            "most, and shallower rays may pass.",
+            statement="Rays at 4 degrees or more to a surface with a radius of 16 voxels hit it; in general, rays "
+            "that reach at least 0.375 voxel^2 over the radius below it do. The interpolant's surface lies at "
+            "most that far inside, and shallower rays may miss it.",
         ),
     )
 
@@ -135,8 +135,8 @@ def _scale(device: Any) -> Sweep:
             last=1e-37,
             error=SURFACE,
             wrong_share=0.0,
-            statement="Surfaces are found at any scale that float32 keeps, down to 1e-37 a voxel; below, values have "
-            "fewer digits, and then none.",
+            statement="Surfaces are found at any scale that float32 represents, down to 1e-37 a voxel; below it, "
+            "values lose digits and then vanish.",
         ),
     )
 
@@ -153,8 +153,9 @@ def _free_path(device: Any) -> Sweep:
             last=16.0,
             error=0.07,
             wrong_share=0.0,
-            statement="The integral of the interpolant is exact, but a fog's borders are known to half a voxel each: "
-            "transmittances are right to exp(1 / mean free path) - 1, 7 % where that is 16 voxels.",
+            statement="The integral of the interpolant is exact, but each border of a fog is known only to half a "
+            "voxel: transmittances have an error of at most exp(1 / mean free path) - 1, 7 % for a mean free "
+            "path of 16 voxels.",
         ),
     )
 
@@ -171,25 +172,25 @@ def _depth(device: Any) -> Sweep:
             last=1e4,
             error=EMISSION_ERROR,
             wrong_share=0.0,
-            statement="Emission is right to 1e-9 of itself where a voxel's optical depth is 1e-3 to 1e4: no failure "
-            "found.",
+            statement="Emission has a relative error of at most 1e-9 where a voxel's optical depth is 1e-3 to 1e4: "
+            "no failure found.",
         ),
     )
 
 
 def steep_hits(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays at a sphere whose distance was multiplied and then cut off."""
+    """Rays at a sphere whose distance field is multiplied, then cut off."""
     distance = ball(RADIUS)
     return _hits(lambda p: slope * distance(p), HALF_WIDTH, _aimed(seed), device)
 
 
 def banded_hits(half_width: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays at a sphere whose distance was cut off at a half width."""
+    """Rays at a sphere whose distance field is cut off at a half width."""
     return _hits(ball(RADIUS), half_width, _aimed(seed), device)
 
 
 def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays at a sphere in a field that is a power of the distance, with the distance's sign."""
+    """Rays at a sphere in a field that is a signed power of the distance."""
     distance = ball(RADIUS)
 
     def power(points: Floats) -> Floats:
@@ -200,24 +201,24 @@ def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
 
 def grazing_hits(angle: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays that meet a sphere at an angle."""
+    """Rays that meet a sphere at a given angle."""
     beside = RADIUS * np.cos(np.radians(angle))
     return _hits(ball(RADIUS), HALF_WIDTH, _rays(np.full(RAYS, beside), seed), device)
 
 
 def scaled_hits(factor: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays at a sphere whose distance and background were multiplied."""
+    """Rays at a sphere whose distance field and background are multiplied."""
     distance = ball(RADIUS)
     return _hits(lambda p: factor * distance(p), factor * HALF_WIDTH, _aimed(seed), device)
 
 
 def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays across slabs of even fog, straight and slanting; voxels whose centre is in the fog have its density."""
+    """Rays across slabs of uniform fog, straight and slanted; voxels with their center in the fog have its density."""
     from geokit.volume._integrate import integrate
 
     random = np.random.default_rng(seed)
     errors, positions = [], []
-    # Just short of two voxels, and just beyond them, are the thickest and the thinnest that look alike.
+    # Just under two voxels and just over are the thickest and the thinnest slabs that look alike.
     ends = [(-5.999, 5.999), (-6.001, 6.001), *np.sort(random.uniform(-7.0, 7.0, (4, 2)), axis=1).tolist()]
     for low, high in ends:
         inside = lambda p, low=low, high=high: ((p[..., 0] > low) & (p[..., 0] < high)).astype(float)  # noqa: E731
@@ -226,7 +227,7 @@ def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) 
         toward = np.column_stack([np.ones(50), random.uniform(-0.2, 0.2, (50, 2))])
         found = integrate(fog, starts, toward, extinction=1.0 / free_path, device=device).transmittance
         slant = np.linalg.norm(toward, axis=1)
-        # Against a ray straight across: what is slanting passes through more of everything.
+        # Compared with a straight ray: a slanted ray passes through more of everything.
         errors.append(np.abs((found * np.exp((high - low) * slant / free_path)) ** (1.0 / slant) - 1.0))
         positions.append(starts)
     total = np.concatenate(errors)
@@ -234,12 +235,12 @@ def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) 
 
 
 def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Rays that start within even fog which glows evenly: a ray that ends there too sees ``1 - exp(-length)``."""
+    """Rays that start inside uniform glowing fog; a ray that also ends there sees ``1 - exp(-length)``."""
     from geokit.volume._integrate import integrate
 
     fog = field(lambda p: np.ones(p.shape[:-1]), FOG_REACH)
     starts = np.random.default_rng(seed).uniform(-3.0, 3.0, (100, 3))
-    # Within a voxel and over several: the length that is seen is given by max_distance.
+    # Within one voxel and over several: max_distance sets the visible length.
     errors = []
     for length in (0.3, 6.0):
         toward = unit_vectors(len(starts), seed)
@@ -251,12 +252,12 @@ def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 
 def _aimed(seed: int) -> tuple[Floats, Floats]:
-    # The square root spreads them evenly over the disc.
+    # The square root makes the distribution uniform over the disc.
     return _rays(RADIUS * AIMED * np.sqrt(np.random.default_rng([seed, 1]).random(RAYS)), seed)
 
 
 def _rays(beside: Floats, seed: int) -> tuple[Floats, Floats]:
-    """Rays that pass the middle at distances ``beside``."""
+    """Rays that pass the center at distances ``beside``."""
     toward = unit_vectors(len(beside), seed)
     across = np.cross(toward, unit_vectors(len(beside), seed + 1000))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -264,7 +265,7 @@ def _rays(beside: Floats, seed: int) -> tuple[Floats, Floats]:
 
 
 def _hits(function: Field, cut: float, rays: tuple[Floats, Floats], device: Any) -> Judgement:
-    """How far hits are from the sphere, wrong where there is none."""
+    """Distances of hits from the sphere; misses are wrong."""
     volume = level_set(function, RADIUS, cut)
     found = volume.raycast(*rays, device=device)
     missed = ~np.isfinite(found.t)

@@ -1,4 +1,4 @@
-"""Sampling and quantised grids towards failure: fine features, the end of the band, far away, flat fields, few bits."""
+"""Sweeps of sampling and quantized grids: fine features, the end of the band, far positions, flat fields, few bits."""
 
 from __future__ import annotations
 
@@ -18,38 +18,39 @@ __all__ = ["sweeps"]
 
 Floats = NDArray[np.float64]
 
-# Waves that are asked at a wavelength: directions and phases differ.
+# Number of waves at each wavelength, with different directions and phases.
 WAVES = 4
-# Half the width of the fields, and how far from the middle they are asked: no stencil reaches the end [voxels].
+# Half the width of the fields, and the extent of their queries: no stencil reaches the end [voxels].
 FIELD_REACH, ASKED = 11, 8.0
-# Radius of the sphere whose band is left [voxels].
+# Radius of the sphere whose queries leave the band [voxels].
 BAND_RADIUS = 20.0
 HALF_WIDTH = 3.0
-# Of points whose coordinates are exact while the grid is near the origin.
+# Points whose coordinates are exact while the grid is near the origin.
 FRACTION = 2.0**-20
 FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
 FAR_VOXEL = 0.1
-# Exact in float32 at every voxel.
+# A slope that is exact in float32 at every voxel.
 SLOPE = np.array([0.5, 0.25, -0.75])
-# Trilinear interpolation of a distance is off by an eighth of its second derivatives' sum, 2 / radius [voxels^2].
+# Trilinear interpolation of a distance has an error of an eighth of the sum of its second derivatives, 2 / radius
+# [voxels^2].
 INTERPOLATION = 0.25
-# How much more than that a quantised grid may be off by to count as good.
+# Factor on that error within which a quantized grid counts as good.
 WITH_CODEC = 3.0
-# Radius of the sphere whose grid keeps a tolerance [voxels].
+# Radius of the sphere whose grid meets a tolerance [voxels].
 TOLERANCE_RADIUS = 30.0
 
 
 class _Waves(NamedTuple):
-    """What an order promises: ``error`` times the amplitude from ``last`` voxels a wavelength on."""
+    """Promise of an order: ``error`` times the amplitude from ``last`` voxels a wavelength on."""
 
     last: float
     error: float
     bound: str
 
 
-# Of a wave number k, errors are at most k sqrt(3) / 2 for order 0, k^2 / 8 for order 1, and 0.0642 k^3 and 0.0469 k^3
-# for orders 2 and 3, the L1 norms of their Peano kernels: wavelengths of 54, 22, 11.7 and 10.5 voxels. (Long waves are
-# off by 0.016 k^3 at order 3.)
+# For a wave number k, errors are at most k sqrt(3) / 2 for order 0, k^2 / 8 for order 1, and 0.0642 k^3 and 0.0469 k^3
+# for orders 2 and 3, the L1 norms of their Peano kernels: wavelengths of 54, 22, 11.7 and 10.5 voxels. (At order 3 long
+# waves have an error of 0.016 k^3.)
 WAVELENGTHS = {
     0: _Waves(64.0, 0.1, "5.5 / wavelength"),
     1: _Waves(24.0, 0.01, "5 / wavelength^2"),
@@ -59,7 +60,7 @@ WAVELENGTHS = {
 
 
 class _Band(NamedTuple):
-    """What an order promises within a band of half width 3: up to ``last`` voxels from the surface."""
+    """Promise of an order in a band of half width 3: up to ``last`` voxels from the surface."""
 
     last: float
     error: float
@@ -67,14 +68,18 @@ class _Band(NamedTuple):
 
 
 BANDS = {
-    1: _Band(2.0, 0.05, "Up to half_width - 1 voxels from the surface order 1 is as good as in a field without end"),
-    2: _Band(0.5, 0.004, "Up to half_width - 2.5 voxels from the surface order 2 is as good as in a field without end"),
-    3: _Band(0.5, 0.001, "Up to half_width - 2.5 voxels from the surface order 3 is as good as in a field without end"),
+    1: _Band(2.0, 0.05, "Up to half_width - 1 voxels from the surface order 1 is as accurate as in an unbounded field"),
+    2: _Band(
+        0.5, 0.004, "Up to half_width - 2.5 voxels from the surface order 2 is as accurate as in an unbounded field"
+    ),
+    3: _Band(
+        0.5, 0.001, "Up to half_width - 2.5 voxels from the surface order 3 is as accurate as in an unbounded field"
+    ),
 }
 
 
 class _Codec(NamedTuple):
-    """Radii from small to large, and up to which the codec's half step is at most twice the interpolation's error."""
+    """Radii in ascending order; up to ``last`` the codec's half step is at most twice the interpolation error."""
 
     values: tuple[float, ...]
     last: float
@@ -90,7 +95,7 @@ CODECS = {
 
 
 def sweeps(device: Any = None) -> list[Sweep]:
-    """Those of ``volume.sample`` and ``volume.quantize``.
+    """Sweeps of ``volume.sample`` and ``volume.quantize``.
 
     Args:
         device: Where the methods compute; None for the first GPU, else the CPU.
@@ -137,7 +142,7 @@ def _band(order: int, device: Any) -> Sweep:
             error=error,
             wrong_share=0.0,
             statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
-            "value is half_width, however far the surface is.",
+            "value is half_width, at any distance from the surface.",
         ),
         logarithmic=False,
     )
@@ -155,8 +160,8 @@ def _origin(order: int, device: Any) -> Sweep:
             last=1e9,
             error=2e-6,
             wrong_share=0.0,
-            statement="Up to 1e9 voxels from the origin values are those of a place at most 2e-6 voxel away: the error "
-            "is that of float64 coordinates, a few times 2^-53 of the distance.",
+            statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the "
+            "error is that of float64 coordinates, a few times 2^-53 of the distance.",
         ),
     )
 
@@ -170,14 +175,14 @@ def _flatness(codec: str, device: Any) -> Sweep:
         parameter="radius of curvature [voxels], band of half width 3",
         unit="voxels",
         values=values,
-        ask=partial(quantised_distances, codec=codec, device=device),
+        ask=partial(quantized_distances, codec=codec, device=device),
         envelope=Envelope(
             last=last,
             error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
             wrong_share=0.0,
             statement=f"{codec} is off by at most half_width / {2**bits - 1}, {own:.2g} voxel of a band of half width "
-            f"3, whatever the curvature. Up to a radius of {last:g} voxels, sampling at order 1 is then off by at most "
-            "three times what it is off by anyway, 0.25 / radius.",
+            f"3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at most three "
+            "times its error without quantization, 0.25 / radius.",
         ),
     )
 
@@ -194,8 +199,8 @@ def _tolerance(device: Any) -> Sweep:
             last=1e-4,
             error=1.0,
             wrong_share=0.0,
-            statement="A tolerance is kept or refused: of a band of half width 3, fpn keeps 1e-4 voxel and more, and "
-            "refuses what 16 bits a voxel cannot keep, half_width / 65535.",
+            statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
+            "refuses tolerances below half_width / 65535, which 16 bits a voxel cannot meet.",
         ),
     )
 
@@ -228,7 +233,7 @@ def band_distances(distance: float, *, order: int, seed: int = 0, device: Any = 
 
 
 def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
-    """A linear field on a grid far from the origin; errors by its slope, which is nearly 1."""
+    """A linear field on a grid far from the origin; errors are divided by its slope, which is nearly 1."""
     translation = distance * FAR_VOXEL * FAR_DIRECTION
     transform = np.diag([FAR_VOXEL] * 3 + [1.0])
     transform[:3, 3] = translation
@@ -240,24 +245,24 @@ def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None
     return _right(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), points)
 
 
-def quantised_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
-    """Distances within half a voxel of a piece of a sphere, by sampling its quantised band at order 1."""
+def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
+    """Distances within half a voxel of a patch of a sphere, sampled from its quantized band at order 1."""
     from geokit.volume._quantize import quantize
 
-    patch, direction, centre = _patch(radius, seed)
+    patch, direction, center = _patch(radius, seed)
     small = quantize(patch, codec)
     random = np.random.default_rng(seed)
-    # Around the direction in which the piece lies, as far as the piece reaches.
+    # Around the direction of the patch, over its extent.
     spread = min(1.0, 0.5 * ASKED / radius)
     toward = direction + spread * unit_vectors(4000, seed)
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     height = random.uniform(-0.5, 0.5, 4000)
-    points = centre + toward * (radius + height)[:, None]
+    points = center + toward * (radius + height)[:, None]
     return _right(np.abs(small.sample(points, device=device) - height), points)
 
 
 def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> Judgement:
-    """Voxels of a band that was stored with a tolerance: their changes, in tolerances."""
+    """Voxels of a band that was stored with a tolerance; errors are their changes in tolerances."""
     from geokit.volume._quantize import quantize
 
     patch, _, _ = _patch(TOLERANCE_RADIUS, seed)
@@ -268,15 +273,15 @@ def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> J
 
 
 def _patch(radius: float, seed: int) -> tuple[SparseVolume, Floats, Floats]:
-    """A piece of a sphere's band around the origin, the way from its centre to there, and the centre."""
+    """A patch of a sphere's band around the origin, the direction from its center to the patch, and the center."""
     direction = unit_vectors(1, seed)[0]
-    centre = MIDDLE - radius * direction
+    center = MIDDLE - radius * direction
     patch = field(
-        lambda p: np.clip(np.linalg.norm(p - centre, axis=-1) - radius, -HALF_WIDTH, HALF_WIDTH),
+        lambda p: np.clip(np.linalg.norm(p - center, axis=-1) - radius, -HALF_WIDTH, HALF_WIDTH),
         FIELD_REACH,
         background=HALF_WIDTH,
     )
-    return patch, direction, centre
+    return patch, direction, center
 
 
 def _right(errors: Floats, points: Floats) -> Judgement:

@@ -1,1 +1,1 @@
-"""One trial: a question, a method, its time, its memory and its error."""
+"""Trials: one method with one setting, its time, memory and error."""

@@ -1,4 +1,4 @@
-"""Size of what a method prepared."""
+"""Memory of the structures that a method prepared."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ __all__ = ["held_bytes"]
 
 
 def held_bytes(*things: Any) -> int:
-    """Bytes of all warp arrays that are reached through attributes, warp structs and tuples; each is counted once.
+    """Bytes of all warp arrays reachable through attributes, warp structs and tuples; each is counted once.
 
-    What warp keeps behind a handle (the tree of a ``wp.Mesh``, the cells of a ``wp.HashGrid``) is not seen.
+    Memory behind a warp handle (the tree of a ``wp.Mesh``, the cells of a ``wp.HashGrid``) is not included.
     """
     import warp as wp
 
@@ -28,7 +28,7 @@ def held_bytes(*things: Any) -> int:
         elif isinstance(thing, (tuple, list)):
             waiting.extend(thing)
         elif isinstance(getattr(thing, "__dict__", None), dict) and not isinstance(thing, type):
-            # Warp's own objects lead to all of warp.
+            # Warp's own objects reference all of warp.
             is_warp = type(thing).__module__.partition(".")[0] == "warp"
             parts = vars(thing).values()
             waiting.extend(part for part in parts if isinstance(part, wp.array) or not is_warp)

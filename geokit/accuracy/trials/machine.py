@@ -1,4 +1,4 @@
-"""What a report says about the machine and the versions that it was made with."""
+"""Facts about the machine and the versions, for reports."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def machine_line(facts: Mapping[str, str]) -> str:
 
 
 def version_facts() -> dict[str, str]:
-    """Versions of geokit and of what it computes with."""
+    """Versions of geokit and of its dependencies."""
     import geokit
     from geokit import native
 
@@ -64,7 +64,7 @@ def version_facts() -> dict[str, str]:
 
 
 def processor_name() -> str:
-    """The processor's name as the system tells it."""
+    """Name of the processor as reported by the system."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
             for line in file:

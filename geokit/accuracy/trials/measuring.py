@@ -1,4 +1,4 @@
-"""One trial: how long it takes, how much memory, and how right its answers are."""
+"""Measurement of one trial: time, memory and error."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ if TYPE_CHECKING:
 
 __all__ = ["measure"]
 
-# The median of three is not moved by one run that was disturbed.
+# Fewest runs: the median of three is not affected by one disturbed run.
 FEWEST_RUNS = 3
-# More runs than this tell a quick method's median no better.
+# Most runs: more do not improve the median of a fast method.
 MOST_RUNS = 40
-# Time given to the runs of one trial [s]; slower methods take their fewest runs.
+# Time for the runs of one trial [s]; slower methods take the fewest runs.
 BUDGET_SECONDS = 0.6
 QUICK_BUDGET_SECONDS = 0.08
-# Share of the answers that the table's percentile leaves above it.
+# Share of the answers above the table's percentile.
 PERCENTILE = 0.999
 
 
 def measure(trial: "Trial", chart: "Chart", subject: str, device: Any = None, *, quick: bool = False) -> "Measurement":
-    """Time a trial and hold its answers against the reference.
+    """Time a trial and compare its answers with the reference.
 
-    The first call loads kernels and is judged, not timed. A second one shows the peak memory. Then calls are timed one
-    by one, on a CUDA device until it is done, without the garbage collector: at least three, and more while they fit
-    into a fixed time. The median is the chart's time; half of the calls took between the quartiles, whose distance over
-    the median is the spread. On a machine that does other work, times compare within one run only.
+    The first call loads kernels; its answers are checked, but it is not timed. The second call measures the peak
+    memory. Then calls are timed one by one, with the garbage collector off and synchronized on CUDA: at least three,
+    and more while they fit into a fixed time. The reported time is the median. The spread is the interquartile range
+    over the median. On a machine with other load, times are comparable within one run only.
 
-    An error that is not finite counts as infinite: an answer that is not a number is not right.
+    An error that is not finite counts as infinite: NaN is not a right answer.
 
     Args:
         trial: The method with its setting.
-        chart: The chart that it belongs to.
-        subject: Name of what it is measured on.
-        device: Where it computes; None is the first CUDA device, else the CPU.
+        chart: The chart of the trial.
+        subject: Name of the subject.
+        device: Where to compute; None for the first CUDA device, else the CPU.
         quick: Take less time.
     Returns:
-        The row of the results. Its ``peak_bytes`` counts the resident set of the process on the CPU and the device's
-        memory pool on CUDA, in both cases what a call takes beyond what was there before, its answer included. Where
-        every answer is wrong there is no error to speak of: the errors are NaN.
+        The Measurement. ``peak_bytes`` counts the resident set of the process on the CPU and the device's memory pool
+        on CUDA; in both cases it is the increase during a call, including its answer. If every answer is wrong, the
+        errors are NaN.
     Raises:
-        InputError: The judge found nothing to check, gave arrays of different lengths, or negative errors.
+        InputError: ``trial.judge`` checked no answer, or returned arrays of different lengths or negative errors.
     """
     from geokit.accuracy.trials.model import Measurement
     from geokit.core import launcher
@@ -113,7 +113,7 @@ def _timed(trial: "Trial", device: "wp.Device", budget: float) -> tuple[float, f
             answer = trial.run()
             if device.is_cuda:
                 wp.synchronize_device(device)
-            times.append(max(time.perf_counter() - started, 1e-9))  # the clock's own step
+            times.append(max(time.perf_counter() - started, 1e-9))  # the resolution of the clock
             del answer
     finally:
         if collecting:
@@ -123,14 +123,14 @@ def _timed(trial: "Trial", device: "wp.Device", budget: float) -> tuple[float, f
 
 
 def _norms(errors: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Largest, root mean square and 99.9th percentile; NaN where there is no error at all."""
+    """Largest, root mean square and 99.9th percentile; NaN if there is no error."""
     if len(errors) == 0:
         return math.nan, math.nan, math.nan
     largest = float(errors.max())
     if largest == 0.0 or math.isinf(largest):
         percentile = float(np.quantile(errors, PERCENTILE, method="higher"))
         return largest, largest, percentile
-    # Relative to the largest, so that no square over- or underflows.
+    # Relative to the largest error, so that no square over- or underflows.
     rms = largest * math.sqrt(float(np.mean((errors / largest) ** 2)))
-    # An error that did occur, not one between two that did.
+    # A percentile that is one of the errors, not interpolated between two.
     return largest, rms, float(np.quantile(errors, PERCENTILE, method="higher"))

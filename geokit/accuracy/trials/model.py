@@ -1,4 +1,4 @@
-"""What charts and sweeps are made of: questions, the methods that answer them, and how right the answers were."""
+"""Data model of charts and sweeps: subjects, trials, judgements and measurements."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", 
 
 
 class Subject(NamedTuple):
-    """What methods are measured on; exactly one of ``mesh``, ``volume`` and ``points`` is not None.
+    """An object to measure on; exactly one of ``mesh``, ``volume`` and ``points`` is not None.
 
     Attributes:
-        name: Of the file or the sample.
+        name: Name of the file or of the sample.
         mesh: Triangles.
         volume: A scalar grid.
         points: Positions (N, 3) float64 [world].
@@ -34,13 +34,13 @@ class Subject(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """Answers held against a float64 reference.
+    """Comparison of answers with a float64 reference.
 
     Attributes:
-        errors: How far each checked answer is from the reference, shape (M,), not negative [unit of the chart].
-        wrong: Answers of another kind than the reference's, shape (M,) bool: outside for inside, a miss for a hit, a
-            neighbour missing. Their errors do not count.
-        positions: Where each was asked [world], shape (M, 3); None where that cannot be drawn.
+        errors: Deviation of each checked answer from the reference, shape (M,), not negative [unit of the chart].
+        wrong: Answers of a different kind than the reference, shape (M,) bool: outside instead of inside, a miss
+            instead of a hit, a missing neighbor. Their errors do not count.
+        positions: Position of each query [world], shape (M, 3); None if there is nothing to draw.
     """
 
     errors: NDArray[np.float64]
@@ -50,15 +50,15 @@ class Judgement(NamedTuple):
 
 @dataclass(frozen=True)
 class Trial:
-    """One method with one setting, everything prepared that is not part of the question.
+    """One method with one setting, with everything prepared that is not part of the timed call.
 
     Attributes:
         method: The function, with its variant: "closest_point, float64".
-        setting: What was chosen, as a reader would type it: "voxel_size=0.01, order=3, codec='fp8'".
-        run: The call that is timed.
-        judge: Holds what ``run`` gave against the reference; not timed.
-        count: Answers of one call, for the rate.
-        byte_count: Size of what was prepared: the tree, the grid.
+        setting: The parameters as a user would type them: "voxel_size=0.01, order=3, codec='fp8'".
+        run: The timed call.
+        judge: Compares the result of ``run`` with the reference; not timed.
+        count: Number of answers of one call, for the rate.
+        byte_count: Memory of the prepared structures: the tree, the grid.
         parameters: The setting by name, for the table.
     """
 
@@ -78,10 +78,10 @@ class Chart:
     Attributes:
         name: Identifier, also of the figure's file: "closest_point".
         title: The question: "Closest point on the surface".
-        unit: Of the errors: "world", "degrees", "relative".
+        unit: Unit of the errors: "world", "degrees", "relative".
         answers: What the rate counts: "queries", "triangles", "voxels".
-        trials: Makes the trials one after another, so that what one prepared is gone before the next is made.
-        vertical: What the chart shows against time: the errors, or the share of wrong answers.
+        trials: Makes the trials one after another; each one's data is freed before the next is made.
+        vertical: The quantity charted against time: the errors, or the share of wrong answers.
     """
 
     name: str
@@ -97,18 +97,18 @@ class Measurement:
     """A row of the results.
 
     Attributes:
-        chart, subject, method, setting, device: What was measured, on what.
+        chart, subject, method, setting, device: Names of what was measured.
         seconds: Median time of a call [s].
-        spread: Of the times: their interquartile range over their median.
-        rate: Answers a second.
-        peak_bytes: Most memory that a call took beyond what was there before.
-        byte_count: Size of what was prepared.
-        checked: Number of answers held against the reference.
-        max_error, rms_error, p999_error: Of those that are not wrong; the last is the 99.9th percentile [unit].
+        spread: Interquartile range of the times over their median.
+        rate: Answers per second.
+        peak_bytes: Largest increase of memory during a call.
+        byte_count: Memory of the prepared structures.
+        checked: Number of answers compared with the reference.
+        max_error, rms_error, p999_error: Of the answers that are not wrong; the last is the 99.9th percentile [unit].
         wrong_share: Share of the checked answers that are wrong, 0 to 1.
-        unit: Of the errors.
+        unit: Unit of the errors.
         parameters: The setting by name.
-        judgement: What the numbers are made of; kept for pictures, not written to the table.
+        judgement: The underlying comparison; kept for pictures, not written to the table.
     """
 
     chart: str
@@ -132,13 +132,13 @@ class Measurement:
 
 
 class Envelope(NamedTuple):
-    """Up to where a method keeps its promise.
+    """Range of a sweep within which a method keeps its promise.
 
     Attributes:
-        last: Last value of the sweep's parameter at which the promise holds; sweeps go towards failure.
-        error: Greatest error up to there [unit of the sweep], or how it follows from the parameter.
-        wrong_share: Greatest share of wrong answers up to there.
-        statement: The promise in a sentence, as docstrings quote it.
+        last: Last value of the sweep's parameter at which the promise holds; sweeps run towards failure.
+        error: Largest error up to there [unit of the sweep], or a function of the parameter.
+        wrong_share: Largest share of wrong answers up to there.
+        statement: The promise in a sentence.
     """
 
     last: float
@@ -149,16 +149,16 @@ class Envelope(NamedTuple):
 
 @dataclass(frozen=True)
 class Sweep:
-    """One method on its way towards failure.
+    """A series of trials of one method towards failure.
 
     Attributes:
         name: Identifier, also of the figure's file: "closest_point_origin".
         method: The public function: "mesh.Surface.closest_point".
-        parameter: What grows worse, with its unit: "distance from the origin [sizes of the mesh]".
-        unit: Of the errors.
-        values: From harmless to hopeless.
-        ask: Answers at a value, judged by a float64 reference.
-        envelope: What is promised.
+        parameter: The varied parameter, with its unit: "distance from the origin [sizes of the mesh]".
+        unit: Unit of the errors.
+        values: Values of the parameter, from harmless to failing.
+        ask: Runs the method at a value and compares its answers with a float64 reference.
+        envelope: The promise.
         logarithmic: Whether the values are drawn on a logarithmic axis.
     """
 

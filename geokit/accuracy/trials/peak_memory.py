@@ -1,4 +1,4 @@
-"""The most memory that a call takes beyond what was there before it."""
+"""Peak memory of a call above the level before it."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ if TYPE_CHECKING:
 
 __all__ = ["peak_bytes"]
 
-# cuMemPoolSetAttribute's name of the high-water mark; warp can read it but not put it back.
+# cuMemPoolSetAttribute's id of the high-water mark; warp can read it but not reset it.
 USED_MEMORY_HIGH = 8
-# What resets VmHWM, the high-water mark of the resident set (proc(5)).
+# Value that resets VmHWM, the high-water mark of the resident set (proc(5)).
 RESET_PEAK = "5"
 
 
 def peak_bytes(call: Callable[[], Any], device: "wp.Device") -> int:
-    """Run ``call`` once and say how far memory rose above where it stood.
+    """Run ``call`` once and return by how much memory rose above its initial level.
 
-    On the CPU the resident set of the whole process counts: arrays of NumPy, warp and native code alike, the answer
-    included, in pages that were touched. Free pages that the allocator holds are handed back first where the C library
-    can; small allocations may still be served from what it keeps, so that little memory reads as none. Where the
-    system does not let its high-water mark be reset, only what exceeds the process's greatest resident set so far is
-    seen.
+    On the CPU the resident set of the whole process counts: arrays of NumPy, warp and native code alike, including the
+    answer, in pages that were touched. Free pages held by the allocator are released first if the C library can; small
+    allocations may still be served from its reserves, so that little memory reads as none. If the system does not allow
+    its high-water mark to be reset, only memory beyond the process's greatest resident set so far is seen.
 
-    On CUDA the device's memory pool counts, from which warp takes every array and tree; the host's memory does not.
+    On CUDA the device's memory pool counts, from which warp allocates every array and tree; host memory does not.
 
     Args:
-        call: What is measured; it should have run before, so that loaded kernels do not count.
-        device: Where its memory is.
+        call: The measured call; it should have run before, so that loaded kernels do not count.
+        device: Device whose memory is measured.
     Returns:
+        Number of bytes, not negative.
         Bytes, not negative.
     """
     collecting = gc.isenabled()
-    # What was garbage before must not make room during the call.
+    # Existing garbage must not free memory during the call.
     gc.disable()
     try:
         return _pool_peak(call, device) if device.is_cuda else _resident_peak(call)
@@ -67,7 +67,7 @@ def _reset_resident() -> bool:
 
 
 def _status(name: str) -> int:
-    """A size that /proc/self/status reports, 0 where there is none."""
+    """A size reported by /proc/self/status, 0 if there is none."""
     with contextlib.suppress(OSError), open("/proc/self/status", encoding="ascii", errors="replace") as file:
         for line in file:
             if line.startswith(name + ":"):
@@ -88,7 +88,7 @@ def _pool_peak(call: Callable[[], Any], device: "wp.Device") -> int:
 
     wp.synchronize_device(device)
     if not wp.is_mempool_enabled(device):
-        # Without the pool: what is gone while the answer is held, a lower bound.
+        # Without the pool: memory taken while the answer is held, a lower bound.
         free = device.free_memory
         answer = call()
         wp.synchronize_device(device)
@@ -105,7 +105,7 @@ def _pool_peak(call: Callable[[], Any], device: "wp.Device") -> int:
 
 
 def _reset_pool(ordinal: int) -> None:
-    """Set the high-water mark of the device's default pool, which is warp's, to what is used now."""
+    """Reset the high-water mark of the device's default pool, which is warp's, to the current use."""
     with contextlib.suppress(OSError, AttributeError):
         driver = ctypes.CDLL("libcuda.so.1")
         device, pool, zero = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_uint64(0)

@@ -1,4 +1,4 @@
-"""The outcome of a run: its rows, what their charts ask, what they were measured on, and what failed."""
+"""Results of a run: rows, chart metadata, subjects, machine and failures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ChartInfo", "Failure", "Group", "Results", "grouped"]
 
 
 class ChartInfo(NamedTuple):
-    """What a chart asks, without its methods; the attributes are those of Chart."""
+    """Metadata of a chart, without its trials; the attributes are those of Chart."""
 
     name: str
     title: str
@@ -21,12 +21,12 @@ class ChartInfo(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """What could not be measured.
+    """A trial or chart that could not be measured.
 
     Attributes:
-        chart, subject, device: Where; the chart is "" where a whole subject has none.
-        method, setting: Of the trial; "" where it was the preparation that failed.
-        message: The error, with its kind.
+        chart, subject, device: Where it failed; the chart is "" if a subject has no charts at all.
+        method, setting: Of the trial; "" if the preparation failed.
+        message: The error, with its type.
     """
 
     chart: str
@@ -38,14 +38,14 @@ class Failure(NamedTuple):
 
 
 class Results(list[Measurement]):
-    """Rows, in the order in which they were measured.
+    """Rows, in order of measurement.
 
     Attributes:
-        charts: What each chart asks, by name.
-        subjects: What was measured on, by name.
-        failures: What could not be measured.
-        machine: Where it was measured: names and values for people; empty where that is not known.
-        versions: Of what measured, likewise.
+        charts: Metadata of each chart, by name.
+        subjects: The measured subjects, by name.
+        failures: Trials and charts that could not be measured.
+        machine: Facts about the machine as names and values; empty if unknown.
+        versions: Versions of geokit and of its dependencies, likewise.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Group(NamedTuple):
     """The rows of one figure: one chart on one subject, on every device.
 
     Attributes:
-        chart: What it asks.
-        subject: What it was measured on.
+        chart: Metadata of the chart.
+        subject: Name of the subject.
         rows: The measurements.
-        slug: Part of its file names, unlike that of any other group.
-        per_call: Its settings give different numbers of answers, as finer voxels give more triangles: times of calls
-            compare, times per answer do not.
+        slug: Part of its file names, unique among groups.
+        per_call: Whether times of calls are compared instead of times per answer: its settings give different numbers
+            of answers, as finer voxels give more triangles.
     """
 
     chart: ChartInfo
@@ -92,8 +92,8 @@ def info_of(chart: Chart) -> ChartInfo:
 def grouped(rows: Iterable[Measurement]) -> list[Group]:
     """One group for each chart and subject, in the order of their first rows.
 
-    Rows that were read from a table do not know their chart's title and what it shows: the name stands for the title,
-    and a chart whose errors are all 0 or unknown, but not its wrong shares, shows those.
+    Rows read from a table lack the chart's title and charted quantity: the name replaces the title, and a chart whose
+    errors are all 0 or unknown while some answers are wrong shows the shares of wrong answers.
     """
     table: dict[tuple[str, str], list[Measurement]] = {}
     for row in rows:
@@ -114,7 +114,7 @@ def grouped(rows: Iterable[Measurement]) -> list[Group]:
 
 
 def _counts_differ(rows: list[Measurement]) -> bool:
-    """Whether settings on one device gave different numbers of answers; a GPU may be asked more than a CPU."""
+    """Whether settings on one device gave different numbers of answers; a GPU may get more queries than a CPU."""
     counts: dict[str, set[int]] = {}
     for row in rows:
         counts.setdefault(row.device, set()).add(round(row.rate * row.seconds))
@@ -128,6 +128,6 @@ def _guessed(name: str, rows: list[Measurement]) -> ChartInfo:
 
 
 def _slug(text: str) -> str:
-    """Letters, digits and underscores, all else one dash: a file name on any system."""
+    """A file name for any system: letters, digits and underscores; other runs become one dash."""
     kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter == "_") else " " for letter in text)
     return "-".join(kept.lower().split())[:80] or "chart"

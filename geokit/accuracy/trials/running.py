@@ -1,4 +1,4 @@
-"""What the trials of all charts share: the way to a device and back, judgements, and trials that could not be made."""
+"""Helpers shared by the trials of all charts: transfers, judgements, and trials that could not be prepared."""
 
 from __future__ import annotations
 
@@ -17,45 +17,45 @@ Floats = NDArray[np.float64]
 
 
 def send(points: Floats, device: Any) -> Any:
-    """Points on the device, so that a call is not timed with the way there."""
+    """Points on the device, so that transfers are not timed."""
     import warp as wp
 
     return wp.array(points, dtype=wp.vec3d, device=device)
 
 
 def on_host(answer: Any) -> Floats:
-    """An answer in NumPy, whatever container it came in."""
+    """An answer as a NumPy array, from any container."""
     return np.asarray(answer.numpy() if hasattr(answer, "numpy") else answer, np.float64)
 
 
 def without_warnings(call: Callable[[], Any]) -> Any:
-    """What the call gives; its warnings are dropped."""
+    """Result of the call, with its warnings suppressed."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return call()
 
 
 def judged(errors: Any, positions: Floats, wrong: Any = None) -> Judgement:
-    """Answers that are not finite are wrong too, and the errors of wrong ones are 0."""
+    """A Judgement: answers that are not finite count as wrong, and errors of wrong answers are 0."""
     errors = np.abs(np.asarray(errors, np.float64))
     wrong = ~np.isfinite(errors) if wrong is None else np.asarray(wrong, bool) | ~np.isfinite(errors)
     return Judgement(np.where(wrong, 0.0, errors), wrong, positions)
 
 
 def angles(a: Floats, b: Floats) -> Floats:
-    """Angles between vectors (N, 3) [degrees], NaN where one is zero."""
+    """Angles between vectors (N, 3) [degrees], NaN if one is zero."""
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
     return np.where(lengths > 0.0, angle, np.nan)
 
 
 def setting_of(parameters: Mapping[str, Any]) -> str:
-    """Parameters as a reader would type them."""
+    """Parameters as a user would type them."""
     return ", ".join(f"{name}={value!r}" for name, value in parameters.items())
 
 
 def failed(method: str, parameters: Mapping[str, Any], error: Exception) -> Trial:
-    """A trial that could not be prepared: it raises when it is run, so that the others of its chart are still made."""
+    """A trial that could not be prepared: it raises when run, so that the others of its chart are still made."""
 
     def run() -> Any:
         raise error

@@ -1,1 +1,1 @@
-"""Kernels and parts of what is made of point clouds: normals, density, subsets, registration."""
+"""Algorithms on point clouds and their kernels: normals, density, clusters, subsets, registration."""

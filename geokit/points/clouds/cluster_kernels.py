@@ -1,6 +1,6 @@
-"""Density-based clusters: core points joined in a union-find while the rows of cells around them are read.
+"""Density-based clusters: core points are joined in a union-find while the rows of cells around them are read.
 
-Positions are those of the sorted points, so that a point's neighbors are near it in memory too.
+Positions are those of the sorted points, so that the neighbors of a point are also close in memory.
 """
 
 # mypy: ignore-errors
@@ -24,10 +24,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.func_native(cpp("points/clouds/unite_sets.inl"))
 def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
-    """Joins the sets of a and b; the lower root becomes the root of both, in whatever order threads arrive.
+    """Join the sets of a and b; the lower root becomes the root of both, whatever the order of the threads.
 
     Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
-    replaced only while it still is one; everything else may be overwritten with an ancestor at any time.
+    replaced only while it is still a root; every other entry may be overwritten with an ancestor at any time.
     """
     ...
 
@@ -49,7 +49,7 @@ def start_kernel(
     out_core: wp.array(dtype=wp.uint8),
     out_parent: wp.array(dtype=wp.int32),
 ):
-    """Which sorted points are core points; each is a set of its own."""
+    """Mark the sorted points that are core points; each starts as a set of its own."""
     s = first + wp.tid()
     out_parent[s] = s
     out_core[s] = wp.uint8(0)
@@ -65,7 +65,7 @@ def join_kernel(
     core: wp.array(dtype=wp.uint8),
     out_parent: wp.array(dtype=wp.int32),
 ):
-    """Joins each core point with the core points within the radius that are sorted before it."""
+    """Join each core point with the core points within the radius that precede it in sorted order."""
     s = first + wp.tid()
     if core[s] == wp.uint8(0):
         return
@@ -73,14 +73,14 @@ def join_kernel(
     box = cells_around(grid, q, reach_of(radius))
     for row in range(row_count(box)):
         span = row_range(grid, box, row)
-        # Being neighbors is mutual: half of the pairs will do.
+        # Being neighbors is symmetric: half of the pairs suffice.
         end = wp.min(span[1], s)
         for begin in range(span[0], end, MASK_BITS):
             mask = within_mask(grid, begin, end, q, radius * radius)
             while mask != wp.uint64(0):
                 j = begin + lowest_bit(mask)
                 mask = mask & (mask - wp.uint64(1))
-                # Most neighbors are in the same set already, and most of those have the same parent.
+                # Most neighbors are already in the same set, and most of those have the same parent.
                 if core[j] != wp.uint8(0) and out_parent[j] != out_parent[s]:
                     unite(out_parent, s, j)
 
@@ -94,7 +94,7 @@ def lowest_kernel(
     out_root: wp.array(dtype=wp.int32),
     out_lowest: wp.array(dtype=wp.int32),
 ):
-    """Root of each core point, and the lowest index of a point with each root."""
+    """Root of each core point, and the lowest index of a point for each root."""
     s = first + wp.tid()
     if core[s] != wp.uint8(0):
         root = root_of(parent, s)
@@ -110,7 +110,7 @@ def mark_kernel(
     lowest: wp.array(dtype=wp.int32),
     out_mark: wp.array(dtype=wp.int32),
 ):
-    """A 1 at the lowest index of each cluster's core points."""
+    """1 at the lowest index of each cluster's core points."""
     s = first + wp.tid()
     if core[s] != wp.uint8(0) and root[s] == s:
         out_mark[lowest[s]] = 1
@@ -118,7 +118,7 @@ def mark_kernel(
 
 @wp.func
 def nearest_core(grid: CellGrid, s: wp.int32, radius: wp.float64, core: wp.array(dtype=wp.uint8)) -> wp.int32:
-    """Sorted position of the core point nearest to a point and within the radius of it, -1 if there is none."""
+    """Sorted position of the nearest core point within the radius of a point, -1 if there is none."""
     q = wp.vec3d(grid.x[s], grid.y[s], grid.z[s])
     box = cells_around(grid, q, reach_of(radius))
     best = wp.int32(-1)
@@ -152,7 +152,7 @@ def label_kernel(
     number: wp.array(dtype=wp.int32),
     out_label: wp.array(dtype=wp.int32),
 ):
-    """The number of each point's cluster; a point that is not core joins its nearest core point, or is noise, -1."""
+    """Cluster number of each point; a point that is not core joins its nearest core point, or is noise, -1."""
     s = first + wp.tid()
     at = s
     if core[s] == wp.uint8(0):

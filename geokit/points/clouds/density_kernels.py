@@ -1,6 +1,6 @@
 """Densities: a smoothing kernel summed over the rows of cells around a query.
 
-Each smoothing kernel is a struct with the constants of one radius, and a ``weight`` of it.
+Each smoothing kernel is a struct with the constants of one radius and an overload of ``weight``.
 """
 
 # mypy: ignore-errors
@@ -32,21 +32,21 @@ class Count:
 
 @wp.struct
 class CubicSpline:
-    """The cubic B-spline of Monaghan and Lattanzio, 1 at the centre."""
+    """The cubic B-spline of Monaghan and Lattanzio, 1 at the center."""
 
     inverse_radius: wp.float64
 
 
 @wp.struct
 class WendlandC2:
-    """Wendland's function with two continuous derivatives in three dimensions, 1 at the centre."""
+    """Wendland's function with two continuous derivatives in three dimensions, 1 at the center."""
 
     inverse_radius: wp.float64
 
 
 @wp.struct
 class Poly6:
-    """The kernel of Mueller, Charypar and Gross, 1 at the centre."""
+    """The kernel of Mueller, Charypar and Gross, 1 at the center."""
 
     inverse_radius: wp.float64
 
@@ -108,7 +108,7 @@ def density_kernel(
                 dx = grid.x[j] - q[0]
                 dy = grid.y[j] - q[1]
                 dz = grid.z[j] - q[2]
-                # There is one mass for all, or one for each.
+                # There is one mass for all points, or one for each.
                 total += mass[wp.min(grid.index[j], last)] * weight(smoothing, (dx * dx + dy * dy) + dz * dz)
     out_density[queries.index[k]] = factor * total
 

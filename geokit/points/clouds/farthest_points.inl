@@ -1,10 +1,10 @@
-// Greedy farthest point sampling: the common part of both devices.
+// Greedy farthest point sampling: the part common to both devices.
 //
-// Expects cloud, start. Defines the arrays of the cloud by name, current (the point to be taken next) and keep_better.
+// Expects cloud, start. Defines the arrays of the cloud by name, current (the next point to select) and keep_better.
 //
-// Both devices take the same point: the largest squared distance, of equal ones the lowest index. A leaf whose box is
-// no nearer to the new point than the leaf's farthest point is to one taken does not change: no minimum in it would,
-// bit for bit. Leaves have 64 points, groups 64 leaves.
+// Both devices select the same point: the largest squared distance, among ties the lowest index. A leaf does not
+// change, bit for bit, if its box is no nearer to the new point than the leaf's farthest point is to a selected one: no
+// minimum inside would change. Leaves have 64 points, groups 64 leaves.
 
 const double* const x = cloud.x.data;
 const double* const y = cloud.y.data;

@@ -1,4 +1,4 @@
-"""Farthest point sampling: each point taken is the farthest from all before it; boxes say where not to look."""
+"""Farthest point sampling: each selected point is farthest from all earlier ones; bounding boxes prune the search."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
 __all__ = ["farthest_points"]
 
-# Powers of two up to this keep scaled coordinates finite: an extent is at least a rounding of the largest coordinate.
+# Exponents up to this keep scaled coordinates finite: an extent is at least a rounding of the largest coordinate.
 MOST_SCALE_BITS = 960
 
 
 def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.array", "wp.array"]:
-    """The points that greedy farthest point sampling takes, in its order.
+    """Select points by greedy farthest point sampling, in its order.
 
-    Points in Morton order are put into leaves of 64 and groups of 64 leaves, each with a box and the largest distance
-    of its points from those taken. Where a new point is no nearer to the box than that, nothing inside changes. The
-    order decides how much is passed over, never what is taken.
+    Points in Morton order form leaves of 64 and groups of 64 leaves, each with a bounding box and the largest distance
+    of its points from the selected ones. If a new point is no nearer to the box than that, nothing inside changes. The
+    order affects only how much is skipped, never the result.
 
     Args:
         points: vec3d positions (N,) [world].
-        count: How many to take, from 1 to N.
-        start: The first one.
+        count: Number of points to select, from 1 to N.
+        start: Index of the first point.
     Returns:
         vec3d positions (count,) [world] and int32 indices (count,).
     """
@@ -63,7 +63,7 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     launcher.launch(kernels.group_box_kernel, padded_groups, [cloud], [], device)
 
     indices = wp.empty(count, dtype=wp.int32, device=device)
-    # Each step needs the one before: one CPU thread, or the threads of one block of a GPU.
+    # Each step depends on the previous one: one CPU thread, or the threads of one GPU block.
     threads = 1 if device.is_cpu else launcher.BLOCK_DIM
     launcher.launch(kernels.greedy_kernel, threads, [cloud, first, count], [indices], device)
     taken = wp.empty(count, dtype=wp.vec3d, device=device)
@@ -72,4 +72,4 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
 
 
 def _already_finite() -> None:
-    """What is not finite has been refused when the points were read."""
+    """No operation: non-finite points have been rejected when they were read."""

@@ -8,7 +8,7 @@ for (int taken = 0; taken < count; ++taken) {
     squared[current] = -1.0;
     const d8 px = (d8)(x[current]), py = (d8)(y[current]), pz = (d8)(z[current]);
     const d8 zero = (d8)(0.0);
-    // One bit for each of eight boxes that hold a point which the new one may be nearest to.
+    // Bit mask of eight boxes that may hold a point to which the new point is the nearest.
     const auto changed = [&](const double* box, const double* far, int stride, int b) {
         const auto beside = [&](int axis, d8 p) {
             const d8 below = *(const d8*)(box + axis * stride + b) - p;
@@ -25,7 +25,7 @@ for (int taken = 0; taken < count; ++taken) {
     int at = -1;
     for (int base = 0; base < groups; base += 8) {
         unsigned wanted = changed(group_box, group_far, groups, base);
-        // The point taken leaves its own boxes even where all of their points are equal.
+        // The selected point is removed from its own boxes even if all of their points are equal.
         if ((current_group & ~7) == base)
             wanted |= 1u << (current_group & 7);
         for (; wanted; wanted &= wanted - 1) {

@@ -1,4 +1,4 @@
-// Greedy farthest point sampling by the threads of one block; votes of a CUDA warp say which leaves change.
+// Greedy farthest point sampling by the threads of one block; warp votes select the leaves that change.
 //
 // Expects farthest_points.inl, count, out_index.
 

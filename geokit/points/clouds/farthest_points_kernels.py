@@ -1,7 +1,7 @@
-"""Greedy farthest point sampling over points in leaves and groups of leaves, each with a box and its farthest point.
+"""Greedy farthest point sampling over leaves and groups of leaves, each with a box and its farthest point.
 
-The whole greedy loop runs in one launch: a launch for each point taken would cost more than its step does. It cannot
-be cut among the CPU's threads or the GPU's blocks.
+The whole greedy loop runs in one launch: a launch for each selected point would cost more than its step. The loop
+cannot be split among CPU threads or GPU blocks.
 """
 
 # mypy: ignore-errors
@@ -10,10 +10,10 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 
-# The distance from a box never exceeds that of a point in it, rounding included, only if both are rounded term by term.
+# The distance of a box never exceeds that of a point inside, rounding included, only if both are rounded term by term.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# The native loop has these numbers written down: 64 is a cache-friendly run of points, and the bits of a mask.
+# The C++ loop contains these numbers as literals: 64 points are a cache-friendly run and the bits of a mask.
 LEAF_POINTS = wp.constant(64)
 GROUP_LEAVES = wp.constant(64)
 GROUP_POINTS = wp.constant(4096)
@@ -24,9 +24,9 @@ NO_POINT = wp.constant(2147483647)
 class SampledCloud:
     """Points in leaves of LEAF_POINTS and groups of GROUP_LEAVES leaves.
 
-    ``squared`` is a point's squared distance from those taken; -1 for those taken and for padding. A leaf or group has
-    its box (six arrays one after the other: lower x, y, z, upper x, y, z), the largest ``squared`` in it, and the
-    position of the point that has it, of several the one with the lowest index.
+    ``squared`` is the squared distance of a point from the selected ones; -1 for selected points and for padding. Each
+    leaf and group has its box (six consecutive arrays: lower x, y, z, upper x, y, z), the largest ``squared`` in it,
+    and the position of the point with that value; among ties the point with the lowest index.
     """
 
     x: wp.array(dtype=wp.float64)
@@ -66,7 +66,7 @@ def gather_kernel(
     cloud: SampledCloud,
     out_start: wp.array(dtype=wp.int32),
 ):
-    """Scaled points in order, padding behind the last, and where the first point to be taken has come to be."""
+    """Scaled points in order with padding at the end, and the position of the first point to select."""
     i = first + wp.tid()
     p = wp.vec3d()
     squared = wp.float64(-1.0)
@@ -93,7 +93,7 @@ def put_box(box: wp.array(dtype=wp.float64), count: wp.int32, i: wp.int32, lower
 
 @wp.kernel
 def leaf_box_kernel(first: int, cloud: SampledCloud, point_count: wp.int32):
-    """Box of each leaf; one without points is infinitely far from everything and has nothing to give."""
+    """Box of each leaf; an empty leaf is infinitely far from everything and offers no point."""
     i = first + wp.tid()
     lower = wp.vec3d(wp.float64(wp.inf))
     upper = -lower
@@ -139,7 +139,7 @@ def greedy_kernel(
     count: wp.int32,
     out_index: wp.array(dtype=wp.int32),
 ):
-    """Takes ``count`` points; all threads of the one block that there is take part in every step."""
+    """Select ``count`` points; all threads of the single block take part in every step."""
     take_farthest(cloud, start, count, out_index)
 
 

@@ -1,4 +1,4 @@
-// Points the link of `i` to its root, also while other threads shorten links.
+// Points the link of `i` to its root, safely while other threads shorten links.
 //
 // Expects link, i. Every link read is that of some ancestor with its parity, before or after another thread has
 // shortened it.

@@ -1,7 +1,7 @@
-"""Planes through neighborhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
+"""Plane fits to neighborhoods of points: covariance, eigenvectors by Jacobi rotations, and signs from a viewpoint.
 
-Sums are taken about the point itself, whose differences to near points are exact in float64, so that neither an offset
-nor the scale of the points costs digits.
+Sums are relative to the point itself, whose differences to nearby points are exact in float64, so that neither an
+offset nor the scale of the points costs digits.
 """
 
 # mypy: ignore-errors
@@ -24,20 +24,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 # Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
-# Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then nothing. Twice that.
+# Number of sweeps. Rotations converge quadratically: off-diagonals of 1e-1, 1e-2, 1e-5, 1e-13 of the trace, then
+# nothing. Twice as many are allowed.
 MAX_SWEEPS = wp.constant(8)
-# Off-diagonals below this share of the trace turn no eigenvector by more than the roundings before them did.
+# Off-diagonals below this share of the trace turn no eigenvector by more than earlier roundings did.
 NEGLIGIBLE = wp.constant(wp.float64(2.0**-60))
-# Neighborhoods whose width, squared, is this share of their squared length are lines: eigenvalues are accurate to a
-# few 2^-53 of the largest, so a normal would be determined by their rounding.
+# Neighborhoods whose squared width is below this share of their squared length are lines: eigenvalues are accurate to a
+# few 2^-53 of the largest, so rounding would determine the normal.
 LINE_RELATIVE = wp.constant(wp.float64(2.0**-46))
-# So are those narrower than a few roundings of their coordinates, of half a step each.
+# Neighborhoods narrower than this many roundings of their coordinates, of half a step each, are lines too.
 LINE_ROUNDINGS = wp.constant(wp.float64(4.0 * 2.0**-53))
 
 
 @wp.struct
 class Eigen:
-    """Eigenvalues of a symmetric matrix and, with the same names, unit eigenvectors."""
+    """Eigenvalues of a symmetric matrix and, under the same names, unit eigenvectors."""
 
     values: wp.vec3d
     x: wp.vec3d
@@ -47,7 +48,7 @@ class Eigen:
 
 @wp.func
 def rotation_of(pp: wp.float64, qq: wp.float64, pq: wp.float64, least: wp.float64) -> wp.vec3d:
-    """Cosine, sine, tangent of the smaller angle that turns the off-diagonal ``pq`` to 0, if it is over ``least``."""
+    """Cosine, sine and tangent of the smaller angle that zeroes the off-diagonal ``pq``, if it exceeds ``least``."""
     c = wp.float64(1.0)
     s = wp.float64(0.0)
     t = wp.float64(0.0)
@@ -72,7 +73,7 @@ def rotated(
     q: wp.vec3d,
     least: wp.float64,
 ):
-    """One rotation: the entries of rows p and q of a symmetric matrix of three, and the eigenvectors p and q."""
+    """One rotation: entries of rows p and q of a symmetric 3 x 3 matrix, and the eigenvectors p and q."""
     r = rotation_of(pp, qq, pq, least)
     off = pq
     if wp.abs(pq) > least:
@@ -90,10 +91,11 @@ def rotated(
 
 @wp.func
 def eigen_of(m: wp.mat33d) -> Eigen:
-    """Eigenvalues and eigenvectors of a symmetric matrix, in no order.
+    """Eigenvalues and eigenvectors of a symmetric matrix, unordered.
 
     Source: Golub, Van Loan, Matrix Computations (2013), 8.5, cyclic by rows. Eigenvalues are accurate to 1e-15 of the
-    largest, eigenvectors orthonormal to 1e-15, each off by about 1e-15 of the largest over the gap to the others.
+    largest. Eigenvectors are orthonormal to 1e-15, each with an error of about 1e-15 of the largest eigenvalue over the
+    gap to the others.
     """
     a = m[0, 0]
     b = m[1, 1]
@@ -105,7 +107,7 @@ def eigen_of(m: wp.mat33d) -> Eigen:
     y = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
     z = wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
     limit = (wp.abs(a) + wp.abs(b) + wp.abs(c)) * NEGLIGIBLE
-    # Three of these are below the limit together.
+    # Three off-diagonals below this are together below the limit.
     least = wp.float64(0.25) * limit
     sweep = wp.int32(0)
     while sweep < MAX_SWEEPS and wp.abs(ab) + wp.abs(ac) + wp.abs(bc) > limit:
@@ -123,7 +125,7 @@ def eigen_of(m: wp.mat33d) -> Eigen:
 
 @wp.func
 def leading_up(n: wp.vec3d) -> wp.vec3d:
-    """The one of n and -n whose component of largest magnitude is positive, the first of such components."""
+    """The one of n and -n whose component of largest magnitude is positive; among ties the first component decides."""
     largest = n[0]
     if wp.abs(n[1]) > wp.abs(largest):
         largest = n[1]
@@ -142,10 +144,10 @@ class Plane:
 
 @wp.func
 def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
-    """Normal and surface variation of ``count`` points from the sums of their differences and of the products of these:
-    (x, y, z), (xx, xy, xz), (yy, yz, zz).
+    """Normal and surface variation of ``count`` points from sums of their differences and of the products of these.
 
-    ``rounding`` bounds the rounding of the coordinates, in the units of the differences.
+    ``sums`` holds (x, y, z), (xx, xy, xz), (yy, yz, zz). ``rounding`` bounds the rounding of the coordinates, in the
+    units of the differences.
     """
     plane = Plane()
     if count < 3:
@@ -174,7 +176,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     middle = (e[0] + e[1] + e[2]) - least - largest
     if middle <= largest * LINE_RELATIVE or middle <= rounding * rounding:
         return plane
-    # Orthonormal to a rounding already; its length is made 1 to the last bit.
+    # Already orthonormal to a rounding; normalizing makes the length 1 to the last bit.
     plane.normal = leading_up(normal / wp.sqrt(wp.dot(normal, normal)))
     plane.curvature = wp.max(least, wp.float64(0.0)) / (e[0] + e[1] + e[2])
     return plane
@@ -188,7 +190,7 @@ def row_sums(
     count: wp.int32,
     scale: wp.float64,
 ) -> wp.mat33d:
-    """Sums, as plane_of takes them, over the first ``count`` neighbors in row i of their differences to point i."""
+    """Sums for plane_of over the differences of the first ``count`` neighbors in row i to point i."""
     ...
 
 
@@ -205,7 +207,7 @@ def place_kernel(
     out_place: wp.array(dtype=wp.int32),
     out_points: wp.array(dtype=wp.vec3d),
 ):
-    """Where each point is in the order, and the points in this order."""
+    """Position of each point in the order, and the points in this order."""
     i = first + wp.tid()
     out_place[order[i]] = i
     out_points[i] = points[order[i]]
@@ -225,7 +227,7 @@ def place_row(
     i: wp.int32,
     out_neighbor: wp.array(dtype=wp.int32, ndim=2),
 ):
-    """Row i of ``out_neighbor``: where the points of a row of ``neighbor`` are. In C++, as row_sums is."""
+    """Row i of ``out_neighbor``: the positions of the points in a row of ``neighbor``. In C++, like row_sums."""
     ...
 
 
@@ -237,7 +239,7 @@ def place_neighbors_kernel(
     neighbor: wp.array(dtype=wp.int32, ndim=2),
     out_neighbor: wp.array(dtype=wp.int32, ndim=2),
 ):
-    """Rows of neighbors in the order, as places in it."""
+    """Rows of neighbors in the order, as positions in it."""
     i = first + wp.tid()
     place_row(place, neighbor, order[i], i, out_neighbor)
 
@@ -252,14 +254,14 @@ def nearest_plane_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_curvature: wp.array(dtype=wp.float64),
 ):
-    """Plane of each row of neighbors, the nearest first. Points and neighbors are in the order, distances not."""
+    """Plane of each row of neighbors, the nearest first. Points and neighbors are in the order, distances are not."""
     i = first + wp.tid()
     p = points[i]
     row = order[i]
     count = neighbor.shape[1]
     while count > 0 and neighbor[i, count - 1] < 0:
         count -= 1
-    # Differences of unit size at most: their squares stay in range.
+    # Differences of at most unit size: their squares stay in range.
     farthest = distance[row, wp.max(count - 1, 0)]
     scale = wp.float64(0.0)
     if farthest > wp.float64(0.0):
@@ -279,7 +281,7 @@ def within_plane_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_curvature: wp.array(dtype=wp.float64),
 ):
-    """Plane of the points within the radius of each point; ``scale`` makes their differences one at most."""
+    """Plane of the points within the radius of each point; ``scale`` makes their differences at most one."""
     s = first + wp.tid()
     p = wp.vec3d(grid.x[s], grid.y[s], grid.z[s])
     box = cells_around(grid, p, reach_of(radius))
@@ -311,7 +313,7 @@ def towards_kernel(
     viewpoint: wp.vec3d,
     out_normal: wp.array(dtype=wp.vec3d),
 ):
-    """Turns normals that point away from the viewpoint."""
+    """Flip normals that point away from the viewpoint."""
     i = first + wp.tid()
     if wp.dot(out_normal[i], viewpoint - points[i]) < wp.float64(0.0):
         out_normal[i] = -out_normal[i]

@@ -1,4 +1,4 @@
-"""Signs of normals that agree with their neighbours'."""
+"""Consistent orientation of normals along a minimum spanning tree."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ if TYPE_CHECKING:
 
 __all__ = ["propagate_signs"]
 
-# Each edge is listed twice, and lists are counted in int32.
+# Each edge is listed twice, and the lists are counted in int32.
 MAX_EDGES = 1 << 30
-# An edge's number has 32 bits beside the 32 of its weight.
+# The number of an edge has 32 bits beside the 32 bits of its weight.
 NUMBER_BITS = 32
 
 
 def propagate_signs(
     points: "wp.array", normal: "wp.array", order: "wp.array", neighbor: "wp.array", device: "wp.Device"
 ) -> None:
-    """Turns normals, in place, so that neighbours agree along a minimum spanning tree and the highest point's is up.
+    """Orient normals in place along a minimum spanning tree, with the normal of each component's highest point up.
 
     Args:
         points: vec3d (N,).
         normal: vec3d (N,), unit length or zeros; zeros have no edges.
-        order: The points in an order in which neighbours are near each other in memory, int32 (N,) or longer.
-        neighbor: Neighbours of each point of the order, as places in it, int32 (N, k), -1 for none.
-        device: Where they are.
+        order: The points in an order that puts neighbors close in memory, int32 (N,) or longer.
+        neighbor: Neighbors of each point of the order, as positions in it, int32 (N, k), -1 for none.
+        device: Device of the arrays.
     Raises:
         InputError: There are more than 2^30 edges, or 2^32 with k rounded up to a power of two.
     Source:
-        Boruvka's algorithm: each round joins every component to another across the least edge between them. An edge
-        weighs 1 - abs(n_i . n_j) in float32; equal ones are told apart by where they stand, so that the tree is one
-        and the same for every device and number of threads.
+        Boruvka's algorithm: each round joins every component to another one by the least edge between them. An edge
+        weighs 1 - abs(n_i . n_j) in float32; ties are broken by the edge's position, so that the tree is unique and the
+        same on every device and for any number of threads.
     """
     import warp as wp
 
     from geokit.points.clouds import orientation_kernels as kernels
 
     count = len(points)
-    # Bits of a column of the table.
+    # Number of bits of a column of the table.
     bits = (neighbor.shape[1] - 1).bit_length()
     if neighbor.size > MAX_EDGES or count > 1 << (NUMBER_BITS - bits):
         raise InputError(
-            f"k: {count} points with {neighbor.shape[1]} neighbours each are too many edges to number; "
+            f"k: {count} points with {neighbor.shape[1]} neighbors each are too many edges to number; "
             "give a smaller k, or another orientation"
         )
     none = int(kernels.NONE)
@@ -77,7 +77,7 @@ def propagate_signs(
 def _edges(
     normal: "wp.array", neighbor: "wp.array", bits: int, device: "wp.Device"
 ) -> tuple["wp.array", "wp.array", "wp.array"]:
-    """The edges of each point, the least first, and where its row begins and ends."""
+    """The edges of each point, the least first, and the beginning and end of each row."""
     import warp as wp
 
     from geokit.points.clouds import orientation_kernels as kernels

@@ -1,12 +1,13 @@
-"""Signs of normals along a minimum spanning tree, by Boruvka's rounds with a union-find that carries parities.
+"""Orientation of normals along a minimum spanning tree, by Boruvka's rounds on a union-find with parities.
 
-A link is an ancestor and a parity, ``ancestor << 1 | parity``: whether a normal and its ancestor's have opposite signs
-along the tree. The tree itself is never stored. Both halves of a link change together, in one store of 64 bits.
+A link is an ancestor and a parity, ``ancestor << 1 | parity``. The parity says whether a normal and that of its
+ancestor have opposite signs along the tree. The tree itself is never stored. Both parts of a link change together, in
+one 64-bit store.
 
 An edge is a weight and a number, ``weight << 32 | number``, both of 32 bits: edges compare by weight, and no two are
-equal. The number, ``row << bits | column``, says where in the table of neighbors the edge stands. Each point has a row
-of all its edges, the least first; those at its beginning that have become edges within a component are passed over once
-and for all.
+equal. The number, ``row << bits | column``, is the edge's position in the table of neighbors. Each point has a row of
+all its edges, the least first. Edges at the start of the row that have become internal to a component are skipped for
+good.
 """
 
 # mypy: ignore-errors
@@ -18,15 +19,15 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Above every edge and every index.
+# Larger than every edge and every index.
 NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-# Smaller components are 0 but for rounding, and their signs carry no information.
+# Smaller components are 0 up to rounding, and their signs carry no information.
 NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
 
 
 @wp.func_native(cpp("points/clouds/flatten_link.inl"))
 def flatten(link: wp.array(dtype=wp.int64), i: wp.int32):
-    """Points the link of i to its root."""
+    """Point the link of i directly to its root (path compression)."""
     ...
 
 
@@ -37,7 +38,7 @@ def flatten(link: wp.array(dtype=wp.int64), i: wp.int32):
     return (int64_t)(((uint64_t)bits << 32) | (uint64_t)number);
 """)
 def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
-    """An edge by its weight, rounded to float32 and not negative, whose bits compare as it does, and its number."""
+    """An edge from its number and its weight, rounded to non-negative float32, whose bits sort like its value."""
     ...
 
 
@@ -49,13 +50,13 @@ def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
 #endif
 """)
 def add_one(values: wp.array(dtype=wp.int32), at: wp.int32) -> wp.int32:
-    """Adds 1 to ``values[at]``, also in several threads of a CPU, and returns its old value."""
+    """Atomically add 1 to ``values[at]``, across CPU threads too, and return its old value."""
     ...
 
 
 @wp.func_native(cpp("points/clouds/sort_edges.inl"))
 def sort_row(begin: wp.int32, count: wp.int32, values: wp.array(dtype=wp.int64)):
-    """Sorts ``count`` values from ``begin`` on, in place (Shell 1959, gaps of Tokuda 1992)."""
+    """Sort ``count`` values from ``begin`` on, in place (Shell 1959, gaps of Tokuda 1992)."""
     ...
 
 
@@ -72,7 +73,7 @@ def start_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_link: wp.array(dtype=wp.int64),
 ):
-    """Normals in the order in which they are worked on; each point is its own root."""
+    """Normals in processing order; each point is its own root."""
     i = first + wp.tid()
     out_normal[i] = normal[order[i]]
     out_link[i] = wp.int64(i) << wp.int64(1)
@@ -80,9 +81,9 @@ def start_kernel(
 
 @wp.func_native(cpp("points/clouds/owns_edge.inl"))
 def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether i, which has j for a neighbor, is the one to list their edge: where both do, the lower does.
+    """Whether point i, which has the neighbor j, lists their edge; if both have each other, the lower index lists it.
 
-    In C++, where the loop over a row is one of vectors.
+    In C++, where the loop over a row is vectorized.
     """
     ...
 
@@ -113,7 +114,7 @@ def edge_kernel(
     out_end: wp.array(dtype=wp.int32),
     out_edge: wp.array(dtype=wp.int64),
 ):
-    """The edges of each point, in no order, from where ``out_end`` says; it is moved on to where they end."""
+    """The edges of each point, unordered, from the position in ``out_end`` on, which is advanced to their end."""
     i = first + wp.tid()
     n = normal[i]
     if not is_zero(n):
@@ -133,7 +134,7 @@ def sort_kernel(
     end: wp.array(dtype=wp.int32),
     out_edge: wp.array(dtype=wp.int64),
 ):
-    """Each row in ascending order."""
+    """Sort each row in ascending order."""
     i = first + wp.tid()
     sort_row(begin[i], end[i] - begin[i], out_edge)
 
@@ -158,7 +159,7 @@ def best_edge_kernel(
     out_begin: wp.array(dtype=wp.int32),
     out_best: wp.array(dtype=wp.int64),
 ):
-    """The least edge that leaves each component, at its root; rows lose the edges that leave none."""
+    """The least edge that leaves each component, at its root; edges inside a component are removed from the rows."""
     i = first + wp.tid()
     at = out_begin[i]
     if at == end[i]:
@@ -185,7 +186,7 @@ def hook_kernel(
     out_hook: wp.array(dtype=wp.int64),
     out_hooked: wp.array(dtype=wp.int32),
 ):
-    """The link that each root gets across its best edge; -1 for none."""
+    """The link of each root across its best edge; -1 for none."""
     r = first + wp.tid()
     out_hook[r] = wp.int64(-1)
     if best[r] == NONE:
@@ -193,7 +194,7 @@ def hook_kernel(
     i = wp.int32(wp.uint32(best[r] & wp.int64(0xFFFFFFFF)) >> wp.uint32(bits))
     j = across(best[r], i, bits, neighbor)
     other = (link[i] ^ link[j]) >> wp.int64(1) ^ wp.int64(r)
-    # Edges are in a strict order: two components can only have chosen each other, longer circles there are none.
+    # Edges are strictly ordered: two components may choose each other, but no longer cycles exist.
     if best[wp.int32(other)] == best[r] and wp.int64(r) < other:
         return
     opposite = wp.int64(0)
@@ -207,7 +208,7 @@ def hook_kernel(
 def apply_kernel(
     first: int, hook: wp.array(dtype=wp.int64), out_link: wp.array(dtype=wp.int64), out_best: wp.array(dtype=wp.int64)
 ):
-    """Links the roots that are to be linked."""
+    """Apply the links of the roots."""
     r = first + wp.tid()
     out_best[r] = NONE
     if hook[r] >= wp.int64(0):
@@ -227,13 +228,13 @@ def flatten_kernel(first: int, out_link: wp.array(dtype=wp.int64)):
     return bits < 0 ? bits ^ 0x7fffffffffffffff : bits;
 """)
 def depth_key(z: wp.float64) -> wp.int64:
-    """Orders finite numbers downwards."""
+    """Integer key that orders finite numbers from large to small."""
     ...
 
 
 @wp.func
 def points_down(n: wp.vec3d) -> wp.bool:
-    """Whether z is negative; if z is 0 but for rounding, y decides, then x."""
+    """Whether z is negative; if z is 0 up to rounding, y decides, then x."""
     deciding = n[0]
     if wp.abs(n[1]) > NO_COMPONENT:
         deciding = n[1]
@@ -250,7 +251,7 @@ def highest_kernel(
     link: wp.array(dtype=wp.int64),
     out_highest: wp.array(dtype=wp.int64),
 ):
-    """The greatest z of each component, as a key."""
+    """Greatest z of each component, as a key."""
     i = first + wp.tid()
     lower_to(out_highest, wp.int32(link[i] >> wp.int64(1)), depth_key(points[order[i]][2]))
 
@@ -264,7 +265,7 @@ def seed_kernel(
     highest: wp.array(dtype=wp.int64),
     out_seed: wp.array(dtype=wp.int64),
 ):
-    """The highest point of each component with the lowest index, ``index << 32 | i``."""
+    """Lowest index among the highest points of each component, ``index << 32 | i``."""
     i = first + wp.tid()
     root = wp.int32(link[i] >> wp.int64(1))
     if depth_key(points[order[i]][2]) == highest[root]:
@@ -279,7 +280,7 @@ def turn_root_kernel(
     seed: wp.array(dtype=wp.int64),
     out_turn: wp.array(dtype=wp.int64),
 ):
-    """1 for roots whose normals must be turned for those of their seeds to point upwards."""
+    """1 for roots whose normals must be flipped so that those of their seeds point up."""
     r = first + wp.tid()
     if seed[r] != NONE:
         s = wp.int32(seed[r] & wp.int64(0xFFFFFFFF))
@@ -297,7 +298,7 @@ def turn_kernel(
     turn: wp.array(dtype=wp.int64),
     out_normal: wp.array(dtype=wp.vec3d),
 ):
-    """Turns the normals whose parity to their root, and the turn of the root, require it."""
+    """Flip the normals according to their parity to the root and the flip of the root."""
     i = first + wp.tid()
     if ((turn[wp.int32(link[i] >> wp.int64(1))] ^ link[i]) & wp.int64(1)) == wp.int64(1):
         out_normal[order[i]] = -out_normal[order[i]]

@@ -1,4 +1,4 @@
-"""Mean distances to neighbors, and which of them are too long."""
+"""Mean distances to neighbors, and the comparison with a threshold."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -13,7 +13,7 @@ def mean_distance_kernel(
     distance: wp.array(dtype=wp.float64, ndim=2),
     out_mean: wp.array(dtype=wp.float64),
 ):
-    """Mean of each row's finite distances, summed from the nearest on; 0 where there is none."""
+    """Mean of the finite distances of each row, summed from the nearest on; 0 if there is none."""
     i = first + wp.tid()
     total = wp.float64(0.0)
     found = wp.int32(0)

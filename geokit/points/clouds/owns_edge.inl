@@ -1,6 +1,6 @@
-// Whether i, which has j for a neighbor, is the one to list their edge: where both do, the lower does.
+// Whether point i, which has the neighbor j, lists their edge; if both have each other, the lower index lists it.
 //
-// Expects neighbor, i, j. Returns the answer. In C++, where the loop over a row is vectorized.
+// Expects neighbor, i, j. Returns the result. In C++, where the loop over a row is vectorized.
 
 const int width = neighbor.shape[1];
 if (j < 0 || j == i)

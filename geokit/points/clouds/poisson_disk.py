@@ -1,4 +1,4 @@
-"""Poisson-disk subsets: what trying the points one after the other in random order would take, in parallel rounds."""
+"""Poisson-disk subsets: the result of trying points sequentially in random order, computed in parallel rounds."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["poisson_disk_subset"]
 
-# Rounded squared distances of at most the squared radius belong to coordinates that differ by no more than that: five
-# roundings of the radius, and squares that vanish.
+# Points whose rounded squared distance is at most the squared radius may be slightly farther apart than the radius: by
+# five roundings of it, and by squares that vanish.
 REACH_RELATIVE = 1e-15
 REACH_ABSOLUTE = 1e-161
 
@@ -23,17 +23,17 @@ REACH_ABSOLUTE = 1e-161
 def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["wp.array", "wp.array"]:
     """A maximal subset of points that are at least the radius apart.
 
-    A round takes the undecided points that have no undecided one near them that comes before them in the order, and
-    refuses those near to a taken one: the outcome is that of the sequence, whatever is done at the same time. The
-    number of rounds grows with the logarithm of the number of points. Each round sorts the undecided points into cells
-    in the order in which they are tried: the first that a search looks at are the most likely to come before.
+    Each round takes the undecided points that precede all their undecided neighbors in the order, then rejects the
+    neighbors of taken points. The result equals that of the sequential method, whatever runs in parallel. The number of
+    rounds grows with the logarithm of the number of points. Each round sorts the undecided points into cells in the
+    order in which they are tried, because the points that a search sees first are then the most likely to precede.
 
     Args:
         points: vec3d positions (N,) [world].
         radius: Least distance [world].
-        seed: Of the random order in which points are tried.
+        seed: Seed of the random order in which points are tried.
     Returns:
-        The points that are left, vec3d (M,) [world], and their indices (M,) int32, ascending.
+        The kept points, vec3d (M,) [world], and their indices (M,) int32, ascending.
     """
     import warp as wp
 
@@ -43,7 +43,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     count = len(points)
     if count == 0:
         return points, wp.empty(0, dtype=wp.int32, device=device)
-    # Nearer than the radius is at most the largest number below its square: what the masks compare with is closed.
+    # Masks compare with "at most": the largest number below the squared radius expresses "nearer than the radius".
     with np.errstate(over="ignore"):
         below = float(np.nextafter(np.float64(radius) * np.float64(radius), -np.inf))
     search = [wp.float64(radius * (1.0 + REACH_RELATIVE) + REACH_ABSOLUTE), wp.float64(below)]
@@ -55,7 +55,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
         rows = wp.empty(len(waiting), dtype=wp.vec3d, device=device)
         launcher.launch(kernels.gather_kernel, len(waiting), [points, waiting], [rows], device)
         grid = NeighborGrid(rows, radius, device=device)._cells_for(radius).grid
-        # By sorted position: 1 is taken, 2 refused.
+        # By sorted position: 1 is taken, 2 is rejected.
         state = wp.zeros(len(waiting), dtype=wp.int8, device=device)
         launcher.launch(kernels.take_kernel, len(waiting), [grid, *search], [state], device)
         launcher.launch(kernels.refuse_kernel, len(waiting), [grid, *search], [state], device)
@@ -66,7 +66,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
 
 
 def _those_left(waiting: "wp.array", left: "wp.array") -> "wp.array":
-    """The entries whose flag is 1, in their order."""
+    """The entries whose flag is 1, in order."""
     import warp as wp
 
     from geokit.points.clouds.poisson_disk_kernels import keep_kernel
@@ -92,7 +92,7 @@ def _those_taken(points: "wp.array", taken: "wp.array") -> tuple["wp.array", "wp
 
 
 def _counted(flag: "wp.array") -> tuple["wp.array", int]:
-    """How many flags are 1 up to and with each, and in all."""
+    """Inclusive prefix sum of the flags, and their total."""
     import warp as wp
 
     place = wp.empty(len(flag), dtype=wp.int32, device=flag.device)

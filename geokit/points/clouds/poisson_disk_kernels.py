@@ -1,7 +1,7 @@
-"""Rounds of a greedy maximal independent set: points that come first among their undecided neighbors are taken.
+"""Rounds of a greedy maximal independent set: points that precede all their undecided neighbors are taken.
 
-The undecided points are those of a CellGrid, numbered in the order in which they are tried. A state is written by
-several threads only with the same value, and no kernel reads what it writes but for that.
+The undecided points are those of a CellGrid, numbered in the order in which they are tried. Threads write a state
+concurrently only with the same value, and no kernel reads what it writes in any other way.
 """
 
 # mypy: ignore-errors
@@ -36,7 +36,7 @@ def is_first(i: wp.int32, grid: CellGrid, reach: wp.float64, limit: wp.float64) 
     """Whether no neighbor of the sorted point i is tried before it."""
     q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
     number = grid.index[i]
-    # Those of its own cell that are tried first: where there are many neighbors this settles it.
+    # First the points of its own cell with the lowest numbers: among many neighbors these usually decide.
     own = row_range(grid, cells_around(grid, q, wp.float64(0.0)), 0)
     if comes_before(grid, own[0], own[1], q, limit, number):
         return False
@@ -51,7 +51,7 @@ def is_first(i: wp.int32, grid: CellGrid, reach: wp.float64, limit: wp.float64) 
 
 @wp.kernel
 def take_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
-    """Takes the points that are tried before all their neighbors."""
+    """Take the points that are tried before all their neighbors."""
     i = first + wp.tid()
     if is_first(i, grid, reach, limit):
         out_state[i] = TAKEN
@@ -59,7 +59,7 @@ def take_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64
 
 @wp.kernel
 def refuse_kernel(first: int, grid: CellGrid, reach: wp.float64, limit: wp.float64, out_state: wp.array(dtype=wp.int8)):
-    """Refuses the neighbors of the points that have been taken, of which none is another's neighbor."""
+    """Reject the neighbors of the taken points; no two taken points are neighbors."""
     i = first + wp.tid()
     if out_state[i] == TAKEN:
         q = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
@@ -84,7 +84,7 @@ def outcome_kernel(
     out_left: wp.array(dtype=wp.int32),
     out_taken: wp.array(dtype=wp.int32),
 ):
-    """1 for what is still waiting, by its number, and for what has been taken, by its index among all points."""
+    """1 for points still waiting, by number, and for points taken, by index among all points."""
     i = first + wp.tid()
     number = grid.index[i]
     out_left[number] = wp.where(state[i] == WAITING, 1, 0)
@@ -111,7 +111,7 @@ def keep_kernel(
     place: wp.array(dtype=wp.int32),
     out_entry: wp.array(dtype=wp.int32),
 ):
-    """The entries with a flag; ``place`` counts them up to and with each."""
+    """Compact the flagged entries; ``place`` is the inclusive prefix sum of the flags."""
     i = first + wp.tid()
     if flag[i] == 1:
         out_entry[place[i] - 1] = entry[i]
@@ -126,7 +126,7 @@ def keep_points_kernel(
     out_points: wp.array(dtype=wp.vec3d),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """The points with a flag and their indices; ``place`` counts them up to and with each."""
+    """Compact the flagged points and their indices; ``place`` is the inclusive prefix sum of the flags."""
     i = first + wp.tid()
     if flag[i] == 1:
         out_points[place[i] - 1] = points[i]

@@ -1,7 +1,7 @@
-"""Steps of iterative closest points: moved points, their partners, and the sums that a step is solved from.
+"""Steps of iterative closest points: moved points, their partners, and the sums for solving a step.
 
-Sums go over runs of points and are added up in the order of the runs: equal bits for any number of threads, on any
-device. Coordinates are taken relative to a centre near the points, so that far from the origin nothing is lost.
+Sums run over fixed runs of points and are added in the order of the runs: the same bits for any number of threads, on
+any device. Coordinates are relative to a center near the points, so that no digits are lost far from the origin.
 """
 
 # mypy: ignore-errors
@@ -10,11 +10,11 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Points that one item sums up, and the numbers it gives.
+# Points summed by one item, and the number of sums.
 SUM_RUN = wp.constant(256)
-# Pairs, squared distances, 21 products of the six columns, six with the residual.
+# Number of pairs, squared distances, 21 products of the six columns, six products with the residual.
 PLANE_SUMS = wp.constant(29)
-# Pairs, squared distances, two sums of positions, nine products.
+# Number of pairs, squared distances, two sums of positions, nine products.
 POINT_SUMS = wp.constant(17)
 
 
@@ -34,21 +34,21 @@ def move_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
     rotation: wp.mat33d,
-    centre: wp.vec3d,
+    center: wp.vec3d,
     place: wp.vec3d,
     out_points: wp.array(dtype=wp.vec3d),
 ):
-    """Points turned about ``centre``, which comes to ``place``."""
+    """Rotate points about ``center``, which moves to ``place``."""
     i = first + wp.tid()
-    out_points[i] = rotation * (points[i] - centre) + place
+    out_points[i] = rotation * (points[i] - center) + place
 
 
 @wp.kernel
 def unit_kernel(first: int, normals: wp.array(dtype=wp.vec3d), out_normals: wp.array(dtype=wp.vec3d)):
-    """Vectors of length 1; zeros stay zero, and their planes take no part."""
+    """Normalize vectors; zeros stay zero, and their planes take no part."""
     i = first + wp.tid()
     n = normals[i]
-    # Of about unit size before they are squared.
+    # Scaled to about unit size before squaring.
     largest = wp.max(wp.max(wp.abs(n[0]), wp.abs(n[1])), wp.abs(n[2]))
     unit = wp.vec3d()
     if largest > wp.float64(0.0):
@@ -66,9 +66,9 @@ def limit_kernel(
     most: wp.float64,
     out_limit: wp.array(dtype=wp.float64),
 ):
-    """Squared distance of each point from a target's point that was its partner, or ``most`` if that is less.
+    """Squared distance of each point from its previous partner in the target, or ``most`` if that is less.
 
-    Rounded as the search rounds it: the limit does not leave that partner out.
+    Rounded as in the search: the limit does not exclude that partner.
     """
     i = first + wp.tid()
     limit = most
@@ -89,7 +89,7 @@ def cloud_partner_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_paired: wp.array(dtype=wp.int32),
 ):
-    """The point of the target that was found for each point, if any; its normal, if there are any."""
+    """Position and normal of the target point found for each point; a flag says whether there is one."""
     i = first + wp.tid()
     j = index[i]
     paired = wp.int32(0)
@@ -111,7 +111,7 @@ def surface_partner_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_paired: wp.array(dtype=wp.int32),
 ):
-    """The closest point of a surface, and its triangle's normal."""
+    """Closest point on a surface, and the normal of its triangle."""
     i = first + wp.tid()
     t = triangle_id[i]
     paired = wp.int32(0)
@@ -133,7 +133,7 @@ def volume_partner_kernel(
     out_normal: wp.array(dtype=wp.vec3d),
     out_paired: wp.array(dtype=wp.int32),
 ):
-    """Down a distance field's gradient to its zero level; where it has none there is no partner."""
+    """Point on the zero level of a distance field, reached along the gradient; no partner without a gradient."""
     i = first + wp.tid()
     g = gradient[i]
     length = wp.sqrt((g[0] * g[0] + g[1] * g[1]) + g[2] * g[2])
@@ -153,14 +153,15 @@ def plane_sums_kernel(
     partner: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d),
     paired: wp.array(dtype=wp.int32),
-    centre: wp.vec3d,
+    center: wp.vec3d,
     inverse_size: wp.float64,
     out_sums: wp.array(dtype=wp.float64, ndim=2),
 ):
-    """Normal equations of the distances from the partners' planes under a small turn about ``centre`` and a shift.
+    """Normal equations for the distances from the partners' planes, under a small rotation about ``center`` and a
+    shift.
 
-    A pair's row is ``((p - centre) / size x n, n)``: the turn is counted by how far it moves what is a size away, so
-    that all six unknowns are lengths.
+    The row of a pair is ``((p - center) / size x n, n)``: the rotation is measured by the displacement at distance
+    ``size``, so that all six unknowns are lengths.
     """
     run = first + wp.tid()
     count = wp.float64(0.0)
@@ -171,7 +172,7 @@ def plane_sums_kernel(
         if paired[i] == 1:
             n = normal[i]
             d = points[i] - partner[i]
-            c = wp.cross((points[i] - centre) * inverse_size, n)
+            c = wp.cross((points[i] - center) * inverse_size, n)
             row = wp.vector(c[0], c[1], c[2], n[0], n[1], n[2])
             count += wp.float64(1.0)
             squares += (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]
@@ -195,10 +196,10 @@ def point_sums_kernel(
     points: wp.array(dtype=wp.vec3d),
     partner: wp.array(dtype=wp.vec3d),
     paired: wp.array(dtype=wp.int32),
-    centre: wp.vec3d,
+    center: wp.vec3d,
     out_sums: wp.array(dtype=wp.float64, ndim=2),
 ):
-    """Sums of the pairs' positions relative to ``centre`` and of their products."""
+    """Sums of the pairs' positions relative to ``center`` and of their products."""
     run = first + wp.tid()
     count = wp.float64(0.0)
     squares = wp.float64(0.0)
@@ -207,8 +208,8 @@ def point_sums_kernel(
     product = wp.mat33d()
     for i in range(run * SUM_RUN, wp.min((run + 1) * SUM_RUN, points.shape[0])):
         if paired[i] == 1:
-            p = points[i] - centre
-            q = partner[i] - centre
+            p = points[i] - center
+            q = partner[i] - center
             d = points[i] - partner[i]
             count += wp.float64(1.0)
             squares += (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]

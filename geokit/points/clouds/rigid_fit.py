@@ -1,4 +1,4 @@
-"""The rigid step that brings pairs together best, from their sums: distances from planes, or between points."""
+"""The best rigid step for paired points, from their sums: by distances from planes or between points."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 __all__ = ["Step", "orthonormal", "plane_step", "point_step"]
 
-# A direction of motion that changes the distances from the planes by less than a millionth of itself is free: the
-# eigenvalues are squares. Sums in float64 leave about 1e-16 of what cancels, data with six digits 1e-12.
+# A motion that changes the distances from the planes by less than a millionth of itself is undetermined; the
+# eigenvalues are squares. Float64 sums leave about 1e-16 of canceled terms, data with six digits 1e-12.
 FREE_EIGENVALUE = 1e-12
-# Singular values of the pairs' products are squares of lengths too: points are on a line, or all in one place, where
-# they spread to the side by less than a millionth of their extent.
+# Singular values of the pairs' products are squares of lengths too. Points are collinear or coincide if their width is
+# less than a millionth of their extent.
 FREE_SINGULAR_VALUE = 1e-12
 
 
 class Step(NamedTuple):
-    """A turn about a centre and where the centre goes.
+    """A rotation about a center and the shift of the center.
 
     Attributes:
         rotation: Shape (3, 3).
-        shift: Of the centre [world], shape (3,).
-        rank: How many of the six ways to move the pairs determine; the others were left alone.
+        shift: Shift of the center [world], shape (3,).
+        rank: Number of the six degrees of freedom that the pairs determine; the others are left unchanged.
     """
 
     rotation: NDArray[np.float64]
@@ -32,11 +32,11 @@ class Step(NamedTuple):
 
 
 def plane_step(sums: NDArray[np.float64], size: float) -> Step:
-    """The Gauss-Newton step for the squared distances from the partners' planes, the shortest where there are several.
+    """Gauss-Newton step for the squared distances from the partners' planes; of least norm if it is not unique.
 
     Args:
         sums: The 29 sums of plane_sums_kernel.
-        size: The length [world] that turns were counted with.
+        size: The length [world] by which rotations are measured.
     """
     matrix = np.zeros((6, 6))
     matrix[np.triu_indices(6)] = sums[2:23]
@@ -49,7 +49,7 @@ def plane_step(sums: NDArray[np.float64], size: float) -> Step:
 
 
 def point_step(sums: NDArray[np.float64]) -> Step:
-    """The motion that leaves the least squared distances between the points of pairs; never a reflection.
+    """Motion that minimizes the squared distances between paired points; never a reflection.
 
     Args:
         sums: The 17 sums of point_sums_kernel.
@@ -72,7 +72,7 @@ def point_step(sums: NDArray[np.float64]) -> Step:
 
 
 def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest rotation to a matrix that roundings have moved away from one."""
+    """The rotation nearest to a matrix that roundings have made slightly non-orthonormal."""
     u, _, vt = np.linalg.svd(rotation)
     return u @ vt
 
@@ -82,20 +82,20 @@ def _rotation_by(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # sin(a) / a and (1 - cos(a)) / a^2, which np.sinc holds through a = 0.
+    # sin(a) / a and (1 - cos(a)) / a^2, by np.sinc to be accurate at a = 0.
     sine, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
     return np.eye(3) + sine * cross + 0.5 * half * half * (cross @ cross)
 
 
 def _least_rotation(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The shortest way to turn one unit vector into another."""
+    """The rotation by the smallest angle from one unit vector to another."""
     axis = np.cross(start, end)
     sine, cosine = float(np.linalg.norm(axis)), float(start @ end)
     if sine > 0.0:
         return _rotation_by(axis * (np.arctan2(sine, cosine) / sine))
     if cosine > 0.0:
         return np.eye(3)
-    # Half a turn about any axis across it.
+    # Half a turn about any perpendicular axis.
     across = np.eye(3)[np.argmin(np.abs(start))]
     across = across - start * (start @ across)
     return 2.0 * np.outer(across, across) / (across @ across) - np.eye(3)

@@ -1,8 +1,8 @@
-// Sums over the first `count` neighbors of point i of their differences to it, and of the products of these.
+// Sums of the differences of the first `count` neighbors to point i, and of the products of these differences.
 //
 // Expects points, neighbor, i, count, scale. Returns (x, y, z), (xx, xy, xz), (yy, yz, zz).
 //
-// In C++, because warp's own access to an array goes through its strides, which takes longer here than the sums.
+// In C++, because warp accesses arrays through their strides, which takes longer here than the sums.
 
 const int* const row = neighbor.data + (int64_t)i * neighbor.shape[1];
 const double px = points.data[i][0], py = points.data[i][1], pz = points.data[i][2];

@@ -1,4 +1,4 @@
-// Sorts `count` values from `begin` on, in place: Shell's sort, gaps of Tokuda 1992.
+// Sorts `count` values from `begin` on, in place: Shell sort, gaps of Tokuda 1992.
 //
 // Expects values, begin, count.
 

@@ -1,6 +1,6 @@
-// Joins the sets of a and b in a union-find that several threads work on; the lower root becomes the root of both.
+// Joins the sets of a and b in a union-find shared by several threads; the lower root becomes the root of both.
 //
-// Expects parent, a, b. warp's own atomics are plain reads and writes on a CPU, where geokit runs a launch in several
+// Expects parent, a, b. warp's atomics are plain reads and writes on a CPU, where geokit splits a launch over several
 // threads.
 
 #if defined(__CUDA_ARCH__)

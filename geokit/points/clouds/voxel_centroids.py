@@ -1,4 +1,4 @@
-"""Centroids of the points in each voxel of a grid: points put in the order of their voxels, then a sum for each run."""
+"""Centroids of the points in each voxel of a grid: points are sorted by voxel, then each run is summed."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 __all__ = ["VoxelOrder", "centroids_by_pieces", "voxel_centroids"]
 
-# Beyond, a coordinate's voxel number is not a whole number that float64 holds with all others around it.
+# Beyond this, float64 does not represent consecutive whole voxel numbers.
 MOST_VOXELS_FROM_ORIGIN = 2.0**52
-# Voxels of the whole box that one 63-bit key numbers.
+# Most voxels of the bounding box that one 63-bit key can number.
 MOST_KEYS = 2**62
-# Counting by voxel takes a count of each voxel for each thread: where these would be many more than the points, a sort
-# is as quick and smaller. Places are int32.
+# Counting by voxel needs a count of each voxel for each thread. If these are many more than the points, a sort is as
+# fast and needs less memory. Positions are int32.
 COUNTS_PER_POINT = 8
 COUNTS_MORE = 1 << 16
 MOST_COUNTS = 2**31 - 1
-# Fewer points than this are one thread's: to wake another takes longer.
+# Fewer points than this are processed by one thread: waking another takes longer.
 COUNTED_SHARE = 1 << 18
 
 
 class VoxelOrder(NamedTuple):
-    """Points voxel after voxel, their indices, and where each voxel's begin, with their number at the end."""
+    """Points sorted by voxel, their indices, and the beginning of each voxel's points, with the total at the end."""
 
     points: "wp.array"
     index: "wp.array"
@@ -37,7 +37,7 @@ class VoxelOrder(NamedTuple):
 
 
 def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", "wp.array"]:
-    """Centroids of the occupied voxels by ascending (z, y, x), and the point of each that is nearest to it.
+    """Centroids of the occupied voxels by ascending (z, y, x), and the point of each voxel nearest to its centroid.
 
     Args:
         points: vec3d positions (N,) [world].
@@ -45,7 +45,7 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
     Returns:
         vec3d centroids (M,) [world] and int32 indices (M,).
     Raises:
-        InputError: Voxels are too small for coordinates as large as these.
+        InputError: The voxels are too small for coordinates of this size.
     """
     import warp as wp
 
@@ -73,7 +73,7 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
 
 
 def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
-    """What a thread for each voxel gets, bit for bit, with a thread for each piece of a voxel."""
+    """Same bits as with one thread for each voxel, with one thread for each piece of a voxel."""
     import warp as wp
 
     from geokit.points.clouds import voxel_centroids_kernels as kernels
@@ -101,7 +101,7 @@ def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
 
 
 def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> VoxelOrder:
-    """The points by voxel: those of the box between two voxels of whole numbers."""
+    """Points sorted by voxel, within the box between two voxels given by whole numbers."""
     # Whole numbers below 2^53: exact as Python's.
     sizes = [int(b) - int(a) + 1 for a, b in zip(lower, upper, strict=True)]
     voxel_count = sizes[0] * sizes[1] * sizes[2]
@@ -118,7 +118,7 @@ def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> 
 
 
 def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int], shares: int) -> VoxelOrder:
-    """Each thread of a CPU counts a share of the points by voxel, then puts it where it belongs."""
+    """Counting sort on a CPU: each thread counts a share of the points by voxel, then places it."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import count_kernel, scatter_kernel
@@ -135,7 +135,7 @@ def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list
     occupied = np.flatnonzero(total)
     begin = np.zeros(len(occupied) + 1, np.int32)
     np.cumsum(total[occupied], out=begin[1:])
-    # The places of a voxel go to the shares in turn: its points stay in the order in which they came.
+    # Within a voxel, positions are assigned to the shares in order: its points keep their original order.
     place = begin[:-1].copy()
     for share in counts:
         own_counts = share[occupied]
@@ -152,7 +152,7 @@ def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list
 
 
 def _voxel_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int]) -> "wp.array":
-    """The number of each point's voxel in the box, in the first half of an array."""
+    """Number of each point's voxel in the box, in the first half of an array."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import key_kernel
@@ -164,9 +164,9 @@ def _voxel_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: l
 
 
 def _layer_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int]) -> tuple["wp.array", int]:
-    """Keys for a box of more voxels than 63 bits can number, in the first half of an array, and how many there may be.
+    """Keys for a box with more voxels than 63 bits can number, in the first half of an array, and their number range.
 
-    The occupied layers of each axis are numbered instead, at most 2^31 of them, and two axes at a time.
+    The occupied layers of each axis are numbered instead, at most 2^31 of them, and two axes are combined at a time.
     """
     import warp as wp
 
@@ -191,7 +191,7 @@ def _layer_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: l
 
 
 def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", int]:
-    """The number of each key among the different ones, ascending, and how many different ones there are."""
+    """Rank of each key among the distinct keys, ascending, and the number of distinct keys."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import rank_kernel
@@ -203,7 +203,7 @@ def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", i
 
 
 def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
-    """The points by ascending key, of which the first half of an array has one for each; stable."""
+    """Points sorted by ascending key, stable; the keys are in the first half of an array."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import begin_kernel, gather_kernel
@@ -223,7 +223,7 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
 
 
 def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array"]:
-    """The order that sorts the keys, stable, and for each sorted one how many different ones there are up to it."""
+    """The stable order that sorts the keys, and for each sorted key the number of distinct keys up to it."""
     import warp as wp
 
     from geokit.core.morton_order_kernels import identity_kernel
@@ -241,4 +241,4 @@ def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.a
 
 
 def _already_finite() -> None:
-    """What is not finite has been refused when the points were read."""
+    """No operation: non-finite points have been rejected when they were read."""

@@ -4,10 +4,10 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-# Voxels and sums are the same bits on every device.
+# Voxels and sums have the same bits on every device.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Points that are summed up by themselves: a thread's work on a GPU, where a voxel may hold all points.
+# Points of a piece, which is summed separately: one thread's work on a GPU, where one voxel may hold all points.
 PIECE = wp.constant(1024)
 
 
@@ -26,7 +26,7 @@ def voxel_number(
     count_x: wp.int64,
     count_y: wp.int64,
 ) -> wp.int64:
-    """Number of a point's voxel in the box: x runs fastest."""
+    """Number of a point's voxel in the box; x varies fastest."""
     x = voxel_along(p[0], voxel_size) - low_x
     y = voxel_along(p[1], voxel_size) - low_y
     z = voxel_along(p[2], voxel_size) - low_z
@@ -65,7 +65,7 @@ def count_kernel(
     out_key: wp.array(dtype=wp.int32),
     out_counts: wp.array(dtype=wp.int32),
 ):
-    """Number of the voxel of each point of a share of them, and how many of the share each voxel has."""
+    """Voxel number of each point of a share, and the number of the share's points in each voxel."""
     share = first + wp.tid()
     row = share * voxel_count
     for i in range(share * length, wp.min((share + 1) * length, points.shape[0])):
@@ -85,7 +85,7 @@ def scatter_kernel(
     out_points: wp.array(dtype=wp.vec3d),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """A share's points to their places; ``place`` is where its next point of each voxel goes."""
+    """Place the points of a share; ``place`` is the next free position of the share in each voxel."""
     share = first + wp.tid()
     row = share * voxel_count
     for i in range(share * length, wp.min((share + 1) * length, points.shape[0])):
@@ -128,14 +128,14 @@ def join_kernel(
     inner_count: wp.int64,
     out_key: wp.array(dtype=wp.int64),
 ):
-    """One key from two numbers; the inner one runs fastest."""
+    """Combine two numbers to one key; the inner one varies fastest."""
     i = first + wp.tid()
     out_key[i] = wp.int64(outer[i]) * inner_count + wp.int64(inner[i])
 
 
 @wp.kernel
 def head_kernel(first: int, key: wp.array(dtype=wp.int64), out_head: wp.array(dtype=wp.int32)):
-    """1 where a sorted key differs from the one before it."""
+    """1 where a sorted key differs from the previous one, else 0."""
     i = first + wp.tid()
     head = wp.int32(1)
     if i > 0 and key[i - 1] == key[i]:
@@ -147,14 +147,14 @@ def head_kernel(first: int, key: wp.array(dtype=wp.int64), out_head: wp.array(dt
 def rank_kernel(
     first: int, order: wp.array(dtype=wp.int32), number: wp.array(dtype=wp.int32), out_rank: wp.array(dtype=wp.int32)
 ):
-    """Numbers of the sorted keys, from 0, where the keys came from."""
+    """Scatter the ranks of the sorted keys, from 0, back to the original positions of the keys."""
     i = first + wp.tid()
     out_rank[order[i]] = number[i] - 1
 
 
 @wp.kernel
 def begin_kernel(first: int, number: wp.array(dtype=wp.int32), out_begin: wp.array(dtype=wp.int32)):
-    """First sorted position of each run; the number of positions behind the last."""
+    """First sorted position of each run; the last entry is the number of positions."""
     i = first + wp.tid()
     n = number.shape[0]
     if i == 0 or number[i - 1] != number[i]:
@@ -202,10 +202,10 @@ def centroid_kernel(
     out_centroid: wp.array(dtype=wp.vec3d),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """Centroid of each run, and the point nearest to it; of those equally near the one with the lowest index.
+    """Centroid of each run, and the point nearest to it; among ties the one with the lowest index.
 
-    Summed relative to the run's first point, in the order of the indices, piece by piece of PIECE points: far from the
-    origin nothing is lost, and threads for each piece get the same bits.
+    Sums are relative to the run's first point, in the order of the indices, in pieces of PIECE points. So no digits are
+    lost far from the origin, and one thread for each piece gives the same bits.
     """
     i = first + wp.tid()
     b = begin[i]
@@ -228,7 +228,7 @@ def piece_count_kernel(first: int, begin: wp.array(dtype=wp.int32), out_count: w
 
 @wp.func
 def run_of(piece: wp.int32, piece_end: wp.array(dtype=wp.int32)) -> wp.int32:
-    """The run that a piece belongs to: the first whose pieces end behind it."""
+    """The run of a piece: the first run whose pieces end after it."""
     at = wp.int32(0)
     end = piece_end.shape[0] - 1
     while at < end:
@@ -276,7 +276,7 @@ def mean_kernel(
     out_mean: wp.array(dtype=wp.vec3d),
     out_centroid: wp.array(dtype=wp.vec3d),
 ):
-    """Centroid of each run from its pieces' sums, relative to its first point and in the world."""
+    """Centroid of each run from the sums of its pieces, relative to its first point and in world coordinates."""
     i = first + wp.tid()
     before = wp.int32(0)
     if i > 0:
@@ -298,7 +298,7 @@ def piece_nearest_kernel(
     mean: wp.array(dtype=wp.vec3d),
     out_at: wp.array(dtype=wp.int32),
 ):
-    """Position of each piece's point nearest to its run's centroid."""
+    """Position of the point of each piece nearest to the centroid of its run."""
     piece = first + wp.tid()
     run = run_of(piece, piece_end)
     b = first_of_piece(piece, run, begin, piece_end)
@@ -316,7 +316,7 @@ def nearest_kernel(
     piece_at: wp.array(dtype=wp.int32),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """The point of each run that is nearest to its centroid, from those of its pieces."""
+    """The point of each run nearest to its centroid, selected among the candidates of its pieces."""
     i = first + wp.tid()
     before = wp.int32(0)
     if i > 0:

@@ -1,1 +1,1 @@
-"""Neighbor searches: points sorted by cell, and a tree for the nearest k."""
+"""Neighbor searches: points sorted by cell for radius searches, and a tree for the k nearest points."""

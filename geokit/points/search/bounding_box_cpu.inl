@@ -1,9 +1,9 @@
-// Box around the points `begin` to `end` - 1 of a share; it is not finite if one of them is not.
+// Bounding box of the points `begin` to `end` - 1 of a share; not finite if one of the points is not.
 //
 // Expects points, begin, end, share, out_lower, out_upper.
 //
-// Eight points in a row are three vectors of eight numbers, and number e of vector v is always of the same axis. A
-// value that is not finite survives in a sum of differences; comparisons may pass over it.
+// Eight consecutive points are three vectors of eight numbers, and lane e of vector v always belongs to the same axis.
+// A sum of differences keeps a non-finite value; comparisons may skip it.
 
 #if !defined(__CUDA_ARCH__)
 typedef decltype(points.data[0][0] + points.data[0][0]) real;

@@ -1,4 +1,4 @@
-"""Boxes around shares of the points on a CPU: memory is read once, from front to back, as the vectors that it holds."""
+"""Bounding boxes of shares of the points on a CPU, in one sequential pass with vector loads."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -10,7 +10,7 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False})
 
-# Points of a share: 24 KiB, so that the shares of all threads end together.
+# Points of a share: 24 KiB, small enough that all threads finish together.
 SHARE = wp.constant(1 << 10)
 
 
@@ -32,7 +32,7 @@ def survey_host_kernel(
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
-    """Boxes around SHARE contiguous points each; one around a point that is not finite is not finite."""
+    """Bounding box of each run of SHARE consecutive points; it is not finite if one of its points is not."""
     i = first + wp.tid()
     begin = i * SHARE
     box_of(points, begin, wp.min(begin + SHARE, points.shape[0]), i, out_lower, out_upper)

@@ -1,4 +1,4 @@
-// The cell of a coordinate along an axis, as cell_along of cells_kernels: both must find the same cell.
+// The cell of a coordinate along an axis, equal to the result of cell_along in cells_kernels.
 //
 // Expects grid. Defines cell_along(axis, at).
 

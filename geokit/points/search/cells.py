@@ -1,4 +1,4 @@
-"""Points sorted by cell: the one structure behind every radius search, with memory bounded by the points alone."""
+"""Points sorted by cell: the data structure of every radius search. Its memory depends only on the number of points."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ if TYPE_CHECKING:
 
 __all__ = ["Cells", "Survey", "build_cells", "survey", "usual_spacing"]
 
-# Each axis is cut into this many intervals of about equally many points. An interval too long for cells of the radius
-# gets longer cells of its own, the others keep theirs: one far point, or clusters far apart, must not leave a crowd in
-# a single cell.
+# Each axis is cut into this many intervals with about equally many points. An interval too long for cells of the radius
+# gets longer cells of its own; the others keep theirs. Otherwise one far point, or clusters far apart, could leave a
+# crowd in a single cell.
 INTERVALS = 64
-# Three axes of 64 intervals of 2^14 cells leave a key room in 63 bits.
+# Three axes of 64 intervals of 2^14 cells each: keys fit in 63 bits.
 MAX_CELLS_PER_INTERVAL = 1 << 14
-# More cells on an interval than it has points separate nothing more; few points still get this many.
+# More cells in an interval than points in it separate nothing; small sets of points still get this many.
 MIN_CELLS_PER_INTERVAL = 16
-# Points whose coordinates decide the intervals: 32 for each, which puts up to a half more or less points than wanted
-# into one.
+# Size of the sample of coordinates that places the intervals: 32 for each interval, so that an interval holds at most
+# about half more or fewer points than intended.
 SAMPLE_SIZE = 2048
-# The inverse of a cell's edge stays finite, so that its product with a coordinate does: longer cells than the radius
-# cost time, never neighbours.
+# The inverse of a cell's edge must stay finite, and so must its product with a coordinate. Cells longer than the radius
+# cost time, but never lose neighbors.
 MAX_INVERSE_EDGE = 1e300
-# The table has at most this many entries for each point and on top of them the second figure, whatever the extent:
-# 16 bytes a point and 256 KiB. Four leaves most tables of evenly spread points direct.
+# Bound on the table for any extent: this many entries for each point, plus the second number; 16 bytes a point plus 256
+# KiB. With four entries a point, most tables of evenly spread points are direct.
 TABLE_ENTRIES_PER_POINT = 4
 TABLE_ENTRIES_MORE = 1 << 16
-# Table entries of an item: on a CPU one search through all keys serves many, on a GPU there are to be many items.
+# Table entries of an item: on a CPU one search through all keys serves many entries, on a GPU many items are needed.
 TABLE_RUN_HOST = 64
 TABLE_RUN_GPU = 8
 TABLE_GRAIN = 16
-# The points are surveyed in shares: so many at least a slice on a CPU, which one thread reads in the time that it takes
-# to wake another; so many threads with one each on a GPU.
+# The points are surveyed in shares. On a CPU a slice has at least this many, which one thread reads in the time that
+# waking another takes; on a GPU each of this many threads has one.
 SURVEY_GRAIN = 512
 SURVEY_THREADS = 1 << 16
-# Their boxes are condensed to so many before they travel to the host.
+# The boxes of the shares are reduced to this many before they are copied to the host.
 CONDENSED = 1024
-# Cells for each point that are not too many, and how much longer than the radius their edges may be made for it.
+# Acceptable number of cells for each point, and by how much edges may exceed the radius to stay within it.
 FEW_CELLS = 2.0
 MOST_STRETCH = 1.5
-# Counting by cell takes a row of counts for each thread: so many numbers a point at most, and TABLE_ENTRIES_MORE.
+# Counting by cell needs a row of counts for each thread: at most this many numbers a point, plus TABLE_ENTRIES_MORE.
 COUNTS_PER_POINT = 8
-# Points that are worth another thread: fewer are sorted by one in the time that threads take to wake and to pass each
-# other the lines that both write to.
+# Points that are worth another thread: one thread sorts fewer points in the time that waking threads and sharing cache
+# lines between them takes.
 COUNTED_SHARE = 1 << 18
-# Powers of two that a float64 holds: the scale of the float32 frame stays within them.
+# Range of exponents of float64: the scale of the float32 frame stays within it.
 LARGEST_EXPONENT = 1000
 
 
@@ -62,7 +62,7 @@ class Cells:
     """Sorted points on a device.
 
     Attributes:
-        grid: The kernels' view of them, a CellGrid.
+        grid: The CellGrid that kernels read.
         radius: The search radius [world] that the cells are made for.
     """
 
@@ -72,22 +72,22 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What is known of points before they are sorted.
+    """Bounding box and sample of the points, taken before they are sorted.
 
     Attributes:
-        lower: Lower corner of the box around all of them [world], zeros where there are none.
-        upper: Its upper corner.
-        sample: Some of them, evenly over their order; shape (3, S) [world].
+        lower: Lower corner of the bounding box [world], zeros if there are no points.
+        upper: Upper corner of the bounding box [world].
+        sample: Some of the points, evenly spaced in their order; shape (3, S) [world].
     """
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     sample: NDArray[np.float64]
 
-    # A GPU waits while these are found: they are found once.
+    # Cached, because a GPU waits while these are computed on the host.
     @functools.cached_property
     def crowd(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper corner of a box around all but the outermost points on each axis [world]."""
+        """Lower and upper corner of a box around all but the outermost points of each axis [world]."""
         count = self.sample.shape[1]
         if count == 0:
             return np.zeros(3), np.zeros(3)
@@ -96,18 +96,18 @@ class Survey:
 
     @functools.cached_property
     def ascending(self) -> NDArray[np.float64]:
-        """The sample with each axis sorted for itself."""
+        """The sample with each axis sorted separately."""
         return np.sort(self.sample, axis=1)
 
 
 def survey(points: "wp.array", refuse: Any) -> Survey:
-    """Box and sample of vec3d or vec3f points [world], in one pass over them.
+    """Bounding box and sample of vec3d or vec3f points [world], in one pass over them.
 
     Args:
         points: The points.
-        refuse: Called when a point is not finite, to name it.
+        refuse: Called if a point is not finite, to raise the error that names it.
     Raises:
-        InputError: The points spread over more than a float64 can hold.
+        InputError: The extent of the points overflows float64.
     """
     import warp as wp
 
@@ -127,7 +127,7 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     few, taken = min(runs, CONDENSED), min(count, SAMPLE_SIZE)
     out = wp.empty((3, 2 * few + taken), dtype=wp.float64, device=device)
     given = [points, *boxes, few, taken]
-    # Less than a thread's waking is worth.
+    # Shorter than the time that waking a thread takes.
     launcher.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device, grain=SAMPLE_SIZE)
     found = out.numpy()
     if not np.isfinite(found).all():
@@ -143,25 +143,25 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
 
 
 def usual_spacing(survey: Survey, count: int) -> float:
-    """Edge [world] of the cubes, planes' squares or lines' steps that the crowd would fill with one point each."""
+    """Mean spacing [world]: edge of the cubes, squares or segments that would hold one point of the crowd each."""
     lower, upper = survey.crowd
     edges = (upper - lower)[upper > lower]
     if not count or not len(edges):
         return 0.0
-    # The logarithm: a product of three extents may overflow.
+    # In logarithms, because a product of three extents may overflow.
     return float(np.exp((np.log(edges).sum() - np.log(count)) / len(edges)))
 
 
 def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
-    """Points sorted by cells of about the radius.
+    """Sort points into cells of about the radius.
 
     Args:
         points: vec3d or vec3f positions (N,) [world]; copied.
-        survey: What is known of them.
-        radius: Edge length of a cell [world] where the extent allows it; above 0.
+        survey: Bounding box and sample of the points.
+        radius: Edge length of a cell [world] if the extent allows it; above 0.
     Returns:
-        Cells: 28 bytes a point (44 on a GPU), 8 more where the table is not direct, and up to 16 for the table stay in
-        use; up to 28 more while they are made.
+        Cells. Memory: 28 bytes a point (44 on a GPU), 8 more if the table is not direct, and up to 16 for the table; up
+        to 28 more during construction.
     """
     import warp as wp
 
@@ -175,7 +175,7 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
     cell_count = _cut_axes(grid, survey, count, _edge(survey, count, radius), device)
     grid.shift = _table_shift(cell_count, count)
     _make_room(grid, count, device)
-    # Places in the counts are int32, and these are not to be much larger than the points are.
+    # Positions in the counts are int32, and the counts should not be much larger than the points.
     most = min(COUNTS_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
     rows = min(launcher.thread_count(), -(-count // COUNTED_SHARE), most)
     if device.is_cpu and grid.shift == 0 and rows:
@@ -186,9 +186,9 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
 
 
 def _edge(survey: Survey, count: int, radius: float) -> float:
-    """The radius, or somewhat more where that leaves at most FEW_CELLS cells for each point.
+    """The radius, or a slightly longer edge if that leaves at most FEW_CELLS cells for each point.
 
-    Cells a fifth longer take a fifth more tests and a fifth fewer ranges to look up, and empty ones cost time to make.
+    Cells longer by a fifth need a fifth more tests but a fifth fewer lookups of ranges; empty cells cost time to build.
     """
     share = 1.0 / max(FEW_CELLS * count, 1.0)
     for extent in (survey.upper - survey.lower).tolist():
@@ -197,14 +197,14 @@ def _edge(survey: Survey, count: int, radius: float) -> float:
 
 
 def _choose_frame(grid: Any, survey: Survey) -> None:
-    """The float32 frame: the middle of the crowd, and a power of two, so that scaling rounds nothing."""
+    """Set the float32 frame: the middle of the crowd, and a power of two as scale, so that scaling is exact."""
     import warp as wp
 
     lower, upper = survey.crowd
-    centre = lower + 0.5 * (upper - lower)
+    center = lower + 0.5 * (upper - lower)
     extent = float((upper - lower).max(initial=0.0))
     exponent = -np.frexp(extent)[1] if extent > 0.0 else 0
-    grid.centre = wp.vec3d(*centre.tolist())
+    grid.center = wp.vec3d(*center.tolist())
     grid.scale = wp.float64(np.ldexp(1.0, int(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))))
 
 
@@ -217,7 +217,7 @@ def _make_room(grid: Any, count: int, device: Any) -> None:
         grid.x, grid.y, grid.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
         grid.packed = wp.empty(count, dtype=wp.vec4f, device=device)
         return
-    # Vectors are read past the end of the last row; what they find there is masked out.
+    # Vectors are read past the end of the last row; the excess lanes are masked out.
     padded = count + int(kernels.MASK_BITS)
     grid.x, grid.y, grid.z = (_padded(count, padded, wp.float64, device) for _ in range(3))
 
@@ -230,7 +230,7 @@ def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
 
 
 def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -> None:
-    """Sorted points and a direct table on a CPU: each thread counts its share, then puts it where it belongs."""
+    """Counting sort on a CPU with a direct table: each thread counts its share of the points, then places it."""
     import warp as wp
 
     from geokit.core.counting_sort_cpu_kernels import sum_kernel
@@ -252,11 +252,11 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
 
 
 def _gather(grid: Any, points: "wp.array", order: "wp.array") -> None:
-    """Coordinates in sorted order, on a CPU."""
+    """Gather the coordinates in sorted order, on a CPU."""
     from geokit.points.search.cells_cpu_kernels import GATHER_OF, GATHERED
 
     items = -(-len(points) // int(GATHERED))
-    # All items take as long as each other.
+    # All items take equally long.
     grain = max(COUNTED_SHARE // int(GATHERED), -(-items // (2 * launcher.thread_count())))
     launcher.launch(GATHER_OF[points.dtype], items, [points, order], [grid], points.device, grain=grain)
 
@@ -281,20 +281,20 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
     launcher.launch(
         kernels.TABLE[keys.dtype], -(-len(grid.start) // run), given, [grid.start], device, grain=TABLE_GRAIN
     )
-    # With a direct table no key is read again.
+    # A direct table needs no key again.
     grid.key = _head(keys, count) if grid.shift else wp.empty(0, dtype=wp.int64, device=device)
 
 
 def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.array", "wp.array"]:
-    """Keys of the points in ascending order and whose they are; only the first half of either is theirs."""
+    """Keys of the points in ascending order and the indices of these points, in the first half of each array."""
     import warp as wp
 
     from geokit.points.search import cells_kernels as kernels
 
     device: Any = points.device
     count = len(points)
-    # radix_sort_pairs uses the second half of both arrays as scratch space. A table that is not direct has its keys
-    # searched later on, in 64 bits.
+    # radix_sort_pairs uses the second half of both arrays as scratch space. Keys of a table that is not direct are
+    # searched later, in 64 bits.
     wide = grid.shift > 0 or cell_count >= 1 << 31
     keys = wp.empty(2 * count, dtype=wp.int64 if wide else wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
@@ -305,7 +305,7 @@ def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.arr
 
 
 def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any) -> int:
-    """Cuts the three axes into cells for the grid; returns the number of cells in all."""
+    """Cut the three axes into cells for the grid; returns the total number of cells."""
     import warp as wp
 
     most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
@@ -322,14 +322,14 @@ def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any)
 
 
 def _intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np.float64]:
-    """Begin, inverse cell edge, first cell and number of cells of an axis's intervals; shape (I, 4).
+    """Begin, inverse cell edge, first cell and number of cells of the intervals of an axis; shape (I, 4).
 
-    Intervals between quantiles that need more than ``most`` cells of the radius get so many; between others nothing is
-    to be separated, and they become one.
+    An interval between quantiles that needs more than ``most`` cells of the radius gets ``most`` cells. Neighboring
+    intervals that need no cut become one.
     """
     lower, upper = float(survey.lower[axis]), float(survey.upper[axis])
     if upper - lower <= radius * most:
-        # No interval can be longer. Without extent there is one cell, which the clamp gives to every coordinate.
+        # No interval can be longer. An axis without extent has one cell, to which the clamp maps every coordinate.
         count = max((upper - lower) // radius, 1.0)
         return np.array([[lower, min(count / (upper - lower), MAX_INVERSE_EDGE) if upper > lower else 1.0, 0.0, count]])
     ascending = survey.ascending[axis]
@@ -345,7 +345,7 @@ def _intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[n
 
 
 def _head(array: "wp.array", count: int) -> "wp.array":
-    """A copy of the first entries, so that the rest can be let go of."""
+    """A copy of the first entries, so that the rest can be freed."""
     import warp as wp
 
     head = wp.empty(count, dtype=array.dtype, device=array.device)
@@ -355,7 +355,7 @@ def _head(array: "wp.array", count: int) -> "wp.array":
 
 
 def _table_shift(cell_count: int, point_count: int) -> int:
-    """Fewest low bits of a key that the table must leave to a search to stay within its size."""
+    """Least number of low key bits that the table must leave to a search to stay within its size."""
     limit = TABLE_ENTRIES_PER_POINT * point_count + TABLE_ENTRIES_MORE
     shift = 0
     while (cell_count >> shift) + 2 > limit:

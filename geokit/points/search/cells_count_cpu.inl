@@ -1,4 +1,4 @@
-// Counting sort, first step: the cell of each point of a share, and how many points of the share each cell has.
+// Counting sort, first step: the cell of each point of a share, and the number of the share's points in each cell.
 //
 // Expects core/simd.inl, cell_along_cpu.inl, points, grid, share, begin, end, cell_count, out_key, out_counts.
 
@@ -17,7 +17,7 @@ for (int axis = 0; axis < 3; ++axis)
     even &= grid.first_cut[axis] == grid.last_cut[axis];
 int point = begin;
 if (even) {
-    // Eight points in a row are three vectors of eight numbers, and number e of vector v is always of one axis.
+    // Eight consecutive points are three vectors of eight numbers, and lane e of vector v always belongs to one axis.
     alignas(64) d8 origin[3], inverse[3], top[3];
     for (int v = 0; v < 3; ++v)
         for (int e = 0; e < 8; ++e) {

@@ -1,8 +1,8 @@
-"""Points sorted by cell on a CPU: a counting sort, in which each thread counts and then places a share of the points.
+"""Counting sort of points by cell on a CPU: each thread counts, then places, a share of the points.
 
-A counting sort needs no comparison and no second copy of the keys: with few threads, and not many more cells than
+A counting sort needs no comparison and no second copy of the keys. With few threads, and not many more cells than
 points, it is several times as fast as a comparison sort. Only four bytes a point are scattered; coordinates are then
-gathered in order, since scattered reads are faster than scattered writes.
+gathered in sorted order, since scattered reads are faster than scattered writes.
 """
 
 # mypy: ignore-errors
@@ -16,7 +16,7 @@ from geokit.points.search.cells_kernels import CellGrid
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Points of an item that gathers.
+# Points gathered by one item.
 GATHERED = wp.constant(1 << 12)
 
 
@@ -65,7 +65,7 @@ def count_kernel(
     out_key: wp.array(dtype=wp.int32),
     out_counts: wp.array(dtype=wp.int32),
 ):
-    """Cell of each point of a share of them, and how many of the share each cell has."""
+    """Cell of each point of a share, and the number of the share's points in each cell."""
     i = first + wp.tid()
     count(points, grid, i, i * share, wp.min((i + 1) * share, points.shape[0]), cell_count, out_key, out_counts)
 
@@ -79,19 +79,19 @@ def place_kernel(
     next_place: wp.array(dtype=wp.int32),
     out_grid: CellGrid,
 ):
-    """Which point stands where: those of a share; ``next_place`` is where its next point of each cell goes."""
+    """Place the points of a share; ``next_place`` is the next free position of the share in each cell."""
     i = first + wp.tid()
     place(key, i, i * share, wp.min((i + 1) * share, key.shape[0]), cell_count, next_place, out_grid)
 
 
 @wp.kernel
 def gather_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
-    """Coordinates of GATHERED points in sorted order, one array for each axis."""
+    """Gather the coordinates of GATHERED points in sorted order, one array for each axis."""
     begin = (first + wp.tid()) * GATHERED
     gather(points, order, begin, wp.min(begin + GATHERED, points.shape[0]), out_grid)
 
 
-# A kernel is looked up here: to leave that to a launch takes longer than the launch.
+# Kernels are resolved here once: resolving them at every launch takes longer than the launch.
 ROWS = (wp.vec3d, wp.vec3f)
 COUNT_OF = {r: wp.overload(count_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 GATHER_OF = {r: wp.overload(gather_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}

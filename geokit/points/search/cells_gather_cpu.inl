@@ -1,9 +1,9 @@
-// Coordinates of points in sorted order, an array for each axis.
+// Gathers the coordinates of points in sorted order, one array for each axis.
 //
 // Expects points, order, begin, end, grid.
 
 #if !defined(__CUDA_ARCH__)
-// Processors with the microcode fix for gather instructions take ten times as long for one.
+// Scalar loads: on processors with the microcode mitigation for gather instructions, a gather takes ten times as long.
 #pragma clang loop vectorize(disable)
 for (int at = begin; at < end; ++at) {
     if (at + 16 < end)

@@ -1,6 +1,6 @@
-"""Points sorted by the cells of a grid: the arrays that neighbor searches read, and the kernels that fill them.
+"""Points sorted by the cells of a grid: the arrays read by neighbor searches, and the kernels that fill them.
 
-Coordinates stay float64; on a GPU a float32 copy stands beside them, which searches look at first.
+Coordinates are float64; on a GPU a float32 copy serves as a first test.
 """
 
 # mypy: ignore-errors
@@ -11,25 +11,25 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Points read together by one call of within_mask: one bit of a 64-bit mask for each. The coordinates are padded by as
-# many entries, because vectors read past the end of the last row.
+# Points tested by one call of within_mask: one bit of a 64-bit mask each. The coordinates are padded by as many
+# entries, because vectors are read past the end of the last row.
 MASK_BITS = wp.constant(64)
 
-# Table entries summed up by one item of crowding_kernel.
+# Table entries summed by one item of crowding_kernel.
 CROWDING_RUN = wp.constant(64)
 
 
 @wp.struct
 class CellGrid:
-    """Points sorted by cell, and where each cell begins.
+    """Points sorted by cell, and the beginning of each cell.
 
-    Each axis is cut into intervals of equal cells. ``cut[i]`` is where an interval begins, the inverse edge of its
-    cells, its first cell and its number of cells; ``first_cut`` and ``last_cut`` are an axis's own intervals.
+    Each axis is cut into intervals of equal cells. ``cut[i]`` holds the begin of an interval, the inverse edge of its
+    cells, its first cell and its number of cells; ``first_cut`` and ``last_cut`` delimit the intervals of each axis.
 
-    A point's key is ``(z * count_y + y) * count_x + x`` of its cell. ``start[b]`` is the first sorted point whose key
-    is at least ``b << shift``; a finer boundary is searched between two entries.
+    The key of a point is ``(z * count_y + y) * count_x + x`` of its cell. ``start[b]`` is the first sorted point whose
+    key is at least ``b << shift``; a finer boundary is found by a search between two entries.
 
-    On a GPU ``packed`` holds ``(coordinate - centre) * scale`` in float32, 16 bytes a point, which are one load.
+    On a GPU ``packed`` holds ``(coordinate - center) * scale`` in float32, 16 bytes a point, read by one load.
     """
 
     x: wp.array(dtype=wp.float64)
@@ -44,7 +44,7 @@ class CellGrid:
     last_cut: wp.vec3i
     lower: wp.vec3d
     upper: wp.vec3d
-    centre: wp.vec3d
+    center: wp.vec3d
     scale: wp.float64
     count_x: wp.int32
     count_y: wp.int32
@@ -57,8 +57,8 @@ def cell_along(grid: CellGrid, axis: wp.int32, x: wp.float64) -> wp.int32:
     """Cell of a coordinate on one axis, clamped to the grid.
 
     The search, the subtraction, the product, the clamp and the truncation are all monotone, rounding included: a
-    coordinate between two others gets a cell between theirs. This is all that the exactness of a search needs from
-    the cells, whatever their sizes.
+    coordinate between two others gets a cell between theirs. The exactness of a search needs only this property of the
+    cells, whatever their sizes.
     """
     i = grid.first_cut[axis]
     last = grid.last_cut[axis]
@@ -69,7 +69,7 @@ def cell_along(grid: CellGrid, axis: wp.int32, x: wp.float64) -> wp.int32:
         else:
             last = middle - 1
     cut = grid.cut[i]
-    # Clamped as a float: an int cast of a far-away coordinate would be undefined.
+    # Clamped as a float: casting a very large coordinate to int would be undefined.
     top = cut[3] - wp.float64(1.0)
     return wp.int32(cut[2]) + wp.int32(wp.clamp((x - cut[0]) * cut[1], wp.float64(0.0), top))
 
@@ -92,16 +92,16 @@ def survey_kernel(
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
-    """Boxes around ``run_count`` shares of the points on a GPU, the CPU's being in bounding_box_cpu_kernels.
+    """Bounding boxes of ``run_count`` shares of the points on a GPU; for a CPU see bounding_box_cpu_kernels.
 
-    A share's points are ``run_count`` apart, so that threads side by side read points side by side. A box around a
-    point that is not finite is not finite.
+    The points of a share are ``run_count`` apart, so that adjacent threads read adjacent points. A box is not finite if
+    one of its points is not.
     """
     i = first + wp.tid()
     opening = points[i]
     lower = wp.vec3d(wp.float64(opening[0]), wp.float64(opening[1]), wp.float64(opening[2]))
     upper = lower
-    # What is not finite survives in a sum; min and max may pass over it.
+    # A sum keeps non-finite values; min and max may skip them.
     total = lower - lower
     for at in range(i, points.shape[0], run_count):
         given = points[at]
@@ -125,7 +125,7 @@ def condense_kernel(
 ):
     """x, y and z of ``run_count`` lower corners, of as many upper corners, and of a sample of the points.
 
-    Each corner is that of the boxes ``run_count`` apart.
+    Each corner is that of all boxes whose numbers differ by multiples of ``run_count``.
     """
     i = first + wp.tid()
     if i < run_count:
@@ -163,7 +163,7 @@ def key_kernel(
 
 @wp.kernel
 def gather_packed_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
-    """Coordinates in sorted order, on a GPU."""
+    """Gather the coordinates in sorted order, on a GPU."""
     i = first + wp.tid()
     at = order[i]
     given = points[at]
@@ -172,7 +172,7 @@ def gather_packed_kernel(first: int, points: wp.array(dtype=Any), order: wp.arra
     out_grid.x[i] = p[0]
     out_grid.y[i] = p[1]
     out_grid.z[i] = p[2]
-    local = (p - out_grid.centre) * out_grid.scale
+    local = (p - out_grid.center) * out_grid.scale
     out_grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
 
 
@@ -185,12 +185,12 @@ def table_kernel(
     run: wp.int32,
     out_start: wp.array(dtype=wp.int32),
 ):
-    """``run`` table entries: the first sorted point whose key is at least ``entry << shift``.
+    """Fill ``run`` table entries: the first sorted point whose key is at least ``entry << shift``.
 
-    Each search starts where the one before it ended, with growing steps: most cells have few points.
+    Each search starts at the end of the previous one, with growing steps, since most cells have few points.
     """
     entry = (first + wp.tid()) * run
-    # Below `at` all keys are smaller than the bound.
+    # All keys below `at` are smaller than the bound.
     at = wp.int32(0)
     step = count
     for b in range(entry, wp.min(entry + run, out_start.shape[0])):
@@ -202,7 +202,7 @@ def table_kernel(
                 at = probe
                 step = 2 * step
             else:
-                # The answer lies above `at` and not above `probe`.
+                # The result lies above `at` and not above `probe`.
                 low = at + 1
                 end = wp.max(probe, low)
                 while low < end:
@@ -218,7 +218,7 @@ def table_kernel(
 
 @wp.kernel
 def crowding_kernel(first: int, start: wp.array(dtype=wp.int32), out_crowding: wp.array(dtype=wp.int64)):
-    """Sum of the squared numbers of points of a run of CROWDING_RUN table entries."""
+    """Sum of the squared point counts over a run of CROWDING_RUN table entries."""
     run = first + wp.tid()
     total = wp.int64(0)
     for b in range(run * CROWDING_RUN, wp.min((run + 1) * CROWDING_RUN, start.shape[0] - 1)):
@@ -229,21 +229,21 @@ def crowding_kernel(first: int, start: wp.array(dtype=wp.int32), out_crowding: w
 
 @wp.kernel
 def unsort_kernel(first: int, grid: CellGrid, out_points: wp.array(dtype=wp.vec3d)):
-    """The points in the order in which they came."""
+    """The points in their original order."""
     i = first + wp.tid()
     out_points[grid.index[i]] = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
 
 
 @wp.kernel
 def narrow_points_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_points: wp.array(dtype=wp.vec3f)):
-    """The points as float32."""
+    """Convert points to float32."""
     i = first + wp.tid()
     p = points[i]
     out_points[i] = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
 
 
-# Rows come as float64, on a GPU also as float32; keys are as wide as the number of cells wants. A kernel is looked up
-# here: to leave that to a launch takes longer than the launch.
+# Rows are float64, on a GPU also float32; the width of keys follows from the number of cells. Kernels are resolved here
+# once: resolving them at every launch takes longer than the launch.
 ROWS = (wp.vec3d, wp.vec3f)
 SURVEY = {r: wp.overload(survey_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 CONDENSE = {r: wp.overload(condense_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}

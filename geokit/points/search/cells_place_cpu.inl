@@ -1,4 +1,4 @@
-// Counting sort, last step: the points of a share, each to the next free place of its cell.
+// Counting sort, last step: each point of a share goes to the next free position of its cell.
 //
 // Expects key, share, begin, end, cell_count, next_place, grid.
 //

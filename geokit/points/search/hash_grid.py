@@ -1,4 +1,4 @@
-"""Warp's own hash grid over the points, for the user's kernels."""
+"""Warp's hash grid over the points, for user kernels."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 __all__ = ["build_hash_grid"]
 
-# Cells on an axis: 128^3 takes 16 MiB and is warp's usual size.
+# Cells on an axis: 128^3 cells take 16 MiB, a common size for warp.
 SIZE = 128
 
 
 def build_hash_grid(points: "wp.array", cell_size: float) -> tuple[Any, "wp.array"]:
-    """A ``wp.HashGrid`` over vec3d points, cast to float32, and the cast points.
+    """Build a ``wp.HashGrid`` over vec3d points cast to float32; returns the grid and the cast points.
 
-    Warp's grid may keep the address of the points, but not the array: hold both.
+    Warp's grid may store the address of the points without keeping the array alive: keep a reference to both.
     """
     import warp as wp
 

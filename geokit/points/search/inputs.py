@@ -1,4 +1,4 @@
-"""What neighbour searches refuse before anything is built."""
+"""Validation of the arguments of neighbor searches, before anything is built."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// Which of the sorted points from `begin` on, 64 at most and below `end`, are within the radius of a query: a bit mask.
+// Bit mask of the sorted points from `begin` on, 64 at most and below `end`, that are within the radius of a query.
 //
 // Expects near_distance.inl, grid, begin, end, near. Returns the mask.
 

@@ -1,4 +1,4 @@
-"""The k nearest points of each query, exactly, on the CPU and on a GPU."""
+"""Exact k nearest neighbors of each query, on the CPU and on a GPU."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_K", "KNearest", "build_tree", "nearest", "require_k"]
 
-# The longest list; beyond it radius_search is the better question.
+# Longest list; for more neighbors radius_search is better suited.
 MAX_K = 1024
-# Items of the search, 128 queries each, worth a slice.
+# Items of the search that are worth a slice; each has 128 queries.
 GROUP_GRAIN = 8
-# int32 index and float64 distance.
+# Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
 
 
 class KNearest(NamedTuple):
-    """The k nearest points of each of Q queries, the nearest first; of equally near ones the lower index first.
+    """The k nearest points of each of Q queries, the nearest first; ties in order of index.
 
     Attributes:
-        distance: Their distances from the query [world], inf where there are fewer; shape (Q, k).
-        indices: Their indices among the points, -1 where there are fewer; shape (Q, k) int32.
+        distance: Distances of the points from the query [world], inf where there are fewer; shape (Q, k).
+        indices: Indices of the points, -1 where there are fewer; shape (Q, k) int32.
     """
 
     distance: Any
@@ -37,17 +37,17 @@ class KNearest(NamedTuple):
 
 
 def require_k(k: Any) -> int:
-    """``k`` as an int.
+    """Check ``k`` and return it as an int.
 
     Raises:
-        InputError: It is not a whole number from 1 to MAX_K.
+        InputError: k is not a whole number from 1 to MAX_K.
     """
     try:
         number = operator.index(k)
     except TypeError as error:
         raise InputError(f"k: {k!r} is not a whole number; give one from 1 to {MAX_K}") from error
     if not 1 <= number <= MAX_K:
-        raise InputError(f"k: {number} is not from 1 to {MAX_K}; use radius_search for more neighbours")
+        raise InputError(f"k: {number} is not from 1 to {MAX_K}; use radius_search for more neighbors")
     return number
 
 
@@ -59,14 +59,13 @@ def nearest(
     limit_squared: "wp.array | float" = np.inf,
     exclude_self: bool = False,
 ) -> tuple["wp.array", "wp.array"]:
-    """The k points with the smallest (squared distance, index) of each query.
+    """Find the k points with the smallest (squared distance, index) of each query.
 
     Exact: the squared distance is ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once, and the
-    distance its rounded root. Held there by tests/points/search/test_nearest_property.py and
-    tests/points/search/test_nearest_envelope.py.
+    distance is its rounded root.
 
     Args:
-        tree: What build_tree made.
+        tree: A tree made by build_tree.
         k: From 1 to MAX_K.
         queries: vec3d positions (Q,) [world], finite, on the tree's device; None for the tree's points.
         limit_squared: Squared distance [world] up to which points are found, the limit included: a number, or a
@@ -75,7 +74,9 @@ def nearest(
     Returns:
         distance (Q, k) float64 [world], inf where there are fewer points, and indices (Q, k) int32, -1 there.
     Raises:
-        DeviceMemoryError: The answers would not fit in memory; nothing has been allocated for them.
+        DeviceMemoryError: The results do not fit in memory; nothing has been allocated for them.
+
+    Held by: tests/points/search/test_nearest_property.py, tests/points/search/test_nearest_envelope.py
     """
     import warp as wp
 
@@ -107,7 +108,7 @@ def nearest(
 
 
 def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int]:
-    """The kernel for lists of k on the device, and its items for so many queries."""
+    """The kernel for lists of k on the device, and its number of items for ``count`` queries."""
     if device.is_cpu:
         from geokit.points.search import nearest_cpu_kernels as wide
         from geokit.points.search.nearest_tree_kernels import LEAF

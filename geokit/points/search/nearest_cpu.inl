@@ -1,4 +1,4 @@
-// The k nearest points on a CPU: the answers of BLOCKS blocks of queries, eight at a time.
+// The k nearest points on a CPU: results of BLOCKS blocks of queries, eight at a time.
 //
 // Expects nearest_lists_cpu.inl, nearest_walk_cpu.inl, tree, queries, group.
 
@@ -17,7 +17,8 @@ for (int begin = group * BLOCKS * LEAF; begin < last && begin < queries.count; b
         limit[j] = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner[j] : 0];
         reach[j] = guess >= 0.0 && guess < limit[j] ? guess : limit[j];
         if (known < (double)INFINITY) {
-            // As near as it is to a query whose k points are known. From far away this is less than a tenth more.
+            // Initial bound from the distance to a query whose k-th distance is known. For far queries it is less than
+            // a tenth too large.
             const double dx = q[0][j] - known_at[0], dy = q[1][j] - known_at[1], dz = q[2][j] - known_at[2];
             const double most = (known + sqrt(dx * dx + dy * dy + dz * dz)) * SLACK;
             if (most * most < reach[j]) reach[j] = most * most;

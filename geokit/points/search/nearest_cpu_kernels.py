@@ -1,8 +1,8 @@
-"""The k nearest points on the CPU: eight queries that are near each other share one walk over the tree.
+"""The k nearest points on a CPU: eight nearby queries share one traversal of the tree.
 
-All arithmetic is float64 and rounds in the order that is written, boxes as well as points. Rounding is monotone: the
-squared distance of a box, computed as that of a point is, is never above that of a point in it. So no box that holds an
-answer is passed over, and no tolerance is needed.
+All arithmetic is float64 and rounds in the order written, for boxes as for points. Rounding is monotone: the squared
+distance of a box, computed in the same way as that of a point, never exceeds that of a point inside. So no box that
+holds a result is skipped, and no tolerance is needed.
 """
 
 # mypy: ignore-errors
@@ -14,28 +14,29 @@ from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, Nearest
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Blocks of queries of an item: the result of one group of eight is the first guess for the next.
+# Blocks of queries of an item: the result of one group of eight is the initial bound of the next.
 BLOCKS = wp.constant(8)
-# Open nodes of a walk: each of at most nine levels leaves seven behind.
+# Stack of open nodes: each of at most nine levels leaves seven behind.
 STACK = 80
-# Nodes that a shared walk may open without scanning a leaf for any query, and further ones for each leaf scanned.
-# Queries that are far apart, or of which one reaches much farther than the others, are faster alone.
+# Nodes that a shared traversal may open without scanning a leaf for any query, and additional nodes for each leaf
+# scanned. Beyond them the queries are traversed one by one: they are far apart, or one reaches much farther than the
+# others.
 FREE_VISITS = 96
 VISITS_PER_USE = 2
-# Candidates that a query may have at a time, for lists of 1024.
+# Most candidates of a query at a time, for lists of 1024.
 CAPACITY = 1024 + 256 + 4 * int(LEAF)
-# A first guess of the squared distance of the k-th, as a share of the farthest of the group before: a larger one finds
-# more than k and has them sorted, a smaller one finds fewer and looks again.
+# Initial guess of the k-th squared distance, as a share of the largest one of the previous group. A larger guess finds
+# and sorts more than k points; a smaller one finds fewer, and the search is repeated.
 GUESS = 1.1
-# Allows for the roundings of a bound by the triangle inequality. A bound that is too small is only a wrong guess.
+# Margin for the roundings of a bound by the triangle inequality. Too small a bound is only a wrong guess.
 SLACK = 1.0 + 1e-12
-# Factor for a guess that was too small, and how often it is applied before the search has no limit but the caller's.
+# Factor on a guess that was too small, and the number of times it is applied before only the caller's limit remains.
 WIDER = 4.0
 GUESSES = 3
 
 
 def _network(count: int) -> list[tuple[int, int]]:
-    """Comparisons of Batcher's odd-even mergesort of a power of two of values."""
+    """Comparators of Batcher's odd-even mergesort for ``count`` values, a power of two."""
     pairs, p = [], 1
     while p < count:
         step = p
@@ -53,7 +54,7 @@ def _exchanges(pairs: list[tuple[int, int]]) -> str:
     return " ".join(f"exchange(s[{a}], m[{a}], s[{b}], m[{b}]);" for a, b in pairs)
 
 
-# CUDA has a kernel of its own, nearest_cuda_kernels: its compiler knows no vectors of doubles.
+# CUDA has its own kernel, nearest_cuda_kernels, because its compiler has no vectors of doubles.
 @wp.func_native(
     cpp(
         "core/simd.inl",
@@ -83,5 +84,5 @@ def nearest_of_group(tree: NearestTree, queries: NearestQueries, group: wp.int32
 
 @wp.kernel
 def nearest_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """The nearest points of BLOCKS blocks of queries."""
+    """Nearest points of BLOCKS blocks of queries."""
     nearest_of_group(tree, out_queries, first + wp.tid())

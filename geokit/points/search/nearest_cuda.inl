@@ -1,4 +1,4 @@
-// The k nearest points on a GPU: a thread's walk over the tree.
+// The k nearest points on a GPU: one thread's traversal of the tree.
 //
 // Expects nearest_query_cuda.inl, a list (nearest_short_list_cuda.inl or nearest_heap_cuda.inl), tree, LEAF, WIDTH,
 // STACK.
@@ -9,7 +9,7 @@ auto scan = [&](int leaf) {
     for (int i = 0; i < LEAF; ++i) {
         const double dx = at[i] - x, dy = at[LEAF + i] - y, dz = at[2 * LEAF + i] - z;
         const double given = (dx * dx + dy * dy) + dz * dz;
-        // The rest of the last leaf is NaN, and no comparison with it holds.
+        // The rest of the last leaf is NaN: every comparison with it is false.
         if (given <= bound && index[i] != self && before(given, index[i], bound, bound_index))
             offer(given, index[i]);
     }
@@ -41,7 +41,7 @@ while (height > 0) {
                      dz = outside(side[16 + j], side[40 + j], z);
         const double d = (dx * dx + dy * dy) + dz * dz;
         if (!before(d, least[j], bound, bound_index)) continue;
-        // The nearest on top, and of equals the first.
+        // The nearest child is pushed last; among equals, the first.
         int at = height++;
         for (; at > base && entry[at - 1] <= d; --at) {
             entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; level[at] = level[at - 1];

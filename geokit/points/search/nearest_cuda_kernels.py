@@ -1,7 +1,7 @@
-"""The k nearest points on a GPU: a thread for each query, with its list in registers or as a heap in the result.
+"""The k nearest points on a GPU: one thread for each query, with its list in registers or as a heap in the result.
 
-Neighboring threads answer neighboring queries and open mostly the same nodes. The comparisons are those of
-nearest_cpu_kernels, and so are the answers, bit for bit; the text is plain C++ and runs on a CPU too, which tests use.
+Adjacent threads handle adjacent queries and open mostly the same nodes. The comparisons, and so the results, are those
+of nearest_cpu_kernels, bit for bit. The code is plain C++ and also runs on a CPU, which tests use.
 """
 
 # mypy: ignore-errors
@@ -19,7 +19,7 @@ REGISTERS = 96
 
 
 def _nearest(form: str, **constants: int) -> str:
-    """C++ of a thread's search with one form of list."""
+    """C++ of a thread's search with one kind of list."""
     return cpp(
         "points/search/nearest_query_cuda.inl",
         f"points/search/nearest_{form}_cuda.inl",
@@ -50,23 +50,23 @@ def nearest_many(tree: NearestTree, queries: NearestQueries, query: wp.int32): .
 
 @wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_8_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 8."""
+    """Lists of up to 8 points, in registers."""
     nearest_8(tree, out_queries, first + wp.tid())
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_16_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 16."""
+    """Lists of up to 16 points, in registers."""
     nearest_16(tree, out_queries, first + wp.tid())
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
 def nearest_32_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 32."""
+    """Lists of up to 32 points, in registers."""
     nearest_32(tree, out_queries, first + wp.tid())
 
 
 @wp.kernel
 def nearest_many_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of any length."""
+    """Lists of any length, as a heap in the result."""
     nearest_many(tree, out_queries, first + wp.tid())

@@ -1,4 +1,4 @@
-// The k nearest points on a GPU: a list of any length, as a heap in the rows of the result, the farthest first.
+// The k nearest points on a GPU: a list of any length, as a heap in the rows of the result with the farthest on top.
 //
 // Expects nearest_query_cuda.inl. Defines offer(given, index) and finish.
 

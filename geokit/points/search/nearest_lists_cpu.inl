@@ -4,12 +4,12 @@
 // networks for the sixteen values s with the candidates m, made of exchange(s[a], m[a], s[b], m[b]). Defines the state
 // of the eight queries, settle and put_back.
 //
-// Candidates wait in a row for each query. To be sorted they are turned into lanes, one for each query, where a sorting
-// network makes the same comparisons for all whatever the values: no branch is mispredicted. Sixteen at a time are
-// sorted in registers, and the sorted sixteens merged.
+// Candidates are buffered in a row for each query. For sorting they are transposed to lanes, one for each query, where
+// a sorting network makes the same comparisons whatever the values: no branch is mispredicted. Groups of sixteen are
+// sorted in registers, then merged.
 
 #if !defined(__CUDA_ARCH__)
-// What a comparison of doubles gives: long where that has 64 bits, else long long.
+// Type of the result of comparing doubles: long if that has 64 bits, else long long.
 typedef decltype(__builtin_reduce_max(d8() < d8())) i64;
 typedef i64 long8 __attribute__((ext_vector_type(8), aligned(8)));
 const int k = queries.k;
@@ -32,7 +32,7 @@ auto by_both = [](d8& s, long8& m, d8& t, long8& o) {
     const d8 u = swap ? t : s; t = swap ? s : t; s = u;
     const long8 v = swap ? o : m; o = swap ? m : o; m = v;
 };
-// Rows of eight into lanes, or lanes into rows: the same.
+// Transposes eight rows to lanes, or lanes to rows.
 auto turned = [](const d8* r, d8* out) {
     d8 a[8], b[8];
     #pragma unroll
@@ -62,7 +62,7 @@ auto sort = [&](int n, auto exchange) {
     for (int half = 16; half < n; half *= 2) {
         // The last merge is needed up to k only.
         const int end = 2 * half < n || n < k ? n : k;
-        // Runs that are sorted against each other: the smaller ones into the first. Beyond n all is infinite.
+        // Move the smaller values of two sorted runs to the first run. All entries beyond n are infinite.
         for (int base = 0; base + half < n; base += 2 * half)
             for (int i = 2 * half < n - base ? 0 : 2 * half - (n - base); i < half; ++i)
                 exchange(squared[base + i], candidate[base + i],
@@ -79,7 +79,7 @@ auto sort = [&](int n, auto exchange) {
         }
     }
 };
-// Sorts the candidates in lanes, tightens the bounds and drops those beyond the k-th.
+// Sorts the candidates in lanes, tightens the bounds and drops the candidates beyond the k-th.
 auto settle = [&]() {
     int most = 0;
     for (int j = 0; j < 8; ++j) most = size[j] > most ? size[j] : most;
@@ -94,7 +94,7 @@ auto settle = [&]() {
         turned(r, (d8*)(candidate + i));
     }
     sort(n, by_distance);
-    // Ties among those that stay, or of the last with those that are dropped: rare, except on lattices.
+    // Ties among the kept candidates, or between the last of them and the dropped ones, are rare except on lattices.
     long8 tied = (long8)((i64)0);
     for (int i = 0; i + 1 < k && i + 1 < n; ++i)
         tied |= (squared[i] == squared[i + 1]) & (candidate[i] != candidate[i + 1]);
@@ -106,7 +106,7 @@ auto settle = [&]() {
             if (bound[j] >= 0.0) { bound[j] = squared[k - 1][j]; bound_index[j] = candidate[k - 1][j]; }
         }
 };
-// What remains, as rows again.
+// Transposes the kept candidates back to rows.
 auto put_back = [&]() {
     for (int i = 0; i < k; i += 8) {
         d8 r[8];

@@ -1,4 +1,4 @@
-// The k nearest points on a GPU: a thread's query and its bound.
+// The k nearest points on a GPU: the query of a thread and its bound.
 //
 // Expects tree, queries, query, LEAF, NONE. Defines the query (x, y, z), its row of the result, bound and before(a, i,
 // b, j): whether the squared distance a of point i comes before b of point j.

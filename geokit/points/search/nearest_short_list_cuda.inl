@@ -2,8 +2,8 @@
 //
 // Expects nearest_query_cuda.inl, LENGTH. Defines offer(given, index) and finish.
 //
-// The loops have constant ends: unrolled, everything stays in registers. A list of fewer begins with entries that
-// nothing is before, so that its last is always the k-th.
+// The loops have constant bounds: unrolled, everything stays in registers. A shorter list begins with entries that
+// precede every candidate, so that the last entry is always the k-th.
 
 const int K = LENGTH;
 double squared[K];
@@ -14,7 +14,7 @@ for (int i = 0; i < K; ++i) {
     candidate[i] = i < K - k ? -1 : NONE;
 }
 auto offer = [&](double given, int index) {
-    // Entries before the new one stay, it takes the place of the first other, the rest move up by one.
+    // Entries before the new one stay; the new one replaces the first other entry, and the rest move up by one.
     #pragma unroll
     for (int i = K - 1; i > 0; --i) {
         const bool moves = before(given, index, squared[i - 1], candidate[i - 1]);

@@ -1,4 +1,4 @@
-"""Points sorted along a Hilbert curve under a tree of boxes: what searches for the nearest points walk."""
+"""A tree of boxes over points sorted along a Hilbert curve, for searches of the nearest points."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ if TYPE_CHECKING:
 
 __all__ = ["blocks_in_order", "build_tree"]
 
-# Points that make the first frame. Those outside their box are clamped to it, about one in a thousand.
+# Points of the sample that sets the first frame. Points outside its box, about one in a thousand, are clamped to it.
 SAMPLE_SIZE = 4096
-# Bits of a key, which a sort need not look beyond.
+# Number of key bits that the sort considers.
 KEY_BITS = 30
-# Each round makes the cells of crowded points a thousand times finer. A few settle what is met in practice; the rest
-# costs time, never neighbours.
+# Each round makes the cells of crowded points a thousand times finer. A few rounds suffice in practice; unresolved
+# cells cost time, but never lose neighbors.
 MAX_ROUNDS = 24
 # Blocks and boxes that are worth a slice.
 BLOCK_GRAIN = 64
 
 
 def build_tree(points: "wp.array") -> Any:
-    """The tree over vec3d points.
+    """Build the tree over vec3d points.
 
     Args:
         points: vec3d positions (N,) [world], finite; copied.
     Returns:
-        A NearestTree: 32 bytes a point; up to 16 more while it is made, 64 where many points share a cell of the curve.
+        A NearestTree. Memory: 32 bytes a point; during construction up to 16 more, or 64 more if many points share a
+        cell of the curve.
     """
     import warp as wp
 
@@ -51,7 +52,7 @@ def build_tree(points: "wp.array") -> Any:
 
 
 def frame_of(points: "wp.array") -> Any:
-    """Centre and inverse edge of a cube around almost all of the points, as a vec4d."""
+    """Center and inverse edge of a cube around almost all of the points, as a vec4d."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -61,14 +62,14 @@ def frame_of(points: "wp.array") -> Any:
     launcher.launch(kernels.sample_kernel, taken, [points, taken], [sample], points.device)
     rows = sample.numpy()
     lower, upper = 0.5 * rows.min(axis=0), 0.5 * rows.max(axis=0)
-    # Halves: a whole extent may overflow.
+    # Halved first: the whole extent may overflow.
     extent, largest = float((upper - lower).max()), float(kernels.MAX_INVERSE)
     inverse = 0.5 / extent if extent * largest > 0.5 else largest
     return wp.vec4d(*(lower + upper).tolist(), inverse)
 
 
 def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array", "wp.array"]:
-    """Keys of the points along the curve in ascending order, and whose they are; the first half of either is theirs."""
+    """Keys along the curve in ascending order and the indices of their points, in the first half of each array."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -83,7 +84,7 @@ def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array"
 
 
 def blocks_in_order(points: "wp.array", order: "wp.array", device: Any) -> tuple["wp.array", "wp.array"]:
-    """Coordinates in blocks of as many points as a leaf has, and which points they are."""
+    """Coordinates in blocks of one leaf each, and the indices of the points."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -97,10 +98,10 @@ def blocks_in_order(points: "wp.array", order: "wp.array", device: Any) -> tuple
 
 
 def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any) -> None:
-    """Sorts the points of crowded cells along a finer curve, cell by cell, until none is crowded.
+    """Sort the points of crowded cells along finer curves, cell by cell, until no cell is crowded.
 
-    A cell that holds more than a leaf of points would put them into leaves at random: a far point would leave all
-    others in one cell.
+    A cell with more points than a leaf would distribute them over leaves at random: one far point could leave all other
+    points in one cell.
     """
     import warp as wp
 
@@ -114,7 +115,7 @@ def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any
     for _ in range(MAX_ROUNDS):
         wp.utils.array_scan(head, run, inclusive=True)
         runs_before, run_count = run_count, int(run[count - 1 :].numpy()[0])
-        # Points that are equal stay together: a round that separates nothing is the last.
+        # Equal points stay together: the first round that separates nothing is the last.
         if run_count == runs_before:
             return
         start = wp.empty(run_count + 1, dtype=wp.int32, device=device)
@@ -128,7 +129,7 @@ def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any
 
 
 def _add_boxes(tree: Any, device: Any) -> None:
-    """The levels of boxes above the leaves, from the lowest up."""
+    """Build the levels of boxes above the leaves, from the lowest up."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -153,7 +154,7 @@ def _add_boxes(tree: Any, device: Any) -> None:
 
 
 def _members(run: "wp.array", start: "wp.array", count: int, device: Any) -> Any:
-    """Sorted points that are in runs longer than a leaf, None if there are none."""
+    """Sorted points in runs longer than a leaf; None if there are none."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -173,7 +174,7 @@ def _members(run: "wp.array", start: "wp.array", count: int, device: Any) -> Any
 def _sort_members(
     points: "wp.array", order: "wp.array", member: "wp.array", run: "wp.array", frame: "wp.array", head: "wp.array"
 ) -> None:
-    """Sorts the members of each run by their keys in the run's frame, and marks the runs that they form."""
+    """Sort the members of each run by their keys in the frame of the run, and mark the resulting runs."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
@@ -186,7 +187,7 @@ def _sort_members(
     given = [points, order, member, run, frame]
     launcher.launch(kernels.member_key_kernel, total, given, [key, sorted_key, slot], device)
     wp.utils.radix_sort_pairs(sorted_key, slot, total, end_bit=KEY_BITS)
-    # The sort is stable: by key first and by run afterwards is by run, and by key within it.
+    # The sort is stable: sorting by key, then by run, orders by run and by key within a run.
     launcher.launch(kernels.member_run_kernel, total, [slot, member, run], [sorted_key], device)
     wp.utils.radix_sort_pairs(sorted_key, slot, total)
     new_order = wp.empty(total, dtype=wp.int32, device=device)

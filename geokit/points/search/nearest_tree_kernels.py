@@ -1,7 +1,7 @@
 """A tree of boxes over points sorted along a space-filling curve: its arrays, and the kernels that fill them.
 
-Consecutive points on the curve are near each other, so that leaves are nothing but runs of the sorted points and the
-tree above them needs no pointers: node n of a level has the nodes 8 n to 8 n + 7 of the level below.
+Consecutive points on the curve are close in space. Leaves are therefore runs of the sorted points, and the tree above
+them needs no pointers: the children of node n are the nodes 8 n to 8 n + 7 of the level below.
 """
 
 # mypy: ignore-errors
@@ -14,16 +14,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # Points of a leaf, and queries of a block: two vectors of eight float64.
 LEAF = wp.constant(16)
-# Boxes of a node: one vector of eight float64 for each side.
+# Children of a node: one vector of eight float64 for each side of their boxes.
 WIDTH = wp.constant(8)
-# Index of a point that is not there: above every other, so that it loses every tie.
+# Index of an absent point: larger than every other, so that it loses every tie.
 NONE = wp.constant(2**31 - 1)
 # Cells on an axis of the curve: three axes fill a 30-bit key.
 CURVE_CELLS = wp.constant(wp.float64(1024.0))
-# The inverse edge of a cell stays finite where points are all but equal: zero times it must remain zero.
+# The inverse edge of a cell stays finite even if the points nearly coincide: zero times it must remain zero.
 MAX_INVERSE = wp.constant(wp.float64(1.0e300))
-# Points of a run whose box makes the run's frame. Others are clamped to it; should they crowd there, they get a frame
-# of their own in the next round.
+# Points of a run whose bounding box makes the frame of the run. Other points are clamped to it; if they crowd there,
+# they get a frame of their own in the next round.
 FRAME_SAMPLE = wp.constant(256)
 
 
@@ -31,10 +31,10 @@ FRAME_SAMPLE = wp.constant(256)
 class NearestTree:
     """Points sorted along a curve, 16 to a leaf, and boxes over them, 8 to a node.
 
-    Leaf b has its coordinates at ``48 b``: 16 of x, then of y, then of z; the rest of the last leaf is NaN.
-    ``index`` says which of the caller's points they are. Node n has the sides of its children's boxes at ``48 n``:
-    8 lower x, y, z, then 8 upper x, y, z; ``least`` has the lowest index below each child. Level 1 is that above the
-    leaves, ``level_first[l]`` the first node of level l, ``top`` the level with a single node.
+    The coordinates of leaf b begin at ``48 b``: 16 of x, then of y, then of z; the rest of the last leaf is NaN.
+    ``index`` holds the indices of the caller's points. The sides of the boxes of node n's children begin at ``48 n``: 8
+    lower x, y, z, then 8 upper x, y, z; ``least`` holds the lowest index below each child. Level 1 is directly above
+    the leaves, ``level_first[l]`` is the first node of level l, and ``top`` is the level with a single node.
     """
 
     positions: wp.array(dtype=wp.float64)
@@ -48,11 +48,11 @@ class NearestTree:
 
 @wp.struct
 class NearestQueries:
-    """Queries in blocks of 16 as the tree has its points, their options, and rows (Q, k) for the answers.
+    """Queries in blocks of 16, laid out like the points of the tree, with their options and result rows (Q, k).
 
-    ``index`` is the row of each query. ``limit_squared`` has one squared radius for all queries or one for each row.
-    With ``seeded`` block b of the queries is leaf b of the tree; with ``excluded`` a query does not find the point
-    that has its own index.
+    ``index`` is the row of each query. ``limit_squared`` holds one squared radius for all queries or one for each row.
+    If ``seeded``, block b of the queries is leaf b of the tree. If ``excluded``, a query does not find the point with
+    its own index.
     """
 
     positions: wp.array(dtype=wp.float64)
@@ -67,21 +67,21 @@ class NearestQueries:
 
 
 @wp.func
-def curve_cell(x: wp.float64, centre: wp.float64, inverse: wp.float64) -> wp.uint32:
-    # Clamped as a float: an int cast of a far-away coordinate would be undefined.
-    u = (x - centre) * inverse + wp.float64(0.5)
+def curve_cell(x: wp.float64, center: wp.float64, inverse: wp.float64) -> wp.uint32:
+    # Clamped as a float: casting a very large coordinate to int would be undefined.
+    u = (x - center) * inverse + wp.float64(0.5)
     return wp.uint32(wp.clamp(u * CURVE_CELLS, wp.float64(0.0), CURVE_CELLS - wp.float64(1.0)))
 
 
 @wp.func
 def bit_mask(x: wp.uint32, bit: wp.uint32) -> wp.uint32:
-    """All ones where the bit is set, else zero."""
+    """All ones if the bit is set, else zero."""
     return wp.uint32(0) - ((x >> bit) & wp.uint32(1))
 
 
 @wp.func
 def hilbert_key(a: wp.uint32, b: wp.uint32, c: wp.uint32) -> wp.int32:
-    """Place on the Hilbert curve of a cell with 10-bit coordinates (Skilling 2004, without branches)."""
+    """Position along the Hilbert curve of a cell with 10-bit coordinates (Skilling 2004, without branches)."""
     x = a
     y = b
     z = c
@@ -113,7 +113,7 @@ def hilbert_key(a: wp.uint32, b: wp.uint32, c: wp.uint32) -> wp.int32:
 
 @wp.func
 def key_in(frame: wp.vec4d, p: wp.vec3d) -> wp.int32:
-    """Place of p on the curve through the cube that the frame (centre, inverse edge) describes."""
+    """Position of p along the curve through the cube that the frame (center, inverse edge) describes."""
     return hilbert_key(
         curve_cell(p[0], frame[0], frame[3]), curve_cell(p[1], frame[1], frame[3]), curve_cell(p[2], frame[2], frame[3])
     )
@@ -121,22 +121,22 @@ def key_in(frame: wp.vec4d, p: wp.vec3d) -> wp.int32:
 
 @wp.func
 def frame_around(lower: wp.vec3d, upper: wp.vec3d) -> wp.vec4d:
-    # Halves: a whole extent may overflow.
+    # Halved first: the whole extent may overflow.
     half = wp.float64(0.5)
-    centre = half * lower + half * upper
+    center = half * lower + half * upper
     reach = half * upper - half * lower
     extent = wp.max(wp.max(reach[0], reach[1]), reach[2])
     inverse = MAX_INVERSE
     if extent * MAX_INVERSE > half:
         inverse = half / extent
-    return wp.vec4d(centre[0], centre[1], centre[2], inverse)
+    return wp.vec4d(center[0], center[1], center[2], inverse)
 
 
 @wp.kernel
 def sample_kernel(
     first: int, points: wp.array(dtype=wp.vec3d), sample_count: wp.int32, out_sample: wp.array(dtype=wp.vec3d)
 ):
-    """Some of the points, evenly over their order."""
+    """A sample of the points, evenly spaced in their order."""
     i = first + wp.tid()
     out_sample[i] = points[wp.int32(wp.int64(i) * wp.int64(points.shape[0]) // wp.int64(sample_count))]
 
@@ -149,7 +149,7 @@ def key_kernel(
     out_key: wp.array(dtype=wp.int32),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """Place of each point on the curve."""
+    """Position of each point along the curve."""
     i = first + wp.tid()
     out_key[i] = key_in(frame, points[i])
     out_index[i] = i
@@ -157,7 +157,7 @@ def key_kernel(
 
 @wp.kernel
 def head_kernel(first: int, key: wp.array(dtype=wp.int32), out_head: wp.array(dtype=wp.int32)):
-    """1 where a run of equal keys begins."""
+    """1 at the beginning of each run of equal keys, else 0."""
     i = first + wp.tid()
     head = wp.int32(1)
     if i > 0 and key[i] == key[i - 1]:
@@ -169,7 +169,7 @@ def head_kernel(first: int, key: wp.array(dtype=wp.int32), out_head: wp.array(dt
 def run_start_kernel(
     first: int, head: wp.array(dtype=wp.int32), run: wp.array(dtype=wp.int32), out_start: wp.array(dtype=wp.int32)
 ):
-    """First sorted point of each run; runs are numbered from 1. The entry after the last is the number of points."""
+    """First sorted point of each run; runs are numbered from 1. The last entry is the number of points."""
     i = first + wp.tid()
     if head[i] == 1:
         out_start[run[i] - 1] = i
@@ -181,7 +181,7 @@ def run_start_kernel(
 def crowded_kernel(
     first: int, run: wp.array(dtype=wp.int32), start: wp.array(dtype=wp.int32), out_crowded: wp.array(dtype=wp.int32)
 ):
-    """1 for the points of runs that are longer than a leaf."""
+    """1 for points of runs longer than a leaf, else 0."""
     i = first + wp.tid()
     r = run[i]
     crowded = wp.int32(0)
@@ -197,7 +197,7 @@ def member_kernel(
     place: wp.array(dtype=wp.int32),
     out_member: wp.array(dtype=wp.int32),
 ):
-    """Sorted points whose crowded flag is set, one after the other; ``place`` is the flags' inclusive sum."""
+    """Compact the sorted points whose crowded flag is set; ``place`` is the inclusive prefix sum of the flags."""
     i = first + wp.tid()
     if crowded[i] == 1:
         out_member[place[i] - 1] = i
@@ -211,7 +211,7 @@ def frame_kernel(
     start: wp.array(dtype=wp.int32),
     out_frame: wp.array(dtype=wp.vec4d),
 ):
-    """Frame of each run that is longer than a leaf."""
+    """Frame of each run longer than a leaf."""
     r = first + wp.tid()
     begin = start[r]
     count = start[r + 1] - begin
@@ -239,7 +239,7 @@ def member_key_kernel(
     out_sorted_key: wp.array(dtype=wp.int32),
     out_slot: wp.array(dtype=wp.int32),
 ):
-    """Key of each member in its run's frame, twice: one copy is for sorting."""
+    """Key of each member in the frame of its run, in two copies; one is for sorting."""
     i = first + wp.tid()
     at = member[i]
     key = key_in(frame[run[at] - 1], points[order[at]])
@@ -270,9 +270,10 @@ def member_order_kernel(
     out_order: wp.array(dtype=wp.int32),
     out_head: wp.array(dtype=wp.int32),
 ):
-    """The members' points in their new order, and where runs of equal keys begin now.
+    """The points of the members in their new order, and the beginnings of runs of equal keys.
 
-    Heads of the longer runs stay: members and runs keep their positions, only the points at these positions change.
+    Existing beginnings of runs stay: members and runs keep their positions, and only the points at these positions
+    change.
     """
     i = first + wp.tid()
     out_order[i] = order[member[slot[i]]]
@@ -299,9 +300,9 @@ def block_kernel(
     out_positions: wp.array(dtype=wp.float64),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """Blocks of points, axis by axis, in the given order.
+    """Blocks of points in the given order, one axis after the other.
 
-    The rest of the last block is NaN: no comparison with it holds, so it is never found.
+    The rest of the last block is NaN: every comparison with it is false, so it is never found.
     """
     block = first + wp.tid()
     for j in range(LEAF):
@@ -346,7 +347,7 @@ def leaf_box_kernel(
     out_boxes: wp.array(dtype=wp.float64),
     out_least: wp.array(dtype=wp.int32),
 ):
-    """Boxes of the leaves, as children of level 1; a child that is not there is empty and infinitely far away."""
+    """Boxes of the leaves, as children of level 1; the box of an absent child is empty and infinitely far away."""
     leaf = first + wp.tid()
     lower = nowhere()
     upper = -nowhere()
@@ -369,7 +370,7 @@ def node_box_kernel(
     out_boxes: wp.array(dtype=wp.float64),
     out_least: wp.array(dtype=wp.int32),
 ):
-    """Boxes of a level's nodes, as children of the level above."""
+    """Boxes of the nodes of a level, as children of the level above."""
     n = first + wp.tid()
     lower = nowhere()
     upper = -nowhere()

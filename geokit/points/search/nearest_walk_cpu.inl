@@ -1,4 +1,4 @@
-// The k nearest points on a CPU: one walk over the tree for several of the eight queries.
+// The k nearest points on a CPU: one traversal of the tree for several of the eight queries.
 //
 // Expects nearest_lists_cpu.inl, tree. Defines walk(open, seed).
 
@@ -25,7 +25,7 @@ auto scan = [&](int leaf, int j) {
         const long8 id = __builtin_convertvector(*(const i8*)(index + i), long8);
         const unsigned lanes = mask_of((s <= limit) & (id != own));
 #if defined(__AVX512F__)
-        // The lanes side by side, without a branch for each.
+        // Compress the lanes without a branch for each.
         *(d8*)(row_squared[j] + n) = __builtin_ia32_compressdf512_mask(s, s, (unsigned char)lanes);
         *(long8*)(row_candidate[j] + n) = __builtin_bit_cast(long8, __builtin_ia32_compressdf512_mask(
             __builtin_bit_cast(d8, id), __builtin_bit_cast(d8, id), (unsigned char)lanes));
@@ -39,7 +39,8 @@ auto scan = [&](int leaf, int j) {
     }
     size[j] = n;
 };
-// For the queries whose bound is not negative, the bits of `open`. False where they have too little in common.
+// For the queries in the bits of `open`, whose bound must not be negative. Returns false if they have too little in
+// common.
 auto walk = [&](unsigned open, int seed) {
     double lower[3], upper[3];
     const bool alone = (open & (open - 1)) == 0;
@@ -92,7 +93,7 @@ auto walk = [&](unsigned open, int seed) {
             const int j = __builtin_ctz(mask);
             const double d = near[j];
             if (d == worst && least[j] >= worst_index) continue;
-            // The nearest on top, and of equals the first.
+            // The nearest child is pushed last; among equals, the first.
             int at = height++;
             for (; at > base && entry[at - 1] <= d; --at) {
                 entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; level[at] = level[at - 1];

@@ -1,7 +1,7 @@
-"""The neighbors of a query, read from x-rows of cells.
+"""Neighbors of a query, read from x-rows of cells.
 
-Every comparison is made on the caller's float64 coordinates with the roundings written down, so that the answer is the
-one that ``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives anywhere else.
+Every comparison uses the caller's float64 coordinates with explicit roundings, so that the result is the one that
+``(dx * dx + dy * dy) + dz * dz <= radius * radius`` gives on any other machine.
 """
 
 # mypy: ignore-errors
@@ -11,13 +11,13 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key
 
-# Fused multiply-adds would round the squared distance once instead of five times: points at exactly the radius would
-# be in or out depending on the compiler.
+# Fused multiply-adds would round the squared distance once instead of five times: the compiler would decide whether
+# points at exactly the radius are in or out.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-# A neighbor's coordinate may differ from the query's by slightly more than the radius and its rounded squared distance
-# still not exceed the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
+# The coordinate of a neighbor may differ from the query's by slightly more than the radius without its rounded squared
+# distance exceeding the rounded squared radius: each of these roundings is at most 1.2e-16 relative.
 REACH_RELATIVE = wp.constant(wp.float64(1.0e-15))
 # Squares below 4.9e-324 round to 0: coordinates up to 2.3e-162 apart count as equal for every radius.
 REACH_ABSOLUTE = wp.constant(wp.float64(1.0e-161))
@@ -25,7 +25,7 @@ REACH_ABSOLUTE = wp.constant(wp.float64(1.0e-161))
 
 @wp.struct
 class CellBox:
-    """The cells that a query's cube touches, both corners inclusive; empty where an upper one is below a lower one."""
+    """Cells that intersect a query's cube, both corners inclusive; empty if an upper corner is below the lower one."""
 
     lower: wp.vec3i
     upper: wp.vec3i
@@ -33,14 +33,14 @@ class CellBox:
 
 @wp.func
 def cells_around(grid: CellGrid, q: wp.vec3d, reach: wp.float64) -> CellBox:
-    """Cells of the cube of half edge ``reach`` around ``q``."""
+    """Cells that intersect the cube of half edge ``reach`` around ``q``."""
     box = CellBox()
     for axis in range(3):
         low = q[axis] - reach
         high = q[axis] + reach
         box.lower[axis] = cell_along(grid, axis, low)
         box.upper[axis] = cell_along(grid, axis, high)
-        # Clamping alone would have a far query read the cells at the border.
+        # Clamping alone would make a far query read the cells at the border.
         if high < grid.lower[axis] or low > grid.upper[axis]:
             box.upper[axis] = -1
     return box
@@ -48,10 +48,10 @@ def cells_around(grid: CellGrid, q: wp.vec3d, reach: wp.float64) -> CellBox:
 
 @wp.func
 def first_at_or_above(grid: CellGrid, key: wp.int64) -> wp.int32:
-    """The first sorted point whose key is not below ``key``."""
+    """First sorted point whose key is not below ``key``."""
     bucket = wp.int32(key >> wp.int64(grid.shift))
     begin = grid.start[bucket]
-    # A key that opens its bucket needs no search; with shift 0 every key does.
+    # A key at the start of its bucket needs no search; with shift 0 every key is.
     if (key & ((wp.int64(1) << wp.int64(grid.shift)) - wp.int64(1))) != wp.int64(0):
         end = grid.start[bucket + 1]
         while begin < end:
@@ -74,7 +74,7 @@ def row_count(box: CellBox) -> wp.int32:
 
 @wp.func
 def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
-    """Begin and end of the sorted points in one x-row of the box: neighbors in x are neighbors in memory."""
+    """Begin and end of the sorted points in one x-row of the box; neighbors in x are adjacent in memory."""
     width = box.upper[1] - box.lower[1] + 1
     y = box.lower[1] + row % width
     z = box.lower[2] + row // width
@@ -99,7 +99,7 @@ def within_mask_of(
 
 @wp.func
 def within_mask(grid: CellGrid, begin: wp.int32, end: wp.int32, q: wp.vec3d, radius_squared: wp.float64) -> wp.uint64:
-    """Bit k is set where the sorted point ``begin + k`` is within the radius, among MASK_BITS points at most."""
+    """Bit mask: bit k is set if the sorted point ``begin + k`` is within the radius; at most MASK_BITS points."""
     count = wp.min(end - begin, MASK_BITS)
     return within_mask_of(grid.x, grid.y, grid.z, begin, count, q[0], q[1], q[2], radius_squared)
 
@@ -117,7 +117,7 @@ def lowest_bit(mask: wp.uint64) -> wp.int32: ...
 
 @wp.struct
 class Queries:
-    """Positions of queries in the order in which they are answered, and where the answers go."""
+    """Positions of queries in processing order, and the row of each result."""
 
     x: wp.array(dtype=wp.float64)
     y: wp.array(dtype=wp.float64)
@@ -127,9 +127,10 @@ class Queries:
 
 @wp.struct
 class Nearness:
-    """A query in the grid's float32 frame, and the squared distances there that leave no doubt.
+    """A query in the grid's float32 frame, and the squared distances beyond which float32 decides.
 
-    At most ``surely`` is within the radius, above ``possibly`` is not; float64 decides in between.
+    A point at a squared distance of at most ``surely`` is within the radius, one above ``possibly`` is not; float64
+    decides between the two.
     """
 
     x: wp.float32
@@ -139,25 +140,25 @@ class Nearness:
     possibly: wp.float32
 
 
-# Half the distance between 1 and the next float32.
+# Unit roundoff u of float32: half the distance between 1 and the next float32.
 ROUNDING = wp.constant(wp.float64(2.0**-24))
-# The limits themselves are rounded to float32, and their own arithmetic rounds: two steps outwards cover both.
+# The limits are themselves computed and rounded in float32: two steps outwards cover both errors.
 OUTWARDS = wp.constant(wp.float64(2.0**-22))
-# Local coordinates and radii beyond it leave nothing to float32, whose squares end at 3.4e38.
+# Beyond this size of local coordinates and radii float64 decides everything, as float32 squares overflow at 3.4e38.
 LARGEST_LOCAL = wp.constant(wp.float64(1.0e15))
-# Squares in float32 vanish near 1e-38: smaller ones decide nothing.
+# Float32 squares vanish near 1e-38: smaller squares decide nothing.
 SMALLEST_SQUARE = wp.constant(wp.float64(1.0e-30))
 NO_LIMIT = wp.constant(wp.float32(wp.inf))
 
 
 @wp.func
 def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
-    """Which distances from q float32 can decide.
+    """The query in the float32 frame, with the range of distances that float32 cannot decide.
 
-    A local coordinate is off by u |x|, a difference of two by 2 u m with m the largest coordinate of q and of the
-    points within its radius, and its square, the sum and their roundings by 8 u of the result at most.
+    A local coordinate has an error of u |x|, a difference of two one of 2 u m, with m the largest coordinate of q and
+    of the points within its radius. The square, the sum and their roundings add at most 8 u of the result.
     """
-    local = (q - grid.centre) * grid.scale
+    local = (q - grid.center) * grid.scale
     reach = radius * grid.scale
     largest = wp.max(wp.max(wp.abs(local[0]), wp.abs(local[1])), wp.abs(local[2])) + reach
     near = Nearness()
@@ -189,11 +190,11 @@ def near_count(
 def near_mask(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.uint64:
-    """As :func:`within_mask`, but float64 decides only about points that float32 leaves in doubt."""
+    """The bit mask of :func:`within_mask`, with float64 used only for points that float32 cannot decide."""
     ...
 
 
 @wp.func
 def reach_of(radius: wp.float64) -> wp.float64:
-    """Half edge of the cube that holds every neighbor, rounding included."""
+    """Half edge of the cube that contains every neighbor, rounding included."""
     return radius * (wp.float64(1.0) + REACH_RELATIVE) + REACH_ABSOLUTE

@@ -1,4 +1,4 @@
-"""Radius search over sorted points: queries put in order, counted, and their neighbours filled in."""
+"""Radius search over sorted points: queries are ordered, neighbors counted, and rows filled."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ __all__ = [
     "sort_by_distance",
 ]
 
-# int32 index and float64 distance.
+# Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
-# One flat array holds the neighbours of all queries, and its positions are int32.
+# One flat array holds the neighbors of all queries, with int32 positions.
 MAX_NEIGHBORS = 2**31 - 1
-# No point has an index so far below its query's: nothing is left out.
+# Offset from a query's index that matches no point: nothing is left out.
 NOTHING_LEFT_OUT = -(2**30) * 2
-# Items of a launch are counted in int32, and there are 32 for each row.
+# Items of a launch are counted in int32, and each row has 32.
 ROWS_AT_ONCE = 1 << 25
-# Shares worth a slice of their own: a tenth of a millisecond, which it takes to wake a thread.
+# Shares that are worth a slice: a tenth of a millisecond of work, the time that waking a thread takes.
 SEARCH_GRAIN = 8
-# Numbers that notes of a count may take, 48 MiB; those of a share are at least and at most so many a query. Queries
-# beyond them are searched twice, as are those with more neighbours.
+# Most numbers for the notes of a count, 48 MiB, and the least and greatest number for each query of a share. Queries
+# beyond this space, and queries with more neighbors, are searched twice.
 NOTED = 48 << 18
 LEAST_NOTED, MOST_NOTED = 64, 1024
-# Fewer queries are searched twice before there is room for notes.
+# With fewer queries than this, searching twice is faster than allocating notes.
 FEWEST_NOTED = 1 << 11
-# Radii within this factor of each other are searched in the same cells: more classes sort the points more often, fewer
-# read more of them.
+# Radii within this factor of each other share the same cells: more classes sort the points more often, fewer classes
+# read more points.
 CLASS_RATIO = 4.0
 
 
 class Notes(NamedTuple):
-    """What a count found, so that the fill need not search again.
+    """Results of a count, stored so that the fill need not search again.
 
     Attributes:
-        size: Numbers of a share of the queries.
-        places: For each share, as long as there is room: whether all is there, and for each query how many neighbours
-            it has and where they stand among the sorted points.
+        size: Numbers of each share of the queries.
+        places: For each share, as long as there is space: whether its notes are complete, and for each query the number
+            of its neighbors and their positions among the sorted points.
     """
 
     size: int
@@ -67,9 +67,9 @@ class Asked:
         rows: Queries on the device, vec3d (vec3f too on a GPU), shape (Q,); None for the points themselves.
         count: Q.
         radius: One radius for all, or an array (Q,) of float64 on the host.
-        cells_for: Cells for a radius.
-        own: True where neighbour i of query i is left out.
-        first_point: Index of the point that query 0 is; what ``own`` leaves out.
+        cells_for: Returns the cells for a radius.
+        own: True if neighbor i of query i is left out.
+        first_point: Index of the point that query 0 stands for, which ``own`` leaves out.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Asked:
         self.rows = rows
         values = np.atleast_1d(np.asarray(radius, dtype=np.float64))
         self.radius = wp.array(values, dtype=wp.float64, device=device)
-        # Each part: cells, and the queries that are answered in them, in an order in which they share what they read.
+        # Each part: cells, and their queries in an order in which consecutive queries share what they read.
         self.parts: list[tuple[Any, Any, int]] = []
         for most, chosen in _classes(values, count):
             grid = cells_for(most).grid
@@ -98,19 +98,19 @@ class Asked:
             if queries is None:
                 queries = _arranged(grid, points_of(grid) if rows is None else rows, chosen, device)
             self.parts.append((grid, queries, number))
-        # What a count found, for each part.
+        # Results of the count, for each part.
         self.notes: list[Notes | None] = [None] * len(self.parts)
 
 
 def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | None]]:
-    """The largest radius of each class of similar ones, and the queries of the class, None for all."""
+    """Largest radius of each class of similar radii, and the queries of the class; None for all queries."""
     if len(radius) != count or count == 1:
         return [(float(radius[0]), None)] if len(radius) else []
     largest, smallest = float(radius.max()), float(radius.min())
     if largest <= CLASS_RATIO * smallest:
         return [(largest, None)]
     with np.errstate(divide="ignore"):
-        # Radii of 0 are in the class of the smallest that is not.
+        # Radii of 0 join the class of the smallest positive radius.
         size = np.log(np.maximum(radius, radius[radius > 0.0].min())) / np.log(CLASS_RATIO)
     number = np.floor(size - size.min()).astype(np.int64)
     parts = (np.flatnonzero(number == value) for value in np.unique(number))
@@ -126,7 +126,7 @@ def _own_queries(grid: Any) -> Any:
 
 
 def points_of(grid: Any) -> "wp.array":
-    """The points as vec3d in the order in which they came."""
+    """The points as vec3d in their original order."""
     import warp as wp
 
     from geokit.points.search.cells_kernels import unsort_kernel
@@ -138,7 +138,7 @@ def points_of(grid: Any) -> "wp.array":
 
 
 def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "wp.Device") -> Any:
-    """Queries sorted by cell; those of ``chosen`` only."""
+    """Queries sorted by cell, only those of ``chosen`` if given."""
     import warp as wp
 
     from geokit.points.search import radius_cuda_kernels as kernels
@@ -165,9 +165,9 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
 
 
 def count(asked: Asked, *, note: bool = False) -> "wp.array":
-    """Number of neighbours of each query, int32 (Q,).
+    """Number of neighbors of each query, int32 (Q,).
 
-    With ``note`` a CPU notes what it finds in ``asked``, for :func:`fill`.
+    With ``note`` a CPU stores the neighbors that it finds in ``asked``, for :func:`fill`.
     """
     import warp as wp
 
@@ -176,7 +176,7 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
 
     device = asked.device
     counts = wp.empty(asked.count, dtype=wp.int32, device=device)
-    # A point is its own neighbour; a query that takes its place may be none of it.
+    # A point is its own neighbor, but a query that stands for a point may lie elsewhere and not find it.
     own = int(asked.own and asked.rows is None)
     for part, (grid, queries, number) in enumerate(asked.parts):
         given = [queries, grid, asked.radius, own]
@@ -205,14 +205,14 @@ def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
 
 
 def _launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
-    """On a CPU an item is a share of the queries, which have cells in common; on a GPU it is a query."""
+    """Launch over shares of queries with common cells on a CPU, over single queries on a GPU."""
     from geokit.points.search.radius_cpu_kernels import SHARE
 
     launcher.launch(kernel, -(-queries // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
 
 
 def offsets_of(counts: "wp.array") -> "wp.array":
-    """Where each row begins, and where the last one ends: int64 (Q + 1,)."""
+    """Beginning of each row and the end of the last one, int64 (Q + 1,), by a prefix sum."""
     import warp as wp
 
     from geokit.points.search.radius_cuda_kernels import offset_kernel
@@ -233,10 +233,10 @@ def offsets_of(counts: "wp.array") -> "wp.array":
 def fill(
     asked: Asked, counts: "wp.array", refuse: Callable[[int], None], *, order: str = "index", single: bool = False
 ) -> tuple[Any, Any, Any]:
-    """offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) float64 of rows as long as ``counts`` says.
+    """offsets (Q + 1,) int64, indices (M,) int32 and distance (M,) float64 of rows with the lengths ``counts``.
 
-    ``refuse`` is called with M before there is room for so many. ``order`` is "index", or "any" for that of the cells.
-    With ``single`` a CPU gives distance in float32.
+    ``refuse`` is called with M before allocation, to raise if M is too large. ``order`` is "index", or "any" for the
+    order of the cells. With ``single`` a CPU returns distance in float32.
     """
     import warp as wp
 
@@ -265,7 +265,7 @@ def fill(
 
 
 def crowding(cells: Cells) -> float:
-    """Points in a cell, averaged over the points: with how many a point shares its cell."""
+    """Mean over the points of the number of points in their cell."""
     import warp as wp
 
     from geokit.points.search import cells_kernels as kernels
@@ -280,19 +280,19 @@ def crowding(cells: Cells) -> float:
 
 
 def sort_by_index(offsets: "wp.array", indices: "wp.array", distance: "wp.array") -> None:
-    """Rows in ascending order of index; on a CPU they are filled in it."""
+    """Sort rows by ascending index; on a CPU they are filled in this order."""
     from geokit.points.search.radius_cuda_kernels import sort_rows_kernel
 
     device: Any = offsets.device
     rows = len(offsets) - 1
-    # Threads of a warp are items side by side: blocks of rows begin at a multiple of 32.
+    # The threads of a CUDA warp are adjacent items: blocks of rows begin at a multiple of 32.
     for begin in range(0, rows, ROWS_AT_ONCE):
         part = offsets[begin : min(begin + ROWS_AT_ONCE, rows) + 1]
         launcher.launch(sort_rows_kernel, 32 * (len(part) - 1), [part], [indices, distance], device)
 
 
 def sort_by_distance(offsets: "wp.array", indices: "wp.array", distance: "wp.array") -> None:
-    """Rows in ascending order of (distance, index) instead of index."""
+    """Sort rows by ascending (distance, index) instead of index."""
     from geokit.points.search.radius_cuda_kernels import sort_by_distance_kernel
 
     device: Any = offsets.device
@@ -300,8 +300,8 @@ def sort_by_distance(offsets: "wp.array", indices: "wp.array", distance: "wp.arr
 
 
 def require_room(total: int, query_count: int, device: "wp.Device") -> None:
-    """Refuse more neighbours than there is memory for, or than one result can hold."""
-    what = f"radius_search: {query_count} queries have {total} neighbours"
+    """Raise DeviceMemoryError if the neighbors exceed the free memory or the size of one result."""
+    what = f"radius_search: {query_count} queries have {total} neighbors"
     remedy = "use a smaller radius, fewer queries at a time, radius_search_blocks() or count()"
     needed, free = total * BYTES_PER_NEIGHBOR, available_memory.available(device)
     if needed > free:
@@ -313,7 +313,7 @@ def require_room(total: int, query_count: int, device: "wp.Device") -> None:
 
 
 def blocks_of(counts: np.ndarray, budget: int) -> Iterator[tuple[int, int]]:
-    """Begin and end of blocks of consecutive rows whose neighbours take at most ``budget`` bytes, or that are one row.
+    """Begin and end of blocks of consecutive rows whose neighbors take at most ``budget`` bytes.
 
     A row longer than the budget is a block of its own.
     """

@@ -1,11 +1,10 @@
-// Number of neighbors of each query of a share. What is found is noted for the fill, as long as there is room for
-// notes.
+// Number of neighbors of each query of a share. The neighbors found are noted for the fill, as long as there is space.
 //
 // Expects radius_runs_cpu.inl, radius_keep_cpu.inl, queries, self_count, note_size, share, first_query, last_query,
 // out_count, out_note.
 //
-// Notes are, for each query, how many neighbors there are and their places among the sorted points. Before them stands
-// 1 if the notes of all queries of the share are there.
+// The notes hold, for each query, the number of neighbors and their positions among the sorted points. The first entry
+// is 1 if the notes of all queries of the share are complete.
 
 #if !defined(__CUDA_ARCH__)
 const int64_t begin = (int64_t)(share) * note_size;
@@ -16,8 +15,8 @@ const int* const end = whole ? out_note.data + begin + note_size : nullptr;
 int next = first_query;
 for (int k = first_query; k < last_query; ++k)
     out_count.data[queries.index.data[k]] = -self_count;
-// Queries come in order; those without candidates are left out. Where candidates fill the buffer several times, all
-// queries of the run come again, which is not noted.
+// Queries come in order; those without candidates are skipped. If the candidates fill the buffer several times, all
+// queries of the run come once for each filling, and nothing is noted.
 each_run([&](int k, int length) {
     whole = whole && k >= next && to + (k - next) + 1 + length <= end;
     int inside = 0;

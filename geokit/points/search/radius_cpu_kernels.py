@@ -1,8 +1,8 @@
-"""Radius search on a CPU: queries of one cell share the candidates around it.
+"""Radius search on a CPU: the queries of one cell share the candidates around it.
 
-The candidates of a cell, some dozen ranges of sorted points, are laid end to end in a buffer that stays in the first
-cache; every query of the cell then reads it from front to back, sixteen points at a time, without a branch that
-depends on the data. Float32, seen from the cell, decides wherever its error cannot matter, float64 where it can.
+The candidates of a cell, some dozen ranges of sorted points, are copied to one contiguous buffer that stays in the L1
+cache. Every query of the cell then reads it from front to back, sixteen points at a time, without data-dependent
+branches. Float32, relative to the cell, decides wherever its error cannot matter, float64 elsewhere.
 """
 
 # mypy: ignore-errors
@@ -26,10 +26,10 @@ from geokit.points.search.neighbors_kernels import (
 # Contracted multiply-adds would round the squared distance once instead of five times.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Queries answered by one item: runs of one cell are cut at its ends, so it is many times a cell's usual share.
+# Queries of one item: many times the usual number of queries in a cell, because runs of one cell are cut at its ends.
 SHARE = wp.constant(256)
 
-# The searches on a GPU have the same ones; their meaning is explained there.
+# The same constants as in the searches on a GPU, where they are explained.
 NUMBERS = {
     "ROUNDING": float(ROUNDING),
     "OUTWARDS": float(OUTWARDS),
@@ -38,12 +38,12 @@ NUMBERS = {
     "REACH_RELATIVE": float(REACH_RELATIVE),
     "REACH_ABSOLUTE": float(REACH_ABSOLUTE),
     "SHARE_SIZE": int(SHARE),
-    # Squares of radii beyond these vanish or overflow in float64 already: float64 decides everything.
+    # Squares of radii beyond these vanish or overflow even in float64: float64 decides everything.
     "LEAST_UNIT": 1e-140,
     "LARGEST_UNIT": 1e140,
-    # Longer rows are sorted step by step: counting takes the square of their length.
+    # Longer rows are sorted step by step: counting takes time quadratic in their length.
     "RANKED": 128,
-    # Queries between the prefetch of a row and its writing, and the most entries of the row that are prefetched.
+    # Number of queries between the prefetch of a row and its write, and the most entries of a row that are prefetched.
     "AHEAD": 4,
     "PREFETCHED": 64,
 }
@@ -117,9 +117,9 @@ def count_share_kernel(
     out_count: wp.array(dtype=wp.int32),
     out_note: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbors of SHARE queries each, less ``self_count``.
+    """Number of neighbors of SHARE queries each, minus ``self_count``.
 
-    Each share notes what it finds in ``note_size`` numbers of ``out_note``, as far as there is room.
+    Each share stores what it finds in ``note_size`` numbers of ``out_note``, as long as there is space.
     """
     share = first + wp.tid()
     begin = share * SHARE
@@ -140,7 +140,7 @@ def fill_by_index_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbors of SHARE queries, each from its offset on, by ascending index."""
+    """Neighbors of SHARE queries, each written from its offset on, by ascending index."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
@@ -160,14 +160,14 @@ def fill_as_found_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbors of SHARE queries, each from its offset on, in the order of the cells."""
+    """Neighbors of SHARE queries, each written from its offset on, in the order of the cells."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
     fill_as_found(queries, grid, radius, own, offset, note, note_size, share, begin, end, out_index, out_distance)
 
 
-# By order of the rows, and the type of distances: in float32 there is a third less to write.
+# By order of the rows and type of the distances: with float32 a third less is written.
 FILL_KERNELS = {
     (order, real): wp.overload(kernel, {"out_distance": wp.array(dtype=real)})
     for order, kernel in (("index", fill_by_index_kernel), ("any", fill_as_found_kernel))

@@ -1,4 +1,4 @@
-"""Radius search on a GPU, a thread for each query, and operations on rows of neighbors on any device."""
+"""Radius search on a GPU with one thread for each query, and operations on rows of neighbors for any device."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def by_distance(
     begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
 ):
-    """Sorts ``count`` entries of both arrays from ``begin`` on by ascending (distance, index), in place."""
+    """Sort ``count`` entries of both arrays from ``begin`` on by ascending (distance, index), in place."""
     ...
 
 
@@ -49,7 +49,7 @@ def sort_rows_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Rows in ascending order of index, one CUDA warp for each: there are 32 items a row."""
+    """Sort rows by ascending index, with one CUDA warp for each: a row has 32 items."""
     i = first + wp.tid()
     row = i // 32
     begin = wp.int32(offset[row])
@@ -65,7 +65,7 @@ def count_kernel(
     self_count: wp.int32,
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbors of each query, less ``self_count``. There is one radius for all, or one for each."""
+    """Number of neighbors of each query, minus ``self_count``. There is one radius for all queries, or one for each."""
     k = first + wp.tid()
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
@@ -97,7 +97,7 @@ def fill_kernel(
     r = radius[wp.min(i, radius.shape[0] - 1)]
     box = cells_around(grid, q, reach_of(r))
     near = nearness_of(grid, q, r)
-    # Flat results have fewer than 2^31 entries: the caller sees to it.
+    # Flat results have fewer than 2^31 entries, which the caller ensures.
     at = wp.int32(offset[i])
     for row in range(row_count(box)):
         span = row_range(grid, box, row)
@@ -117,21 +117,21 @@ def fill_kernel(
 
 @wp.kernel
 def offset_kernel(first: int, count: wp.array(dtype=wp.int32), out_offset: wp.array(dtype=wp.int64)):
-    """Counts as int64, ready to be summed in place."""
+    """Counts as int64, ready for an in-place prefix sum."""
     i = first + wp.tid()
     out_offset[i] = wp.int64(count[i])
 
 
 @wp.kernel
 def pick_kernel(first: int, rows: wp.array(dtype=Any), place: wp.array(dtype=wp.int32), out_rows: wp.array(dtype=Any)):
-    """Some of the rows."""
+    """Gather the rows at ``place``."""
     i = first + wp.tid()
     out_rows[i] = rows[place[i]]
 
 
 @wp.kernel
 def arrange_kernel(first: int, rows: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_queries: Queries):
-    """Queries in the order in which they are answered."""
+    """Queries in processing order."""
     i = first + wp.tid()
     p = rows[order[i]]
     out_queries.index[i] = order[i]
@@ -149,7 +149,7 @@ def uncount_kernel(
     radius: wp.array(dtype=wp.float64),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """One neighbor less for each query that has its own point among them."""
+    """Subtract 1 for each query that has its own point among its neighbors."""
     i = first + wp.tid()
     p = points[first_point + i]
     q = rows[i]
@@ -163,7 +163,7 @@ def uncount_kernel(
 
 @wp.kernel
 def rename_kernel(first: int, place: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
-    """Rows among some as rows among all."""
+    """Map row numbers of a subset to row numbers of all queries."""
     i = first + wp.tid()
     out_index[i] = place[out_index[i]]
 
@@ -175,7 +175,7 @@ def sort_by_distance_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Each row, ascending by index so far, in ascending order of distance, then index."""
+    """Sort each row, given by ascending index, by ascending distance, then index."""
     i = first + wp.tid()
     begin = wp.int32(offset[i])
     by_distance(begin, wp.int32(offset[i + 1]) - begin, out_index, out_distance)
@@ -183,7 +183,7 @@ def sort_by_distance_kernel(
 
 @wp.func
 def first_above(offset: wp.array(dtype=wp.int64), index: wp.array(dtype=wp.int32), row: wp.int32, point: wp.int32):
-    """Where in an ascending row the indices above ``point`` begin."""
+    """Position in an ascending row where the indices above ``point`` begin."""
     at = wp.int32(offset[row])
     end = wp.int32(offset[row + 1])
     while at < end:
@@ -202,7 +202,7 @@ def pair_count_kernel(
     index: wp.array(dtype=wp.int32),
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbors in each point's row whose index is above the point's own."""
+    """Number of neighbors of each point with an index above its own."""
     i = first + wp.tid()
     out_count[i] = wp.int32(offset[i + 1]) - first_above(offset, index, i, i)
 
@@ -217,7 +217,7 @@ def pair_fill_kernel(
     out_pair: wp.array(dtype=wp.int32, ndim=2),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """The pairs of each point with its neighbors of higher index."""
+    """Pairs of each point with its neighbors of higher index."""
     i = first + wp.tid()
     begin = first_above(offset, index, i, i)
     at = wp.int32(pair_offset[i])

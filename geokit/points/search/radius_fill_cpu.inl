@@ -5,11 +5,11 @@
 // radius_cpu_kernels.
 
 #if !defined(__CUDA_ARCH__)
-// Neighbors found in one filling of the buffer: their places among the sorted points, indices, distances.
+// Neighbors found in one filling of the buffer: their positions among the sorted points, indices and distances.
 alignas(64) int found[room + 32], key[room + 32], rank[RANKED + 32];
 alignas(64) double distance[room + 32];
 int written[SHARE_SIZE];
-// Rows lie in the caller's order, all over the memory: rows that come soon are prefetched.
+// Rows are in the caller's order, scattered over memory, so the rows of upcoming queries are prefetched.
 for (int k = first_query; k < last_query; ++k) {
     written[k - first_query] = 0;
     __builtin_prefetch(offset.data + queries.index.data[k]);
@@ -17,7 +17,7 @@ for (int k = first_query; k < last_query; ++k) {
 auto put = [&](int k, const int* found, int count) {
     const int row = queries.index.data[k], without = row + own;
     if (k + AHEAD < last_query) {
-        // All lines of a row: it seldom begins with one.
+        // Prefetch all cache lines of a row, which seldom begins at a line.
         const int next = queries.index.data[k + AHEAD];
         const int64_t row_begin = offset.data[next], length = offset.data[next + 1] - row_begin;
         const int64_t most = length < PREFETCHED ? length : PREFETCHED;
@@ -30,8 +30,8 @@ auto put = [&](int k, const int* found, int count) {
         prefetch(out_distance.data + row_begin);
     }
     const double x = queries.x.data[k], y = queries.y.data[k], z = queries.z.data[k];
-    // The compiler's own vectors would gather here and scatter below. Processors with the microcode
-    // mitigation for gathers take ten times as long for the one, and none is faster with the other.
+    // Vectorization is off: the compiler would gather here and scatter below. On processors with the microcode
+    // mitigation a gather takes ten times as long, and no processor gains from the scatter.
     #pragma clang loop vectorize(disable)
     for (int i = 0; i < count; ++i) {
         const int p = found[i];
@@ -54,7 +54,7 @@ auto put = [&](int k, const int* found, int count) {
     int* const keys = out_index.data + offset.data[row];
     auto* const values = out_distance.data + offset.data[row];
     if (BY_INDEX && so_far == 0 && kept <= RANKED) {
-        // A short row is sorted by counting for each entry how many are smaller, sixteen entries at a time: no branch
+        // A short row is sorted by counting, for each entry, the smaller ones, sixteen entries at a time: no branch
         // depends on the data.
         *(i16*)(key + kept) = (i16)(0x7fffffff);
         for (int at = 0; at < kept; at += 32) {

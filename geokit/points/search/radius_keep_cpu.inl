@@ -1,7 +1,7 @@
-// The entries of the buffer whose bits are set, side by side.
+// Compresses the entries of the buffer whose bits are set.
 //
-// Expects radius_runs_cpu.inl. Defines keep(to, at, inside): writes the places of those of the sixteen entries from
-// `at` on whose bit in `inside` is set, and returns how many there are; sixteen entries of `to` may be overwritten.
+// Expects radius_runs_cpu.inl. Defines keep(to, at, inside): writes the positions of those of the sixteen entries from
+// `at` on whose bit in `inside` is set, and returns their number; sixteen entries of `to` may be overwritten.
 
 #if !defined(__CUDA_ARCH__)
 typedef int stored __attribute__((__vector_size__(64)));

@@ -1,4 +1,4 @@
-// Radius search on a CPU: runs of queries in one cell, and the candidates around it in a buffer.
+// Radius search on a CPU: runs of queries in one cell, with the surrounding candidates in a buffer.
 //
 // Expects core/simd.inl, cell_along_cpu.inl, grid, queries, radius, first_query, last_query and the constants of
 // radius_cpu_kernels. Defines run, the buffer (bx, by, bz, place), within(k, at): the neighbors of query k among
@@ -24,7 +24,7 @@ auto above = [](v16 d, v16 limit) -> unsigned {
 };
 #endif
 constexpr int most_queries = 32, room = 1024;
-// The last block is written whole, and padded with points that are within no radius.
+// The last block is written whole and padded with points that are within no radius.
 alignas(64) float bx[room + 32], by[room + 32], bz[room + 32];
 alignas(64) int place[room + 32];
 float qx[most_queries], qy[most_queries], qz[most_queries], surely[most_queries], possibly[most_queries];
@@ -53,7 +53,7 @@ auto store = [](float* to, const double* from, double origin, double scale) {
     *(v16*)(to) = __builtin_convertvector(local, v16);
 };
 auto decides = [&](int k, int p) -> bool {
-    // Places of the padding are -1.
+    // The positions of padding are -1.
     if (p < 0)
         return false;
     const double dx = grid.x.data[p] - queries.x.data[k];
@@ -61,7 +61,7 @@ auto decides = [&](int k, int p) -> bool {
     const double dz = grid.z.data[p] - queries.z.data[k];
     return (dx * dx + dy * dy) + dz * dz <= limit[k - run];
 };
-// Neighbors among sixteen entries of the buffer, one bit each.
+// Bit mask of the neighbors among sixteen entries of the buffer.
 auto within = [&](int k, int at) -> unsigned {
     const int o = k - run;
     const v16 dx = *(const v16*)(bx + at) - (v16)(qx[o]);
@@ -80,8 +80,8 @@ auto each_run = [&](auto&& use) {
     for (run = first_query; run < last_query;) {
         const double at[3] = {queries.x.data[run], queries.y.data[run], queries.z.data[run]};
         const int cell[3] = {cell_along(0, at[0]), cell_along(1, at[1]), cell_along(2, at[2])};
-        // Float32 sees the run from its first query, in units of about its radius: undecided cases are rare,
-        // however far the points reach. A power of two rounds nothing.
+        // Float32 coordinates are relative to the first query of the run, in units of about its radius: undecided cases
+        // are then rare, whatever the extent of the points. Scaling by a power of two is exact.
         const int first_row = queries.index.data[run];
         const double unit = radius.data[first_row < radius.shape[0] ? first_row : radius.shape[0] - 1];
         const double scale = unit > LEAST_UNIT && unit < LARGEST_UNIT ? inverse_power_of_two(unit) : 1.0;
@@ -144,7 +144,7 @@ auto each_run = [&](auto&& use) {
                 const int row_end = first_at_or_above(row + to[0] + 1);
                 while (p < row_end) {
                     const int taken = row_end - p < room - filled ? row_end - p : room - filled;
-                    // Whole vectors: entries beyond `taken` are padding or are overwritten.
+                    // Whole vectors are copied: entries beyond `taken` are padding or are overwritten.
                     for (int o = 0; o < taken; o += 16) {
                         store(bx + filled + o, grid.x.data + p + o, at[0], scale);
                         store(by + filled + o, grid.y.data + p + o, at[1], scale);

@@ -1,4 +1,4 @@
-// Sorts `count` neighbors from `begin` on by ascending (distance, index), in place: Shell's sort, gaps of Tokuda 1992.
+// Sorts `count` neighbors from `begin` on by ascending (distance, index), in place: Shell sort, gaps of Tokuda 1992.
 //
 // Expects begin, count, index, distance.
 

@@ -1,9 +1,8 @@
-// Sort of a row of neighbors by ascending index: Shell's, in place (gaps of Tokuda 1992).
+// Sorts a row of neighbors by ascending index, in place: Shell sort, gaps of Tokuda 1992.
 //
 // Expects nothing. Defines sort_row(key, value, count).
 //
-// In C++, because warp's own access to an array goes through its strides: the same loop takes 1.7 times as long on a
-// CPU.
+// In C++, because warp accesses arrays through their strides: the same loop takes 1.7 times as long on a CPU.
 
 auto sort_row = [](int* key, auto* value, int count) {
     int gap = count;

@@ -2,7 +2,7 @@
 //
 // Expects sort_by_index.inl, begin, count, lane, index, distance.
 //
-// Each thread counts, for every entry it holds, how many are smaller. On a CPU there is one thread: the first of the 32
+// Each thread counts the smaller entries for every entry it holds. On a CPU there is one thread: the first of the 32
 // items sorts the row.
 
 #if defined(__CUDA_ARCH__)

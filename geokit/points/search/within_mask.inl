@@ -1,8 +1,8 @@
-// Which of `count` sorted points from `begin` on, 64 at most, are within the radius of a query: a bit mask.
+// Bit mask of the `count` sorted points from `begin` on, 64 at most, that are within the radius of a query.
 //
 // Expects x, y, z, begin, count, qx, qy, qz, radius_squared; on a CPU also core/simd.inl. Returns the mask.
 //
-// In C++, because warp has no vectors of eight doubles and no way from a comparison of them to a bit mask. Both
+// In C++, because warp has no vectors of eight doubles and no conversion of their comparison to a bit mask. Both
 // branches round alike, lane by lane.
 
 uint64_t mask = 0;

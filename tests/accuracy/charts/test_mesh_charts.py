@@ -1,4 +1,4 @@
-"""The charts of meshes: every trial runs and is judged right, and a method made worse on purpose is noticed."""
+"""Charts of meshes: every trial runs with right answers, and a method made worse on purpose is detected."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_first_hits(sphere):
             assert not judgement.wrong.any()
             assert judgement.errors.max() <= DOUBLE * sphere.diagonal
         elif trial.method.startswith("warp"):
-            # A grazing ray slides along the surface by some ten times what float32 moves it.
+            # A grazing ray slides along the surface by some ten times the displacement by float32.
             assert judgement.errors.max() <= 100 * SINGLE * sphere.diagonal
         assert trial.byte_count > 0
     volumes = [judgement for (method, _), judgement in found.items() if method == "volume.raycast"]
@@ -217,7 +217,7 @@ def test_rays_at_edges_do_not_leak(sphere):
     first = judged(trials[0])
     assert trials[0].parameters == {"watertight": True}
     assert not first.wrong.any()
-    # Silhouettes are left out, the rest hits what it was aimed at or what is before it.
+    # Silhouettes are left out; all other rays hit their target or something before it.
     assert 0.5 * COUNT < len(first.errors) < COUNT
     normals = first.positions / np.linalg.norm(first.positions, axis=1, keepdims=True)
     assert np.linalg.norm(first.positions - normals, axis=1).max() < 0.1
@@ -290,7 +290,7 @@ def test_a_closest_point_made_worse_is_noticed(sphere):
     judgement = with_(distance=moved)
     assert judgement.errors[0] == pytest.approx(step, rel=1e-6)
     assert judgement.errors[1:].max() <= DOUBLE * sphere.diagonal
-    # A point beside the one whose distance is told.
+    # A point beside the one whose distance is returned.
     moved = points.copy()
     moved[rows[1]] += step * away / np.linalg.norm(away)
     assert with_(points=moved).errors[1] == pytest.approx(step, rel=1e-6)

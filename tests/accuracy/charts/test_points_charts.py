@@ -1,4 +1,4 @@
-"""The charts of points: every trial runs and is judged right, and a method made worse on purpose is noticed."""
+"""Charts of points: every trial runs with right answers, and a method made worse on purpose is detected."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_nearest(cloud):
             assert judgement.errors.max() <= DOUBLE
         assert trial.byte_count > 0 or "made" in trial.method
     assert {k for _, k in found} == {1, 8, 32}
-    # The radius cuts rows short: the judge has to know.
+    # The radius cuts rows short, which the comparison has to take into account.
     assert (found["hybrid, float64", 8].indices.numpy() < 0).any()
 
 
@@ -103,14 +103,14 @@ def test_normals_against_planes(cloud):
         assert trial.count == len(cloud)
 
 
-def test_clouds_smaller_than_a_neighbourhood_have_fewer_charts_of_normals(cloud):
+def test_clouds_smaller_than_a_neighborhood_have_fewer_charts_of_normals(cloud):
     trials = list(charts_of(cloud[:20])["point_normals"].trials())
     assert [trial.parameters["k"] for trial in trials] == [8]
     judged(trials[0])
 
 
 def test_points_without_a_plane_have_no_normals_to_judge():
-    # Two points, four times each: every neighbourhood is a line.
+    # Two points, four times each: every neighborhood is a line.
     assert not list(charts_of(np.repeat([[0.0, 0, 0], [1.0, 0, 0]], 4, axis=0))["point_normals"].trials())
 
 

@@ -1,4 +1,4 @@
-"""Charts of volumes: their references are right, and their judges notice answers that were made worse."""
+"""Charts of volumes: their references are right, and answers made worse on purpose are detected."""
 
 from __future__ import annotations
 
@@ -393,7 +393,7 @@ class TestVolumeCharts:
         assert judged.errors.tolist() == [0.0]
         assert not judged.wrong.any()
 
-    def test_quantised_grids_are_judged_by_their_own_values(self):
+    def test_quantized_grids_are_judged_by_their_own_values(self):
         volume = sphere(12.0).quantize("fp8")
         trials = trials_of(charts_of(volume)["sampling"], codec="float", order=1)
         assert trials[0].judge(trials[0].run()).errors.max() < 1e-13

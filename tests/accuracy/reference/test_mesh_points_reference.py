@@ -14,7 +14,7 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.reference import points as reference_points
 from tests.support import mesh_catalog
 
-# A few roundings of the extent of what takes part, which is at most 4 here.
+# A few roundings of the extent of the data, which is at most 4 here.
 ROUNDING = 4e-15
 EXTREMES = (2.0**-400, 2.0**-40, 1.0, 2.0**40, 2.0**400)
 

@@ -188,7 +188,7 @@ def test_pictures_are_small_and_show_the_wrong_answers(page):
     assert len(images) == 2
     files = [base64.b64decode(image) for image in images]
     assert all(1000 < len(data) < 60_000 for data in files)
-    # The second is of the chart of signs: two orange points on grey.
+    # The second is of the chart of signs: two orange points on gray.
     pixels = imread(io.BytesIO(files[1]), format="png")[..., :3]
     orange = (pixels[..., 0] - pixels[..., 2] > 0.35).sum()
     assert 20 < orange < 2000

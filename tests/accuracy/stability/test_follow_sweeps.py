@@ -1,4 +1,4 @@
-"""Sweeps are followed, held against their envelopes, and written down with a figure each."""
+"""Sweeps are run, compared with their envelopes, and written to the page with a figure each."""
 
 from __future__ import annotations
 

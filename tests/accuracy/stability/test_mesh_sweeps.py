@@ -20,9 +20,9 @@ from geokit.accuracy.stability.mesh_questions import around_and_near, judged, po
 from geokit.mesh._surface import Surface
 
 SWEEPS = mesh_sweeps("cpu")
-# What was measured on other seeds than those that are drawn may be so much larger.
+# Factor by which values of other seeds may exceed those of the tested ones.
 ROOM = 4.0
-# These promise what the caller asked for, or what the question says: there is nothing to leave room for.
+# The promise of these is set by the caller or by the question: no margin is needed.
 EXACT = {"hausdorff_tolerance", "merge_vertices_tolerance"}
 
 
@@ -63,7 +63,7 @@ def worse_hits(found):
     return found._replace(t=np.where(np.arange(len(found.t)) % 50 == 7, 0.0, found.t))
 
 
-# How to spoil what a method answers.
+# Ways to corrupt the answers of a method.
 WORSE = {
     "mesh.Surface.closest_point": (Surface, "closest_point", worse_closest),
     "mesh.Surface.signed_distance": (Surface, "signed_distance", lambda f: f._replace(distance=-f.distance)),

@@ -1,4 +1,4 @@
-"""The sweeps of points: what they are made of, and that each notices a method made worse on purpose."""
+"""Sweeps of points: their structure, and that each detects a method made worse on purpose."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TestNotices:
     """Each method is replaced by a worse one."""
 
     @pytest.mark.parametrize("ask", SEARCHES, ids=SEARCH_NAMES)
-    def test_a_wrong_neighbour(self, monkeypatch, ask):
+    def test_a_wrong_neighbor(self, monkeypatch, ask):
         exact = NeighborGrid.radius_search
 
         def worse(*given, **named):
@@ -103,7 +103,7 @@ class TestNotices:
         assert judgement.wrong.all()
         assert judgement.errors.max() == pytest.approx(1e-12, rel=1e-2)
 
-    def test_more_neighbours_than_there_may_be_are_refused(self):
+    def test_more_neighbors_than_there_may_be_are_refused(self):
         with pytest.raises(InputError, match="from 1 to 1024"):
             search.nearest(1025.0, device="cpu")
 

@@ -1,4 +1,4 @@
-"""The sweeps of volumes: what they are made of, and that each notices a method made worse on purpose."""
+"""Sweeps of volumes: their structure, and that each detects a method made worse on purpose."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class TestNotices:
         assert worst(samples.waves(64.0, order=3, device="cpu")) > 0.249
         assert worst(samples.band_distances(1.0, order=1, device="cpu")) > 0.2
         assert worst(samples.far_values(1.0, order=1, device="cpu")) == pytest.approx(0.25 / np.sqrt(0.875))
-        assert worst(samples.quantised_distances(64.0, codec="fp16", device="cpu")) > 0.24
+        assert worst(samples.quantized_distances(64.0, codec="fp16", device="cpu")) > 0.24
         assert worst(meshes.far_distances(1.0, device="cpu")) > 0.05
         assert worst(meshes.wall_distances(4.0, device="cpu")) > 0.6
 
@@ -112,7 +112,7 @@ class TestNotices:
         quantize = import_module("geokit.volume._quantize")
         coarse = quantize.quantize
         monkeypatch.setattr(quantize, "quantize", lambda volume, codec, **_: coarse(volume, "fp4"))
-        assert worst(samples.quantised_distances(64.0, codec="fp16", device="cpu")) > 0.1
+        assert worst(samples.quantized_distances(64.0, codec="fp16", device="cpu")) > 0.1
         assert worst(samples.kept_tolerances(0.01, device="cpu")) > 10.0
 
     def test_a_tolerance_that_cannot_be_kept_is_refused(self):

@@ -1,4 +1,4 @@
-"""The harness itself: times, memory and errors of a trial, the front, what to choose, the table."""
+"""The harness: times, memory and errors of a trial, the front, choices by tolerance, and the table."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_judges_that_cannot_be_used():
         measured([0.0, -1.0])
     with pytest.raises(InputError, match=r"errors \(2,\) and wrong \(1,\)"):
         measured([0.0, 1.0], [True])
-    # What is wrong has no error to be negative.
+    # A wrong answer has no error, negative or not.
     assert measured([0.0, -1.0], [False, True]).max_error == 0.0
 
 
@@ -119,7 +119,7 @@ def test_peak_memory_counts_what_a_call_takes_and_gives_back():
     run()
     assert 60 * MIB < peak_bytes(run, device) < 80 * MIB
     assert peak_bytes(lambda: None, device) < 4 * MIB
-    # What was there before does not count.
+    # Memory held before the call does not count.
     held = np.ones(64 * MIB // 8)
     assert peak_bytes(lambda: held[0], device) < 4 * MIB
 

@@ -1,4 +1,4 @@
-"""Normals, density, outliers and clusters on drawn inputs: the definitions, and what must not change the answers."""
+"""Normals, density, outliers and clusters on random inputs: their definitions, and invariances of the results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def clouds(draw):
 
 
 def surfaces(random, count):
-    """Points of a bumpy surface, in no order, whose neighbourhoods are planes that leave no doubt."""
+    """Points of a bumpy surface, in random order, whose neighborhoods have a unique best plane."""
     uv = random.random((count, 2))
     height = 0.1 * np.sin(5.0 * uv[:, 0]) * np.cos(4.0 * uv[:, 1])
     return np.column_stack([uv, height])
@@ -104,7 +104,7 @@ def test_statistical_outliers_equal_the_definition(cloud, k, ratio):
     if len(points) == 1:
         assert not found.any()
         return
-    # The point is the first of its own neighbours; ones in the same place are as far.
+    # The point is the first of its own neighbors; ones in the same place are as far.
     distance = np.sort(cKDTree(points).query(points, min(k + 1, len(points)))[0], axis=1)[:, 1:]
     mean = distance.mean(axis=1)
     threshold = mean.mean() + ratio * mean.std(ddof=1)
@@ -140,7 +140,7 @@ def test_normals_turn_with_the_points(seed, offset, scale):
     moved = (points @ turn.T + offset) * scale
     other = normals(moved[shuffle], k=12, orientation="none", device="cpu")
     sine = np.linalg.norm(np.cross(other.normals, base.normals[shuffle] @ turn.T), axis=1)
-    # An offset of a thousand takes three digits from the coordinates, which neighbourhoods of a tenth see ten times.
+    # An offset of a thousand takes three digits from the coordinates, which neighborhoods of a tenth see ten times.
     assert sine.max() <= CLOSE_NORMALS * max(offset, 1.0)
     np.testing.assert_allclose(other.curvature, base.curvature[shuffle], atol=CLOSE_NORMALS * max(offset, 1.0))
 

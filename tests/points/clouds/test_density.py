@@ -1,4 +1,4 @@
-"""Density on hand-sized inputs: formulas, normalisation, masses, queries, containers and every error."""
+"""Density on hand-sized inputs: formulas, normalization, masses, queries, containers and every error."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_equals_the_formula(kernel, radius):
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("radius", [0.5, 2.0])
 def test_integral_over_space_is_one(kernel, radius):
-    # One point, asked along a ray at the nodes of Gauss and Legendre: exact for polynomials, in each of two halves.
+    # One point, queried along a ray at Gauss-Legendre nodes: exact for polynomials, in each of two halves.
     nodes, weights = np.polynomial.legendre.leggauss(12)
     r = np.concatenate([(nodes + 1) / 4, (nodes + 3) / 4]) * radius
     queries = np.zeros((len(r), 3))
@@ -70,7 +70,7 @@ def test_support_ends_at_the_radius(kernel):
     assert at == (pytest.approx(3 / (4 * np.pi * radius**3)) if kernel == "count" else 0.0)
 
 
-def test_count_is_the_number_of_neighbours_by_volume():
+def test_count_is_the_number_of_neighbors_by_volume():
     points = np.random.default_rng(2).random((300, 3))
     found = density(points, radius=0.25, device="cpu") * (4 / 3 * np.pi * 0.25**3)
     np.testing.assert_allclose(found, gk.points.NeighborGrid(points, 0.25, device="cpu").count(points), rtol=1e-15)

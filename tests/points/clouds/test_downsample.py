@@ -69,7 +69,7 @@ def test_more_voxels_than_a_key_has_bits_for(far):
 
 @pytest.mark.parametrize("sizes", [[1], [1023], [1024], [1025], [1, 3000, 1024, 2, 5000], [20_000]])
 def test_pieces_of_large_voxels_give_the_same_bits(sizes):
-    # What a GPU does with a thread for each piece, and a CPU with one for each voxel.
+    # The GPU uses a thread for each piece, the CPU one for each voxel.
     random = np.random.default_rng(sum(sizes))
     points = np.concatenate([random.random((size, 3)) + np.array([3.0 * i, 0.0, 7.0]) for i, size in enumerate(sizes)])
     wanted = downsample(points, voxel_size=3.0, device="cpu")
@@ -89,7 +89,7 @@ def test_sorted_and_counted_voxels_are_the_same(voxel_size, monkeypatch):
     points = np.random.default_rng(4).normal(size=(5000, 3))
     counted = downsample(points, voxel_size=voxel_size, device="cpu")
     for limit in ("MOST_COUNTS", "MOST_KEYS"):
-        # First no table of counts, then no key for the whole box either.
+        # First without a table of counts, then without a key for the whole box either.
         monkeypatch.setattr(voxel_centroids, limit, 0)
         other = downsample(points, voxel_size=voxel_size, device="cpu")
         np.testing.assert_array_equal(other.points, counted.points)

@@ -1,4 +1,4 @@
-"""downsample against plain loops on drawn inputs, what its answers promise, and what must not change them."""
+"""downsample against plain loops on random inputs: its guarantees, and invariances of the results."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_poisson_disk_subset_equals_the_reference_and_is_one(cloud, seed):
     found = downsample(points, radius=radius, seed=seed, device="cpu")
     np.testing.assert_array_equal(found.indices, poisson_disk_indices(points, radius, seed))
     tree = cKDTree(found.points)
-    # No two within the radius but at exactly it, nobody without one nearer than the radius.
+    # No two kept points nearer than the radius; every other point nearer than the radius to a kept one.
     if len(found.points) > 1:
         assert tree.query(found.points, k=2)[0][:, 1].min() >= radius * (1.0 - 1e-15)
     assert tree.query(points)[0].max() < radius

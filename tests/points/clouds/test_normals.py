@@ -130,7 +130,7 @@ def test_a_box_points_outwards():
     points[np.arange(6000), axis] = np.where(np.arange(6000) % 2, 1.0, -1.0)
     found = normals(points, device="cpu").normals
     outward = found[np.arange(6000), axis] * points[np.arange(6000), axis]
-    # Neighbourhoods that reach around an edge are turned; at a corner the points are no plane at all.
+    # Neighborhoods that reach around an edge are turned; at a corner the points are no plane at all.
     inner = np.sort(np.abs(points), axis=1)[:, 1] < 0.7
     assert (outward[inner] > 0.999).all()
     assert (outward > 0.0).mean() > 0.999
@@ -138,9 +138,9 @@ def test_a_box_points_outwards():
 
 def test_separate_parts_each_have_an_upward_point():
     points = np.concatenate([sphere(1500), sphere(1500, 1) + 10.0, 0.2 * sphere(500, 2)])
-    centre = np.repeat([[0.0] * 3, [10.0] * 3, [0.0] * 3], [1500, 1500, 500], axis=0)
+    center = np.repeat([[0.0] * 3, [10.0] * 3, [0.0] * 3], [1500, 1500, 500], axis=0)
     found = normals(points, device="cpu").normals
-    assert ((found * (points - centre)).sum(axis=1) > 0.0).all()
+    assert ((found * (points - center)).sum(axis=1) > 0.0).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -265,5 +265,5 @@ def test_more_edges_than_a_tree_can_number(monkeypatch):
     from geokit.points.clouds import orientation as _orientation
 
     monkeypatch.setattr(_orientation, "MAX_EDGES", 24)
-    with pytest.raises(gk.InputError, match="k: 5 points with 5 neighbours"):
+    with pytest.raises(gk.InputError, match="k: 5 points with 5 neighbors"):
         normals(SQUARE, k=5, device="cpu")

@@ -13,13 +13,13 @@ from geokit.points._density import density
 from geokit.points._normals import normals
 
 K = 16
-# On a surface of curvature c the plane through neighbours up to h away is tilted by 0.1 c h usually and by at most 0.75
-# of it (measured: 0.57 on spheres and tori of 500 to 60,000 random points): an uneven neighbourhood sees one side's
+# On a surface of curvature c the plane through neighbors up to h away is tilted by 0.1 c h usually and by at most 0.75
+# of it (measured: 0.57 on spheres and tori of 500 to 60,000 random points): an uneven neighborhood sees one side's
 # slope, which is c h / 2 on average.
 TILT = 0.75
-# As many neighbours there must be within a radius for this. Few may be nearly a line, and tilt any way.
+# As many neighbors there must be within a radius for this. Few may be nearly a line, and tilt any way.
 ENOUGH = 12
-# Rounding coordinates by 2^-53 of themselves tilts the plane through K of them by their share of the neighbourhood's
+# Rounding coordinates by 2^-53 of themselves tilts the plane through K of them by their share of the neighborhood's
 # size (measured: 1.0 of it; the test's rows are rounded twice, by offset and scale: 2.1), and the plane itself was
 # rounded when it was made (measured: 1.5e-15).
 ROUNDING_TILT = 4.0
@@ -32,7 +32,7 @@ def angles(found, true):
 
 
 def reach(points, k=K):
-    """Distance of each point's farthest neighbour."""
+    """Distance of each point's farthest neighbor."""
     return cKDTree(points).query(points, k)[0][:, -1]
 
 
@@ -50,7 +50,7 @@ def torus(count, minor=0.35):
 
 
 def plane(count):
-    """A square of a plane with one point in each cell of it: no neighbourhood is nearly a line."""
+    """A square of a plane with one point in each cell of it: no neighborhood is nearly a line."""
     side = int(np.sqrt(count))
     u, v = (np.stack(np.meshgrid(*[np.arange(side)] * 2), axis=-1).reshape(-1, 2).T).astype(float)
     u, v = (np.stack([u, v]) + np.random.default_rng(2).random((2, side * side))) / side
@@ -66,7 +66,7 @@ def test_curved_surfaces(surface, count):
     h = reach(points)
     found = normals(points, k=K, device="cpu")
     assert (angles(found.normals, true) <= TILT * curvature * h).all()
-    # Where a neighbourhood is smaller than the radius of curvature, all are outward.
+    # Where a neighborhood is smaller than the radius of curvature, all are outward.
     assert (h * curvature).max() > 1.0 or ((found.normals * true).sum(axis=1) > 0.0).all()
     radius = float(np.median(h))
     within = normals(points, k=K, radius=radius, orientation="none", device="cpu")
@@ -77,7 +77,7 @@ def test_curved_surfaces(surface, count):
 @pytest.mark.parametrize("scale", [1e-100, 1e-6, 1.0, 1e6, 1e100])
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e3, 1e6, 1e9])
 def test_offset_and_scale(offset, scale):
-    # The offset is in sizes of the object: a millimetre's worth of points a kilometre away is 1e6.
+    # The offset is in sizes of the object: a millimeter's worth of points a kilometer away is 1e6.
     points, true, _ = plane(2025)
     moved = (points + offset) * scale
     largest = np.abs(moved).max(axis=1)
@@ -90,7 +90,7 @@ def test_offset_and_scale(offset, scale):
 
 @pytest.mark.parametrize("offset", [1e15, 1e18])
 def test_offset_that_leaves_no_digits(offset):
-    # Steps of the coordinates are 0.125 and 128: what is left are lattice points, then a single place.
+    # Steps of the coordinates are 0.125 and 128: the points become lattice points, then coincide.
     points, _, _ = plane(529)
     found = normals(points + offset, k=K, device="cpu").normals
     assert np.isfinite(found).all()
@@ -100,18 +100,18 @@ def test_offset_that_leaves_no_digits(offset):
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-3, 0.01, 0.1])
 def test_noise(noise):
-    # Noise of a share of the neighbourhood tilts a plane through k points by 2.4 / sqrt(k) of it, in the median.
+    # Noise of a share of the neighborhood tilts a plane through k points by 2.4 / sqrt(k) of it, in the median.
     points, true, _ = plane(3025)
     h = np.median(reach(points))
     noisy = points + np.random.default_rng(3).normal(size=(3025, 1)) * noise * h * true
     found = normals(noisy, k=K, orientation="none", device="cpu")
     assert np.median(angles(found.normals, true)) <= 3.0 * noise / np.sqrt(K)
-    # What the curvature measures is the square of the noise's share; 1.5 of it.
+    # The curvature measures the square of the noise's share; 1.5 of it is allowed.
     assert 1.0 * noise**2 <= np.median(found.curvature) <= 2.0 * noise**2
 
 
 @pytest.mark.parametrize("gap", [3.0, 1.5])
-def test_sheets_farther_apart_than_neighbours(gap):
+def test_sheets_farther_apart_than_neighbors(gap):
     points, true, _ = plane(2025)
     sheets = np.concatenate([points, points + gap * reach(points).max() * true])
     found = normals(sheets, k=K, device="cpu").normals
@@ -119,8 +119,8 @@ def test_sheets_farther_apart_than_neighbours(gap):
     assert (found[:, 2] > 0.0).all()
 
 
-def test_sheets_nearer_than_neighbours_are_one_thick_surface():
-    # A gap well under the spacing is noise to a plane, one of the neighbourhood's own size is not.
+def test_sheets_nearer_than_neighbors_are_one_thick_surface():
+    # A gap well under the spacing is noise to a plane, one of the neighborhood's own size is not.
     points, true, _ = plane(2025)
     h = np.median(reach(points))
     for gap, most in ((0.01, 0.01), (0.1, 0.1)):
@@ -136,8 +136,8 @@ def test_sheets_nearer_than_neighbours_are_one_thick_surface():
 
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0, 4.0, 20.0])
 def test_scan_lines(ratio):
-    # Points on lines of a plane, the lines ``ratio`` spacings apart: 16 neighbours reach the next line up to a ratio
-    # of 7; beyond, a neighbourhood is a line, and has no normal rather than any.
+    # Points on lines of a plane, the lines ``ratio`` spacings apart: 16 neighbors reach the next line up to a ratio
+    # of 7; beyond, a neighborhood is a line, and has no normal rather than any.
     x, y = np.meshgrid(np.arange(60.0), np.arange(30.0) * ratio)
     points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     found = normals(points, k=K, device="cpu").normals
@@ -148,7 +148,7 @@ def test_scan_lines(ratio):
 
 @pytest.mark.parametrize("aspect", [1.0, 1e-2, 1e-4, 1e-6, 1e-8])
 def test_strips_that_become_lines(aspect):
-    # A neighbourhood that is narrower than 1e-7 of its length is a line: its direction across would be rounding.
+    # A neighborhood that is narrower than 1e-7 of its length is a line: its direction across would be rounding.
     random = np.random.default_rng(0)
     points = random.random((500, 3)) * [1.0, aspect, 0.0]
     found = normals(points, k=500, device="cpu").normals

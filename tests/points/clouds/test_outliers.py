@@ -14,7 +14,7 @@ LINE = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [90, 0, 0]])
 
 
 def by_open3d(points, nb_neighbors, std_ratio):
-    """What Open3D's remove_statistical_outlier takes away: the point is the first of its own nb_neighbors."""
+    """The points that Open3D's remove_statistical_outlier removes: a point is the first of its own nb_neighbors."""
     mean = cKDTree(points).query(points, nb_neighbors)[0].mean(axis=1)
     return mean >= mean.mean() + std_ratio * mean.std(ddof=1)
 
@@ -52,7 +52,7 @@ def test_a_hand_made_set():
     ]  # fmt: skip
 
 
-def test_fewer_points_than_neighbours():
+def test_fewer_points_than_neighbors():
     # All four others are taken: means 24, 23.5, 23.5, 24 and 88.5.
     assert outliers(LINE, k=100, ratio=1.0, device="cpu").tolist() == [False] * 4 + [True]
 

@@ -13,7 +13,7 @@ from geokit.points.clouds.rigid_fit import orthonormal, plane_step, point_step
 from tests.support import mesh_catalog
 from tests.support.reference import register_by_numpy
 
-# Poses are recovered to rounding; what is left are sums over some thousand points of size 1.
+# Poses are recovered to rounding; the remaining error is that of sums over some thousand points of size 1.
 EXACT = 1e-12
 
 
@@ -38,7 +38,7 @@ def blob(count=3000, seed=0):
     return points * axes, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-# A fifth of the distance between neighbours and less: the nearest point is the right one for most from the start.
+# A fifth of the distance between neighbors and less: the nearest point is the right one for most from the start.
 POSE = rigid([0.02, -0.03, 0.04], [0.02, -0.01, 0.015])
 
 
@@ -181,7 +181,7 @@ def test_a_sphere_turns_freely():
     shift = np.array([0.01, 0.02, -0.01])
     found = register(points[:100] + shift, points, target_normals=points, device="cpu")
     assert (found.rank, found.converged) == (3, True)
-    # The centre is where it belongs, and the turn about it was left alone but for what the shift brought with it.
+    # The center is right, and the rotation about it is unchanged except for the effect of the shift.
     np.testing.assert_allclose(moved(shift, found.transform), np.zeros(3), atol=EXACT)
     assert np.linalg.norm(Rotation.from_matrix(found.transform[:3, :3]).as_rotvec()) < np.linalg.norm(shift)
     # Facets are not round.

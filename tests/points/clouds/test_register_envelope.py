@@ -73,7 +73,7 @@ def test_noise(noise):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("overlap", [0.9, 0.7, 0.5])
 def test_partial_overlap(method, overlap):
-    # Each half lacks what the other has beyond a plane. A distance of three spacings keeps the rest out.
+    # Each half lacks the part of the other beyond a plane. A distance of three spacings excludes the rest.
     points, normals = blob(6000)
     order = np.argsort(points[:, 0])
     count = int(len(points) * (1.0 + overlap) / 2.0)
@@ -85,7 +85,7 @@ def test_partial_overlap(method, overlap):
         max_iterations=400, device="cpu",
     )  # fmt: skip
     assert found.fitness == pytest.approx(overlap * 2.0 / (1.0 + overlap), abs=0.08)
-    # At the rim points of the missing part find a neighbour instead, 0.03 away; planes there are the right ones yet.
+    # At the rim points of the missing part find a neighbor instead, 0.03 away; planes there are the right ones yet.
     assert np.abs(apply(found, points[low]) - target[low]).max() < (1e-3 if method == "point_to_plane" else 4e-3)
 
 

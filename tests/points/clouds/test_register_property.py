@@ -1,4 +1,4 @@
-"""register on drawn shapes: what must not change the pose, and what a pose is."""
+"""register on random shapes: invariances of the pose, and that it is rigid."""
 
 from __future__ import annotations
 

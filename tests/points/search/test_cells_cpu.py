@@ -20,7 +20,7 @@ CLOUDS = {
 
 
 def parts(grid):
-    """What the kernels read: places, whose they are, and where each cell begins."""
+    """The arrays that the kernels read: positions, indices of their points, and the beginning of each cell."""
     cells, count = grid._cells.grid, len(grid)
     arrays = {name: getattr(cells, name).numpy()[:count] for name in ("x", "y", "z", "index")}
     return arrays | {"start": cells.start.numpy()}

@@ -174,7 +174,7 @@ def test_answers_that_do_not_fit():
 
 
 def test_a_leaf_is_a_run_of_near_points():
-    # What makes a search quick: leaves hardly overlap. In a random order each of them would fill the whole cube.
+    # Searches are fast because leaves hardly overlap. In a random order each leaf would fill the whole cube.
     points = np.random.default_rng(8).random((4096, 3))
     tree = build_tree(rows_of(points))
     blocks = tree.positions.numpy().reshape(-1, 3, int(LEAF))

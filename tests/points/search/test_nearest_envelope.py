@@ -1,4 +1,4 @@
-"""Nearest neighbours pushed towards failure: scale, offset, outliers, crowds of all kinds, and the work they cost."""
+"""Nearest neighbors pushed towards failure: scale, offset, outliers, crowds of all kinds, and the work they cost."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def assert_exact(points, k):
 
 
 def leaves_per_query(points, k, queries=500):
-    """Leaves that hold an answer or might: those whose box is within the k-th distance, replayed in NumPy."""
+    """Leaves that may hold an answer: those whose box is within the k-th distance, replayed in NumPy."""
     tree = tree_of(points)
     distance = nearest(tree, k, None)[0].numpy()[:, -1]
     blocks = tree.positions.numpy().reshape(-1, 3, int(LEAF))

@@ -1,4 +1,4 @@
-"""The k nearest points against plain references on drawn inputs; what must not change the answers."""
+"""The k nearest points against plain references on random inputs, and invariances of the results."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_permuted_points_and_queries(cloud, k):
 def test_powers_of_two_scale_the_distances(cloud, k, scale):
     points, queries, _ = cloud
     distance, indices = ask(points, k, queries)
-    # Squares of 1e290 overflow, and of what is smaller than 1e-154 underflow: there scaling is not exact.
+    # Squares of 1e290 overflow, and those of values below 1e-154 underflow: there scaling is not exact.
     if np.abs(points).max() < 1e100:
         assert_equal(ask(points * scale, k, queries * scale), (distance * scale, indices))
 

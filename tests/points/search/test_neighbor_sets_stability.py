@@ -1,4 +1,4 @@
-"""Exact sets of neighbours where searches go wrong, each cloud by its trait."""
+"""Exact sets of neighbors where searches go wrong, each cloud by its trait."""
 
 from __future__ import annotations
 

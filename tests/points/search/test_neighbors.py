@@ -107,7 +107,7 @@ def test_squared_distance_is_rounded_term_by_term():
 
 @pytest.mark.parametrize("name", ["cells_kernels", "radius_cuda_kernels"])
 def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
-    # nvrtc contracts unless told otherwise; the compiler comes with warp, so no GPU is needed to see what it wrote.
+    # nvrtc contracts by default; the compiler comes with warp, so no GPU is needed to inspect its output.
     launcher.resolve_device("cpu")
     module = importlib.import_module(f"geokit.points.search.{name}")
     wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
@@ -232,17 +232,17 @@ def test_unknown_device():
         NeighborGrid(CORNERS, 1.0, device="abacus")
 
 
-def test_more_neighbours_than_memory(monkeypatch):
+def test_more_neighbors_than_memory(monkeypatch):
     points = np.zeros((1000, 3))
     grid = NeighborGrid(points, 1.0, device="cpu")
     monkeypatch.setattr(available_memory, "available", lambda device: 11_999_999)
-    with pytest.raises(gk.DeviceMemoryError, match=r"1000 queries have 1000000 neighbours, which need 0\.0112"):
+    with pytest.raises(gk.DeviceMemoryError, match=r"1000 queries have 1000000 neighbors, which need 0\.0112"):
         grid.radius_search(points)
     monkeypatch.setattr(available_memory, "available", lambda device: 12_000_000)
     assert len(grid.radius_search(points).indices) == 1_000_000
 
 
-def test_more_neighbours_than_one_result_holds(monkeypatch):
+def test_more_neighbors_than_one_result_holds(monkeypatch):
     # 65,536 x 32,768 = 2^31, one more than int32 can count; nothing of that size is allocated.
     monkeypatch.setattr(available_memory, "available", lambda device: 1 << 62)
     grid = NeighborGrid(np.zeros((1 << 15, 3)), 1.0, device="cpu")

@@ -1,4 +1,4 @@
-"""NeighborGrid against scipy's tree and the plain reference on drawn inputs; what must not change the answers."""
+"""NeighborGrid against scipy's tree and the plain reference on random inputs, and invariances of the results."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_equals_the_formula(cloud):
 @given(clouds())
 def test_equals_the_reference(cloud):
     points, radius, _ = cloud
-    radius = radius * 1.0123456789  # nobody's distance: norms and squares agree
+    radius = radius * 1.0123456789  # equals no pairwise distance: norms and squares agree
     found = NeighborGrid(points, radius, device="cpu").radius_search(points)
     with np.errstate(over="ignore"):
         assert rows(found) == [row.tolist() for row in neighbors_within(points, points, radius)]
@@ -110,7 +110,7 @@ def test_order_of_points_and_queries(cloud):
 
 @relaxed
 @given(clouds())
-def test_neighbourhood_is_mutual_and_every_point_is_its_own(cloud):
+def test_neighborhood_is_mutual_and_every_point_is_its_own(cloud):
     points, radius, _ = cloud
     found = NeighborGrid(points, radius, device="cpu").radius_search(points)
     owner = np.repeat(np.arange(len(points)), np.diff(found.offsets))

@@ -56,7 +56,7 @@ def test_self_is_left_out_by_index(grid, queries):
 @pytest.mark.parametrize("spread", [1.0, 3.0])
 @pytest.mark.parametrize("moved", [0.8, 2.0, 30.0])
 def test_self_is_left_out_only_where_it_is_found(grid, moved, spread):
-    """Queries that stand for the points, but elsewhere: such a point may not be within the radius of its query."""
+    """Queries that stand for points but lie elsewhere: such a point may not be within the radius of its query."""
     random = np.random.default_rng(2)
     queries = POINTS + random.normal(size=POINTS.shape) * moved * RADIUS
     radius = random.uniform(RADIUS, spread * RADIUS, len(POINTS)) if spread > 1.0 else RADIUS
@@ -88,7 +88,7 @@ def test_self_needs_as_many_queries_as_points(grid):
 
 
 def test_rows_by_distance_then_index():
-    # A lattice: many neighbours at the same distance.
+    # A lattice: many neighbors at the same distance.
     axis = np.arange(8.0)
     lattice = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     lattice = lattice[np.random.default_rng(2).permutation(len(lattice))]
@@ -230,7 +230,7 @@ def test_the_kernels_of_a_gpu_find_the_same(queries, offset):
     ((cells, sorted_queries, number),) = asked.parts
     counts = wp.empty(len(queries), dtype=wp.int32, device="cpu")
     device = launcher.resolve_device("cpu")
-    # What only a GPU has: the float32 copy.
+    # The float32 copy, which only a GPU has.
     cells.packed = wp.empty(len(POINTS), dtype=wp.vec4f, device="cpu")
     rows_of = wp.array(POINTS + offset, dtype=wp.vec3d, device="cpu")
     launcher.launch(GATHER_PACKED[wp.vec3d], len(POINTS), [rows_of, cells.index], [cells], device)
@@ -268,8 +268,8 @@ def test_more_candidates_than_the_buffer_holds(count):
 @pytest.mark.parametrize("order", ["index", "any", "distance"])
 @pytest.mark.parametrize(("noted", "least"), [(0, 64), (4096, 8), (40_000, 64), (200_000, 64), (10**7, 64)])
 def test_notes_of_the_count_change_nothing(monkeypatch, order, noted, least):
-    """No share has notes, some have, some do not suffice, all do: what is filled in is the same."""
-    # Among all others a crowd, whose candidates fill the buffer twice, and queries that nothing is near to.
+    """No share has notes, some have, some are incomplete, all have: the filled rows are the same."""
+    # A crowd whose candidates fill the buffer twice among all others, and queries without neighbors.
     random = np.random.default_rng(4)
     points = np.concatenate([POINTS, 0.3 + random.random((1500, 3)) * 0.02])
     queries = np.concatenate([QUERIES, points, [[9.0, 9.0, 9.0]] * 300, [[-9.0, 0.0, 0.0]] * 300])
@@ -286,7 +286,7 @@ def test_notes_of_the_count_change_nothing(monkeypatch, order, noted, least):
 
 
 def test_the_count_notes_what_the_fill_reads(grid, monkeypatch):
-    """What would be searched again is not: with notes the fill finds what they say, whatever is there."""
+    """With notes the fill does not search again: it returns what the notes say, even if they are wrong."""
     asked, _ = grid._ask(None, None, False)
     counts = radius_search.count(asked, note=True)
     (notes,) = asked.notes

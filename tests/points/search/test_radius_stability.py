@@ -65,8 +65,8 @@ def test_one_far_point_leaves_the_cells_of_the_others_alone(far):
 @pytest.mark.parametrize("size", [1e-2, 1e-4, 1e-6, 1e-9])
 def test_clusters_small_against_their_distances(size):
     random = np.random.default_rng(0)
-    centres = random.random((8, 3))
-    points = centres[random.integers(0, 8, 4000)] + size * random.random((4000, 3))
+    centers = random.random((8, 3))
+    points = centers[random.integers(0, 8, 4000)] + size * random.random((4000, 3))
     grid = assert_like_tree(points, size / 4)
     # Half a cluster is 250 points; the cube of three cells of a quarter of it holds 0.42 of its volume at most.
     assert candidates_per_query(grid, points[:60], size / 4) < 300
@@ -112,7 +112,7 @@ def test_memory_is_bounded_by_the_points_alone(extent, count):
     assert (np.diff(start) >= 0).all()
 
 
-def test_neighbours_across_the_edges_of_cells():
+def test_neighbors_across_the_edges_of_cells():
     # Points on either side of every boundary of cells one unit long, one step of float64 apart.
     edges = np.arange(1.0, 9.0)
     x = np.concatenate([edges, np.nextafter(edges, -np.inf), np.nextafter(edges, np.inf)])
