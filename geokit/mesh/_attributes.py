@@ -44,7 +44,7 @@ def sample_attributes(
     Example:
         >>> sdf = gk.volume.from_mesh(gk.mesh.load("data/samples/bracket.obj"), 0.5)
         >>> surface = gk.mesh.from_volume(sdf)
-        >>> distance = gk.mesh.attributes.sample_attributes(surface, {"distance": sdf})["distance"]
+        >>> distance = gk.mesh.sample_attributes(surface, {"distance": sdf})["distance"]
         >>> bool(abs(distance).max() < 0.5)
         True
 
