@@ -55,11 +55,13 @@ def source_of(name: str) -> Path:
 def compiled_inl_files() -> set[str]:
     """The .inl files that are part of a kernel module which warp compiles."""
     found = set()
-    for name in filter(kernels_of, module_names()):
-        found |= {region.path for region in regions(source_of(name).read_text(encoding="utf-8"))}
+    for name in module_names():
+        if kernels_of(name):
+            found |= {region.path for region in regions(source_of(name).read_text(encoding="utf-8"))}
         module = vars(importlib.import_module(name))
         # Warp translates a generic kernel once a launch has chosen its types, and with it the functions that it calls.
-        if any(isinstance(value, wp.Kernel) and value.is_generic for value in module.values()):
+        # A module of functions alone is compiled with the kernels of users.
+        if not kernels_of(name) or any(isinstance(value, wp.Kernel) and value.is_generic for value in module.values()):
             texts = [value.native_snippet for value in module.values() if isinstance(value, wp.Function)]
             found |= {region.path for text in texts if text for region in regions(text)}
     return found
