@@ -57,7 +57,7 @@ def _bytes(colors: NDArray[np.float64], path: Path) -> NDArray[np.uint8]:
     if bad.any():
         row = int(np.argmax(bad))
         raise FileFormatError(
-            f"{path}: the colour of point {row} ({colors[row].tolist()}) is not three integers of 0 to 255; correct it"
+            f"{path}: the color of point {row} ({colors[row].tolist()}) is not three integers of 0 to 255; correct it"
         )
     return colors.astype(np.uint8)
 

@@ -97,7 +97,7 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     if volume.info.grid_class == "staggered":
         raise InputError(
             f"volume: the components of staggered grid {volume.info.name!r} are at different places; sample them at "
-            "the voxel centres first"
+            "the voxel centers first"
         )
     return _derived(volume, kernels.curl_kernel, 3, device)
 

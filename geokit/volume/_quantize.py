@@ -24,7 +24,7 @@ SOURCES = ("float", "double", *QUANTIZED)
 # Kernels report a larger value than this if the span of a leaf's values exceeds float32.
 LARGEST_ERROR = 2.0 * float(np.finfo(np.float32).max)
 # Classes that NanoVDB allows for float grids but not for quantized ones.
-UNQUANTISED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
+UNQUANTIZED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
 
 
 def quantize(
@@ -110,11 +110,11 @@ def _checked(volume: SparseVolume, codec: str | None, tolerance: float | None) -
     if volume.info.grid_type not in SOURCES:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} is of type {volume.info.grid_type}; only {', '.join(SOURCES)} can be "
-            "quantised"
+            "quantized"
         )
-    if codec != "float" and volume.info.grid_class in UNQUANTISED_CLASSES:
+    if codec != "float" and volume.info.grid_class in UNQUANTIZED_CLASSES:
         raise UnsupportedGridError(
-            f"volume: NanoVDB has no quantised grids of class {volume.info.grid_class!r}; use codec 'float'"
+            f"volume: NanoVDB has no quantized grids of class {volume.info.grid_class!r}; use codec 'float'"
         )
     return tolerance
 

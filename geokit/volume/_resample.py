@@ -17,11 +17,11 @@ from geokit.volume.level_set.operands import half_width_of, require_level_set, w
 from geokit.volume.nanovdb.header import voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.sampling.resample_leaves import filled_leaves, target_leaves, way_between
 from geokit.volume.sampling.space import query_inputs
 from geokit.volume.tree.leaves import (
     CUBE_TOLERANCE,
-    QUANTISED,
     Leaves,
     assemble,
     is_cubic,
@@ -84,7 +84,7 @@ def resample(
     """
     require_volume(volume, "volume")
     order, grid_type = require_order(order), volume.info.grid_type
-    interpolated = grid_type in (*TYPES, *QUANTISED)
+    interpolated = grid_type in (*TYPES, *QUANTIZED)
     if order > 0 and not interpolated and grid_type in VALUE_TYPES:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} is of type {grid_type}, and only {', '.join(TYPES)} grids are "

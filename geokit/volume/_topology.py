@@ -12,9 +12,9 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
-from geokit.volume.nanovdb.types import OPENVDB_TOOL_TYPES
+from geokit.volume.nanovdb.types import OPENVDB_TOOL_TYPES, QUANTIZED
 from geokit.volume.tree.clip import clipped
-from geokit.volume.tree.leaves import QUANTISED, dequantized, require_volume
+from geokit.volume.tree.leaves import dequantized, require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
 from geokit.volume.tree.prune import pruned
 from geokit.volume.tree.segment import segmented
@@ -103,7 +103,7 @@ def segment(volume: SparseVolume) -> list[SparseVolume]:
     require_volume(volume, "volume", VALUE_TYPES)
     if not volume.info.active_voxel_count:
         return []
-    is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTISED)
+    is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTIZED)
     voxel_size = require_level_set(volume, "volume") if is_distance else 1.0
 
     def parts_of(grid: SparseVolume) -> list[SparseVolume]:

@@ -1,9 +1,9 @@
 // Redistancing in three steps.
 //
 // 1. Voxels at the corners of cells that the surface crosses are divided by the field's slope at the nearest point of
-//    the surface, taken from the crossed cells around. Both ends of an edge across the surface then have the same slope,
-//    so the crossing between them stays in place. (OpenVDB's own tools move it: LevelSetTracker::normalize by 0.02 to 0.5
-//    voxel, sdfToSdf by 0.08.)
+//    the surface, taken from the crossed cells around. Both ends of an edge across the surface then have the same
+//    slope, so the crossing between them stays in place. (OpenVDB's own tools move it: LevelSetTracker::normalize by
+//    0.02 to 0.5 voxel, sdfToSdf by 0.08.)
 // 2. All other voxels of the band get distances along shortest paths over neighbors from those, up to a tenth too long.
 // 3. The same voxels are improved by steps of phi_t = sign(phi) (1 - |grad phi|) with fifth-order upwind differences,
 //    while the voxels of step 1 stay fixed.

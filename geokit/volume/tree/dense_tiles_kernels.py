@@ -55,7 +55,7 @@ def tile_state_kernel(
     level_set: int,
     out_state: wp.array3d(dtype=wp.uint8),
 ):
-    """Marks tiles with an active voxel, or with both signs, as leaves. ``shift``: the array's place in its first tile."""
+    """Marks tiles with an active voxel or both signs as leaves. ``shift``: the array's place in its first tile."""
     tile = first + wp.tid()
     z = 8 * (tile % count_z) - shift[2]
     y = 8 * ((tile // count_z) % count_y) - shift[1]

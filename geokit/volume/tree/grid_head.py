@@ -41,7 +41,7 @@ __all__ = [
     "head_like",
     "places_of",
     "result_head",
-    "result_of",
+    "volume_from_buffer",
     "write_head",
     "write_root",
 ]
@@ -144,7 +144,7 @@ def result_head(
     return GridHead(layout, outside, -outside, options)
 
 
-def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
+def volume_from_buffer(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
     """Wrap an operation's buffer as a volume with the metadata of the operation's first operand."""
     buffer.setflags(write=False)
     info = info_of(buffer)

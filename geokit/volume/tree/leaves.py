@@ -23,7 +23,7 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.flood_signs import with_signs
-from geokit.volume.tree.grid_head import GridHead, result_head, result_of
+from geokit.volume.tree.grid_head import GridHead, result_head, volume_from_buffer
 from geokit.volume.tree.leaf_codecs import LeafReader, write_floats
 from geokit.volume.tree.retype_tree import retype_tree
 from geokit.volume.tree.typed_tree import tree_of, tree_of_leaves, voxelized_tree
@@ -31,7 +31,6 @@ from geokit.volume.tree.typed_writer import build_grid, rebuilt
 
 __all__ = [
     "LEAF_VOXELS",
-    "QUANTISED",
     "Leaves",
     "assemble",
     "build_real_grid",
@@ -43,7 +42,6 @@ __all__ = [
     "voxelized",
 ]
 
-QUANTISED = QUANTIZED
 LEAF_VOXELS = 512
 # Edges of a voxel whose lengths or angles differ by less than this belong to a cube whose matrix was rounded.
 CUBE_TOLERANCE = 1e-6
@@ -66,7 +64,7 @@ def require_volume(volume: Any, name: str, types: tuple[str, ...] | None = None)
     if not isinstance(volume, SparseVolume):
         raise InputError(f"{name}: {type(volume).__name__} is not a SparseVolume; load or make one first")
     grid_type = volume.info.grid_type
-    if types is not None and ("float" if grid_type in QUANTISED else grid_type) not in types:
+    if types is not None and ("float" if grid_type in QUANTIZED else grid_type) not in types:
         raise UnsupportedGridError(
             f"{name}: grid {volume.info.name!r} is of type {grid_type}; this operation takes {', '.join(types)} grids, "
             "so convert it first"
@@ -100,7 +98,7 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
         FileFormatError: The buffer is not a valid grid.
         InputError: A value is not finite.
     """
-    if volume.info.grid_type not in QUANTISED:
+    if volume.info.grid_type not in QUANTIZED:
         return volume
     buffer = volume.nanovdb
     check_volume(volume)
@@ -109,7 +107,7 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
     retyped = retype_tree(buffer, GRID_TYPES.index("float"), np.full(reader.count, layout.leaf_size))
     write_floats(reader, retyped)
     grid_header(retyped.buffer)["checksum"] = partial_checksum(retyped.buffer[:HEAD_SIZE], retyped.buffer)
-    return result_of(retyped.buffer, volume)
+    return volume_from_buffer(retyped.buffer, volume)
 
 
 def voxelized(volume: SparseVolume) -> SparseVolume:
@@ -157,7 +155,7 @@ def assemble(
     rows = leaves.origins[kept], leaves.masks[kept], values[kept]
     layout = _real_layout(values)
     head = result_head(like, layout, background, grid_class, like.info.transform if transform is None else transform)
-    return result_of(build_real_grid(head, *rows), like)
+    return volume_from_buffer(build_real_grid(head, *rows), like)
 
 
 def build_real_grid(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
-from geokit.volume.tree.grid_head import result_of
+from geokit.volume.tree.grid_head import volume_from_buffer
 
 __all__ = ["call_openvdb", "scale_factor", "scaled_up"]
 
@@ -32,8 +32,8 @@ def call_openvdb(function: Callable[..., Any], *volumes: SparseVolume, **options
     factor = scale_factor(volumes[0].info.transform)
     result = function(*(scaled_up(volume.nanovdb, factor) for volume in volumes), **options)
     if isinstance(result, list):
-        return [result_of(scaled_back(buffer, factor), volumes[0]) for buffer in result]
-    return result_of(scaled_back(result, factor), volumes[0])
+        return [volume_from_buffer(scaled_back(buffer, factor), volumes[0]) for buffer in result]
+    return volume_from_buffer(scaled_back(result, factor), volumes[0])
 
 
 def scale_factor(transform: NDArray[np.float64]) -> float:
