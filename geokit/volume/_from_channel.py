@@ -197,7 +197,7 @@ def _write_leaves(
         here = int(target.leaf_starts[first])
         head = masks_of(target.buffer, here, some, size, 0, 80 * 8)
         head[:] = masks_of(source, begin, some, old.leaf_size, 0, 80 * 8)
-        head[:, 15] &= FLAG_HAS_BBOX  # the other bits speak of statistics and quantization
+        head[:, 15] &= FLAG_HAS_BBOX  # the other bits describe statistics and quantization
         offset, _ = leaf_offsets(source, begin, some, old)
         index = offset[:, None] + np.arange(LEAF_VOXELS, dtype=np.uint64)
         if old.name.startswith("on"):

@@ -45,7 +45,7 @@ void limit(int resource, rlim_t value)
 
 void restrain(rlim_t memory, rlim_t cpu_seconds)
 {
-    ::prctl(PR_SET_PDEATHSIG, SIGKILL); // do not outlive the process that asked
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL); // do not outlive the parent process
     limit(RLIMIT_CORE, 0);
     ::prctl(PR_SET_DUMPABLE, 0);
     limit(RLIMIT_AS, memory + kReservedSpace);

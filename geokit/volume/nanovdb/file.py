@@ -298,7 +298,7 @@ def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
 def _memory(size: int, where: str) -> NDArray[np.uint8]:
     try:
         present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not every system says
+    except (AttributeError, ValueError, OSError):  # not available on every system
         present = size
     try:
         if size > present:
