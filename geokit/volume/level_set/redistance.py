@@ -308,7 +308,7 @@ def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
         return volume_from_buffer(grid.host, like)
     info = info_of(grid.head, byte_count=len(grid.buffer))
     metadata = dict(like.info.metadata)
-    # As volume_from_buffer does for grids on the host.
+    # result_of does the same for grids on the host.
     metadata.pop("geokit:value_type", None)
     if info.grid_type != like.info.grid_type:
         metadata.pop("class", None)
