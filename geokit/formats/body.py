@@ -1,4 +1,4 @@
-"""What a mesh file holds, as its reader returns it. Standard library only: reader processes wait for this import."""
+"""Content of a mesh file, as its reader returns it. Standard library only: reader processes wait for this import."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Body"]
 
 
 class Body(NamedTuple):
-    """One body of a file. Arrays are NumPy's, or in a reader process anything that has a buffer of numbers.
+    """One body of a file. Arrays are NumPy's, or in a reader process any object with a buffer of numbers.
 
     Args:
         points: Vertex positions in the body's own frame, shape (V, 3).
@@ -17,7 +17,7 @@ class Body(NamedTuple):
         name: The file's name for the body.
         transform: Matrix (4, 4) from the body's frame to the world, for column vectors; None is the identity.
         clockwise: The file winds its polygons clockwise as seen from outside.
-        groups: (name, first polygon, polygon count) of the named parts; empty where the body is one part.
+        groups: (name, first polygon, polygon count) of the named parts; empty if the body is one part.
     """
 
     points: Any

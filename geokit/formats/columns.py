@@ -1,4 +1,4 @@
-"""Columns by name, as most point files have them, and the points, rays and arrays that they make up."""
+"""Named columns, as most point files have them, and their conversion to points, rays and arrays."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from geokit.errors import FileFormatError, InputError
 __all__ = ["Columns", "joined", "named", "rays", "split"]
 
 AXES = ("x", "y", "z")
-# What other programs call the components of normals.
+# Names of the components of normals in other programs.
 NORMALS = ("nx", "ny", "nz")
-# And those of colors.
+# Names of the components of colors in other programs.
 COLORS = ("red", "green", "blue")
 RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
@@ -23,14 +23,14 @@ Columns = dict[str, NDArray[np.generic]]
 
 
 def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
-    """The columns of a table by name; where the names are not those of coordinates, the first three are x, y and z.
+    """The columns of a table by name; if no names are those of coordinates, the first three columns are x, y and z.
 
     Args:
-        names: A name for each column; empty where the file has none.
+        names: A name for each column; empty if the file has none.
         table: Rows of numbers.
         path: The file, for messages.
     Raises:
-        FileFormatError: There are fewer than three columns, or two of one name.
+        FileFormatError: There are fewer than three columns, or two with the same name.
     """
     if table.size == 0:
         table = table.reshape(0, max(len(names), 3))
@@ -40,7 +40,7 @@ def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
     if not set(AXES) <= set(lowered):
         if table.shape[1] < 3:
             raise FileFormatError(f"{path}: has {table.shape[1]} columns; points need x, y and z")
-        # Names of other things than coordinates: the first three columns are the coordinates.
+        # The names are not those of coordinates, so the first three columns are the coordinates.
         names = [*AXES, *(names[3:] or [f"column_{at}" for at in range(3, table.shape[1])])]
     else:
         names = [low if low in AXES else name for name, low in zip(names, lowered, strict=True)]
@@ -48,7 +48,7 @@ def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
 
 
 def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Coordinates, and the other columns with the components of vectors put together.
+    """Coordinates, and the other columns with the components of vectors joined into arrays.
 
     Raises:
         FileFormatError: There are no columns for the coordinates.
@@ -60,7 +60,7 @@ def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
     for name in list(columns):
         vector, parts = _vector(name)
         whole = name == parts[0] and vector not in columns and set(parts) <= columns.keys()
-        # Colors of several types are not colors.
+        # Components of different types do not form a color.
         if whole and (vector != "rgb" or len({columns[part].dtype for part in parts}) == 1):
             data[vector] = np.stack([columns.pop(part) for part in parts], axis=1)
         elif name in columns:
@@ -69,7 +69,7 @@ def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
 
 
 def _vector(name: str) -> tuple[str, tuple[str, ...]]:
-    """The array that a column called ``name`` may begin, and what its three columns are called."""
+    """The array of which the column ``name`` may be the first component, and the names of its three columns."""
     if name == "nx":
         return "normals", NORMALS
     if name == "red":
@@ -79,7 +79,7 @@ def _vector(name: str) -> tuple[str, tuple[str, ...]]:
 
 
 def rays(names: list[str], table: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
-    """Origins and directions (N, 6): the columns of these names, else the first six.
+    """Origins and directions (N, 6): the columns with these names, else the first six columns.
 
     Raises:
         FileFormatError: There are fewer than six columns.
@@ -95,10 +95,10 @@ def rays(names: list[str], table: NDArray[np.float64], path: Path) -> NDArray[np
 
 
 def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], kind: str) -> Columns:
-    """One column for each number of a point, by names that the format can hold.
+    """One column for each number of a point, with names that the format can hold.
 
     Raises:
-        InputError: A name is taken or holds a sign that separates columns.
+        InputError: A name is repeated or contains a character that separates columns.
     """
     columns: Columns = dict(zip(AXES, points.T, strict=True))
     for name, array in data.items():

@@ -1,4 +1,4 @@
-"""Large tables of plain decimal numbers, parsed in C++ on all threads; everything else is left to slower readers."""
+"""Fast parsing of large tables of plain decimal numbers, in C++ on all threads; slower readers handle all else."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from numpy.typing import NDArray
 
 __all__ = ["SMALLEST", "parse", "plain_rows"]
 
-# Shorter text is read by NumPy in milliseconds, as well as by the parser.
+# NumPy reads shorter text in milliseconds, as fast as the parser.
 SMALLEST = 1 << 14
 # Bytes of text for a thread at a time: thousands of lines, and hundreds of chunks in a file that takes long.
 CHUNK = 1 << 18
-# The bits of a NaN in which the parser says where the text of a number stands, plus one.
+# Bits of a NaN in which the parser stores the position of a number's text, plus one.
 PLACE = np.uint64((1 << 51) - 1)
 _WORD = re.compile(rb"[^\s,;]+")
 
 
 def plain_rows(data: bytes, start: int, stop: int) -> NDArray[np.float64] | None:
-    """Rows of numbers in ``data[start:stop]``, each rounded correctly; None where it is small or out of the ordinary.
+    """Rows of numbers in ``data[start:stop]``, each rounded correctly; None if the text is small or not plain.
 
-    Ordinary are decimal numbers and ``nan``, as many in each line, between commas, semicolons or white space; a
-    comment, another word or an incomplete line anywhere is not. None too where geokit was built without a compiler.
-    tests/formats/test_decimal_property.py holds the numbers against Python's.
+    Plain text has decimal numbers and ``nan``, equally many in each line, separated by commas, semicolons or white
+    space. A comment, another word or an incomplete line anywhere makes it not plain. The result is also None if geokit
+    was built without a compiler.
+
+    Held by: tests/formats/test_decimal_property.py
     """
     if stop - start < SMALLEST:
         return None
@@ -32,7 +34,7 @@ def plain_rows(data: bytes, start: int, stop: int) -> NDArray[np.float64] | None
 
 
 def parse(data: bytes, start: int, stop: int, chunk: int = CHUNK) -> NDArray[np.float64] | None:
-    """:func:`plain_rows` for text of any size, in chunks of so many bytes."""
+    """Parse text of any size as :func:`plain_rows` does, in chunks of so many bytes."""
     from geokit.native._parsers import parsers
 
     core = parsers()
@@ -57,7 +59,7 @@ def parse(data: bytes, start: int, stop: int, chunk: int = CHUNK) -> NDArray[np.
 
 
 def _in_threads(work: Callable[[int], int], count: int) -> list[int]:
-    """``work(0) .. work(count - 1)``, side by side where there are several."""
+    """Results of ``work(0) .. work(count - 1)``, computed in threads if there are several."""
     from geokit.core import launcher
     from geokit.core.thread_placement import wait_for
 
@@ -65,7 +67,7 @@ def _in_threads(work: Callable[[int], int], count: int) -> list[int]:
     if threads == 1:
         return [work(at) for at in range(count)]
     results = [0] * count
-    # Shared by the threads: each takes the next number when it is done with its last.
+    # Shared by the threads: each takes the next number when it has finished its last.
     numbers = iter(range(count))
 
     def several() -> None:
@@ -78,7 +80,7 @@ def _in_threads(work: Callable[[int], int], count: int) -> list[int]:
 
 
 def _shape_of_first(data: bytes, start: int, stop: int) -> tuple[int, int] | None:
-    """How many numbers the first line has and the code of what is between them, 0 for white space."""
+    """Count of the numbers in the first line, and the character code of their separator, 0 for white space."""
     at = start
     while at < stop:
         end = data.find(b"\n", at, stop)
@@ -93,7 +95,7 @@ def _shape_of_first(data: bytes, start: int, stop: int) -> tuple[int, int] | Non
 
 
 def _read_again(table: NDArray[np.float64], data: bytes) -> None:
-    """Numbers out of the range of float64, which the parser leaves to Python: infinity, zero or a denormal number."""
+    """Read numbers beyond float64's range, which the parser leaves to Python: infinity, zero or a subnormal number."""
     rows = np.flatnonzero(np.isnan(table))
     places = (table[rows].view(np.uint64) & PLACE).astype(np.int64) - 1
     for row, place in zip(rows[places >= 0], places[places >= 0].tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Airborne laser scans (.las, .laz) through laspy, with the header checked before laspy sees it."""
+"""Airborne laser scans (.las, .laz) through laspy, with the header checked before laspy reads it."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from geokit.formats.columns import Columns
 
 __all__ = ["content_bytes", "read_points", "write_points"]
 
-# Coordinates are integers of 32 bits times a scale: a few values at the ends are left for the roundings.
+# Coordinates are integers of 32 bits times a scale; a few values at the ends are reserved for rounding.
 LARGEST_STEPS = 2**31 - 8
-# Of ten: the smallest power that float64 tells from zero.
+# Smallest power of ten that float64 distinguishes from zero.
 SMALLEST_EXPONENT = -323
-# Bytes of the public header block, of LAS 1.0 and of 1.4.
+# Sizes of the public header block in bytes, of LAS 1.0 and of 1.4.
 HEADER_SIZE, HEADER_SIZE_14 = 227, 375
 # Bytes before the data of a variable length record and of an extended one.
 VLR_SIZE, EVLR_SIZE = 54, 60
-# The bits of the point format that say "compressed".
+# Bits of the point format that mark compressed points.
 COMPRESSED = 0xC0
 LONGEST_NAME = 32
-# Formats of LAS 1.4 by what they hold beyond format 6.
+# Point formats of LAS 1.4 by the dimensions that they have in addition to format 6.
 _FORMATS = {(): 6, ("rgb",): 7, ("nir", "rgb"): 8}
 _COLORS = ("red", "green", "blue")
 _POSITION = ("X", "Y", "Z", "x", "y", "z")
@@ -44,11 +44,11 @@ def _laspy() -> Any:
 
 
 def content_bytes(path: Path) -> int | None:
-    """Bytes of the points once they are decompressed, of a file whose header is sound; None if they are not compressed.
+    """Size of the decompressed points in bytes, after checking the header; None if they are not compressed.
 
     Raises:
         MissingDependencyError: laspy is not installed, or no backend for .laz.
-        FileFormatError: A damaged or truncated file, or one that declares more than there is memory.
+        FileFormatError: The file is damaged or truncated, or declares more than fits into memory.
     """
     plain_bytes = _check_header(path, _laspy())
     if plain_bytes is not None and plain_bytes > available_host():
@@ -59,13 +59,13 @@ def content_bytes(path: Path) -> int | None:
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The points in float64, scaled as the header says, and every other dimension in its own type.
+    """Read the points in float64, scaled as the header states, and every other dimension in its own type.
 
-    ``red``, ``green`` and ``blue`` become ``rgb`` (N, 3) uint16. The header is that of a file whose
-    :func:`content_bytes` are known: laspy takes its sizes at their word.
+    ``red``, ``green`` and ``blue`` become ``rgb`` (N, 3) uint16. Call :func:`content_bytes` first: laspy does not check
+    the sizes in the header.
 
     Raises:
-        FileFormatError: A damaged file.
+        FileFormatError: The file is damaged.
     """
     laspy = _laspy()
     try:
@@ -77,7 +77,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         raise
     except (
         BaseException
-    ) as error:  # laspy and its backends raise what they meet; a panic of the backend is no Exception
+    ) as error:  # laspy and its backends raise many kinds of errors; a panic of the backend is not an Exception
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read as .las ({reason}); get a whole copy") from None
     if set(_COLORS) <= data.keys():
@@ -93,10 +93,10 @@ def _require_backend(laspy: Any, path: Path) -> None:
 
 
 def _check_header(path: Path, laspy: Any) -> int | None:
-    """Holds the sizes that the header has against the file, before anything is allocated for them.
+    """Check the sizes in the header against the file, before memory is allocated for them.
 
     Returns:
-        Bytes of the points once they are decompressed; None where they are not compressed.
+        Size of the decompressed points in bytes; None if they are not compressed.
     """
     size = path.stat().st_size
     with open(path, "rb") as file:
@@ -130,7 +130,7 @@ def _check_header(path: Path, laspy: Any) -> int | None:
 
 
 def _check_chunks(file: Any, path: Path, size: int, start: int, width: int, count: int) -> None:
-    # The table of chunks: where it is stands before the points, and each chunk begins with one whole record.
+    # The offset of the chunk table precedes the points, and each chunk begins with one uncompressed record.
     if count == 0:
         return
     file.seek(start)
@@ -144,11 +144,11 @@ def _check_chunks(file: Any, path: Path, size: int, start: int, width: int, coun
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """LAS 1.4 with the least power of ten for a scale on each axis whose integers hold the extent.
+    """Write LAS 1.4, with the smallest power of ten as the scale of each axis for which integers hold the extent.
 
     Raises:
         MissingDependencyError: laspy is not installed, or no backend for .laz.
-        InputError: A name or an array that the format cannot hold.
+        InputError: The format cannot hold a name or an array.
     """
     laspy = _laspy()
     compress = path.suffix.lower() == ".laz"
@@ -172,11 +172,11 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
 
 
 def _placement(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offset and scale of each axis: X * scale + offset is within half a scale of what was given."""
+    """Offset and scale of each axis: X * scale + offset is within half a scale of the given coordinate."""
     offsets, scales = np.zeros(3), np.full(3, 1e-3)
     for axis, values in enumerate(points.T if len(points) else ()):
         lower, upper = float(values.min()), float(values.max())
-        # Halved first: the extent of the largest float64 numbers overflows.
+        # Halved first, since the extent of the largest float64 numbers overflows.
         middle, half = 0.5 * lower + 0.5 * upper, 0.5 * upper - 0.5 * lower
         if half == 0.0:
             offsets[axis] = lower
@@ -184,7 +184,7 @@ def _placement(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
         exponent = max(int(np.ceil(np.log10(half / LARGEST_STEPS))), SMALLEST_EXPONENT)
         scale = float(f"1e{exponent}")
         steps = middle / scale
-        # A whole number of scales, so that decimal coordinates stay what they were; beyond 2^53 there is no such thing.
+        # A whole number of scales, so that decimal coordinates stay the same; beyond 2^53 that is impossible.
         offset = float(np.rint(steps)) * scale if abs(steps) < 2.0**53 else middle
         offsets[axis], scales[axis] = offset, scale
     return offsets, scales

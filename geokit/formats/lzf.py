@@ -1,7 +1,8 @@
-"""LZF, the compression of .pcd files, in C++; in Python, which is slow, where geokit was built without a compiler.
+"""LZF, the compression of .pcd files, in C++; in Python, which is slow, if geokit was built without a compiler.
 
-A control byte below 32 announces that many literals and one more. Any other one is a back reference: its upper three
-bits are the length less two (7: the next byte is added), its lower five and the next byte the distance less one.
+A control byte below 32 announces that many literals plus one. Any other control byte is a back reference: its upper
+three bits are the length minus two (for 7 the next byte is added), its lower five bits and the next byte the distance
+minus one.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ from numpy.typing import NDArray
 
 __all__ = ["compress", "decompress"]
 
-# Each 32 literals cost a byte, and the last run may be short.
+# Each 32 literals cost one more byte, and the last run may be short.
 LITERAL_RUN = 32
 LONGEST_MATCH = 264
 LARGEST_DISTANCE = 8192
-# Places that the compressor remembers by the hash of the three bytes there.
+# Size of the compressor's hash table, which stores positions by the hash of the three bytes there.
 TABLE_BITS = 15
 
 
 def decompress(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8], int]:
-    """``size`` bytes from ``packed``, and the byte of it where it is damaged, -1 for none.
+    """Decompress ``packed`` to ``size`` bytes; also returns the first damaged byte of ``packed``, or -1.
 
-    Damage is a reference to before the beginning, a run beyond the end, or another size than was said.
+    Damage is a reference before the beginning, a run beyond the end, or a size other than the declared one.
     """
     from geokit.native._parsers import parsers
 
@@ -34,7 +35,7 @@ def decompress(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8],
 
 
 def compress(plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """``plain`` as LZF; at worst a 32nd longer."""
+    """Compress ``plain`` with LZF; the result is at most a 32nd longer."""
     from geokit.native._parsers import parsers
 
     core = parsers()
@@ -67,7 +68,7 @@ def _decompress(packed: bytes, size: int) -> tuple[NDArray[np.uint8], int]:
         at += 1 + long
         sound = distance <= len(out) and length <= size - len(out)
         if sound:
-            # A reference may reach into what it writes: its bytes repeat then.
+            # A reference may overlap its own output, whose bytes then repeat.
             piece = out[len(out) - distance :][:length]
             out += (piece * (length // len(piece) + 1))[:length]
     found = np.zeros(size, np.uint8)
@@ -76,7 +77,7 @@ def _decompress(packed: bytes, size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _compress(plain: bytes) -> bytes:
-    """The same bytes as in C++."""
+    """Compress to the same bytes as the C++ version."""
     out = bytearray()
     table: dict[int, int] = {}
     at = start = 0

@@ -1,4 +1,4 @@
-"""Gmsh .msh and .xdmf through meshio, which reads in a process of its own; it writes .vtu too."""
+"""Gmsh .msh and .xdmf through meshio, which reads in a separate process; also writes .vtu."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["read_mesh", "write_mesh"]
 
 _SURFACE = {"triangle", "quad", "polygon"}
-# meshio's dimensions of second-order cells are right; the cells themselves are no polygons.
+# meshio's dimensions of second-order cells are right, but the cells themselves are not polygons.
 _IGNORED_DIMENSIONS = (0, 1)
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """The triangles, quads and polygons of the file; points, lines and the inner volume cells are left out."""
+    """Read the triangles, quads and polygons of the file; points, lines and inner volume cells are left out."""
     import meshio
 
     mesh = meshio.read(str(path))
@@ -55,7 +55,7 @@ def read_mesh(path: Path) -> list[Body]:
 def write_mesh(
     path: Path, mesh: TriangleMesh, point_data: Mapping[str, NDArray], cell_data: Mapping[str, NDArray]
 ) -> None:
-    """VTK .vtu, Gmsh .msh 4.1 (both binary), and .xdmf in one file, through meshio."""
+    """Write VTK .vtu, Gmsh .msh 4.1 (both binary), and .xdmf in one file, through meshio."""
     import meshio
 
     kind = path.suffix.lower()
@@ -65,10 +65,10 @@ def write_mesh(
         point_data={name: np.array(values) for name, values in point_data.items()},
         cell_data={name: [np.array(values)] for name, values in cell_data.items()},
     )
-    # Inline, since arrays in a second file could not be replaced together with the first.
+    # Inline, because a second file for the arrays could not be replaced atomically together with the first.
     options = {"data_format": "XML"} if kind == ".xdmf" else {}
     file_format = {".vtu": "vtu", ".msh": "gmsh", ".xdmf": "xdmf"}[kind]
-    # meshio prints advice to standard output and warns about its own choices.
+    # meshio prints advice to standard output and warns about its own choices, so both are suppressed.
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         meshio.write(path, content, file_format=file_format, **options)

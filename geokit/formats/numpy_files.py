@@ -1,4 +1,4 @@
-"""NumPy's files (.npy, .npz) as points and rays."""
+"""NumPy files (.npy, .npz) as points and rays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["read_points", "read_rays", "write_points"]
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The first three columns of an .npy file and the others; the points of an .npz and the arrays with a row for each.
+    """Read the first three columns of an .npy file and the others, or the points of an .npz and its per-point arrays.
 
     Raises:
         FileFormatError: The content is damaged or has no points.
@@ -25,7 +25,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:
-    """Origins and directions (N, 6): six columns, or the arrays of these names.
+    """Read origins and directions (N, 6): six columns, or the arrays with these names.
 
     Raises:
         FileFormatError: The content is damaged or has no rays.
@@ -47,10 +47,10 @@ def read_rays(path: Path) -> NDArray[np.float64]:
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """Arrays by name in an .npz file, in their own types, the positions as "points".
+    """Write arrays by name to an .npz file, in their own types, with the positions as "points".
 
     Raises:
-        InputError: An array of data has that name.
+        InputError: An array of data has the name "points".
     """
     if "points" in data:
         raise InputError("data: the name 'points' is taken by the positions in .npz; choose another")
@@ -64,7 +64,7 @@ def _array(path: Path) -> NDArray[np.float64]:
     """The table of numbers in an .npy file."""
     try:
         array = np.load(path, allow_pickle=False)
-    except Exception as error:  # numpy, zipfile, zlib and the parser of Python's literals raise a dozen kinds
+    except Exception as error:  # numpy, zipfile, zlib and Python's literal parser raise a dozen kinds of errors
         raise FileFormatError(
             f"{path}: is not a NumPy array ({_line(error)}); write it again with numpy.save"
         ) from None
@@ -77,7 +77,7 @@ def _array(path: Path) -> NDArray[np.float64]:
 def _archive(path: Path) -> Columns:
     """Every array of an .npz file by name."""
     try:
-        # Opened here: numpy leaves a file that is not an archive open.
+        # Opened here, because numpy does not close a file that is not an archive.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except Exception as error:
@@ -85,7 +85,7 @@ def _archive(path: Path) -> Columns:
 
 
 def _cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The points of an .npz file, and the arrays that have a row for each."""
+    """The points of an .npz file, and the arrays that have one row per point."""
     arrays = _archive(path)
     tables = [name for name, array in arrays.items() if array.ndim == 2 and array.shape[1] == 3]
     if "points" not in tables and len(tables) != 1:

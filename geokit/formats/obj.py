@@ -21,7 +21,7 @@ __all__ = ["read_mesh", "read_points", "write_mesh"]
 
 
 class _Lines(NamedTuple):
-    """The lines of a file by kind, without their first word; how many vertices stand above each face; group starts."""
+    """Lines of a file by kind, without their first word; the number of vertices above each face; starts of groups."""
 
     vertices: list[bytes]
     faces: list[bytes]
@@ -35,7 +35,7 @@ def _lines(data: bytes) -> _Lines:
     faces: list[bytes] = []
     vertices_before: list[int] = []
     starts: list[tuple[str, int]] = []
-    # splitlines also cuts at form feeds and other bytes that text may hold; the format's lines end at newlines.
+    # splitlines also splits at form feeds and other bytes that text may contain; OBJ lines end at newlines only.
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
         if kind == b"v":
@@ -53,10 +53,10 @@ def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The vertices; everything else is left out.
+    """Read the vertices; everything else is left out.
 
     Raises:
-        FileFormatError: A vertex that is not three numbers; its line is named.
+        FileFormatError: A vertex is not three numbers; the message names its line.
     """
     data = path.read_bytes()
     try:
@@ -67,7 +67,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
 
 
 def _blame(data: bytes, path: Path) -> None:
-    """Raises for the first vertex that is not three numbers."""
+    """Raise the error for the first vertex that is not three numbers."""
     for number, line in enumerate(data.splitlines(), 1):
         words = line.split()
         if not words or words[0] != b"v":
@@ -80,7 +80,7 @@ def _blame(data: bytes, path: Path) -> None:
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Body of an .obj file; its ``o`` and ``g`` lines become groups.
+    """Read an .obj file; its ``o`` and ``g`` lines become groups.
 
     Texture coordinates, normals, materials and lines are left out; free-form curves and surfaces have no polygons.
     """
@@ -101,12 +101,12 @@ def read_mesh(path: Path) -> list[Body]:
     return [Body(coordinates, counts, indices, groups=_groups(starts, len(faces)))]
 
 
-# The texture and normal of a corner, and a comment at a line's end.
+# Texture and normal of a corner, or a comment at the end of a line.
 _AFTER_INDEX = re.compile(rb"/[^ \n]*|#[^\n]*")
 
 
 def _first_three(lines: list[bytes], path: Path) -> list[bytes]:
-    """The first three tokens of each line: a weight or a colour may follow."""
+    """The first three tokens of each line; a weight or a color may follow."""
     counts, tokens = _split(lines)
     if np.all(counts == 3):
         return tokens
@@ -118,17 +118,17 @@ def _first_three(lines: list[bytes], path: Path) -> list[bytes]:
 
 
 def _split(lines: list[bytes]) -> tuple[NDArray[np.int64], list[bytes]]:
-    """Tokens of each line counted, and all tokens in one list."""
+    """Count of the tokens in each line, and all tokens in one list."""
     tokens = b" ".join(lines).split()
-    # Two single spaces in each line and three tokens a line on average: three in each. Splitting line by line costs
-    # three times as much, most of it for making the lists.
+    # Two single spaces in each line and three tokens a line on average mean three tokens in each. Splitting line by
+    # line takes three times as long, mostly for making the lists.
     if len(tokens) == 3 * len(lines) and all(line.count(b" ") == 2 for line in lines):
         return np.full(len(lines), 3, np.int64), tokens
     return np.fromiter((len(line.split()) for line in lines), np.int64, len(lines)), tokens
 
 
 def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, int, int], ...]:
-    """(name, first, count) of the groups that hold faces; none where the file names fewer than two."""
+    """(name, first, count) of the groups that hold faces; empty if the file names fewer than two."""
     bounds = [first for _, first in starts] + [face_count]
     groups = [(name, first, end - first) for (name, first), end in zip(starts, bounds[1:], strict=True) if end > first]
     if groups and bounds[0] > 0:
@@ -137,8 +137,8 @@ def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, 
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Text that reads back as the same float64 vertices; parts become ``o`` groups."""
-    # A group's name ends at its line's end.
+    """Write text that reads back as the same float64 vertices; parts become ``o`` groups."""
+    # A group's name ends at the end of its line, so it must not contain a newline.
     names = {part.first_face: " ".join(part.name.split()) or "part" for part in mesh.parts if part.face_count}
     with open(path, "w", encoding="utf-8", newline="\n") as file:
         if not names:

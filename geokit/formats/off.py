@@ -22,7 +22,7 @@ _HEADER = re.compile(rb"\s*(?:ST)?C?N?OFF\b(?!\s*BINARY)")
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Body of an ASCII .off file (OFF, COFF, NOFF, STOFF and their mixtures); colours and normals are left out."""
+    """Read an ASCII .off file (OFF, COFF, NOFF, STOFF and combinations of them); colors and normals are left out."""
     data = path.read_bytes()
     if b"#" in data:
         data = re.sub(rb"#[^\n]*", b"", data)
@@ -49,7 +49,7 @@ def read_mesh(path: Path) -> list[Body]:
     points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
     tokens: list[bytes] = []
     for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
-        # A face's colour stands behind its corners.
+        # A face's color follows its corners.
         row_tokens = line.split()
         tokens += row_tokens[: int(row_tokens[0]) + 1] if row_tokens[0].isdigit() else row_tokens
     counts, indices, used = _polygons(tokens, face_count, path)
@@ -59,7 +59,7 @@ def read_mesh(path: Path) -> list[Body]:
 
 
 def _polygons(tokens: list[bytes], count: int, path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """``count`` runs of ``n i1 .. in`` from the start of ``tokens``: corner counts, indices, and tokens used.
+    """Parse ``count`` runs of ``n i1 .. in`` from the start of ``tokens``: corner counts, indices, and tokens used.
 
     Raises:
         FileFormatError: The tokens end early or are not integers.
@@ -83,7 +83,7 @@ def _polygons(tokens: list[bytes], count: int, path: Path) -> tuple[NDArray[np.i
 
 
 def _uniform_polygons(tokens: list[bytes], count: int, path: Path) -> tuple[Any, Any, int] | None:
-    # Nearly every file has one polygon size: read as one table, thirty times faster than polygon by polygon.
+    # Nearly all files have one polygon size. Reading them as one table is thirty times as fast as polygon by polygon.
     if count == 0 or not tokens or not tokens[0].isdigit():
         return None
     size = int(tokens[0])
@@ -95,7 +95,7 @@ def _uniform_polygons(tokens: list[bytes], count: int, path: Path) -> tuple[Any,
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Text that reads back as the same float64 vertices."""
+    """Write text that reads back as the same float64 vertices."""
     with open(path, "w", encoding="ascii", newline="\n") as file:
         file.write(f"OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n")
         file.writelines(point_lines(mesh.vertices))

@@ -22,17 +22,17 @@ ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {"F": ("f4", "f8"), "I": ("i1", "i2", "i4", "i8"), "U": ("u1", "u2", "u4", "u8")}
 _LONG = ("i8", "u8")
-# A field of this name is padding.
+# A field with this name is padding.
 _PADDING = "_"
 _AXES = ("x", "y", "z")
 _COLORS = ("rgb", "rgba")
-# What the library calls the components of normals, and what the rest of geokit does.
+# PCL's names of the components of normals, and those that the rest of geokit uses.
 _NORMALS = {"normal_x": "nx", "normal_y": "ny", "normal_z": "nz"}
-# LZF makes 264 bytes of three at best: sizes that say more are damage, seen before anything is allocated for them.
+# LZF expands three bytes to 264 at best: larger declared sizes are damage, detected before memory is allocated.
 LZF_BEST = 88
-# The format writes both sizes of a compressed body in 32 bits.
+# The format stores both sizes of a compressed body in 32 bits.
 LZF_LIMIT = 2**32 - 1
-# A record of more bytes than this is no point; NumPy counts them in 31 bits.
+# A record of more bytes than this cannot be a point; NumPy counts them in 31 bits.
 LARGEST_RECORD = 2**30
 
 
@@ -56,10 +56,10 @@ class _Header:
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Points and columns by name, each in the type of the file; fields with a count above one are (N, count).
+    """Read points and columns by name, each in the type of the file; fields with a count above one are (N, count).
 
     Raises:
-        FileFormatError: A damaged or truncated file, or one whose header and body disagree.
+        FileFormatError: The file is damaged or truncated, or its header and body disagree.
     """
     data = path.read_bytes()
     header = _read_header(data, path)
@@ -74,7 +74,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         if field.name == _PADDING:
             continue
         if field.name in _COLORS and values.ndim == 1 and values.dtype.itemsize == 4:
-            # Blue, green, red and alpha from the lowest byte up, whatever the type says that they are.
+            # Blue, green, red and alpha from the lowest byte up, whatever type the header declares.
             bytes_ = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).view(np.uint8).reshape(-1, 4)
             values = bytes_[:, [2, 1, 0, 3][: len(field.name)]]
         columns[_NORMALS.get(field.name, field.name)] = values
@@ -147,7 +147,7 @@ def _count(lines: dict[str, list[str]], path: Path) -> int:
 
 
 def _is_count(text: str) -> bool:
-    # Eighteen digits stay below 2^63, whatever they say.
+    # Numbers of up to eighteen digits stay below 2^63.
     return text.isascii() and text.isdecimal() and len(text) <= 18
 
 
@@ -162,7 +162,7 @@ def _ascii(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]
         raise FileFormatError(
             f"{path}: its rows have {table.shape[1]} values and its fields need {width}; correct the header"
         )
-    # float64 has not all integers of 64 bits.
+    # float64 cannot represent all 64-bit integers.
     long = any(field.type in _LONG for field in header.fields)
     tokens = np.array(body.split()) if long else np.empty(0)
     parts: list[NDArray[np.generic]] = []
@@ -178,7 +178,7 @@ def _ascii(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]
 
 
 def _exact(words: NDArray[Any], kind: str) -> NDArray[np.generic] | None:
-    """The words as integers; None where one is not, or is too large."""
+    """The words as integers; None if one is not an integer or is too large."""
     try:
         return np.array([int(word) for word in words.ravel()], kind).reshape(words.shape)
     except (ValueError, OverflowError):
@@ -191,7 +191,7 @@ def _cast(values: NDArray[np.float64], field: _Field, path: Path) -> NDArray[np.
         with np.errstate(over="ignore"):
             return values.astype(dtype)
     limits = np.iinfo(dtype)
-    # Compared as floats, 2^63 - 1 is 2^63: what is not below it does not fit.
+    # Compared as floats, 2^63 - 1 equals 2^63, so only smaller values fit.
     bad = ~((values >= float(limits.min)) & (values < float(limits.max) + 1.0) & (np.floor(values) == values))
     if bad.any():
         row = int(np.argmax(bad.reshape(len(values), -1).any(axis=1)))
@@ -211,7 +211,7 @@ def _binary(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic
 
 
 def _record_type(fields: Sequence[_Field]) -> np.dtype[np.void]:
-    # Numbered, because padding fields share a name.
+    # Fields are numbered, because padding fields share a name.
     parts = [("<" + field.type, (field.count,) if field.count > 1 else ()) for field in fields]
     return np.dtype([(f"f{at}", kind, shape) for at, (kind, shape) in enumerate(parts)])
 
@@ -227,7 +227,7 @@ def _compressed(data: bytes, header: _Header, path: Path) -> list[NDArray[np.gen
         raise FileFormatError(
             f"{path}: ends after {len(data) - body} of the {packed} bytes of its compressed body; get a whole copy"
         )
-    # The library leaves padding out of a compressed body; others do not.
+    # PCL leaves padding out of a compressed body; other programs do not.
     widths = [0 if field.name == _PADDING else field.width for field in header.fields]
     if sum(widths) * header.count != size:
         widths = [field.width for field in header.fields]
@@ -251,16 +251,16 @@ def _compressed(data: bytes, header: _Header, path: Path) -> list[NDArray[np.gen
 def write_points(
     path: Path, points: NDArray[np.floating], data: Mapping[str, NDArray[np.generic]], encoding: str
 ) -> None:
-    """One unorganised cloud in PCD 0.7; ``rgb`` and ``rgba`` are packed as PCL has them.
+    """Write one unorganized cloud in PCD 0.7; ``rgb`` and ``rgba`` are packed as in PCL.
 
     Args:
         path: The file.
-        points: Shape (N, 3); float32 is written in 4 bytes, which is all that PCL and Open3D read as coordinates.
+        points: Shape (N, 3). float32 is written in 4 bytes, the only type that PCL and Open3D read as coordinates.
         data: Arrays with N rows by name.
         encoding: One of ENCODINGS.
 
     Raises:
-        InputError: A name that the header cannot hold, a type that the format lacks, or a compressed body over 4 GiB.
+        InputError: The header cannot hold a name, the format lacks a type, or a compressed body exceeds 4 GiB.
     """
     columns: Columns = dict(zip(_AXES, points.T, strict=True))
     for name, values in data.items():
@@ -317,11 +317,11 @@ def _storable(name: str, values: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _write_rows(file: io.BufferedWriter, arrays: Sequence[NDArray[np.generic]]) -> None:
-    """Rows of the fewest digits that read back the same."""
+    """Write rows with the fewest digits that read back as the same numbers."""
     parts: list[list[str]] = []
     for array in arrays:
         for column in (array[:, None] if array.ndim == 1 else array).T:
-            # A float32 has its own shortest digits, fewer than those of the float64 that it equals.
+            # A float32 has its own shortest digits, fewer than those of the equal float64.
             parts.append(list(map(str, column)) if column.dtype == np.float32 else list(map(repr, column.tolist())))
     file.writelines((" ".join(row) + "\n").encode("ascii") for row in zip(*parts, strict=True))
 
@@ -332,7 +332,7 @@ def _write_compressed(file: io.BufferedWriter, arrays: Sequence[NDArray[np.gener
     size = sum(array.nbytes for array in arrays)
     if size > LZF_LIMIT:
         raise InputError(f"encoding: {size} bytes are more than binary_compressed can hold (4 GiB); use 'binary'")
-    # Field after field: equal bytes stand closer together than in records.
+    # Field after field, because equal bytes are then closer together than in records, and compress better.
     plain = np.concatenate([np.ascontiguousarray(array).view(np.uint8).reshape(-1) for array in arrays])
     packed = compress(plain)
     if len(packed) > LZF_LIMIT:

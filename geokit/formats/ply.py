@@ -1,4 +1,4 @@
-"""Polygon file format (.ply), ASCII and binary of both byte orders: meshes, and points with their numbers."""
+"""Polygon file format (.ply), ASCII and binary of both byte orders: meshes, and points with attributes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _Property:
 
 @dataclass
 class _Element:
-    """An element: its name, how many there are, and what each has."""
+    """An element: its name, the number of its entries, and their properties."""
 
     name: str
     count: int
@@ -69,7 +69,7 @@ class _Element:
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Body of a .ply file: ``x y z`` of its vertices, ``vertex_indices`` of its faces; the rest is left out."""
+    """Read a .ply file: ``x y z`` of its vertices, ``vertex_indices`` of its faces; the rest is left out."""
     data = path.read_bytes()
     order, elements, start = _read_header(data, path)
     if any(element.count and not element.properties for element in elements):
@@ -100,10 +100,10 @@ def read_mesh(path: Path) -> list[Body]:
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The vertices and every number that goes with them, each in the type of the file.
+    """Read the vertices and all their numeric properties, each in the type of the file.
 
     Raises:
-        FileFormatError: A damaged or truncated file, no vertices, or a list among their properties.
+        FileFormatError: The file is damaged or truncated, has no vertices, or has a list among their properties.
     """
     data = path.read_bytes()
     order, elements, start = _read_header(data, path)
@@ -155,7 +155,7 @@ def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dic
 
 
 def _plain(body: bytes, count: int) -> NDArray[np.float64] | None:
-    """The first ``count`` lines, where they are many and ordinary; faces may follow them."""
+    """The first ``count`` lines, if they are many and plain numbers; faces may follow them."""
     ends = np.flatnonzero(np.frombuffer(body, np.uint8) == ord("\n")) if len(body) >= SMALLEST else np.empty(0)
     return plain_rows(body, 0, int(ends[count - 1])) if 0 < count <= len(ends) else None
 
@@ -173,10 +173,10 @@ def lacks_faces(head: bytes) -> bool:
 
 
 def _read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
-    """Byte order ("" for ASCII, "<" or ">"), the elements in file order, and where the body begins.
+    """Byte order ("" for ASCII, "<" or ">"), the elements in file order, and the offset of the body.
 
     Raises:
-        FileFormatError: No .ply file, a header without end or format, or a line that is not understood.
+        FileFormatError: The file is not a .ply file, the header lacks its end or format, or a line is not understood.
     """
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
         raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
@@ -219,7 +219,7 @@ def _truncated(path: Path, element: _Element) -> FileFormatError:
 
 
 class _Text:
-    """Elements of an ASCII body, one after the other."""
+    """Reader of the elements of an ASCII body, one after the other."""
 
     def __init__(self, body: bytes, path: Path) -> None:
         self.tokens, self.at, self.path = body.split(), 0, path
@@ -235,7 +235,7 @@ class _Text:
                 size = 1
                 if item.count_type:
                     token = self._take(1, element)[0]
-                    # Tokens such as "3.0" are no counts; -1 would walk backwards.
+                    # Tokens such as "3.0" are not counts, and -1 would move backwards.
                     size = int(token) if token.isdigit() else len(self.tokens)
                     sizes[item.name].append(size)
                 values[item.name] += self._take(size, element)
@@ -254,7 +254,7 @@ class _Text:
         return self.tokens[self.at - count : self.at]
 
     def _uniform(self, element: _Element) -> dict[str, Any] | None:
-        """The element as one table, where all its lists have the length that the first ones have."""
+        """The element as one table, if all its lists have the same lengths as the first ones; else None."""
         stride, places = 0, []
         for item in element.properties:
             places.append(stride)
@@ -283,14 +283,14 @@ class _Text:
         return columns
 
     def _column(self, item: _Property, tokens: list[bytes], sizes: list[int] | None) -> Any:
-        # The text holds more digits than a float32 property keeps: nothing is gained by rounding them away.
+        # The text has more digits than a float32 property keeps, so they are not rounded away.
         dtype = np.float64 if item.type.startswith("f") else np.int64
         values = numbers(tokens, dtype, self.path, f"property {item.name}")
         return values if sizes is None else (np.asarray(sizes, np.int64), values)
 
 
 class _Binary:
-    """Elements of a binary body, one after the other."""
+    """Reader of the elements of a binary body, one after the other."""
 
     def __init__(self, data: bytes, start: int, order: str, path: Path) -> None:
         self.data, self.at, self.order, self.path = data, start, order, path
@@ -318,7 +318,7 @@ class _Binary:
         return sizes
 
     def _table(self, element: _Element, sizes: list[int]) -> dict[str, Any] | None:
-        """The element as one structured array; None where a list has another length than its first."""
+        """The element as one structured array; None if a list has another length than its first."""
         fields: list[Any] = []
         for number, (item, size) in enumerate(zip(element.properties, sizes, strict=True)):
             if item.count_type:
@@ -346,7 +346,7 @@ class _Binary:
         return columns
 
     def _walk(self, element: _Element) -> dict[str, Any]:
-        """Entry by entry: lists of several lengths have no other order than the file's."""
+        """Read entry by entry: lists of varying lengths can only be read in the file's order."""
         pieces: dict[str, list[bytes]] = {item.name: [] for item in element.properties}
         sizes: dict[str, list[int]] = {item.name: [] for item in element.properties}
         widths = [np.dtype(item.type).itemsize for item in element.properties]
@@ -384,7 +384,7 @@ class _Binary:
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Binary, little endian, with float64 vertices."""
+    """Write a binary file, little endian, with float64 vertices."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment by geokit\n"
         f"element vertex {len(mesh.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
@@ -398,11 +398,11 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """A binary little-endian file with one vertex element.
+    """Write a binary little-endian file with one vertex element.
 
     Raises:
-        InputError: A name that cannot be that of a property, or a column of a type that the format lacks and that does
-            not fit into one that it has.
+        InputError: A name cannot be that of a property, or a column has a type that the format lacks and fits into none
+            that it has.
     """
     columns = {name: _fitting(column, name) for name, column in split(points, data, ".ply").items()}
     table = np.empty(len(points), np.dtype([(name, c.dtype.newbyteorder("<")) for name, c in columns.items()]))

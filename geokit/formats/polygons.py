@@ -1,4 +1,4 @@
-"""Polygons as files hold them, cut into triangles and joined into one mesh."""
+"""Triangulation of the polygons of files, and their joining into one mesh."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["join", "triangulate"]
 
 
 def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
-    """One mesh from the bodies of a file: transforms applied, polygons triangulated, names kept as parts.
+    """Join the bodies of a file into one mesh: transforms applied, polygons triangulated, names kept as parts.
 
     Raises:
-        FileFormatError: No polygon at all, a polygon of fewer than three corners, an index out of range, or a vertex
-            that is not finite; the message names the file, the body and the first bad row.
+        FileFormatError: There is no polygon, a polygon has fewer than three corners, an index is out of range, or a
+            vertex is not finite; the message names the file, the body and the first bad row.
     """
     if not any(len(body.counts) for body in bodies):
         held = sum(len(body.points) for body in bodies)
@@ -36,7 +36,7 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
         flip = body.clockwise
         if body.transform is not None:
             linear = body.transform[:3, :3]
-            # A mirrored body would be inside out: its winding is turned with it.
+            # A mirroring transform turns a body inside out, so the winding is reversed.
             flip ^= bool(np.linalg.det(linear) < 0.0)
             with np.errstate(over="ignore", invalid="ignore"):
                 points = points @ linear.T + body.transform[:3, 3]
@@ -63,18 +63,18 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
 def triangulate(
     points: NDArray[np.float64], counts: NDArray[np.int64], indices: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Polygons cut into triangles that keep their winding, in the polygons' order.
+    """Triangulate polygons; the triangles keep the winding and the order of the polygons.
 
-    Convex polygons become the fan from their first corner; concave quads the fan from their reflex corner; other
-    concave polygons lose one ear after the other, on the plane of their mean (Newell) normal, so that no triangle is
-    flipped. A polygon that crosses itself has no right answer and is cut into ``corners - 2`` triangles all the same.
+    A convex polygon becomes the fan from its first corner, a concave quad the fan from its reflex corner. Other concave
+    polygons lose one ear after the other, on the plane of their mean (Newell) normal, so that no triangle is flipped. A
+    polygon that crosses itself has no correct triangulation, but is also cut into ``corners - 2`` triangles.
 
     Args:
         points: Vertex positions, shape (V, 3).
         counts: Corners of each polygon, shape (P,), all >= 3.
         indices: Vertex indices of all corners, shape (sum(counts),), all in [0, V).
     Returns:
-        Triangles (T, 3), and the polygon (T,) that each comes from, ascending.
+        Triangles (T, 3), and the polygon (T,) of each, ascending.
     Source:
         Meisters, Polygons have ears (1975); Newell's normal as in Sutherland et al. (1974).
     """
@@ -91,7 +91,8 @@ def triangulate(
         triangles = _fan(corners)
         if size > 3:
             turns = _turns(points[corners])
-            # Rounding must not send flat corners of convex polygons to the ear clipper: it would be right, but slow.
+            # Rounding must not send flat corners of convex polygons to the ear clipper, which would be correct but
+            # slow.
             reflex = turns < -1e-12 * np.max(np.abs(turns), axis=1, keepdims=True)
             concave = np.flatnonzero(reflex.any(axis=1))
             if size == 4:
@@ -140,9 +141,10 @@ def _fan(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn at each corner, positive where convex, seen along the mean normal: (M, n, 3) -> (M, n)."""
-    # Next to the first corner, so that far-away polygons keep their digits; halved, since differences could overflow.
+    # Relative to the first corner, so that far-away polygons keep their digits; halved, since differences could
+    # overflow.
     local = points * 0.5 - points[:, :1] * 0.5
-    # At unit size, so that products of four lengths neither underflow nor overflow.
+    # Scaled to unit size, so that products of four lengths neither underflow nor overflow.
     size = np.max(np.abs(local), axis=(1, 2), keepdims=True)
     local = local / np.where(size > 0.0, size, 1.0)
     following = np.roll(local, -1, axis=1)
@@ -152,18 +154,18 @@ def _turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _flatten(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A polygon (n, 3) on the plane of its mean normal, counter-clockwise, (n, 2)."""
+    """Project a polygon (n, 3) to the plane of its mean normal, counter-clockwise, (n, 2)."""
     local = points * 0.5 - points[0] * 0.5
     local = local / (np.max(np.abs(local)) or 1.0)
     normal = np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))
-    # Dropping the normal's largest axis is a projection that keeps the order of corners and all inside tests.
+    # Dropping the normal's largest axis preserves the order of corners and all inside tests.
     flat = local[:, [(axis + 1) % 3, (axis + 2) % 3]]
     return flat if normal[axis] >= 0.0 else flat * (-1.0, 1.0)
 
 
 def _clip_ears(flat: NDArray[np.float64]) -> list[tuple[int, int, int]]:
-    """Triangles of a counter-clockwise simple polygon (n, 2), as corner numbers."""
+    """Triangulate a counter-clockwise simple polygon (n, 2); triangles are corner indices."""
     ring = list(range(len(flat)))
     triangles = []
     while len(ring) > 3:
@@ -178,17 +180,18 @@ def _find_ear(flat: NDArray[np.float64], ring: list[int]) -> int:
     points = flat[ring]
     before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
     turn = _cross(points - before, after - points)
-    # Only a corner that is not convex can lie in an ear.
+    # Only corners that are not convex can lie in an ear.
     blocking = points[turn <= 0.0]
     for at in np.flatnonzero(turn > 0.0):
         a, b, c = before[at], points[at], after[at]
         inside = (_cross(b - a, blocking - a) >= 0.0) & (_cross(c - b, blocking - b) >= 0.0)
         inside &= _cross(a - c, blocking - c) >= 0.0
-        # A corner that coincides with one of the ear's own does not block it: seams of holes visit a point twice.
+        # A corner that coincides with one of the ear's own does not block it, because seams of holes visit a point
+        # twice.
         inside &= (blocking != a).any(axis=1) & (blocking != b).any(axis=1) & (blocking != c).any(axis=1)
         if not inside.any():
             return int(at)
-    # Flat or self-crossing: the flattest corner goes, which changes the outline least.
+    # Flat or self-crossing: remove the flattest corner, which changes the outline least.
     return int(np.argmin(np.abs(turn)))
 
 

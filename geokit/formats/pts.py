@@ -1,4 +1,4 @@
-"""Leica's text format (.pts): a count, then x y z, intensity and colour in each row."""
+"""Leica's text format (.pts): a count, then x y z, intensity and color in each row."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from geokit.formats.text import read_rows, row_lines
 
 __all__ = ["read_points", "write_points"]
 
-# What the columns after x, y and z are, by their number.
+# Names of the columns after x, y and z, by the number of columns.
 _LAYOUTS = {3: (), 4: ("intensity",), 6: ("rgb",), 7: ("intensity", "rgb")}
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Points, and intensity (float64) and rgb (N, 3) uint8 as far as the file has them.
+    """Read points, and intensity (float64) and rgb (N, 3) uint8 if the file has them.
 
     Raises:
-        FileFormatError: A damaged file, or one with another number of rows than its first line says.
+        FileFormatError: The file is damaged, or its number of rows differs from its first line.
     """
     data = path.read_bytes()
     end = data.find(b"\n")
@@ -57,13 +57,13 @@ def _bytes(colors: NDArray[np.float64], path: Path) -> NDArray[np.uint8]:
     if bad.any():
         row = int(np.argmax(bad))
         raise FileFormatError(
-            f"{path}: the colour of point {row} ({colors[row].tolist()}) is not three integers of 0 to 255; correct it"
+            f"{path}: the color of point {row} ({colors[row].tolist()}) is not three integers of 0 to 255; correct it"
         )
     return colors.astype(np.uint8)
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """The count and the rows; every number reads back as the same float64.
+    """Write the count and the rows; every number reads back as the same float64.
 
     Raises:
         InputError: Data other than ``intensity`` (N,) and ``rgb`` (N, 3) uint8.

@@ -1,8 +1,8 @@
-"""Files that other libraries read, read in a process of their own.
+"""Reading files with other libraries, in a separate process.
 
-Those readers were written for files that are sound: on damaged ones some hang, some end the process, some crash it,
-some take every size at its word, and most print. Behind a process with a time and a memory limit each of these is one
-named error, and the user's process neither waits for their imports nor keeps them in memory.
+Those libraries expect valid files. On damaged ones some hang, some exit or crash the process, some allocate whatever
+size the file claims, and most print. A process with a time limit and a memory limit turns each of these into one named
+error, and the user's process neither waits for the imports nor keeps the libraries in memory.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from geokit.formats.body import Body
 
 __all__ = ["read_mesh", "read_points"]
 
-# A start plus a generous share for each megabyte: the slowest reader (ASCII .msh) takes 0.4 s for one.
+# A start-up time plus a generous time per megabyte: the slowest reader (ASCII .msh) takes 0.4 s for one.
 BASE_SECONDS = 30.0
 SECONDS_PER_MEGABYTE = 2.0
 # Address space, not resident memory: the libraries and their threads alone map 2 GiB.
 MESH_BYTES = 6 << 30
 POINT_BYTES = 4 << 30
-# Compressed mesh files grow up to about a hundredfold.
+# Compressed mesh files expand up to about a hundredfold.
 MESH_GROWTH = 100
-# The content of a point file, as many bytes again in columns, and once more on their way out.
+# The content of a point file, the same amount again in columns, and another copy in the output.
 POINT_COPIES = 4
 
-# The first entry of sys.path is the working folder here: the user's files must not shadow modules.
+# The first entry of sys.path is the working folder here, and the user's files must not shadow modules.
 _START = "import sys; sys.path[0] = sys.argv[1]; from geokit.formats.reader_worker import main; main()"
 
 Named = list[tuple[str, NDArray[Any]]]
 
 
 def read_mesh(path: Path, module: str) -> list[Body]:
-    """Bodies of a file as ``geokit.formats.<module>.read_mesh(path)`` returns them, from a new process.
+    """Run ``geokit.formats.<module>.read_mesh(path)`` in a new process and return its bodies.
 
     Raises:
-        FileFormatError: The reader refused the file, crashed, or went past its time or memory limit.
+        FileFormatError: The reader rejected the file, crashed, or exceeded its time or memory limit.
         MissingDependencyError: The reader's library is not installed.
     """
     memory = MESH_BYTES + MESH_GROWTH * path.stat().st_size
@@ -63,14 +63,14 @@ def read_mesh(path: Path, module: str) -> list[Body]:
 def read_points(
     path: Path, module: str, content_bytes: int
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.generic]]]:
-    """Points and arrays as ``geokit.formats.<module>.read_points(path)`` returns them, from a new process.
+    """Run ``geokit.formats.<module>.read_points(path)`` in a new process and return its points and arrays.
 
     Args:
         path: The file.
-        module: Which module reads it.
-        content_bytes: How large its content may be.
+        module: Name of the module that reads it.
+        content_bytes: Upper bound of the content's size in bytes.
     Raises:
-        FileFormatError: The reader refused the file, crashed, or went past its time or memory limit.
+        FileFormatError: The reader rejected the file, crashed, or exceeded its time or memory limit.
         MissingDependencyError: The reader's library is not installed.
     """
     memory = POINT_BYTES + POINT_COPIES * content_bytes
@@ -80,11 +80,11 @@ def read_points(
 
 
 def _read(path: Path, module: str, content: str, memory: int, advice: str) -> tuple[Any, Named]:
-    """The answer of the process: what it says as JSON, and arrays by name, in their order."""
+    """Output of the process: its JSON object, and arrays by name, in order."""
     seconds = BASE_SECONDS + SECONDS_PER_MEGABYTE * path.stat().st_size / 1e6
     root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-c", _START, str(root), module, content, str(path.resolve()), str(memory)]
-    # Nothing shows the backtraces of libraries in Rust, which take seconds to write.
+    # Backtraces of libraries in Rust take seconds to write and are never shown, so they are turned off.
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),

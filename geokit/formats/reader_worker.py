@@ -1,7 +1,7 @@
-"""The other end of :mod:`geokit.formats.reader_process`: reads one file and writes its content to standard output.
+"""Worker of :mod:`geokit.formats.reader_process`: reads one file and writes its content to standard output.
 
-The answer is a line of JSON, then the bytes of the arrays that it lists. Standard library only, so that the reader's
-own library is all that the process waits for.
+The output is a line of JSON, then the bytes of the arrays that it lists. Standard library only, so that the process
+waits for no import other than the reader's own library.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ __all__ = ["main"]
 
 Named = list[tuple[str, Any]]
 
-# Letters of the struct module, as buffers name their types, by NumPy's letter for the kind.
+# Type codes of the struct module, which buffers use, mapped to NumPy's code of the kind.
 _KINDS = {**dict.fromkeys("efd", "f"), **dict.fromkeys("bhilqn", "i"), **dict.fromkeys("BHILQN", "u"), "?": "b"}
 
 
 def main() -> None:
     """Arguments: root of the package, module, "mesh" or "points", the file, the limit of address space in bytes."""
     _, module, content, path, limit = sys.argv[1:]
-    # What libraries print must not mix with the answer, in Python or below it.
+    # Output that libraries print must not mix with the result, neither from Python nor from below it.
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -59,7 +59,7 @@ def main() -> None:
     for buffer in buffers if "arrays" in head else ():
         answer.write(buffer)
     answer.flush()
-    # Some libraries crash in their own teardown after reading a damaged file, when the answer is already given.
+    # Some libraries crash in their own teardown after reading a damaged file, when the result is already written.
     os._exit(0)
 
 
@@ -80,6 +80,6 @@ def _points(points: Any, data: dict[str, Any]) -> tuple[Any, Named]:
 def _described(array: Any) -> tuple[str, tuple[int, ...], Any]:
     """NumPy's name of the type, the shape, and the bytes in C order."""
     view = memoryview(array)
-    # NumPy itself says more of its arrays than their buffers do.
+    # For NumPy arrays the dtype says more than the buffer's format.
     kind: str = array.dtype.str if hasattr(array, "dtype") else f"{_KINDS[view.format[-1]]}{view.itemsize}"
     return kind, tuple(view.shape or ()), view if view.c_contiguous else view.tobytes()

@@ -1,4 +1,4 @@
-"""Scenes in .glb, .gltf and .3mf, through trimesh, which reads in a process of its own."""
+"""Scenes in .glb, .gltf and .3mf, through trimesh, which reads in a separate process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["read_mesh", "write_mesh"]
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Each mesh at each place of the scene graph where it stands; nothing is merged, textures are left out."""
+    """Read each mesh at each of its places in the scene graph; nothing is merged, textures are left out."""
     import trimesh
 
     # merge_primitives stays off: each primitive keeps its own vertices, as in the file.
@@ -48,7 +48,7 @@ def _body(geometry: Any, matrix: np.ndarray, name: str) -> Body:
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """.glb and .3mf through trimesh, one node for each part."""
+    """Write .glb and .3mf through trimesh, one node for each part."""
     import trimesh
 
     name = mesh.name or "mesh"

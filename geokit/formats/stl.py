@@ -27,10 +27,10 @@ _FACET_WORDS += [b"vertex", None, None, None] * 3 + [b"endloop", b"endfacet"]
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Body of an .stl file; the solids of an ASCII file become groups. Normals and attributes are left out."""
+    """Read an .stl file; the solids of an ASCII file become groups. Normals and attributes are left out."""
     data = path.read_bytes()
     declared = int.from_bytes(data[80:84], "little") if len(data) >= _HEADER_BYTES else -1
-    # Some binary headers start with "solid" too: a size that fits its count exactly decides.
+    # Some binary headers start with "solid" too, so a size that matches the count exactly decides.
     if declared >= 0 and len(data) == _HEADER_BYTES + declared * _RECORD.itemsize:
         records = np.frombuffer(data, _RECORD, offset=_HEADER_BYTES)
         return [_weld(records["corners"].astype(np.float64).reshape(-1, 3), ())]
@@ -87,7 +87,7 @@ def _weld(corners: NDArray[np.float64], groups: tuple[tuple[str, int, int], ...]
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Binary, float32, with the triangles' unit normals (zero where a triangle has no area)."""
+    """Write a binary file, float32, with the triangles' unit normals (zero if a triangle has no area)."""
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, 1:] - corners[:, :1]
     normals = np.cross(edges[:, 0], edges[:, 1])
@@ -96,6 +96,6 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     records["normal"] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
     records["corners"] = corners
     with open(path, "wb") as file:
-        # The header must not start with "solid": readers would take the file for ASCII.
+        # The header must not start with "solid", or readers would take the file for ASCII.
         file.write(b"binary STL by geokit".ljust(80, b" ") + len(records).to_bytes(4, "little"))
         file.write(records.tobytes())

@@ -1,21 +1,22 @@
-"""Every file format that geokit knows, by extension. To add one, write a module beside this file and a line below.
+"""Table of all file formats of geokit, by extension. To add one, write a module in this folder and a line below.
 
-What a module has, as far as its line says so:
+A module defines the functions that its line declares:
 
-- ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, with ``point_data`` and ``cell_data`` as further
-  arguments where the format holds data on vertices and faces;
-- ``read_points(path) -> (points (N, 3) float64, data by name)`` and ``write_points(path, points, data)``, with
-  ``encoding`` as a further argument where there are several;
+- ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, with the further arguments ``point_data`` and
+  ``cell_data`` if the format holds data on vertices and faces;
+- ``read_points(path) -> (points (N, 3) float64, data by name)`` and ``write_points(path, points, data)``, with the
+  further argument ``encoding`` if there are several encodings;
 - ``read_rays(path)``, a table (N, 6) of origins and directions;
-- ``content_bytes(path)``, for point formats that are read in a process of their own: a check of the file's header that
-  tells how many bytes the content may take, or None where it is safe to read the file in this process;
-- ``lacks_faces(head)``, where a file of the format may be a mesh or a point cloud: whether the first bytes of a file
-  announce no faces.
+- ``content_bytes(path)``, for point formats that are read in a separate process: it checks the file's header and
+  returns the largest size of the content in bytes, or None if the file can safely be read in this process;
+- ``lacks_faces(head)``, if a file of the format may be a mesh or a point cloud: whether the first bytes of a file
+  declare no faces.
 
-A damaged file is a FileFormatError that begins with the path. Paths have the extension in question, in lower case or
-not. A module that is read in a process of its own imports little at its top: the process waits for it.
+A damaged file raises a FileFormatError whose message begins with the path. Paths have the extension in question, in
+lower or upper case. A module that is read in a separate process imports little at its top, because the process waits
+for it.
 
-Standard library only: the command line reads this table before anything else.
+Standard library only, because the command line reads this table before anything else.
 """
 
 from __future__ import annotations
@@ -31,20 +32,21 @@ Content = Literal["mesh", "points", "rays", "volume"]
 
 
 class Format(NamedTuple):
-    """A line of the table.
+    """A row of the table.
 
     Args:
         module: The module in this folder; "" for volumes, which ``geokit.volume`` reads and writes.
-        mesh: Whether meshes are read and written.
-        points: Whether point clouds are.
-        rays: Whether rays are.
-        volume: Whether volumes are.
-        data: Mesh files hold arrays on vertices and faces.
-        float32: Written meshes have float32 coordinates.
-        process: Read in a process of its own, since its library hangs, crashes or prints on damaged files.
-        extra: The extra of geokit that installs its library, "" where the base installation does.
-        encodings: Of point clouds, the usual one first; empty where there is only one.
-        single: Float32 points are written as such. Other formats get them as float64.
+        mesh: Access to meshes: "r" for reading, "w" for writing, "rw" for both, "" for none.
+        points: Access to point clouds.
+        rays: Access to rays.
+        volume: Access to volumes.
+        data: Whether mesh files hold arrays on vertices and faces.
+        float32: Whether meshes are written with float32 coordinates.
+        process: Whether files are read in a separate process, because the library hangs, crashes or prints on damaged
+            ones.
+        extra: The extra of geokit that installs the library; "" if the base installation does.
+        encodings: Encodings of point clouds, the default first; empty if there is only one.
+        single: Whether float32 points are written as float32. Other formats write float64.
     """
 
     module: str
@@ -70,7 +72,7 @@ FORMATS: dict[str, Format] = {
     ".glb": Format("scenes", mesh="rw", float32=True, process=True),
     ".gltf": Format("scenes", mesh="r", process=True),
     ".3mf": Format("scenes", mesh="rw", process=True),
-    # VTK; meshes are written by pyvista, .vtu by meshio.
+    # VTK. Meshes are written by pyvista, .vtu by meshio.
     ".vtk": Format("vtk", mesh="rw", data=True, process=True),
     ".vtp": Format("vtk", mesh="rw", points="rw", data=True, process=True),
     ".vtu": Format("vtk", mesh="rw", data=True, process=True),
@@ -82,10 +84,10 @@ FORMATS: dict[str, Format] = {
     ".usda": Format("usd", mesh="rw", float32=True, process=True, extra="usd"),
     ".usdc": Format("usd", mesh="rw", float32=True, process=True, extra="usd"),
     ".usdz": Format("usd", mesh="r", process=True, extra="usd"),
-    # geokit's own again.
+    # geokit's own readers and writers of points.
     ".pcd": Format("pcd", points="rw", encodings=("binary", "ascii", "binary_compressed"), single=True),
     ".pts": Format("pts", points="rw"),
-    # laspy; only compressed content, in a file of either name, is read in a process of its own.
+    # laspy. Only compressed content, under either extension, is read in a separate process.
     ".las": Format("las", points="rw", process=True, extra="las"),
     ".laz": Format("las", points="rw", process=True, extra="las"),
     # Tables.
@@ -94,17 +96,17 @@ FORMATS: dict[str, Format] = {
     ".txt": Format("text", points="r", rays="r"),
     ".npy": Format("numpy_files", points="r", rays="r"),
     ".npz": Format("numpy_files", points="rw", rays="r"),
-    # OpenVDB, and geokit's own.
+    # OpenVDB, and geokit's own reader and writer of .nvdb.
     ".vdb": Format("", volume="rw"),
     ".nvdb": Format("", volume="rw"),
 }
 
 
 def extensions(content: Content, access: Literal["r", "w"]) -> tuple[str, ...]:
-    """Extensions of the formats whose ``content`` can be read ("r") or written ("w"), in the table's order."""
+    """List the extensions whose ``content`` can be read ("r") or written ("w"), in the table's order."""
     return tuple(kind for kind, found in FORMATS.items() if access in getattr(found, content))
 
 
 def module_of(kind: str) -> ModuleType:
-    """The module that reads and writes files of an extension."""
+    """Import the module that reads and writes files with an extension."""
     return importlib.import_module(f"geokit.formats.{FORMATS[kind].module}")

@@ -1,4 +1,4 @@
-"""Numbers as text, for every text format; and tables of them: .csv with a header, .xyz and .txt with spaces."""
+"""Numbers as text, for all text formats, and tables of them: .csv with a header, .xyz and .txt with spaces."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from geokit.formats.decimal import plain_rows
 
 __all__ = ["numbers", "point_lines", "read_points", "read_rays", "read_rows", "row_lines", "write_points"]
 
-# What UTF-8 files of some programs begin with.
+# Byte-order mark with which UTF-8 files of some programs begin.
 _MARK = b"\xef\xbb\xbf"
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """The columns x, y and z, else the first three, and the others by name.
+    """Read the columns x, y and z, or the first three, and the others by name.
 
     Raises:
-        FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
+        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
     """
     return joined(named(*_read_table(path), path), path)
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:
-    """Origins and directions (N, 6).
+    """Read origins and directions (N, 6).
 
     Raises:
         FileFormatError: As for :func:`read_points`, or fewer than six columns.
@@ -39,10 +39,10 @@ def read_rays(path: Path) -> NDArray[np.float64]:
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """Columns with their names above them; every float64 reads back as the same number, True as 1.
+    """Write columns below their names; every float64 reads back as the same number, and True as 1.
 
     Raises:
-        InputError: A name that cannot be that of a column.
+        InputError: A name cannot be that of a column.
     """
     kind = path.suffix.lower()
     columns = split(points, data, kind)
@@ -66,10 +66,10 @@ def point_lines(points: NDArray[np.float64], prefix: str = "") -> Iterable[str]:
 
 
 def numbers(tokens: list[bytes], dtype: type, path: Path, what: str) -> NDArray[Any]:
-    """Tokens as an array of ``dtype``, each rounded correctly.
+    """Convert tokens to an array of ``dtype``, each rounded correctly.
 
     Raises:
-        FileFormatError: A token is not a number of this type; the message names the token and its place.
+        FileFormatError: A token is not a number of this type; the message names the token and its position.
     """
     if not tokens:
         return np.zeros(0, dtype)
@@ -90,19 +90,19 @@ def numbers(tokens: list[bytes], dtype: type, path: Path, what: str) -> NDArray[
 
 
 def _read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Column names (empty where the file has none) and the rows as float64, each number rounded correctly.
+    """Column names (empty if the file has none) and the rows as float64, each number rounded correctly.
 
-    Values are separated by commas, semicolons or white space. Names come from a first line that is not numbers, or
-    from a last comment line (``#``) above the numbers with as many words as there are columns.
+    Values are separated by commas, semicolons or white space. Names come from a first line that is not numbers, or from
+    a last comment line (``#``) above the numbers with as many words as there are columns.
 
     Raises:
-        FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
+        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
     """
     data = path.read_bytes()
     at = len(_MARK) if data.startswith(_MARK) else 0
     names: list[str] = []
     above, remark = 0, False
-    # Only the lines above the numbers are looked at here.
+    # Only the lines above the numbers are parsed here.
     while at < len(data):
         end = _line_end(data, at)
         line = _decoded(data[at:end], at, path).strip()
@@ -116,7 +116,7 @@ def _read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
         at, above = end, above + 1
     table = read_rows(data, at, path)
     if names and table.size and len(names) != table.shape[1]:
-        # A remark above the numbers; a header line of another length is an error.
+        # A comment above the numbers may have any length; a header line of another length is an error.
         if not remark:
             raise FileFormatError(
                 f"{path}: line {above} names {len(names)} columns and the rows have {table.shape[1]}; name each column"
@@ -126,21 +126,21 @@ def _read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
 
 
 def read_rows(data: bytes, start: int, path: Path) -> NDArray[np.float64]:
-    """The rows of numbers from byte ``start`` on, each rounded correctly; ``(0, 1)`` where there are none.
+    """Parse the rows of numbers from byte ``start`` on, each rounded correctly; ``(0, 1)`` if there are none.
 
     Raises:
-        FileFormatError: A line that is not text, not numbers, or longer or shorter than the first; it is named.
+        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
     """
     table = plain_rows(data, start, len(data))
     if table is not None:
         return table
     lines = _decoded(data[start:], start, path).splitlines()
     first = next((text for text in (line.partition("#")[0].strip() for line in lines) if text), "")
-    # A separator that is named lets no empty field pass, which white space would close up.
+    # With an explicit separator an empty field is an error; splitting at white space would skip it.
     separator = next((sign for sign in ",;" if sign in first), None)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that there are no rows is no news here
+            warnings.simplefilter("ignore", UserWarning)  # a table without rows is handled by the caller
             return np.loadtxt(lines, dtype=np.float64, ndmin=2, comments="#", delimiter=separator)
     except ValueError as error:
         _blame(lines, data.count(b"\n", 0, start), path)
@@ -162,7 +162,7 @@ def _decoded(text: bytes, start: int, path: Path) -> str:
 
 
 def _blame(lines: Sequence[str], above: int, path: Path) -> None:
-    """Raises for the first line that is not like the first row."""
+    """Raise the error for the first line that differs from the first row."""
     columns = 0
     for number, line in enumerate(lines, above + 1):
         text = line.partition("#")[0].strip()
@@ -188,7 +188,7 @@ def _words(line: str) -> list[str]:
 
 
 def _numbers(line: str) -> list[float] | None:
-    # Empty fields between commas stay words, so that they are refused rather than closed up.
+    # Empty fields between commas stay words, so that they are rejected and not skipped.
     try:
         return [float(word) for word in _words(line)]
     except ValueError:

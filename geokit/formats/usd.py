@@ -1,4 +1,4 @@
-"""Meshes of USD stages, through usd-core, which reads in a process of its own."""
+"""Meshes of USD stages, through usd-core, which reads in a separate process."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["read_mesh", "write_mesh"]
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Each visible Mesh prim of the default or render purpose, and each instance of one, in world space.
+    """Read each visible Mesh prim of the default or render purpose, and each instance of one, in world space.
 
-    Positions are those of the default time, or of the first sample where only samples are there. Subdivision
-    surfaces come as their control cage.
+    Positions are those of the default time, or of the first sample if there are only samples. Subdivision surfaces are
+    read as their control cage.
     """
     _require_usd()
     from pxr import Tf, Usd, UsdGeom
@@ -55,7 +55,7 @@ def _require_usd() -> None:
 
 
 def _transform_time(stage: Any) -> Any:
-    """The default time, or the first sample where a transform has no default: it would count as identity."""
+    """The default time, or the first sample if a transform has no default, which would count as identity."""
     from pxr import Usd, UsdGeom
 
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
@@ -66,7 +66,7 @@ def _transform_time(stage: Any) -> Any:
 
 
 def _placed(root: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple[Any, Any]]:
-    """Mesh prims below ``root`` with their local-to-world matrix, those of point instancers once per instance."""
+    """Mesh prims below ``root`` with their local-to-world matrix; those of point instancers once per instance."""
     from pxr import Usd, UsdGeom
 
     prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
@@ -86,7 +86,7 @@ def _placed(root: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple
 def _hidden(imageable: Any) -> bool:
     from pxr import UsdGeom
 
-    # Proxies and guides stand for the same surface a second time.
+    # Proxies and guides represent the same surface a second time.
     if imageable.GetPurposeAttr().Get() in (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide):
         return True
     return imageable.GetVisibilityAttr().Get() == UsdGeom.Tokens.invisible
@@ -103,7 +103,7 @@ def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterat
     if not indices or not targets:
         return
     mask = instancer.ComputeMaskAtTime(time)
-    # Without the prototype's own transform, which is in its matrix already, and with masked instances in place.
+    # Without the prototype's own transform, which its matrix already contains, and with masked instances left in.
     placements = instancer.ComputeInstanceTransformsAtTime(
         time, time, instancer.ExcludeProtoXform, instancer.IgnoreMask
     )
@@ -150,7 +150,7 @@ def _body(mesh: Any, matrix: Any) -> Body | None:
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """One Mesh prim below a default root, through usd-core.
+    """Write one Mesh prim below a default root, through usd-core.
 
     Raises:
         MissingDependencyError: usd-core is not installed.

@@ -1,4 +1,4 @@
-"""VTK's files: meshes in .vtk, .vtp and .vtu, points with arrays in .vtp. VTK reads in a process of its own."""
+"""VTK's files: meshes in .vtk, .vtp and .vtu, points with arrays in .vtp. VTK reads in a separate process."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["content_bytes", "lacks_faces", "read_mesh", "read_points", "write_mesh", "write_points"]
 
-# What zlib makes of a byte at best is a thousand; real arrays of numbers stay far below this.
+# zlib expands a byte to a thousand at best; real arrays of numbers stay far below this factor.
 GROWTH = 100
-# VTK's cell types: lines and points are left out beside faces.
+# VTK's cell types of lines and points, which are left out if there are faces.
 _LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 37, 69, 70, 76, 77)
@@ -31,11 +31,11 @@ _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 
 
 @contextmanager
 def _reports() -> Iterator[Any]:
-    """Collects what VTK reports, which would otherwise go to stderr and nowhere else."""
+    """Collect VTK's messages, which would otherwise only be printed to stderr."""
     from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
 
     before, said = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
-    # The log goes to stderr beside the window.
+    # The log goes to stderr in addition to the output window.
     verbosity = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     vtkOutputWindow.SetInstance(said)
@@ -47,12 +47,12 @@ def _reports() -> Iterator[Any]:
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """The triangles, quads, polygons and strips of the file; points, lines and volume cells are left out."""
+    """Read the triangles, quads, polygons and strips of the file; points, lines and volume cells are left out."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     with _reports() as said:
         data = _data_set(path)
-    # VTK reports a damaged file as text and hands back what it has: an error is only there.
+    # VTK reports a damaged file only as text and returns what it has read so far.
     message = " ".join(said.GetOutput().split())
     if "ERR" in message or "Error" in message or data is None:
         raise FileFormatError(
@@ -139,13 +139,13 @@ def _grid(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray]
 def _cell_types(grid: Any) -> Any:
     from vtkmodules.vtkCommonCore import vtkVersion
 
-    # GetCellTypesArray is deprecated since 9.6; before it, GetCellTypes lists the distinct types only.
+    # GetCellTypesArray is deprecated since 9.6; before that, GetCellTypes lists only the distinct types.
     recent = (vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()) >= (9, 6)
     return grid.GetCellTypes() if recent else grid.GetCellTypesArray()
 
 
 def _strip(corners: np.ndarray) -> np.ndarray:
-    """Triangles (n - 2, 3) of a strip; every second one is wound the other way in the file."""
+    """Triangles (n - 2, 3) of a strip; the file winds every second one the other way."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
@@ -154,9 +154,9 @@ def _strip(corners: np.ndarray) -> np.ndarray:
 def write_mesh(
     path: Path, mesh: TriangleMesh, point_data: Mapping[str, NDArray], cell_data: Mapping[str, NDArray]
 ) -> None:
-    """Poly data, .vtp (compressed) or legacy .vtk (binary), through pyvista; .vtu through meshio.
+    """Write poly data, .vtp (compressed) or legacy .vtk (binary), through pyvista, and .vtu through meshio.
 
-    Not all through meshio, whose legacy files name 32-bit integers in a way that VTK cannot read.
+    meshio is not used for all of them, because its legacy files name 32-bit integers in a way that VTK cannot read.
     """
     if path.suffix.lower() == ".vtu":
         from geokit.formats import meshio_files
@@ -175,13 +175,13 @@ def write_mesh(
 
 
 def lacks_faces(head: bytes) -> bool:
-    """Whether the first element of a .vtp counts no polygons and no strips; False where it does not say."""
+    """Whether the first element of a .vtp declares no polygons and no strips; False if it declares no counts."""
     counts = re.findall(rb"NumberOf(?:Polys|Strips)\s*=\s*\"\s*(\d+)\s*\"", head)
     return bool(counts) and all(int(count) == 0 for count in counts)
 
 
 def content_bytes(path: Path) -> int:
-    """How large the arrays of a .vtp may be.
+    """Upper bound of the size of a .vtp file's arrays in bytes.
 
     Raises:
         FileFormatError: The file is truncated.
@@ -189,17 +189,17 @@ def content_bytes(path: Path) -> int:
     with open(path, "rb") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 4096, 0))
-        # VTK takes a file that ends early for a shorter one.
+        # VTK reads a truncated file as a shorter one, without an error.
         if not file.read().rstrip().endswith(b"</VTKFile>"):
             raise FileFormatError(f"{path}: does not end as a VTK file does; it is truncated, get a whole copy")
     return GROWTH * size
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.generic]]]:
-    """The points and their arrays.
+    """Read the points and their arrays.
 
     Raises:
-        FileFormatError: VTK refuses the file.
+        FileFormatError: VTK rejects the file.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
@@ -216,12 +216,12 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
         return np.empty((0, 3)), {}
     points = vtk_to_numpy(found.GetPoints().GetData()).astype(np.float64)
     arrays = (found.GetPointData().GetArray(at) for at in range(found.GetPointData().GetNumberOfArrays()))
-    # Arrays of strings have no numbers and are left out.
+    # Arrays of strings hold no numbers and are left out.
     return points, {array.GetName() or "unnamed": vtk_to_numpy(array).copy() for array in arrays if array is not None}
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """Points as vertex cells, so that viewers show them, with their arrays; binary, float64 kept."""
+    """Write points as vertex cells, so that viewers show them, with their arrays; binary, float64 kept."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData

@@ -1,4 +1,4 @@
-// Python's view of the bridge: arrays in, arrays out, nothing else. geokit/native/__init__.py is its only importer.
+// The Python interface of the bridge: arrays in, arrays out. Only geokit/native/__init__.py imports it.
 
 #include "bridge.h"
 #include "buffer.h"
@@ -29,7 +29,7 @@ using Points = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::dev
 using Triangles = nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 using Item = std::tuple<std::string, std::string, nb::bytes>; // name, OpenVDB type, value
 
-// One array that owns what it shows.
+// One array that owns its memory.
 Bytes to_array(geokit::MappedBuffer&& buffer)
 {
     auto* owned = new geokit::MappedBuffer(std::move(buffer));
@@ -107,7 +107,7 @@ Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, d
     return to_array(std::move(buffer));
 }
 
-// OpenVDB's own exceptions are about arguments; others pass.
+// OpenVDB's own exceptions concern arguments; all others pass through.
 template<typename Op>
 auto translated(Op&& op)
 {
@@ -122,7 +122,7 @@ auto translated(Op&& op)
     }
 }
 
-// Runs an operation that takes one checked buffer, or two, and gives one.
+// Runs an operation that takes one or two checked buffers and returns one.
 template<typename Op>
 Bytes operate(ConstBytes a, Op&& op)
 {
@@ -183,7 +183,7 @@ std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
 
 NB_MODULE(_bridge, module)
 {
-    // Raised with one argument: the JSON of json.h, from which __init__.py makes geokit's own exceptions.
+    // Raised with one argument: the JSON of json.h, from which __init__.py builds geokit's own exceptions.
     static nb::object bridge_error = nb::exception<geokit::BridgeError>(module, "BridgeError");
     nb::register_exception_translator([](const std::exception_ptr& pointer, void*) {
         try {

@@ -15,7 +15,7 @@ from ._from_function import from_function as from_function
 from ._dense import from_dense as from_dense, to_dense as to_dense, DenseGrid as DenseGrid
 from ._from_channel import from_channel as from_channel, channel_names as channel_names
 
-# Questions about a volume, at points and along rays.
+# Queries at points and along rays.
 from ._sample import sample as sample, gradient as gradient
 from ._curvature import hessian as hessian, curvature as curvature, Curvatures as Curvatures
 from ._active import active_at as active_at
@@ -23,7 +23,7 @@ from ._raycast import raycast as raycast, VolumeHits as VolumeHits
 from ._integrate import integrate as integrate, Transmittance as Transmittance
 from ._statistics import statistics as statistics, Statistics as Statistics
 
-# Level sets that change.
+# Operations on level sets.
 from ._csg import union as union, intersection as intersection, difference as difference
 from ._morphology import (
     offset as offset,
@@ -34,7 +34,7 @@ from ._morphology import (
     renormalize as renormalize,
 )
 
-# Other volumes from a volume.
+# Operations that make other volumes.
 from ._filters import smooth as smooth
 from ._differential import (
     gradient_field as gradient_field,

@@ -1,4 +1,4 @@
-"""Which points lie in active voxels."""
+"""Tests whether points lie in active voxels."""
 
 from __future__ import annotations
 
@@ -13,29 +13,31 @@ __all__ = ["active_at"]
 
 
 def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device: Any = None) -> Any:
-    """Whether the voxel nearest to each point is active.
+    """Return whether the voxel nearest to each point is active.
 
-    Halves round up in index space, as for samples of order 0. A tile is active or not as a whole; outside of all nodes,
-    and beyond int32, no voxel is. Held by tests/volume/sampling/test_active.py.
+    Halves round up in index space, as in sampling of order 0. A tile is active or inactive as a whole. Outside all
+    nodes, and beyond the range of int32, no voxel is active.
 
     Args:
         volume: A grid of any type, index grids included.
         points: Query points [world], shape (N, 3).
-        space: What ``points`` are in: "world", or "index", where voxel centres lie at whole numbers.
+        space: Space of ``points``: "world", or "index", where voxel centers lie at whole numbers.
         device: Where to compute; None for the first GPU, else the CPU.
 
     Returns:
         bool (N,) in the container of ``points``.
 
     Raises:
-        InputError: points is not (N, 3) or not finite, or the space is not known.
-        FileFormatError: The buffer is not a sound grid.
-        UnsupportedGridError: The grid is of a type that geokit does not read.
+        InputError: points is not (N, 3) or not finite, or the space is unknown.
+        FileFormatError: The buffer is not a valid grid.
+        UnsupportedGridError: geokit does not read the grid's type.
 
     Example:
         >>> from geokit.volume import load
         >>> active_at(load("data/samples/torus.vdb"), [[0.7, 0.0, 0.0], [9.0, 9.0, 9.0]]).tolist()
         [True, False]
+
+    Held by: tests/volume/sampling/test_active.py
     """
     import warp as wp
 

@@ -1,4 +1,4 @@
-"""Distance fields of meshes whose voxels are as small as the tolerance needs them, and no smaller than that."""
+"""Distance fields of meshes with voxels only as small as the tolerance requires."""
 
 from __future__ import annotations
 
@@ -32,37 +32,39 @@ __all__ = ["LEVEL", "LEVEL_COUNT", "AdaptiveSDF", "adaptive_from_mesh", "load_ad
 
 LEVEL = "geokit:level"
 LEVEL_COUNT = "geokit:level_count"
-# Share of the tolerance up to which cells are accepted: between the places that were looked at the error is a little
-# larger, and each round of checks that finds such a place costs another.
+# Share of the tolerance up to which a cell is accepted. Between the checked places the error is a little larger, and
+# each cell that fails a later check costs another round.
 ACCEPTED_SHARE = 0.97
-# Rounds of checks on fresh points. Every round finds fewer cells than the one before, as those are gone.
+# Rounds of checks on fresh points. Each round finds fewer failing cells than the one before, since those are refined.
 MOST_ROUNDS = 12
-# Points of a round for each cell, as far as so many draws go.
+# Random points of a round for each cell, up to the limit on draws.
 POINTS_PER_CELL = 3
 MOST_DRAWS = 12
-# Of the points of a round those whose errors exceed this share of the tolerance, so many at most, are moved about
-# within these shares of their cells, so often, and the worst of them again: on the bunny at 1e-4 of its box, which has
-# six hundred thousand cells, one point in a million misses the tolerance, and millions of points did not find them all.
+# Points of a round whose errors exceed this share of the tolerance (at most MOST_CLIMBING of them) are moved about
+# within their cells CLIMBING_MOVES times, by these shares of a cell, and the worst of them again. On the bunny at 1e-4
+# of its box, which has six hundred thousand cells, one point in a million misses the tolerance, and millions of random
+# points did not find them all.
 CLIMBING_SHARE, MOST_CLIMBING, CLIMBING_MOVES = 0.6, 100_000, 4
 CLIMBING_RADII = (0.3, 0.15, 0.07)
 SEED = 20
-# Fewest groups of queries worth a thread of their own.
+# Fewest groups of queries that are worth a thread of their own.
 GRAIN = 16
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveSDF:
-    """A distance field in levels of grids, each with half the voxel size of the one before, where that is too coarse.
+    """A distance field in levels of grids, where each level has half the voxel size of the one before.
 
-    A cell (the box between eight voxels) is answered by the next level where all 27 voxels of its eight halves are
-    active there; else by its own. So a point is answered by the finest level that has its cell, and the field is the
-    trilinear interpolant of eight exact distances everywhere. Between cells of different levels it jumps by no more
-    than their errors.
+    A cell (the box between eight voxels) is answered by the next finer level where all 27 voxels of its eight halves
+    are active in that level, else by its own level. So the finest level that has a point's cell answers the point, and
+    the field is everywhere the trilinear interpolant of eight exact distances. Between cells of different levels it
+    jumps by no more than their errors.
 
     Args:
-        levels: Float grids, the coarsest first; level 0 is a level set around the whole surface.
+        levels: Float grids, the coarsest first. Level 0 is a level set around the whole surface.
     Raises:
-        InputError: There are no levels, they are not float grids, or their voxels are not halves of one another.
+        InputError: There are no levels, they are not float grids, or the voxels of a level are not half the size of
+            those of the level before.
     """
 
     levels: tuple[SparseVolume, ...]
@@ -90,29 +92,29 @@ class AdaptiveSDF:
 
     @property
     def byte_count(self) -> int:
-        """Bytes of all grids."""
+        """Size of all grids in bytes."""
         return sum(level.info.byte_count for level in self.levels)
 
     @property
     def tolerance(self) -> float | None:
-        """Error that was asked for [world]; None where none was."""
+        """Requested error [world], or None if no tolerance was given."""
         return self.levels[0].info.tolerance
 
     @property
     def achieved_error(self) -> float | None:
-        """Largest error [world] that was found at points which were not used to choose; None where not known."""
+        """Largest error [world] found at points that were not used to choose the cells, or None if unknown."""
         return self.levels[0].info.achieved_error
 
     @property
     def achieved_error_999(self) -> float | None:
-        """The 99.9th percentile of those errors [world]; None where not known."""
+        """The 99.9th percentile of those errors [world], or None if unknown."""
         return self.levels[0].info.achieved_error_999
 
     def sample(self, points: Any, *, device: Any = None) -> Any:
         """Signed distance at each point, negative inside.
 
-        Within the tolerance of the exact distance no farther than ``within`` from the surface; farther out the value of
-        level 0, whose band ends at its background (tests/volume/adaptive/test_adaptive.py). All arithmetic is float64.
+        The result is within the tolerance of the exact distance up to ``within`` from the surface. Farther out it is
+        the value of level 0, whose band ends at its background. All arithmetic is float64.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -121,14 +123,15 @@ class AdaptiveSDF:
             Distances (N,) [world] in the container of ``points``, float64 (float32 where the points are).
         Raises:
             InputError: points is not (N, 3) or not finite.
+
+        Held by: tests/volume/adaptive/test_adaptive.py
         """
         return self._answer(points, device, gradient=False)
 
     def gradient(self, points: Any, *, device: Any = None) -> Any:
-        """Gradient of the interpolant of :meth:`sample` at each point: next to the surface about its normal.
+        """Gradient of the interpolant of :meth:`sample` at each point; next to the surface it is close to the normal.
 
-        It jumps between cells, and is exact for the interpolant; beyond level 0's box it is 0
-        (tests/volume/adaptive/test_adaptive.py).
+        It is exact for the interpolant and jumps between cells. Outside the box of level 0 it is 0.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -137,6 +140,8 @@ class AdaptiveSDF:
             Gradients (N, 3) [world / world] in the container of ``points``, float64 (float32 where the points are).
         Raises:
             InputError: points is not (N, 3) or not finite.
+
+        Held by: tests/volume/adaptive/test_adaptive.py
         """
         return self._answer(points, device, gradient=True)
 
@@ -144,10 +149,10 @@ class AdaptiveSDF:
         """Write all levels into one .vdb or .nvdb file, which :func:`load_adaptive` reads.
 
         Args:
-            path: Where to.
-            codec: Compression, as :func:`geokit.volume.save` takes it.
+            path: Target file.
+            codec: Compression, as in :func:`geokit.volume.save`.
         Raises:
-            InputError: Another extension, or an unknown codec.
+            InputError: The extension is neither .vdb nor .nvdb, or the codec is unknown.
             MissingDependencyError: .vdb without the OpenVDB extension, or codec "blosc" without blosc.
         """
         save(path, *self.levels, codec=codec)
@@ -196,51 +201,54 @@ def adaptive_from_mesh(
     name: str | None = None,
     device: Any = None,
 ) -> AdaptiveSDF:
-    """Distance to a mesh, negative inside, with voxels only as small as a tolerance needs them where they are.
+    """Signed distance field of a mesh, negative inside, with voxels only as small as the tolerance requires.
 
-    Next to sharp edges a trilinear interpolant needs small voxels, on flat faces large ones do. Every cell that holds a
-    point of the zone (all points no farther than ``within`` from the surface) is looked at: on the edges and corners of
-    the mesh, halfway between the faces of its edges, along the way to the surface from the cell's voxels and centre,
-    and where gradients differ from up to 125 more points. Cells that miss are handed to voxels of half the size. The
-    voxel sizes are those that take the least memory of those that were tried; where the faces of a part lie on a common
-    lattice, its voxels do.
+    A trilinear interpolant needs small voxels next to sharp edges, while large voxels are enough on flat faces. Every
+    cell that contains a point of the zone (all points no farther than ``within`` from the surface) is checked: on the
+    edges and corners of the mesh, halfway between the faces of its edges, along the way to the surface from the cell's
+    voxels and center, and, where gradients differ, at up to 125 more points. Cells that miss the tolerance are refined
+    to voxels of half the size. Of the voxel sizes that were tried, those that take the least memory are kept. Where the
+    faces of a part lie on a common lattice, its voxels do too.
 
-    Then random points of the zone that took no part are held against the exact distance: on faces, edges and corners,
-    250,000, or three for each cell where those are more (3 million at most), and others around the worst of them. While
-    one misses the tolerance its cell is handed on, and others are drawn. ``achieved_error`` and ``achieved_error_999``
-    are those of the last round, which found none; they and what :func:`from_mesh` says of its
-    fields are in the metadata of each level, with its number "geokit:level" and "geokit:level_count". On other points
-    yet the error stays within the tolerance in all of tests/volume/adaptive/test_adaptive_property.py. It is measured,
-    not proven: a crease that cuts off next to nothing of a cell can stay unseen.
+    Then random points of the zone that took no part in the refinement are compared with the exact distance: 250,000 on
+    faces, edges and corners, or three for each cell where that is more (at most 3 million), and others around the worst
+    of them. While one of them misses the tolerance, its cell is refined and new points are drawn. ``achieved_error``
+    and ``achieved_error_999`` are measured in the last round, in which no point missed. The metadata of each level
+    holds both of them, the entries that :func:`from_mesh` describes, and the level's number as "geokit:level" and
+    "geokit:level_count". The error is measured, not proven: a crease that cuts off next to nothing of a cell can stay
+    undetected. In all property tests it stays within the tolerance at yet other points.
 
-    Against the grid of one voxel size that keeps the same tolerance, at 1e-3 of the box the bracket of data/samples
-    takes a fifth of the bytes and a scanned bunny half, at 1e-4 a seventieth and a seventh (docs/design/adaptive.md); a
-    smooth body gains nothing.
+    Compared with the grid of a single voxel size that keeps the same tolerance, at 1e-3 of the box the bracket of
+    data/samples takes a fifth of the bytes and a scanned bunny half; at 1e-4 they take a seventieth and a seventh
+    (docs/design/adaptive.md). A smooth body gains nothing.
 
     Args:
-        mesh: Triangles, or a Surface of them, whose tree is then used (and its device).
+        mesh: Triangles, or a Surface of them, whose tree (and device) is then used.
         tolerance: Largest error of the interpolated distance [world].
-        within: How far from the surface it holds [world]; None for the tolerance itself, or a quarter of it where the
-            mesh is open: beside an open border the sign jumps, and so does the field, by twice the distance.
-        max_levels: Most levels there may be.
-        sign: How inside is told from outside, as for ``Surface.signed_distance``.
-        name: Name of level 0, with which those of the others begin; the mesh's name where None.
+        within: Distance from the surface up to which the tolerance holds [world]. None for the tolerance itself, or a
+            quarter of it if the mesh is open: beside an open border the sign jumps, and so does the field, by twice the
+            distance.
+        max_levels: Largest number of levels.
+        sign: Method that tells inside from outside, as for ``Surface.signed_distance``.
+        name: Name of level 0, and prefix of the names of the others; None for the mesh's name.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        AdaptiveSDF of one level or more.
+        AdaptiveSDF with at least one level.
     Raises:
-        InputError: An argument out of range, the mesh without faces, or a tolerance that so many levels do not keep;
-            the message says which they would.
-        DeviceMemoryError: There are more cells or voxels than there is memory for.
+        InputError: An argument is out of range, the mesh has no faces, or ``max_levels`` levels cannot keep the
+            tolerance; the message says which tolerance they keep.
+        DeviceMemoryError: The cells or voxels do not fit into memory.
     Source:
         Frisken et al., "Adaptively Sampled Distance Fields" (2000), for the idea. Differs: levels are sparse grids,
-        every voxel is exact, and errors are measured where the promise holds.
+            every voxel is exact, and errors are measured where the tolerance applies.
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
         >>> mesh = gk.mesh.TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
         >>> field = adaptive_from_mesh(mesh, 0.01, device="cpu")
         >>> bool(abs(field.sample([[0.25, 0.25, 0.0]], device="cpu")[0]) <= 0.01)
         True
+
+    Held by: tests/volume/adaptive/test_adaptive_property.py
     """
     if sign == "none":
         raise InputError("sign: 'none' makes no signed field; use from_mesh for unsigned distances")
@@ -272,13 +280,15 @@ def adaptive_from_mesh(
 
 
 def load_adaptive(path: str | os.PathLike[str]) -> AdaptiveSDF:
-    """The adaptive field in a .vdb or .nvdb file; other grids of the file are passed over.
+    """Load the adaptive field in a .vdb or .nvdb file; other grids of the file are ignored.
 
     Args:
-        path: File that :meth:`AdaptiveSDF.save` wrote, or one that holds the same grids.
+        path: File written by :meth:`AdaptiveSDF.save`, or one that holds the same grids.
+    Returns:
+        AdaptiveSDF with the levels and the metadata of the file, the coarsest level first.
     Raises:
-        FileFormatError: The file is damaged, or the levels in it are not those of one field.
-        InputError: Another extension, or no such file.
+        FileFormatError: The file is damaged, or its levels do not belong to one field.
+        InputError: The extension is neither .vdb nor .nvdb, or there is no such file.
         MissingDependencyError: .vdb without the OpenVDB extension.
     """
     grids = [(grid.info.metadata.get(LEVEL), grid) for grid in load_all(path).values()]
@@ -302,7 +312,7 @@ def _numbered(grids: list[tuple[Any, SparseVolume]]) -> int:
 
 
 def _checked(tree: Refinement, name: str, tolerance: float) -> tuple[AdaptiveSDF, float, float]:
-    """The field, corrected until a round of fresh points finds nothing, and that round's largest error and 99.9 %."""
+    """Correct the field until a round of fresh points passes; returns it, that round's largest error and 99.9 %."""
     made, seed = _built(tree, name, None), SEED
     for _ in range(MOST_ROUNDS):
         _require_reached(tree, tolerance)
@@ -359,7 +369,7 @@ def _require_reached(tree: Refinement, tolerance: float) -> None:
 
 
 def _built(tree: Refinement, name: str, before: AdaptiveSDF | None) -> AdaptiveSDF:
-    """The grids of a refinement; level 0 is the one from before, if there is one."""
+    """The grids of a refinement; level 0 is taken from ``before`` if that is given."""
     coarsest = build_band_level(tree.lattice, name) if before is None else before.levels[0]
     background = float(coarsest.info.background)
     finer = [

@@ -1,4 +1,4 @@
-"""Constructive solid geometry of level sets, and of masks."""
+"""Constructive solid geometry of level sets and of masks."""
 
 from __future__ import annotations
 
@@ -17,87 +17,90 @@ from geokit.volume.tree.openvdb_call import call_openvdb
 
 __all__ = ["difference", "intersection", "union"]
 
-# Voxels that a smooth blend may be wide: its bands are as wide, and memory goes with them.
+# Largest width of a smooth blend [voxels]: the bands must be as wide, and memory grows with them.
 WIDEST_BLEND = 256.0
-# Voxels between the blend's reach and the end of the bands that it is made from.
+# Voxels between the reach of the blend and the end of the bands from which it is computed.
 BLEND_MARGIN = 1.0
 
 
 def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
-    """What is inside one of several level sets.
+    """Union of level sets, or of masks: the region inside at least one of them.
 
-    Per voxel the minimum of the distances: exact outside the result, and inside it the distance to the nearest operand
-    surface, which near a seam is nearer than the result's. With ``smooth`` the seam is filled by the quadratic smooth
-    minimum, whose blend ends where the distances differ by that width, and distances are made new from the result's
-    surface (:func:`geokit.volume.renormalize`).
+    Each voxel takes the minimum of the distances. That is exact outside the result. Inside it is the distance to the
+    nearest operand surface, which near a seam is nearer than the surface of the result. With ``smooth`` the seam is
+    filled by the quadratic smooth minimum, whose blend ends where the distances differ by that width; the distances are
+    then recomputed from the result's surface (:func:`geokit.volume.renormalize`).
 
-    All operands are brought to the first one's grid: another voxel size or transform by trilinear interpolation
-    (:func:`geokit.volume.resample`), another band width by dropping voxels or by computing distances beyond the band;
-    another value type is converted. Held by tests/volume/test_csg.py.
+    All operands are converted to the first one's grid: another voxel size or transform by trilinear interpolation
+    (:func:`geokit.volume.resample`), another band width by dropping voxels or by computing distances beyond the band,
+    another value type by conversion.
 
-    Of mask grids, all on one lattice, the voxels that are on in one of them; needs no OpenVDB. Held by
-    tests/volume/tree/test_mask_csg.py.
+    The union of mask grids, all on one lattice, is the set of voxels that are on in at least one of them. It needs no
+    OpenVDB.
 
     Args:
-        a: Level set, or mask; the result has its grid, band, name and metadata.
-        b: Another of the kind.
-        more: More of them.
-        smooth: Width of the blend [world]; 0 keeps the sharp seam. Of masks 0.
+        a: Level set or mask. The result takes its grid, band, name and metadata.
+        b: Second operand, of the same kind.
+        more: Further operands.
+        smooth: Width of the blend [world]; 0 keeps the sharp seam. Must be 0 for masks.
     Returns:
-        Level set of ``a``'s type (float where that is quantised), or mask.
+        Level set of ``a``'s type (float if that is quantized), or mask.
     Raises:
-        InputError: An operand is no level set or its voxels are no cubes; smooth is negative, not finite, or more than
-            256 voxels; masks whose voxels are not the same.
-        UnsupportedGridError: Values that are not real numbers, or a mask beside a grid that is none.
-        DeviceMemoryError: The tiles of masks hold more voxels than there is memory for.
-        MissingDependencyError: geokit was built without OpenVDB.
+        InputError: An operand is no level set or has voxels that are not cubes; smooth is negative, not finite, or more
+            than 256 voxels; masks lie on different lattices.
+        UnsupportedGridError: Values are not real numbers, or masks are mixed with other grids.
+        DeviceMemoryError: The tiles of masks hold more voxels than fit into memory.
+        MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     Source:
         Museth et al., "Level set surface editing operators" (2002), as in OpenVDB's csgUnion; smooth minimum: Quilez.
+
+    Held by: tests/volume/test_csg.py, tests/volume/tree/test_mask_csg.py
     """
     return _combined("union", (a, b, *more), smooth)
 
 
 def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
-    """What is inside all of several level sets.
+    """Intersection of level sets, or of masks: the region inside all of them.
 
-    Per voxel the maximum of the distances: exact inside the result, and outside it the distance to the farthest
-    operand, which is less than the distance to the result near its edges. Of masks the voxels that are on in all of
-    them. Everything else as in :func:`union`.
+    Each voxel takes the maximum of the distances. That is exact inside the result. Outside it is the distance to the
+    farthest operand, which near the edges of the result is less than the distance to the result. The intersection of
+    masks is the set of voxels that are on in all of them. Conversions and limits are those of :func:`union`.
 
     Args:
-        a: Level set, or mask; the result has its grid, band, name and metadata.
-        b: Another of the kind.
-        more: More of them.
-        smooth: Width over which edges are rounded [world]; 0 keeps them.
+        a: Level set or mask. The result takes its grid, band, name and metadata.
+        b: Second operand, of the same kind.
+        more: Further operands.
+        smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As of :func:`union`.
-        UnsupportedGridError: As of :func:`union`.
-        DeviceMemoryError: As of :func:`union`.
-        MissingDependencyError: geokit was built without OpenVDB.
+        InputError: As for :func:`union`.
+        UnsupportedGridError: As for :func:`union`.
+        DeviceMemoryError: As for :func:`union`.
+        MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("intersection", (a, b, *more), smooth)
 
 
 def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
-    """What is inside the first level set and outside all others.
+    """Difference of level sets, or of masks: the region inside the first and outside all others.
 
-    Per voxel the maximum of ``a`` and ``-b``; of masks the voxels that are on in ``a`` alone. Everything else as in
-    :func:`intersection`.
+    Each voxel takes the maximum of ``a`` and ``-b``. The difference of masks is the set of voxels that are on in ``a``
+    alone. Conversions and limits are those of :func:`union`; distances are exact where those of :func:`intersection`
+    are.
 
     Args:
-        a: Level set, or mask, from which the others are taken; the result has its grid, band, name and metadata.
-        b: Another of the kind.
-        more: More of them.
-        smooth: Width over which edges are rounded [world]; 0 keeps them.
+        a: Level set or mask from which the others are subtracted. The result takes its grid, band, name and metadata.
+        b: Second operand, of the same kind.
+        more: Further operands.
+        smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As of :func:`union`.
-        UnsupportedGridError: As of :func:`union`.
-        DeviceMemoryError: As of :func:`union`.
-        MissingDependencyError: geokit was built without OpenVDB.
+        InputError: As for :func:`union`.
+        UnsupportedGridError: As for :func:`union`.
+        DeviceMemoryError: As for :func:`union`.
+        MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("difference", (a, b, *more), smooth)
 
@@ -114,14 +117,14 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
     first, voxel_size = operands[0], sizes[0]
     blend = _checked_blend(smooth, voxel_size)
     half_width = half_width_of(first, voxel_size)
-    # A blend of this width lowers the minimum by a quarter of it: to know the result in its band, the operands must be
-    # known that much farther, and where they differ by the whole width.
+    # A blend lowers the minimum by a quarter of its width, and acts where the operands differ by up to the whole width.
+    # To know the result throughout its band, the operands must be known farther by both.
     reach = half_width + BLEND_MARGIN + 1.25 * blend / voxel_size if blend else half_width
     result = with_band(first, voxel_size, reach)
     for number, volume in enumerate(operands[1:], start=2):
         other = with_band(_on_grid_of(volume, first), voxel_size, reach)
         if blend:
-            # The blend is a distance only away from the seam; the next operand needs one in a wide band.
+            # The blend is a distance only away from the seam, but the next operand needs distances in a wide band.
             blended = call_openvdb(operations.smooth_csg, result, other, kind=kind, blend=blend)
             width = half_width if number == len(operands) else reach
             result = redistance(blended, voxel_size, width)

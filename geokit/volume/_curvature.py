@@ -22,8 +22,8 @@ class Curvatures(NamedTuple):
 
     Attributes:
         mean: Half the sum of the principal curvatures [1 / world], shape (N,).
-        gaussian: Their product [1 / world^2], shape (N,).
-        principal: The larger and the smaller one [1 / world], shape (N, 2).
+        gaussian: Product of the principal curvatures [1 / world^2], shape (N,).
+        principal: The larger and the smaller principal curvature [1 / world], shape (N, 2).
     """
 
     mean: Any
@@ -32,19 +32,18 @@ class Curvatures(NamedTuple):
 
 
 def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
-    """Matrix of second derivatives of a volume at each point.
+    """Hessian (matrix of second derivatives) of a volume at each point.
 
-    Exact for the interpolant of :func:`geokit.volume.sample`, in float64. Both interpolants are of first order in their
-    second derivatives: on a smooth field the error shrinks with the voxel size, to at most about the third derivative
-    times the voxel size, and jumps between cells. Second derivatives of a quadratic field are exact. Held by
-    tests/volume/sampling/test_curvature.py.
+    The result is exact for the interpolant of :func:`geokit.volume.sample`, in float64. The second derivatives of both
+    interpolants are of first order: on a smooth field the error shrinks with the voxel size, is at most about the third
+    derivative times the voxel size, and jumps between cells. Second derivatives of a quadratic field are exact.
 
     Args:
         volume: A scalar grid.
         points: Query points [world], shape (N, 3).
         order: 2 (triquadratic) or 3 (tricubic).
-        space: What ``points`` are in, and the derivatives are along: "world", or "index", where voxel centres lie at
-            whole numbers.
+        space: Space of ``points`` and of the derivatives: "world", or "index", where voxel centers lie at whole
+            numbers.
         device: Where to compute; None for the first GPU, else the CPU.
 
     Returns:
@@ -52,13 +51,15 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
         points are).
 
     Raises:
-        InputError: points is not (N, 3) or not finite, or the order or space is not known.
-        UnsupportedGridError: The grid is no scalar grid.
+        InputError: points is not (N, 3) or not finite, or the order or space is unknown.
+        UnsupportedGridError: The grid is not scalar.
 
     Example:
         >>> from geokit.volume import load
         >>> hessian(load("data/samples/torus.vdb"), [[1.0, 0.0, 0.0]]).shape
         (1, 3, 3)
+
+    Held by: tests/volume/sampling/test_curvature.py
     """
     import warp as wp
 
@@ -69,16 +70,15 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
 def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
     """Curvatures of the level set through each point.
 
-    From the gradient and the Hessian of the interpolant; the field need not be a distance. Positive where the level set
-    bends away from larger values, as a sphere's does whose distance field is positive outside: mean 1 / r there. Where
-    the gradient is 0 there is no level set and all are NaN.
+    They are computed from the gradient and the Hessian of the interpolant, so the field need not be a distance. The
+    curvature is positive where the level set bends away from larger values: a sphere whose distance field is positive
+    outside has mean curvature 1 / r. Where the gradient is 0 there is no level set, and all results are NaN.
 
-    Of first order in the voxel size h: on spheres of radius r and tori of tube radius r, with r from 5 to 40 voxels,
-    the mean curvature is off by 0.3 h / r of 1 / r rms and by 1.2 h / r at most, the Gaussian curvature by 0.6 h / r of
-    1 / r^2 rms, with either order (second derivatives jump between cells, the third derivative times the distance from
-    the cell's middle). In a narrow band of half width 3 it is so at the surface, and 1.6 times as much up to one voxel
-    from it; farther out the background takes part. Held by tests/volume/sampling/test_curvature.py and
-    tests/volume/sampling/test_level_set_derivatives_stability.py.
+    The error is of first order in the voxel size h. On spheres of radius r and tori of tube radius r, with r from 5 to
+    40 voxels, the mean curvature is off by 0.3 h / r of 1 / r rms and by 1.2 h / r at most, the Gaussian curvature by
+    0.6 h / r of 1 / r^2 rms, with either order (second derivatives jump between cells by the third derivative times the
+    distance from the cell's middle). In a narrow band of half width 3 this holds at the surface; up to one voxel from
+    it the error is 1.6 times as large; farther out the background takes part.
 
     Args:
         volume: A scalar grid, such as a level set.
@@ -92,17 +92,19 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
 
     Raises:
         InputError: points is not (N, 3) or not finite, or the order is not supported.
-        UnsupportedGridError: The grid is no scalar grid.
+        UnsupportedGridError: The grid is not scalar.
 
     Source:
-        Goldman, Curvature formulas for implicit curves and surfaces (2005). Differs: all come from the shape operator
-        in the tangent plane, so that the principal ones do not suffer from cancellation.
+        Goldman, Curvature formulas for implicit curves and surfaces (2005). Differs: all curvatures come from the shape
+            operator in the tangent plane, so that the principal ones do not suffer from cancellation.
 
     Example:
         >>> from geokit.volume import load
         >>> torus = load("data/samples/torus.vdb")
         >>> curvature(torus, [[1.0, 0.0, 0.0]]).principal.shape
         (1, 2)
+
+    Held by: tests/volume/sampling/test_curvature.py, tests/volume/sampling/test_level_set_derivatives_stability.py
     """
     import warp as wp
 
@@ -120,7 +122,7 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
 def _derivatives(
     volume: SparseVolume, points: Any, order: int, space: str, device: Any
 ) -> tuple[Batch, "wp.array", "wp.array"]:
-    """The rows of the points, and at each the gradient (vec3d) and the Hessian (mat33d) in that space."""
+    """The rows of the points, with the gradient (vec3d) and the Hessian (mat33d) at each, in the given space."""
     import warp as wp
 
     from geokit.volume.sampling.kernel_table import query_kernel

@@ -1,4 +1,4 @@
-"""Dense arrays to sparse volumes and back."""
+"""Conversion of dense arrays to sparse volumes and back."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from geokit.volume.tree.typed_writer import build_grid
 
 __all__ = ["DenseGrid", "from_dense", "to_dense"]
 
-# A float leaf, its values and mask before, and its origin and place.
+# A float leaf; its values and mask before it is written; its origin and place.
 BYTES_PER_LEAF = 2144 + 2112 + 96
-# Rows of voxels worth a slice of a launch.
+# Fewest rows of voxels that are worth a slice of a launch.
 ROW_GRAIN = 16
 INT32 = np.iinfo(np.int32)
 
@@ -35,8 +35,8 @@ class DenseGrid(NamedTuple):
     Attributes:
         values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) for grids of C components.
         origin: Index of the voxel ``values[0, 0, 0]``, shape (3,) int64.
-        transform: Index to world, shape (4, 4): voxel ``values[i, j, k]`` is centred at
-            ``transform[:3, :3] @ (origin + (i, j, k)) + transform[:3, 3]``.
+        transform: Index to world, shape (4, 4): the center of voxel ``values[i, j, k]`` is ``transform[:3, :3] @
+            (origin + (i, j, k)) + transform[:3, 3]``.
     """
 
     values: NDArray[Any]
@@ -56,41 +56,42 @@ def from_dense(
     grid_class: str = "unknown",
     grid_type: str | None = None,
 ) -> SparseVolume:
-    """A grid from a dense array; what equals the background takes no memory.
+    """Build a grid from a dense array. Values equal to the background take no memory.
 
-    Voxels within ``tolerance`` of the background are inactive and take its value; leaves of 8^3 voxels without an
-    active one are not stored. In a level set the same holds for minus the background, which the inside keeps. Every
-    other value is kept, in grids of floats as the nearest that the type has, and outside the array the grid has the
-    background. So ``to_dense`` of the result differs from ``values`` by at most the tolerance and the rounding to that
-    type (none, of an array that ``to_dense`` gave, in a grid of its type). Held by tests/volume/tree/test_dense.py,
-    tests/volume/tree/test_dense_types.py and tests/volume/tree/test_dense_property.py.
+    Voxels within ``tolerance`` of the background become inactive and take its value; leaves of 8^3 voxels without an
+    active voxel are not stored. In a level set the same holds for minus the background, which the inside keeps. Every
+    other value is kept; grids of floats store the nearest value of their type. Outside the array the grid has the
+    background. So ``to_dense`` of the result differs from ``values`` by at most the tolerance plus the rounding to the
+    grid's type. An array returned by ``to_dense`` is not rounded in a grid of its type.
 
-    Without ``grid_type`` floats of any size become "float" or "vec3f" and "vec4f", bools "bool", and whole numbers
-    their own type: "int16", "int32", "int64", "uint8", "uint32", "vec3u8", "vec3u16" or "rgba8" (int8 "int16", uint16
-    "int32"); as a level set or fog volume they become "float". What is asked for by name: "double", "vec3d", "vec4d",
-    "half" and "mask". OpenVDB's files have no int16, uint8, half, vec3u8, vec3u16 and rgba8.
+    Without ``grid_type``, floats of any size become "float", "vec3f" or "vec4f", bools become "bool", and whole numbers
+    keep their own type: "int16", "int32", "int64", "uint8", "uint32", "vec3u8", "vec3u16" or "rgba8" (int8 becomes
+    "int16", uint16 "int32"). In a level set or fog volume, whole numbers become "float". The types "double", "vec3d",
+    "vec4d", "half" and "mask" must be requested by name. OpenVDB's files cannot store int16, uint8, half, vec3u8,
+    vec3u16 and rgba8.
 
     Args:
-        values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) of C = 3 or 4 components: NumPy or what NumPy can
-            read, a warp array, or a DLPack exporter.
+        values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) with C = 3 or 4 components: a NumPy array or
+            anything that NumPy can read, a warp array, or a DLPack exporter.
         transform: Index to world, shape (4, 4); give this or ``voxel_size``.
-        voxel_size: Edge length of a voxel [world], or three of them; index (0, 0, 0) is then the world's origin.
+        voxel_size: Edge length of a voxel [world], or three of them; index (0, 0, 0) then lies at the world's origin.
         origin: Index of the voxel ``values[0, 0, 0]``, three whole numbers.
-        background: Value of all voxels that are not stored, a number or one for each component; of a level set,
-            positive, and of a mask False.
-        tolerance: Largest difference from the background, in each component, that counts as none [value units].
+        background: Value of all voxels that are not stored: a number, or one for each component. Positive for a level
+            set, False for a mask.
+        tolerance: Largest difference from the background, in each component, that still counts as background [value
+            units].
         name: Name of the grid.
-        grid_class: "level set", "fog volume", "unknown" or another class that NanoVDB has.
-        grid_type: Type of the grid, as ``GridInfo.grid_type`` names it; None for that of the array.
+        grid_class: "level set", "fog volume", "unknown" or another class of NanoVDB.
+        grid_type: Type of the grid, as ``GridInfo.grid_type`` names it; None for the type of the array.
     Returns:
         SparseVolume of that type.
     Raises:
-        InputError: values is not (X, Y, Z) or (X, Y, Z, C), is of a dtype that no grid has, or holds a number that the
-            type does not: none that is not finite, of types of whole numbers no other; the transform, origin,
-            background, tolerance, name, class or type cannot be used.
-        DeviceMemoryError: The grid needs more memory than there is.
+        InputError: values is not (X, Y, Z) or (X, Y, Z, C), has a dtype that no grid has, or holds a number that the
+            type cannot represent (numbers that are not finite, and for types of whole numbers all others that they
+            lack); or the transform, origin, background, tolerance, name, class or type is invalid.
+        DeviceMemoryError: The grid does not fit into memory.
     Source:
-        OpenVDB's copyFromDense. Differs: both signs of a level set's background, tiles inside.
+        OpenVDB's copyFromDense. Differs: both signs of a level set's background count, and the inside becomes tiles.
     Example:
         >>> import numpy as np
         >>> cube = np.zeros((32, 32, 32))
@@ -99,6 +100,9 @@ def from_dense(
         8
         >>> from_dense(cube.astype(np.int32), voxel_size=0.1).info.grid_type
         'int32'
+
+    Held by: tests/volume/tree/test_dense.py, tests/volume/tree/test_dense_types.py,
+        tests/volume/tree/test_dense_property.py
     """
     dense = _read_dense(values)
     layout = layout_for(dense, grid_type, grid_class)
@@ -117,7 +121,7 @@ def from_dense(
     level_set = grid_class == "level set"
     if level_set and background <= 0.0:
         raise InputError(f"background: {background} of a level set is not positive; give its largest distance")
-    # First: it refuses what no grid can have.
+    # First, since it rejects options that no grid can have.
     head = checked_head(layout.name, background, background, matrix, name, grid_class)
     if layout.name == "float":
         buffer = _float_grid(DenseTiles(dense, start, background, tolerance, level_set), head)
@@ -148,26 +152,26 @@ def to_dense(
     channel: int | str | None = None,
     device: Any = None,
 ) -> DenseGrid:
-    """All voxels of a box as a dense array, whether stored or not.
+    """Read all voxels of a box into a dense array, whether stored or not.
 
-    Every voxel has the tree's own value, bit for bit where ``dtype`` can hold it: its leaf's, its tile's or the
-    background. Held by tests/volume/tree/test_dense.py against a walk down the tree in plain Python.
+    Every voxel has the value of the tree, that is of its leaf, its tile or the background, bit for bit where ``dtype``
+    can hold it.
 
     Args:
-        volume: A grid of any scalar, vector or colour type, or an index grid with channels.
-        bounds: First and last voxel [index], shape (2, 3), both inclusive; None for the box of the active voxels.
-        dtype: Type of the result; None for the grid's own (float32 for quantised grids, bool for masks).
-        channel: Number or name of the channel of an index grid; None for its first. See from_channel.
-        device: Where the voxels are read; None for the first GPU, else the CPU. The result is on the host.
+        volume: A grid of any scalar, vector or color type, or an index grid with channels.
+        bounds: First and last voxel [index], shape (2, 3), both inclusive; None for the box around the active voxels.
+        dtype: Type of the result; None for the grid's own (float32 for quantized grids, bool for masks).
+        channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
+        device: Device that reads the voxels; None for the first GPU, else the CPU. The result is on the host.
     Returns:
-        DenseGrid with values (X, Y, Z), or (X, Y, Z, C) for grids of C components; without any voxel where bounds is
-        None and none is active.
+        DenseGrid with values (X, Y, Z), or (X, Y, Z, C) for grids of C components. It is empty if bounds is None and no
+            voxel is active.
     Raises:
-        InputError: bounds is not (2, 3), not whole, beyond int32 or turned around; dtype cannot hold the grid's values;
-            there is no such channel.
-        FileFormatError: The buffer is not a sound grid, or a channel has fewer values than the grid has indices.
+        InputError: bounds is not (2, 3), not whole, beyond int32, or its last voxel comes before its first; dtype
+            cannot hold the grid's values; there is no such channel.
+        FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
-        DeviceMemoryError: The array needs more memory than there is.
+        DeviceMemoryError: The array does not fit into memory.
     Example:
         >>> import numpy as np
         >>> cube = np.zeros((4, 4, 4), np.float32)
@@ -175,6 +179,8 @@ def to_dense(
         >>> grid = to_dense(from_dense(cube, voxel_size=1.0, origin=(10, 0, 0)), device="cpu")
         >>> grid.values.shape, grid.values[0, 0, 0].item(), grid.origin.tolist()
         ((1, 1, 1), 5.0, [11, 2, 3])
+
+    Held by: tests/volume/tree/test_dense.py
     """
     if channel is not None or volume.info.grid_type in INDEX_TYPES:
         from geokit.volume._from_channel import from_channel
@@ -202,7 +208,7 @@ def to_dense(
 
 
 def _read_box(volume: SparseVolume, origin: NDArray[np.int64], values: NDArray[Any], device: Any) -> None:
-    """Fill ``values`` (X, Y, Z, C): on the CPU in place where the types agree, else some slabs or rows at a time."""
+    """Fill ``values`` (X, Y, Z, C): in place on the CPU if the types agree, else a few slabs or rows at a time."""
     import warp as wp
 
     if not values.size:
@@ -231,7 +237,7 @@ def _read_box(volume: SparseVolume, origin: NDArray[np.int64], values: NDArray[A
 
 
 def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
-    """The kernel that reads rows of a grid, and the type that it writes."""
+    """The kernel that reads rows of a grid, and the type of the values that it writes."""
     import warp as wp
 
     from geokit.volume.tree.dense_rows_kernels import DENSE_KERNELS, exact_kernel, float_kernel
@@ -244,12 +250,13 @@ def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
 
 
 def _mark_inside(buffer: NDArray[np.uint8], inside: NDArray[np.int64], background: float) -> None:
-    """Give the slots of the tiles inside their value; each has a lower node. The checksum leaves nodes out."""
+    """Write the value of the inner tiles into their slots; each has a lower node. The checksum does not cover nodes."""
     if not len(inside):
         return
     layout, tree = layout_of(FLOAT, "float grid"), tree_header(buffer)
     begin, count = TREE_OFFSET + int(tree["node_offset"][1]), int(tree["node_count"][1])
-    # A node's box starts in the node, with its first active voxel or with its own first one.
+    # A node's box lies within the node and starts at its first active voxel, or at the node's first voxel if none is
+    # active.
     node_keys = block_keys(np.ndarray((count, 3), "<i4", buffer, begin, (layout.lower_size, 4)).astype(np.int64))
     order = np.argsort(node_keys, kind="stable")
     node = order[np.searchsorted(node_keys[order], block_keys(inside))]
@@ -306,7 +313,7 @@ def _whole_numbers(value: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.
 
 
 def _native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
-    """How the values of a grid are stored, and how many a voxel has."""
+    """Type in which the values of a grid are stored, and number of components of a voxel."""
     layout = LAYOUTS.get(volume.info.grid_type)
     if layout is None:
         raise UnsupportedGridError(

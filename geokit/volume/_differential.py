@@ -1,4 +1,4 @@
-"""Differential operators: volumes of derivatives at the active voxels."""
+"""Differential operators: gradient, divergence, curl and Laplacian at the active voxels."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from geokit.volume.tree.leaves import LEAF_VOXELS, assemble, leaves_of, require_
 __all__ = ["curl", "divergence", "gradient_field", "laplacian"]
 
 SCALARS, VECTORS = ("float", "double"), ("vec3f", "vec3d")
-# Leaves whose results are in float64 at a time: 8 million voxels, 200 MB of vectors.
+# Leaves whose results are held in float64 at a time: 8 million voxels, 200 MB of vectors.
 LEAVES_AT_A_TIME = 16384
-# Share of the metric's diagonal below which an entry beside it is rounding, and 12 voxels need not be read.
+# Entries of the metric below this share of its diagonal are rounding errors, and the 12 voxels for mixed differences
+# need not be read.
 METRIC_ROUNDING = 1e-15
 
 
 def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space gradient at every active voxel.
 
-    Central differences of second order along the index axes in float64, brought to world space by the inverse transpose
-    of the transform: exact for linear fields under any affine transform, up to the rounding of the values and of the
-    result. At the border of the active voxels, inactive neighbours count with the values that the tree gives them.
-    Held by tests/volume/sampling/test_differential.py.
+    Central differences of second order along the index axes, in float64, are transformed to world space by the inverse
+    transpose of the transform. They are exact for linear fields under any affine transform, up to the rounding of the
+    values and of the result. At the border of the active voxels, inactive neighbors count with their values in the
+    tree.
 
     Args:
-        volume: Float or double grid; quantised ones are read as float. Active tiles become voxels.
+        volume: Float or double grid; quantized ones are read as float. Active tiles become voxels.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Volume of type vec3f (vec3d for double) [value / world], same active voxels, background 0.
+        Volume of type vec3f (vec3d for double) [value / world] with the same active voxels and background 0.
     Raises:
-        InputError: volume is no SparseVolume.
-        UnsupportedGridError: Values that are not real numbers.
-        DeviceMemoryError: The active tiles hold more voxels than there is memory for.
+        InputError: volume is not a SparseVolume.
+        UnsupportedGridError: Values are not real numbers.
+        DeviceMemoryError: The active tiles hold more voxels than fit into memory.
+
+    Held by: tests/volume/sampling/test_differential.py
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -47,18 +50,18 @@ def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space divergence at every active voxel.
 
-    As :func:`gradient_field`. Staggered grids hold component c at the lower face along axis c; there it is the
-    difference of the two faces, which is the divergence at the voxel's centre to second order.
+    Differences as in :func:`gradient_field`. Staggered grids store component c at the lower face along axis c; there
+    the divergence is the difference of the two faces, which is of second order at the voxel's center.
 
     Args:
-        volume: Vec3f or vec3d grid whose components are along the world's axes.
+        volume: Vec3f or vec3d grid whose components lie along the world's axes.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Volume of type float (double for vec3d) [value / world], same active voxels, background 0.
+        Volume of type float (double for vec3d) [value / world] with the same active voxels and background 0.
     Raises:
-        InputError: volume is no SparseVolume, or a staggered grid whose voxels are turned or sheared.
-        UnsupportedGridError: Values that are not vectors of three real numbers.
-        DeviceMemoryError: The active tiles hold more voxels than there is memory for.
+        InputError: volume is not a SparseVolume, or is a staggered grid whose voxels are rotated or sheared.
+        UnsupportedGridError: Values are not vectors of three real numbers.
+        DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -76,17 +79,17 @@ def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space curl at every active voxel.
 
-    As :func:`gradient_field`.
+    Differences as in :func:`gradient_field`.
 
     Args:
-        volume: Vec3f or vec3d grid whose components are along the world's axes.
+        volume: Vec3f or vec3d grid whose components lie along the world's axes.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Volume of the same type [value / world], same active voxels, background 0.
+        Volume of the same type [value / world] with the same active voxels and background 0.
     Raises:
-        InputError: volume is no SparseVolume, or a staggered grid.
-        UnsupportedGridError: Values that are not vectors of three real numbers.
-        DeviceMemoryError: The active tiles hold more voxels than there is memory for.
+        InputError: volume is not a SparseVolume, or is a staggered grid.
+        UnsupportedGridError: Values are not vectors of three real numbers.
+        DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 
@@ -94,7 +97,7 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     if volume.info.grid_class == "staggered":
         raise InputError(
             f"volume: the components of staggered grid {volume.info.name!r} are at different places; sample them at "
-            "the voxel centres first"
+            "the voxel centers first"
         )
     return _derived(volume, kernels.curl_kernel, 3, device)
 
@@ -102,18 +105,18 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 def laplacian(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space Laplacian at every active voxel.
 
-    Second central differences along the index axes, and mixed ones where the voxels' axes are not orthogonal: exact for
-    quadratic fields under any affine transform. Everything else as of :func:`gradient_field`.
+    Second central differences along the index axes, with mixed ones where the voxels' axes are not orthogonal. They are
+    exact for quadratic fields under any affine transform. Rounding and border are as in :func:`gradient_field`.
 
     Args:
-        volume: Float or double grid; quantised ones are read as float. Active tiles become voxels.
+        volume: Float or double grid; quantized ones are read as float. Active tiles become voxels.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Volume of the same type [value / world^2], same active voxels, background 0.
+        Volume of the same type [value / world^2] with the same active voxels and background 0.
     Raises:
-        InputError: volume is no SparseVolume.
-        UnsupportedGridError: Values that are not real numbers.
-        DeviceMemoryError: The active tiles hold more voxels than there is memory for.
+        InputError: volume is not a SparseVolume.
+        UnsupportedGridError: Values are not real numbers.
+        DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
     from geokit.volume.sampling import differential_kernels as kernels
 

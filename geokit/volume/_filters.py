@@ -16,37 +16,38 @@ __all__ = ["smooth"]
 
 LEVEL_SET_METHODS = ("gaussian", "mean", "median", "mean_curvature", "laplacian")
 FIELD_METHODS = ("gaussian", "mean", "median")
-# OpenVDB copies leaves and this many voxels around them.
+# OpenVDB copies each leaf with this many voxels around it.
 WIDEST = 64
 MOST_ITERATIONS = 10_000
 
 
 def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, iterations: int = 1) -> SparseVolume:
-    """A smoother volume.
+    """Smooth a level set or another scalar volume.
 
-    Level sets move: "gaussian" (four box filters), "mean" and "median" over a cube, "mean_curvature" and "laplacian"
-    by one step of the flow; after each iteration the band follows the surface and its values are brought back towards
-    distances. Other volumes are filtered at their active voxels, with the background counting outside. Nothing is
-    promised about the volume inside: convex bodies shrink.
+    In level sets the surface moves: "gaussian" (four box filters), "mean" and "median" filter over a cube,
+    "mean_curvature" and "laplacian" take one step of the flow. After each iteration the band follows the surface and
+    its values are corrected towards distances. Other volumes are filtered at their active voxels, with the background
+    outside. The enclosed volume is not preserved: convex bodies shrink.
 
     One gaussian pass of width 1 moves the surface inwards by 2.7 voxel^2 over the radius of curvature, to 0.05 voxel
-    from a radius of 8 voxels on; balls of 2 voxels and less disappear. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    from a radius of 8 voxels on; balls of 2 voxels and less disappear.
 
     Args:
-        volume: Float or double grid; quantised ones become float.
+        volume: Float or double grid; quantized ones become float.
         method: "gaussian", "mean" or "median"; for level sets also "mean_curvature" or "laplacian".
-        width: Half the filter's side [voxels], 1 to 64; the two flows have none and ignore it.
-        iterations: How often.
+        width: Half the side of the filter [voxels], 1 to 64; the two flows ignore it.
+        iterations: Number of passes.
     Returns:
         Volume of the same class and background.
     Raises:
-        InputError: An unknown method, or one for level sets on another grid; width or iterations out of range; a level
-            set whose voxels are no cubes.
-        UnsupportedGridError: Values that are not real numbers.
+        InputError: The method is unknown, or is for level sets and the grid is none; width or iterations is out of
+            range; or the voxels of a level set are not cubes.
+        UnsupportedGridError: Values are not real numbers.
         MissingDependencyError: geokit was built without OpenVDB.
     Source:
         OpenVDB's LevelSetFilter and Filter.
+
+    Held by: tests/accuracy/stability/test_envelopes.py
     """
     require_volume(volume, "volume", ("float", "double"))
     is_level_set = volume.info.grid_class == "level set"

@@ -1,4 +1,4 @@
-"""Volumes of values from index grids, whose values are kept apart from their voxels."""
+"""Volumes of values from index grids, which store values apart from their voxels."""
 
 from __future__ import annotations
 
@@ -42,23 +42,23 @@ from geokit.volume.tree.retype_tree import RetypedTree, retype_tree
 
 __all__ = ["channel_names", "from_channel"]
 
-# A name in the header has 255 bytes and a zero.
+# The header holds a name of 255 bytes and a zero.
 LONGEST_NAME = 255
 # Leaves filled at a time: the values of 1024 leaves of vec4d are 16 megabytes.
 LEAVES_AT_A_TIME = 1024
 
 
 def channel_names(volume: SparseVolume) -> list[str]:
-    """Names of the channels of an index grid, in their order; ``""`` for a channel without a name.
+    """Names of the channels of an index grid, in order; ``""`` for a channel without a name.
 
     Args:
         volume: Any grid.
 
     Returns:
-        One name for each array of values behind the grid; empty for grids that hold their values themselves.
+        One name for each array of values that follows the nodes; empty for grids that hold their values themselves.
 
     Raises:
-        FileFormatError: The buffer is not a sound grid.
+        FileFormatError: The buffer is not a valid grid.
         UnsupportedGridError: The grid's type cannot be used.
 
     Example:
@@ -73,28 +73,30 @@ def channel_names(volume: SparseVolume) -> list[str]:
 
 
 def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
-    """The volume that an index grid and one of its channels stand for.
+    """Build the volume that an index grid and one of its channels represent.
 
-    Every voxel and tile gets the value that its index leads to, bit for bit; active states, tree and transform are
-    those of the index grid. All offsets and indices are checked first. The result is made once for a volume and a
-    channel and kept while the volume lives. Held by tests/volume/test_from_channel.py.
+    Every voxel and tile gets the value to which its index refers, bit for bit; active states, tree and transform are
+    those of the index grid. All offsets and indices are checked first. The result is cached for each volume and channel
+    while the volume lives.
 
     Args:
-        volume: A grid of type "index", "onindex", "indexmask" or "onindexmask" with values behind its nodes.
-        channel: Number or name of the channel; of several with one name the first.
+        volume: A grid of type "index", "onindex", "indexmask" or "onindexmask" whose channels follow its nodes.
+        channel: Number or name of the channel; the first of several with the same name.
 
     Returns:
-        A volume of the channel's type, called as the channel is (or as the grid, where it has no name).
+        A volume of the channel's type, with the channel's name (or the grid's, if the channel has none).
 
     Raises:
-        InputError: The volume is no index grid, or it has no such channel.
-        FileFormatError: The buffer is not a sound grid, or the channel has fewer values than the grid has indices.
-        UnsupportedGridError: The grid has no channel, or the channel's values are of a type that cannot be sampled.
+        InputError: The volume is not an index grid, or it has no such channel.
+        FileFormatError: The buffer is not a valid grid, or the channel has fewer values than the grid has indices.
+        UnsupportedGridError: The grid has no channel, or the type of the channel's values cannot be sampled.
 
     Example:
         >>> from geokit.volume import load
         >>> density = from_channel(load("smoke_index.nvdb"), "density")  # doctest: +SKIP
         >>> density.sample(points, order=3)  # doctest: +SKIP
+
+    Held by: tests/volume/test_from_channel.py
     """
     if volume.info.grid_type not in INDEX_LAYOUTS:
         raise InputError(
@@ -119,7 +121,7 @@ def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
 
 
 def _channels(buffer: NDArray[np.uint8]) -> list[tuple[int, Any]]:
-    """Where the data of each channel begins, and its entry. Names and data of unknown type are no channels."""
+    """Start of the data of each channel, with its entry. Names and data of unknown type are not channels."""
     grid = grid_header(buffer)
     begin, count = int(grid["blind_offset"]), int(grid["blind_count"])
     found = []
@@ -147,7 +149,7 @@ def _values(buffer: NDArray[np.uint8], at: int, entry: Any, where: str) -> NDArr
             f"{where}: its channel {decoded_name(bytes(entry['name']))!r} of type {kind} cannot be sampled; convert it "
             f"to one of {', '.join(CHANNEL_TYPES)}"
         )
-    # The background has an index even where nothing else has.
+    # The background has an index even if nothing else has one.
     dtype, needed = LAYOUTS[kind].background, max(value_count_of(buffer), 1)
     count, size = int(entry["value_count"]), int(entry["value_size"])
     if size not in (0, dtype.itemsize) or count < needed or at + count * dtype.itemsize > len(buffer):
@@ -173,7 +175,7 @@ def _valued(volume: SparseVolume, values: NDArray[Any], entry: Any) -> SparseVol
 
 def _write_header(buffer: NDArray[np.uint8], name: str) -> None:
     grid = grid_header(buffer)
-    # No checksum, no statistics, no blind data, no class: they were those of the index grid.
+    # Checksum, statistics, blind data and class belonged to the index grid.
     grid["checksum"] = np.uint64(0xFFFFFFFFFFFFFFFF)
     grid["flags"] = FLAG_BREADTH_FIRST | int(grid["flags"]) & FLAG_HAS_BBOX
     grid["grid_index"], grid["grid_count"] = 0, 1
@@ -195,7 +197,7 @@ def _write_leaves(
         here = int(target.leaf_starts[first])
         head = masks_of(target.buffer, here, some, size, 0, 80 * 8)
         head[:] = masks_of(source, begin, some, old.leaf_size, 0, 80 * 8)
-        head[:, 15] &= FLAG_HAS_BBOX  # the other bits speak of statistics and quantization
+        head[:, 15] &= FLAG_HAS_BBOX  # the other bits describe statistics and quantization
         offset, _ = leaf_offsets(source, begin, some, old)
         index = offset[:, None] + np.arange(LEAF_VOXELS, dtype=np.uint64)
         if old.name.startswith("on"):

@@ -1,4 +1,4 @@
-"""A level set of any function, evaluated only near its zero set: an octree whose empty blocks a slope bound proves."""
+"""Level set of any function, evaluated only near its zero set: a slope bound proves that octree blocks are empty."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from geokit.volume.tree.grid_head import checked_head
 
 __all__ = ["from_function"]
 
-# Largest and smallest block: one of the largest stands for a node of the tree above leaves, the smallest is a leaf.
+# Largest and smallest block: the largest has the size of an upper node, the smallest that of a leaf.
 LARGEST_BLOCK = 4096
 LEAF = 8
-# Blocks at the start of the refinement: enough that few steps are lost on a box that is much longer than it is wide.
+# Blocks at the start of the refinement: enough that a box much longer than wide loses few steps.
 FIRST_BLOCKS = 64
-# Indices that a leaf's corner may have, with a block's width to spare.
+# Largest index of a leaf's corner, with one block's width to spare.
 LARGEST_INDEX = (1 << 31) - 1 - LARGEST_BLOCK
-# A value and a mask in the arrays of leaves and in the grid, and what a leaf's points take while they are evaluated.
+# A value and a mask, in the arrays of leaves and in the grid, plus the memory for a leaf's points during evaluation.
 BYTES_PER_LEAF = 2 * (4 * LEAF_VOXELS + LEAF_VOXELS // 8) + 256
-# Slopes may exceed the bound by what rounding makes of them: of the function's own arithmetic some 1e-15 of its values
-# and of the coordinates, divided by a voxel; and relatively by what sums of squares round.
+# Slopes may exceed the bound by rounding: that of the function's own arithmetic is some 1e-15 of its values and of the
+# coordinates, divided by a voxel; sums of squares add a relative error.
 SLOPE_MARGIN = 1e-6
 ROUNDINGS = 64.0 * np.finfo(np.float64).eps
 
@@ -48,35 +48,34 @@ def from_function(
     grid_class: str = "level set",
     block: int = 1 << 20,
 ) -> SparseVolume:
-    """The narrow band of a function around its zero set, found without evaluating the function elsewhere.
+    """Build the narrow band of a function around its zero set without evaluating the function elsewhere.
 
-    Voxels whose value is below ``half_width * voxel_size`` in magnitude are active and hold the function's value as
-    its nearest float32; elsewhere the value is ``+background`` where the function is positive and ``-background`` where
-    it is negative, background being ``half_width * voxel_size``. This is what an evaluation of every voxel gives, as
-    long as ``lipschitz`` bounds the slope: a block is skipped where the value at its centre is too large to vanish
-    anywhere in it. Every slope between neighbouring samples is compared with the bound. Outside ``bounds`` the grid has
-    the background. Held by tests/volume/test_from_function.py and tests/volume/test_from_function_property.py against
-    dense evaluation.
+    Voxels whose value is below ``half_width * voxel_size`` in magnitude are active and hold the function's value,
+    rounded to the nearest float32. Elsewhere the value is ``+background`` where the function is positive and
+    ``-background`` where it is negative; the background is ``half_width * voxel_size``. The result equals that of an
+    evaluation at every voxel, provided that ``lipschitz`` bounds the slope: a block is skipped if the value at its
+    center is too large for a zero anywhere in the block. Every slope between neighboring samples is checked against the
+    bound. Outside ``bounds`` the grid has the background.
 
-    Voxel centres lie at whole multiples of ``voxel_size``; the transform has a translation (of whole leaves) only where
+    Voxel centers lie at whole multiples of ``voxel_size``. The transform has a translation (of whole leaves) only where
     indices would otherwise exceed 2^20.
 
     Args:
-        function: Takes points [world], shape (N, 3) float64, and gives N values, negative inside.
-        bounds: Lower and upper corner [world] of the box in which the function is looked at, shape (2, 3).
+        function: Takes points [world], shape (N, 3) float64, and returns N values, negative inside.
+        bounds: Lower and upper corner [world] of the box that is searched, shape (2, 3).
         voxel_size: Edge length of a voxel [world].
-        lipschitz: Largest slope of the function [value / world]; 1 for distances and what is made of them by minimum,
-            maximum and rounding off.
+        lipschitz: Largest slope of the function [value / world]; 1 for distances and for minima, maxima and roundings
+            of them.
         half_width: Width of the band on each side of the zero set [voxels], at least 1 and at least ``lipschitz``.
         name: Name of the grid.
         grid_class: Class of the grid.
-        block: Points that the function gets at a time at most.
+        block: Largest number of points for one call of the function.
     Returns:
         SparseVolume of type "float".
     Raises:
-        InputError: An argument is out of range, the function gives something else than N finite numbers, or it is
-            steeper than ``lipschitz`` says (the message says how steep).
-        DeviceMemoryError: The band needs more memory than there is.
+        InputError: An argument is out of range, the function does not return N finite numbers, or it is steeper than
+            ``lipschitz`` (the message says how steep).
+        DeviceMemoryError: The band does not fit into memory.
     Source:
         Duff, Interval Arithmetic and Recursive Subdivision for Implicit Functions (1992). Differs: a slope bound
         instead of intervals, after Kalra and Barr, Guaranteed Ray Intersections with Implicit Surfaces (1989).
@@ -85,6 +84,8 @@ def from_function(
         >>> ball = from_function(lambda p: np.linalg.norm(p, axis=1) - 1.0, [[-2, -2, -2], [2, 2, 2]], 0.1)
         >>> round(float(ball.sample(np.array([[0.0, 0.0, 1.2]]), device="cpu")[0]), 2)
         0.2
+
+    Held by: tests/volume/test_from_function.py, tests/volume/test_from_function_property.py
     """
     run = _Refinement(function, bounds, voxel_size, lipschitz, half_width, block)
     origins, values, masks = run.leaves()
@@ -116,7 +117,7 @@ class _Refinement:
         self.block = int(block)
         self.band = half_width * self.voxel_size
         self.background = float(np.float32(self.band))
-        # Leaves cover the bounds and a voxel more: what is outside shows on the outer faces.
+        # Leaves cover the bounds plus one voxel, so that the outer faces show the values outside.
         self.translation = index_translation(self.bounds, self.voxel_size)
         with np.errstate(over="ignore", invalid="ignore"):
             index = (self.bounds - self.translation) / self.voxel_size
@@ -130,9 +131,9 @@ class _Refinement:
         self.transform[:3, 3] = self.translation
 
     def leaves(self) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint8]]:
-        """Origins, values and packed masks of the leaves that hold an active voxel or the end of the inside."""
+        """Origins, values and packed masks of the leaves that hold an active voxel or where the inside ends."""
         candidates = self._candidates()
-        # Pages are taken when they are written: leaves that turn out to be empty cost nothing.
+        # Memory pages are allocated on the first write, so leaves that turn out to be empty cost nothing.
         values = np.empty((len(candidates), LEAF_VOXELS), np.float32)
         masks = np.empty((len(candidates), LEAF_VOXELS // 8), np.uint8)
         kept = []
@@ -146,8 +147,9 @@ class _Refinement:
             self._require_slopes(origins, exact.reshape(-1, 8, 8, 8), 1.0)
             within = ((voxels >= self.lower) & (voxels <= self.upper)).all(axis=2)
             active = (np.abs(exact) < self.band) & within
-            # Where the inside reaches the bounds, leaves with the last voxels inside and the first ones outside keep
-            # the signs of both apart; next to a negative voxel the function is at most a step of the bound above zero.
+            # Where the inside reaches the bounds, the leaves with the last voxels inside and the first ones outside
+            # keep their signs apart. Next to a negative voxel the function is above zero by at most one step times the
+            # bound.
             border = ((voxels >= self.lower - 1) & (voxels <= self.upper + 1)).all(axis=2)
             border &= ((voxels <= self.lower) | (voxels >= self.upper)).any(axis=2)
             needed = active.any(axis=1) | (border & (exact < self.lipschitz * self.voxel_size)).any(axis=1)
@@ -161,7 +163,7 @@ class _Refinement:
         return chosen.astype(np.int32), values[:filled], masks[:filled]
 
     def _candidates(self) -> NDArray[np.int64]:
-        """Origins of the leaves that no larger block could rule out, shape (L, 3)."""
+        """Origins of the leaves that no larger block has ruled out, shape (L, 3)."""
         if (self.lower > self.upper).any():
             return np.empty((0, 3), np.int64)
         first, last = self.lower - 1, self.upper + 1
@@ -188,14 +190,14 @@ class _Refinement:
             corners, parent = corners[touching], np.repeat(value, 8)[touching]
             centers = corners + 0.5 * (size - 1)
             value = self._evaluate(centers)
-            # From the centre of a block of twice the size: half of this one along each axis.
+            # Distance from the center of a parent block of twice the size: half of this block's size along each axis.
             self._require_slope(value, parent, 0.5 * size * np.sqrt(3.0), centers)
 
     def _undecided(self, corners: NDArray[np.int64], size: int, value: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which blocks may hold a voxel of the band, by the function at their centres."""
+        """Whether each block may hold a voxel of the band, judged by the function at its center."""
         reach = self.lipschitz * 0.5 * np.sqrt(3.0) * (size - 1) * self.voxel_size * (1.0 + SLOPE_MARGIN)
         near = np.abs(value) < reach + self.band
-        # Blocks inside that reach the bounds become leaves: the inside must not run out there.
+        # Inner blocks that reach the bounds become leaves, so that the inside ends there.
         outer = ((corners <= self.lower) | (corners + size - 1 >= self.upper)).any(axis=1)
         return near | (outer & (value < 0.0))
 
@@ -222,7 +224,7 @@ class _Refinement:
         return out
 
     def _require_slopes(self, origins: NDArray[np.int64], values: NDArray[np.float64], spacing: float) -> None:
-        """Compare neighbours in boxes of samples (N, A, B, C), ``spacing`` voxels apart."""
+        """Compare neighboring samples in boxes (N, A, B, C), ``spacing`` voxels apart."""
         for axis in range(3):
             low, high = (np.moveaxis(values, axis + 1, 1)[:, part] for part in (slice(None, -1), slice(1, None)))
             rise = np.abs(high - low)
@@ -249,7 +251,7 @@ class _Refinement:
             )
 
     def _require_memory(self, blocks: int, size: int) -> None:
-        # What a block takes while it is looked at; leaves are what is kept.
+        # Memory of a block during its evaluation; leaves are kept afterwards.
         need, have = blocks * (BYTES_PER_LEAF if size == LEAF else 128), available_memory.available_host()
         if need > have:
             raise DeviceMemoryError(

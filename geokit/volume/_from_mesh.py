@@ -1,4 +1,4 @@
-"""Narrow-band distance fields of triangle meshes; only the tiles near the surface are touched."""
+"""Narrow-band distance fields of triangle meshes; only tiles near the surface are visited."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ DEFAULT_HALF_WIDTH = 3.0
 
 
 class MeshBand(NamedTuple):
-    """Outcome of :func:`from_mesh_with_triangles`: a field, and the triangle that each of its voxels is nearest to.
+    """Result of :func:`from_mesh_with_triangles`: a field, and the triangle nearest to each of its voxels.
 
     Attributes:
-        distance: What :func:`from_mesh` gives.
+        distance: The field, as from :func:`from_mesh`.
         triangle_id: int32 grid with the same active voxels: row of the nearest face, -1 elsewhere.
     """
 
@@ -59,65 +59,66 @@ def from_mesh(
     name: str | None = None,
     device: Any = None,
 ) -> SparseVolume:
-    """Distance to a mesh on the voxels near its surface, negative inside, as a NanoVDB level set.
+    """Build a signed distance field of a mesh, negative inside, as a NanoVDB level set on the voxels near its surface.
 
-    Distances at active voxels are those of ``Surface.closest_point``, rounded to float32: exact for the float64
-    triangle that wins. Active are the voxels that are nearer than the band is wide; elsewhere the value is the
-    exterior's width outside (the background) and minus the interior's inside. Signs are those of
-    ``Surface.signed_distance``: on closed meshes a few voxels are asked and the others follow from their distances, on
-    open ones every active voxel is asked. The same bytes for any number of threads; on CUDA within two roundings of
-    those of the CPU. Tested against brute force in tests/volume/band/test_from_mesh.py.
+    Distances at active voxels are those of ``Surface.closest_point``, rounded to float32: exact for the nearest float64
+    triangle. A voxel is active if it is nearer to the surface than the width of the band. Elsewhere the value is the
+    exterior width outside (the background) and minus the interior width inside. Signs are those of
+    ``Surface.signed_distance``: closed meshes evaluate a few voxels and derive the others from their distances, open
+    ones evaluate every active voxel. The result has the same bytes for any number of threads; on CUDA it is within two
+    roundings of the CPU's.
 
-    Voxel centres lie at whole multiples of ``voxel_size``; the transform has a translation (of whole voxels) only
-    where indices would otherwise exceed 2^20, and with ``tolerance``, where index 0 is where the band begins.
+    Voxel centers lie at whole multiples of ``voxel_size``. The transform has a translation (of whole voxels) only where
+    indices would otherwise exceed 2^20, and with ``tolerance``, where index 0 is the beginning of the band.
 
-    With ``tolerance`` instead of ``voxel_size`` the voxel size, and whatever of half width, order and codec is not
-    given, are those of least memory with which ``sample`` is within the tolerance of the exact distance, wherever it is
-    checked: at 120,000 points no farther than ``within`` from the surface and at some 80,000 more around the worst of
-    them, none of them used to choose. ``info.order`` is the order that was chosen, and what ``sample`` and
-    ``gradient`` take where they are not told another; ``info.achieved_error`` is the largest error that the check
-    found, ``info.achieved_error_999`` its 99.9th percentile. Rays and surfaces are those of the trilinear interpolant:
-    use ``order=1`` where that is what has to be right. :func:`geokit.volume.plan` lists the choices. On all meshes of
-    tests/volume/tolerance/test_from_mesh_property.py the tolerance holds on other points than those that were checked,
-    too; on those of them that it searches exhaustively the memory is within 1.5 times of the least.
+    ``tolerance`` replaces ``voxel_size``: the voxel size, and each of half width, order and codec that is not given,
+    are those of least memory with which ``sample`` is within the tolerance of the exact distance wherever it is
+    checked. It is checked at 120,000 points no farther than ``within`` from the surface and at some 80,000 more around
+    the worst of them; none of these is used to choose. ``info.order`` is the chosen order, which ``sample`` and
+    ``gradient`` use by default. ``info.achieved_error`` is the largest error that the check found,
+    ``info.achieved_error_999`` its 99.9th percentile. Ray casts and isosurfaces use the trilinear interpolant: pass
+    ``order=1`` if those must keep the tolerance. :func:`geokit.volume.plan` lists the choices. In the property tests
+    the tolerance also holds at points other than the checked ones on all meshes; on those that are searched
+    exhaustively the memory is within 1.5 times of the least.
 
-    ``info.metadata`` says where the field is from: "geokit:source" (the mesh's name), "geokit:source_sha256" (of its
-    vertices and faces), "geokit:voxel_size", "geokit:version", "geokit:sign_method" and "geokit:sign_reason";
-    "geokit:lost_components" lists the connected pieces of the mesh, counted in the order of their first faces, that are
-    too thin to hold a single negative voxel; a UserWarning tells of them too.
+    ``info.metadata`` records the source of the field: "geokit:source" (the mesh's name), "geokit:source_sha256" (of its
+    vertices and faces), "geokit:voxel_size", "geokit:version", "geokit:sign_method" and "geokit:sign_reason".
+    "geokit:lost_components" lists the connected components of the mesh, numbered in the order of their first faces,
+    that are too thin to hold a single negative voxel; a UserWarning reports them too.
 
-    Sampled at order 1, points inside walls of 2 voxels and more are inside; around the middle of any wall the
+    Sampled at order 1, points inside walls of 2 voxels and more are inside. Around the middle of any wall the
     interpolated distance is up to half a voxel off, and walls thinner than a voxel may have no inside. Up to 1e9 sizes
-    from the origin distances are right to 1e-6 of the size. Held by tests/accuracy/stability/test_envelopes.py.
+    from the origin distances are right to 1e-6 of the size.
 
     Args:
-        mesh: Triangles, or a Surface of them, whose tree is then used (and its device).
-        voxel_size: Edge length of a voxel [world]; either this or ``tolerance``.
+        mesh: Triangles, or a Surface of them, whose tree (and device) is then used.
+        voxel_size: Edge length of a voxel [world]; give either this or ``tolerance``.
         tolerance: Largest error of the interpolated distance [world].
-        within: How far from the surface the tolerance holds [world]; None for the tolerance itself, or a quarter of it
-            where the mesh is open: beside an open border the sign jumps, and so does the field, by twice the distance.
+        within: Distance from the surface up to which the tolerance holds [world]. None for the tolerance itself, or a
+            quarter of it if the mesh is open: beside an open border the sign jumps, and so does the field, by twice the
+            distance.
         order: With ``tolerance``: the order of interpolation that will be used, 1, 2 or 3; None for the best.
-        half_width: Width of the band on either side of the surface [voxels], at least 1 (3 where None, with
+        half_width: Width of the band on either side of the surface [voxels], at least 1 (None for 3, or with
             ``tolerance`` as little as interpolation needs); or a pair of widths, outside and inside.
-        sign: How inside is told from outside, as for ``Surface.signed_distance``; "auto" is what
-            ``Surface.sign_method`` says. "none" gives unsigned distances, a grid of class "unknown".
-        thickness: Thickness [world] of a solid shell around the surface, of which the field is then the level set: the
-            unsigned distance less half of it. ``sign`` is of no use then.
-        method: "geokit", or "openvdb" for the field that OpenVDB makes of a closed mesh, for comparison: it is up to
-            half a voxel off.
-        codec: How to store the values, as :func:`geokit.volume.quantize` takes it; None for float32, with ``tolerance``
-            for the best.
-        name: Name of the grid; the mesh's name where None.
+        sign: Method that tells inside from outside, as for ``Surface.signed_distance``; "auto" takes that of
+            ``Surface.sign_method``. "none" gives unsigned distances in a grid of class "unknown".
+        thickness: Thickness [world] of a solid shell around the surface, whose level set the field then is: the
+            unsigned distance less half the thickness. ``sign`` is then ignored.
+        method: "geokit", or "openvdb" for OpenVDB's field of a closed mesh, for comparison: it is up to half a voxel
+            off.
+        codec: Storage of the values, as in :func:`geokit.volume.quantize`; None for float32, with ``tolerance`` for the
+            best.
+        name: Name of the grid; None for the mesh's name.
         device: Where to compute: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. On a GPU the
-            grid stays there until ``nanovdb`` is asked for.
+            grid stays there until ``nanovdb`` is read.
     Returns:
         SparseVolume of type "float" and class "level set".
     Raises:
-        InputError: An argument out of range, options that exclude each other, the mesh without faces, voxels too small
-            to be counted, or a tolerance that cannot be kept; the message says which could.
-        DeviceMemoryError: The band needs more memory than there is, or more than a grid's 2^31 bytes; the message says
-            which voxel size would fit, or which tolerance.
-        MissingDependencyError: ``method`` is "openvdb" and geokit was built without it.
+        InputError: An argument is out of range, options exclude each other, the mesh has no faces, the voxels are too
+            small to be numbered, or the tolerance cannot be kept; the message names one that can.
+        DeviceMemoryError: The band does not fit into memory, or exceeds a grid's 2^31 bytes; the message says which
+            voxel size or tolerance would fit.
+        MissingDependencyError: ``method`` is "openvdb" and geokit was built without OpenVDB.
     Source:
         Museth, "VDB: High-Resolution Sparse Volumes with Dynamic Topology" (2013), for the structure. Differs:
         distances are exact at every active voxel.
@@ -130,6 +131,9 @@ def from_mesh(
         >>> fine = gk.volume.from_mesh(mesh, tolerance=1e-3, device="cpu")
         >>> fine.info.achieved_error <= 1e-3
         True
+
+    Held by: tests/volume/band/test_from_mesh.py, tests/volume/tolerance/test_from_mesh_property.py,
+        tests/accuracy/stability/test_envelopes.py
     """
     if (voxel_size is None) == (tolerance is None):
         raise InputError(
@@ -177,23 +181,25 @@ def from_mesh_with_triangles(
     name: str | None = None,
     device: Any = None,
 ) -> MeshBand:
-    """As :func:`from_mesh`, with the nearest triangle of each active voxel.
+    """Build the field of :func:`from_mesh`, with the nearest triangle of each active voxel.
 
-    Ties go to the lowest triangle, as for ``Surface.closest_point`` (tests/volume/band/test_from_mesh.py).
+    Ties go to the lowest triangle, as for ``Surface.closest_point``. All arguments are as for :func:`from_mesh`.
 
     Args:
-        mesh: As :func:`from_mesh`, and so are the others.
+        mesh: Triangles, or a Surface of them.
         voxel_size: Edge length of a voxel [world].
         half_width: Width of the band on either side [voxels], or a pair of widths, outside and inside.
-        sign: How inside is told from outside.
+        sign: Method that tells inside from outside.
         thickness: Thickness [world] of a shell around the surface.
         name: Name of the grid of distances; the other is named "triangle_id".
         device: Where to compute.
     Returns:
         MeshBand of the distances and an int32 grid: the row of the nearest face at active voxels, -1 elsewhere.
     Raises:
-        InputError: As :func:`from_mesh`.
-        DeviceMemoryError: As :func:`from_mesh`.
+        InputError: As for :func:`from_mesh`.
+        DeviceMemoryError: As for :func:`from_mesh`.
+
+    Held by: tests/volume/band/test_from_mesh.py
     """
     surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, device)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)

@@ -1,4 +1,4 @@
-"""A level set of the union of balls around points."""
+"""Level set of the union of balls around points."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ __all__ = ["from_points"]
 LEAF = 8
 # Bits of each coordinate in a bucket's key, which bound the tiles along an axis.
 KEY_BITS = 21
-# Tiles whose voxels are computed together: their distances take 32 MiB.
+# Tiles computed together: their distances take 32 MiB.
 TILES_AT_A_TIME = 8192
-# Buckets whose neighbours are listed together, 27 keys of 8 bytes each.
+# Buckets whose neighbors are listed together, 27 keys of 8 bytes each.
 BUCKETS_AT_A_TIME = 1 << 17
-# Values and masks of a tile, in the arrays of leaves and in the grid.
+# Values and mask of a tile, in the arrays of leaves and in the grid.
 BYTES_PER_TILE = 2 * (4 * LEAF_VOXELS + LEAF_VOXELS // 8) + 96
-# Work of a tile is large: a few make a slice worth while.
+# A tile is much work, so a few of them are worth a slice of a launch.
 TILE_GRAIN = 32
-# The state of a block in balls_kernels that holds a voxel of the band.
+# State of a block in balls_kernels that holds a voxel of the band.
 NEAR = 1
-# Places in the lists of balls of tiles that are computed together: 64 MiB. A tile has as many as it needs.
+# Entries in the lists of balls of tiles that are computed together: 64 MiB. A tile has as many as it needs.
 MOST_LISTED = 1 << 24
 
 
@@ -49,20 +49,20 @@ def from_points(
     name: str = "",
     device: Any = None,
 ) -> SparseVolume:
-    """Signed distance to the union of balls around points, on the voxels within ``half_width`` of its surface.
+    """Build the signed distance to the union of balls around points, in a band around its surface.
 
-    The value at a voxel is ``min over p of |x - p| - r_p``, in float64, rounded to float32: outside the union that is
-    the distance exactly; inside, where balls overlap, it is the depth in the ball that is deepest, which is at most the
-    distance to the surface. Voxels whose value is below ``half_width * voxel_size`` in magnitude are active; elsewhere
-    the value is ``+background`` outside and ``-background`` inside. Tested against brute force in
-    tests/volume/band/test_from_points.py and tests/volume/band/test_from_points_property.py.
+    The band holds the voxels within ``half_width`` of the surface. The value at a voxel is ``min over p of |x - p| -
+    r_p``, computed in float64 and rounded to float32. Outside the union that is exactly the distance. Inside, where
+    balls overlap, it is the depth in the deepest ball, which is at most the distance to the surface. Voxels whose value
+    is below ``half_width * voxel_size`` in magnitude are active; elsewhere the value is ``+background`` outside and
+    ``-background`` inside.
 
-    A ball without any voxel centre in it leaves no trace of its inside: ``metadata["geokit:lost_points"]`` counts them;
-    with radii from 0.87 voxels on there are none.
+    The inside of a ball that contains no voxel center is lost: ``metadata["geokit:lost_points"]`` counts such balls.
+    With radii from 0.87 voxels on there are none.
 
     Args:
-        points: Centres of the balls [world], shape (N, 3), float32 or float64, in any supported container.
-        radius: Radius of all balls [world], or of each, shape (N,).
+        points: Centers of the balls [world], shape (N, 3), float32 or float64, in any supported container.
+        radius: Radius of all balls [world], or one for each, shape (N,).
         voxel_size: Edge length of a voxel [world].
         half_width: Width of the band on each side of the surface [voxels], at least 1.
         name: Name of the grid.
@@ -71,15 +71,18 @@ def from_points(
         SparseVolume of type "float" and class "level set".
     Raises:
         InputError: points is not (N, 3), not finite or empty; a radius is not positive and finite; voxel_size or
-            half_width is out of range; voxels too small to be counted.
-        DeviceMemoryError: The band needs more memory than there is.
+            half_width is out of range; or the voxels are too small to be numbered.
+        DeviceMemoryError: The band does not fit into memory.
     Source:
-        OpenVDB's ParticlesToLevelSet. Differs: a minimum over the balls near each voxel in a fixed arithmetic instead
-        of one ball after the other, so that the result does not depend on their order; balls of any size count.
+        OpenVDB's ParticlesToLevelSet. Differs: a minimum over the balls near each voxel in a fixed order of arithmetic
+            instead of one ball after the other, so that the result does not depend on their order; balls of any size
+            count.
     Example:
         >>> ball = from_points([[0.0, 0.0, 0.0]], 1.0, voxel_size=0.1, device="cpu")
         >>> ball.info.world_bounds.round(1).tolist()
         [[-1.2, -1.2, -1.2], [1.2, 1.2, 1.2]]
+
+    Held by: tests/volume/band/test_from_points.py, tests/volume/band/test_from_points_property.py
     """
     voxel_size, half_width = checked_band(voxel_size, half_width)
     target = launcher.resolve_device(device)
@@ -105,10 +108,10 @@ def from_points(
 def _in_voxels(
     centers: NDArray[np.float64], radii: NDArray[np.float64], voxel_size: float, half_width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Position of index 0 [world], the centres and how far each ball's band reaches from its centre [voxels].
+    """Position of index 0 [world], the centers [voxels], and the reach of each ball's band from its center [voxels].
 
     Raises:
-        InputError: There are more voxels along an axis than can be told apart.
+        InputError: There are too many voxels along an axis for the keys.
     """
     translation = index_translation(np.stack([centers.min(axis=0), centers.max(axis=0)]), voxel_size)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -116,7 +119,7 @@ def _in_voxels(
         reach = radii / voxel_size + half_width
         tiles_across = float((np.ptp(index, axis=0).max() + 2.0 * reach.max()) / LEAF)
         farthest = float(np.abs(index).max() + reach.max())
-    # Four buckets are left for the neighbours at both ends.
+    # Four buckets are reserved for the neighbors at both ends.
     if not tiles_across < (1 << KEY_BITS) - 4 or not farthest < 2.0**31 - 64.0:
         raise InputError(
             f"voxel_size: {voxel_size:g} gives {tiles_across:.3g} tiles of 8 voxels along an axis, more than "
@@ -127,7 +130,7 @@ def _in_voxels(
 
 @dataclass(frozen=True)
 class _Class:
-    """Balls of similar size: the kernels' struct, the buckets (B, 3) that hold one, and a bucket's edge [voxels]."""
+    """Balls of similar size: the kernels' struct, the buckets (B, 3) that hold a ball, and a bucket's edge [voxels]."""
 
     struct: Any
     buckets: NDArray[np.int64]
@@ -137,7 +140,7 @@ class _Class:
 def _sorted_balls(
     center: NDArray[np.float64], radius: NDArray[np.float64], reach: NDArray[np.float64], device: "wp.Device"
 ) -> list[_Class]:
-    """Balls by the power of two of voxels that they reach: a bucket is at least as wide as its balls' reach."""
+    """Sort balls by the power of two of voxels in their reach, so that a bucket is at least as wide as the reach."""
     import warp as wp
 
     from geokit.volume.band.balls_kernels import Balls
@@ -218,7 +221,7 @@ def _leaves(
     classes: list[_Class], tiles: NDArray[np.int32], half_width: float, voxel_size: float, device: "wp.Device"
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint8]]:
     """Origins, values and packed masks of the tiles that hold an active voxel."""
-    # Pages are taken when they are written: tiles that turn out to be empty cost nothing.
+    # Memory pages are allocated on the first write, so tiles that turn out to be empty cost nothing.
     values = np.empty((len(tiles), LEAF_VOXELS), np.float32)
     masks = np.empty((len(tiles), LEAF_VOXELS // 8), np.uint8)
     kept = []
@@ -269,7 +272,7 @@ def _distances(
     inputs = [classes[0].struct, corners, place, listed, band]
     launcher.launch(distance_kernel, 64 * total, inputs, [out], device, grain=64 * TILE_GRAIN)
     distance = out.numpy().reshape(total, LEAF_VOXELS)
-    # Nothing is listed for a tile deep inside one ball.
+    # A tile deep inside one ball has an empty list.
     distance[bound.numpy() <= -half_width] = -half_width
     return distance
 

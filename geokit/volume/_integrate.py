@@ -1,4 +1,4 @@
-"""How much light comes through a fog volume along rays, and how much of its own it adds."""
+"""Transmittance of a fog volume along rays, and its emission."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Transmittance", "integrate"]
 
 
 class Transmittance(NamedTuple):
-    """transmittance (N,), from 0 to 1, and emission (N,)."""
+    """Result of :func:`integrate`: transmittance (N,), from 0 to 1, and emission (N,)."""
 
     transmittance: Any
     emission: Any
@@ -39,24 +39,24 @@ def integrate(
 ) -> Transmittance:
     """Transmittance of a fog volume along each ray, and the emission that reaches the ray's start.
 
-    The optical depth is ``extinction`` times the integral of the density over the ray's length in world units; the
-    transmittance is ``exp(-depth)``, the emission the integral of the emission's values times the transmittance up to
-    them. The density is the trilinear interpolant, that of ``sample`` of order 1; its integral is exact in each cell of
-    eight voxels and in each tile: no step, and nothing missed between steps. The depth is off by some tens of roundings
-    of 2^-53; the emission, by a quadrature with six Gauss points in each cell and for each half unit of depth, by less
-    than 1e-9 of itself. Held by tests/volume/rays/test_integrate.py and tests/volume/rays/test_rays_property.py.
+    The optical depth is ``extinction`` times the integral of the density over the ray's length in world units. The
+    transmittance is ``exp(-depth)``; the emission is the integral of the emission grid's values, each times the
+    transmittance up to it. The density is the trilinear interpolant, that of ``sample`` at order 1. Its integral is
+    exact in each cell of eight voxels and in each tile: there are no steps, so nothing is missed between them. The
+    depth is off by some tens of roundings of 2^-53. The emission, from a quadrature with six Gauss points in each cell
+    and for each half unit of depth, is off by less than 1e-9 of itself.
 
-    A fog's borders are known to half a voxel each: transmittances are right to exp(1 / mean free path in voxels) - 1, 7
-    % at 16. Held by tests/accuracy/stability/test_envelopes.py.
+    The borders of a fog are known to half a voxel each: transmittances are right to exp(1 / mean free path in voxels) -
+    1, which is 7 % at 16.
 
     Args:
         volume: Density, a grid of one component with a background of 0. Negative values amplify.
-        origins: Where rays start [world], shape (N, 3).
-        directions: Their directions, of any length, shape (N, 3).
+        origins: Start points of the rays [world], shape (N, 3).
+        directions: Directions of the rays, of any length, shape (N, 3).
         extinction: Optical depth of a density of 1 [1 / world].
-        emission: Light that is given off [1 / world], a grid with the transform of ``volume`` and a background of 0;
-            None for none.
-        t_min: Where rays begin, in units of the direction.
+        emission: Emitted light [1 / world], a grid with the transform of ``volume`` and a background of 0; None for no
+            emission.
+        t_min: Start of the integral, in units of the direction.
         max_distance: Length of the rays [world].
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
@@ -71,6 +71,9 @@ def integrate(
         >>> smoke = load("data/samples/smoke.vdb", grid="density")
         >>> integrate(smoke, [[0.0, 0.0, 9.0]], [[0.0, 0.0, -1.0]], extinction=20.0, device="cpu").transmittance.shape
         (1,)
+
+    Held by: tests/volume/rays/test_integrate.py, tests/volume/rays/test_rays_property.py,
+        tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -95,7 +98,7 @@ def integrate(
 
 
 def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> tuple[Any, list[Any]]:
-    """The kernel, and its inputs behind the field."""
+    """The kernel, and its inputs after the field."""
     import warp as wp
 
     from geokit.volume.rays import integrate_kernels as kernels
@@ -107,7 +110,7 @@ def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Dev
 
 
 def _field(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> Any:
-    """The kernels' view of both grids: boxes and numbers are those of the two together."""
+    """Both grids as the kernels see them: boxes and numbers cover the two together."""
     grids = [volume] if emission is None else [volume, emission]
     for name, grid in zip(("volume", "emission"), grids, strict=False):
         if isinstance(grid.info.background, (int, float)) and grid.info.background != 0:

@@ -1,4 +1,4 @@
-"""Volumes from and to files: .vdb through OpenVDB, .nvdb by geokit itself."""
+"""Reading and writing volumes: .vdb through OpenVDB, .nvdb by geokit itself."""
 
 from __future__ import annotations
 
@@ -25,35 +25,36 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, grid_name, info_of, voxel_si
 
 __all__ = ["inspect", "load", "load_all", "save"]
 
-# NanoVDB readers are often built without zlib and Blosc: uncompressed is what all of them read, and the fastest.
+# NanoVDB readers are often built without zlib and Blosc. All of them read uncompressed files, which are also the
+# fastest.
 DEFAULT_NVDB_CODEC = "none"
-# A file up to this size [bytes] is read whole where no grid is named: quicker than to ask for the names first, in a
-# process of its own, and lost only where there turn out to be several.
+# A file up to this size [bytes] is read whole if no grid is named. That is faster than a separate process that lists
+# the names first, and is wasted only if the file has several grids.
 READ_AT_ONCE = 64 << 20
-# OpenVDB's own default; a library built without Blosc cannot be had from Debian or Ubuntu.
+# OpenVDB's own default; Debian and Ubuntu ship no OpenVDB without Blosc.
 DEFAULT_VDB_CODEC = "blosc"
 
 
 def load(path: str | os.PathLike[str], *, grid: str | None = None, trusted: bool = False) -> SparseVolume:
-    """One grid of a .vdb or .nvdb file.
+    """Load one grid of a .vdb or .nvdb file.
 
-    Every offset in the grid and, where it carries one, its checksum are checked: a damaged file gives an error, not a
-    wrong volume. A .vdb file is read in a process of its own, with a limit on time and memory, unless it is trusted.
+    Every offset in the grid is checked, and its checksum if it has one: a damaged file raises an error and never gives
+    a wrong volume. Unless it is trusted, a .vdb file is read in a separate process with a limit on time and memory.
 
     Args:
         path: A .vdb or .nvdb file.
-        grid: The grid's name; None where the file has a single grid. Of several grids with one name, the second is
+        grid: Name of the grid; None if the file has a single grid. Of several grids with one name, the second is
             "name[1]", the third "name[2]".
-        trusted: The .vdb file is known to be sound: read it in this process, which saves a copy.
+        trusted: Whether the .vdb file is known to be sound. It is then read in this process, which saves a copy.
 
     Returns:
         The grid; values, transform and metadata as in the file.
 
     Raises:
-        InputError: The extension is neither, there is no such grid, or no name was given and there are several.
+        InputError: The extension is neither, there is no such grid, or no name is given and there are several grids.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The file is damaged, truncated or not what its name says.
-        UnsupportedGridError: The grid is of a type or has a transform that geokit cannot represent.
+        FileFormatError: The file is damaged, truncated or not of the format that its extension names.
+        UnsupportedGridError: geokit cannot represent the grid's type or transform.
         MissingDependencyError: .vdb without the OpenVDB extension, or Blosc-compressed .nvdb without blosc.
         DeviceMemoryError: The grid does not fit into memory.
 
@@ -69,23 +70,23 @@ def load(path: str | os.PathLike[str], *, grid: str | None = None, trusted: bool
         from geokit import native
 
         if path.stat().st_size <= READ_AT_ONCE:
-            # A grid that cannot be read, among others, must not hide that a name is wanted.
+            # An unreadable grid, for one, must not hide the error that a name is missing.
             with contextlib.suppress(UnsupportedGridError):
                 volumes = _read_vdb(path, None, trusted)
                 return volumes[_index_of(None, _unique([volume.info.name for volume in volumes]), path)]
 
         names = [header["name"] for header in native.inspect_vdb(path)]
         grid = names[_index_of(None, _unique(names), path)]
-    # Of several grids with one name OpenVDB gives all, in the file's order.
+    # If several grids have one name, OpenVDB returns all of them, in the file's order.
     return _read_vdb(path, [grid], trusted)[0]
 
 
 def load_all(path: str | os.PathLike[str], *, trusted: bool = False) -> dict[str, SparseVolume]:
-    """Every grid of a .vdb or .nvdb file, by name and in the file's order.
+    """Load every grid of a .vdb or .nvdb file, by name and in the file's order.
 
     Args:
         path: A .vdb or .nvdb file.
-        trusted: As of :func:`load`.
+        trusted: As for :func:`load`.
 
     Returns:
         Volumes by name; of several grids with one name, the second is "name[1]", the third "name[2]".
@@ -93,9 +94,9 @@ def load_all(path: str | os.PathLike[str], *, trusted: bool = False) -> dict[str
     Raises:
         InputError: The extension is neither.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The file is damaged, truncated or not what its name says.
-        UnsupportedGridError: A grid is of a type or has a transform that geokit cannot represent.
-        MissingDependencyError: As of :func:`load`.
+        FileFormatError: The file is damaged, truncated or not of the format that its extension names.
+        UnsupportedGridError: geokit cannot represent a grid's type or transform.
+        MissingDependencyError: As for :func:`load`.
         DeviceMemoryError: A grid does not fit into memory.
     """
     path = _known(path)
@@ -107,11 +108,11 @@ def load_all(path: str | os.PathLike[str], *, trusted: bool = False) -> dict[str
 
 
 def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
-    """What a .vdb or .nvdb file says about its grids, without reading voxels.
+    """Describe the grids of a .vdb or .nvdb file without reading voxels.
 
-    Grids that cannot be loaded are listed too. What a file does not say is None: the background of index grids, and in
-    .vdb files that were written without statistics the number of active voxels; the transform of a frustum is NaN. Of
-    compressed .nvdb grids there is no metadata: it stands at their end.
+    Grids that cannot be loaded are listed too. Anything that the file does not state is None: the background of index
+    grids, and the number of active voxels in .vdb files written without statistics. The transform of a frustum is NaN.
+    Compressed .nvdb grids come without metadata, since it stands at their end.
 
     Args:
         path: A .vdb or .nvdb file.
@@ -123,7 +124,7 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
     Raises:
         InputError: The extension is neither.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The file is damaged, truncated or not what its name says.
+        FileFormatError: The file is damaged, truncated or not of the format that its extension names.
         MissingDependencyError: .vdb without the OpenVDB extension, or Blosc-compressed .nvdb without blosc.
     """
     path = _known(path)
@@ -135,19 +136,19 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
 
 
 def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None = None, half: bool = False) -> None:
-    """Write volumes to one .vdb or .nvdb file, which appears whole or not at all.
+    """Write volumes to one .vdb or .nvdb file. The file appears complete or not at all.
 
-    Values, masks, transforms, names and metadata are kept bit for bit (but for ``half``); quantised grids become float
-    in .vdb, with the same values.
+    Values, masks, transforms, names and metadata are kept bit for bit (except with ``half``). Quantized grids become
+    float grids with the same values in .vdb.
 
     Args:
         path: Target, .vdb or .nvdb; an existing file is replaced.
         volumes: One or more volumes.
-        codec: "none", "zip" or "blosc"; None is "blosc" for .vdb and "none", which every reader takes, for .nvdb.
-        half: Store floating-point values of a .vdb file with 16 bits.
+        codec: "none", "zip" or "blosc". None means "blosc" for .vdb and "none", which every reader supports, for .nvdb.
+        half: Store the floating-point values of a .vdb file with 16 bits.
 
     Raises:
-        InputError: The extension, the codec or a volume cannot be used, or half was asked for with .nvdb.
+        InputError: The extension, the codec or a volume is invalid, or half is given with .nvdb.
         FileAccessError: The target cannot be written.
         UnsupportedGridError: .vdb has no such grid type.
         MissingDependencyError: .vdb without the OpenVDB extension, or codec "blosc" without blosc.
@@ -186,7 +187,7 @@ def _unique(names: Sequence[str]) -> list[str]:
     given: dict[str, None] = {}
     for name in names:
         candidate, number = name, 0
-        # A grid that is really called "name[1]" keeps that name.
+        # A grid whose real name is "name[1]" keeps that name.
         while candidate in given or (number and candidate in own):
             number += 1
             candidate = f"{name}[{number}]"
@@ -209,7 +210,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _from_nvdb(grid: file.NvdbGrid) -> SparseVolume:
-    # Copies on devices are kept: a buffer that changed behind them would be a second truth.
+    # Devices keep copies of the buffer, so it must not change afterwards.
     grid.buffer.setflags(write=False)
     info = info_of(grid.buffer, grid.metadata, name=grid.name)
     return _checked(grid.buffer, info)
@@ -220,7 +221,7 @@ def _read_vdb(path: Path, grids: list[str] | None, trusted: bool) -> list[Sparse
 
     volumes = []
     for grid in native._read_unchecked(path, grids=grids, trusted=trusted):
-        # What a worker hands back of a damaged file need not even have a header.
+        # The worker's result for a damaged file may even lack a header.
         name = grid_name(grid.nanovdb) if len(grid.nanovdb) >= HEAD_SIZE else ""
         check_grid(grid.nanovdb, f"{path}: grid {name!r}")
         volumes.append(_checked(grid.nanovdb, info_of(grid.nanovdb, grid.metadata)))
@@ -228,8 +229,8 @@ def _read_vdb(path: Path, grids: list[str] | None, trusted: bool) -> list[Sparse
 
 
 def _checked(buffer: NDArray[np.uint8], info: GridInfo) -> SparseVolume:
-    """A volume of a grid that :func:`check_grid` has seen."""
-    # A class that NanoVDB does not know for the type (a level set of integers) comes as metadata.
+    """A volume of a grid that :func:`check_grid` has accepted."""
+    # A class that NanoVDB does not allow for the type (a level set of integers) arrives as metadata.
     volume = SparseVolume(buffer, replace(info, grid_class=str(info.metadata.get("class", info.grid_class))))
     mark_checked(volume)
     return volume

@@ -1,4 +1,4 @@
-"""A sparse volume: one NanoVDB grid in a host buffer, its description, and its copies on devices."""
+"""The sparse volume: one NanoVDB grid in a host buffer, its description, and its copies on devices."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ __all__ = ["SparseVolume"]
 
 @dataclass(frozen=True, eq=False)
 class SparseVolume:
-    """One NanoVDB grid.
+    """A sparse volume: one NanoVDB grid.
 
-    A grid that was made on a GPU stays there; ``nanovdb`` fetches it when it is first asked for.
+    A grid made on a GPU stays there; ``nanovdb`` downloads it on first access.
 
     Args:
         nanovdb: The grid's buffer: uint8, C-contiguous, starting at a 32-byte boundary, one grid, no file header.
@@ -38,13 +38,13 @@ class SparseVolume:
     nanovdb: NDArray[np.uint8]
     info: GridInfo
     _uploads: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
-    # Whether the buffer was checked, its nodes, its box, crossed blocks, volumes of channels.
+    # Holds whether the buffer was checked, its nodes, its box, crossed blocks, and volumes of channels.
     _cache: ClassVar[CacheAttribute] = CacheAttribute()
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            # Only asked for what is not there: the host buffer of a grid that was made on a device.
+            # Called only for missing attributes: the host buffer of a grid made on a device.
             if name != "nanovdb" or not self.__dict__.get("_uploads"):
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
             from geokit.volume.nanovdb.upload import download
@@ -53,13 +53,13 @@ class SparseVolume:
             return self.nanovdb
 
     def on(self, device: Any = None) -> "wp.Volume":
-        """The grid as a ``warp.Volume`` on ``device``, uploaded once and kept while this volume lives."""
+        """The grid as a ``warp.Volume`` on ``device``, uploaded once and cached while this volume lives."""
         from geokit.volume.nanovdb.upload import upload
 
         return upload(self, device)
 
     def id(self, device: Any = None) -> int:
-        """Handle for the user's own kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
+        """Handle of the grid for custom kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
         return int(self.on(device).id)
 
     def sample(
@@ -166,7 +166,7 @@ class SparseVolume:
 
 
 def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
-    """A volume whose grid is on a device, as kernels of geokit have made it; its host buffer comes when asked for.
+    """A volume whose grid a kernel has built on a device; its host buffer is downloaded on first access.
 
     Args:
         grid: The grid's bytes, uint8, on a GPU.

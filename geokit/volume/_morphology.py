@@ -1,4 +1,4 @@
-"""Offsets of level sets and the morphology that they make up; morphology of the active voxels of other grids."""
+"""Offsets and morphology of level sets, and morphology of the active voxels of other grids."""
 
 from __future__ import annotations
 
@@ -16,38 +16,40 @@ from geokit.volume.tree.leaves import require_volume
 
 __all__ = ["closing", "dilate", "erode", "offset", "opening", "renormalize"]
 
-# Farthest offset [voxels]: the band has to reach as far while it is computed, and memory goes with it.
+# Largest offset [voxels]: the band must reach that far during the computation, and memory grows with it.
 FARTHEST_OFFSET = 256.0
 NARROWEST_BAND = 1.0
 
 
 def renormalize(volume: SparseVolume, *, half_width: float | None = None, device: Any = None) -> SparseVolume:
-    """The same surface with signed distances around it: the slope is 1 again.
+    """Recompute signed distances around the same surface, so that the slope is 1 again.
 
-    For level sets whose values are no longer distances, such as sums, products, advected or blended fields. Corners of
-    the cells that the surface crosses are divided by the field's slope there, so that the surface stays; every other
-    voxel gets its distance from the piece of surface that the nearest of those stands for. The surface moves at most
-    0.005 voxel where the slope changes by less than 4 % a voxel along it, and not at all where it is 1 already.
-    Distances are right to 0.005 voxel around surfaces whose radius of curvature is at least 10 voxels and whose slope
-    is even, to 0.1 where it changes by 4 % a voxel; next to sharp edges they are up to 0.3 voxel off. Results are the
-    same on every device. Held by tests/volume/level_set/test_morphology.py.
+    Use it for level sets whose values are no longer distances, such as sums, products, advected or blended fields. The
+    corners of cells that the surface crosses are divided by the field's slope there, which keeps the surface in place.
+    Every other voxel gets its distance from the piece of surface that the nearest of those corners represents. The
+    surface moves at most 0.005 voxel where the slope changes by less than 4 % a voxel along it, and not at all where
+    the slope is already 1. Distances are right to 0.005 voxel around surfaces whose radius of curvature is at least 10
+    voxels and whose slope is even, and to 0.1 where it changes by 4 % a voxel; next to sharp edges they are up to 0.3
+    voxel off. Results are the same on every device.
 
-    Slopes up to half_width / 1.75 keep their surface; steeper fields are cut off, and it is no longer known. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    Fields with slopes up to half_width / 1.75 keep their surface. Steeper fields are cut off by the band, and their
+    surface is no longer known.
 
     Args:
         volume: Level set.
-        half_width: Width of the new band on each side [voxels], at least 1; that of the old one where None.
+        half_width: Width of the new band on each side [voxels], at least 1; None for the width of the old one.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Level set of the same type (float where that is quantised).
+        Level set of the same type (float if that is quantized).
     Raises:
-        InputError: No level set, voxels that are no cubes, or a half width below 1 or beyond 256.
-        UnsupportedGridError: Values that are not real numbers.
-        DeviceMemoryError: The band needs more memory than there is.
+        InputError: volume is not a level set, its voxels are not cubes, or the half width is below 1 or above 256.
+        UnsupportedGridError: Values are not real numbers.
+        DeviceMemoryError: The band does not fit into memory.
     Source:
         Closest features as in Danielsson, "Euclidean distance mapping" (1980). Differs: features are pieces of the
-        surface with a direction and a curvature instead of points.
+            surface with a direction and a curvature instead of points.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/accuracy/stability/test_envelopes.py
     """
     voxel_size = require_level_set(volume, "volume")
     width = half_width_of(volume, voxel_size) if half_width is None else _checked_half_width(half_width)
@@ -55,22 +57,23 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
 
 
 def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> SparseVolume:
-    """The surface at a signed distance from a level set's own: outside for positive, inside for negative ones.
+    """Move the surface of a level set by a signed distance: outwards if positive, inwards if negative.
 
-    Exact to 0.05 voxel where the radius of curvature is at least 8 voxels before and after: the surface is the level
-    set's own isosurface, and only beyond its band that of distances computed from it. All distances are then made new
-    from the new surface. A body that is thinner than twice the distance disappears. Held by
-    tests/volume/level_set/test_morphology.py and tests/accuracy/stability/test_envelopes.py.
+    The result is exact to 0.05 voxel where the radius of curvature is at least 8 voxels before and after. The new
+    surface is an isosurface of the level set itself; only beyond its band is it one of distances computed from it. All
+    distances are then recomputed from the new surface. A body thinner than twice the distance disappears.
 
     Args:
         volume: Level set.
-        distance: How far the surface moves [world], at most 256 voxels.
+        distance: Distance by which the surface moves [world], at most 256 voxels.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Level set of the same type, with a band of the same width.
     Raises:
-        InputError: No level set, voxels that are no cubes, or a distance that is not finite or too far.
-        UnsupportedGridError: Values that are not real numbers.
+        InputError: volume is not a level set, its voxels are not cubes, or the distance is not finite or too large.
+        UnsupportedGridError: Values are not real numbers.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/accuracy/stability/test_envelopes.py
     """
     voxel_size = require_level_set(volume, "volume")
     distance = require_finite_scalar(distance, "distance")
@@ -85,28 +88,30 @@ def dilate(
     neighbors: str = "faces",
     device: Any = None,
 ) -> SparseVolume:
-    """What a level set holds inside, or what is active in another grid, grown.
+    """Dilation: grow the inside of a level set by a distance, or the active region of another grid by voxels.
 
-    A level set grows by a distance, as by :func:`offset` outwards. Of other grids, fog for one, every voxel next to an
-    active one becomes active, ``voxels`` times; it keeps the value that the tree has there, that of an inactive voxel,
-    a tile or the background, also in a bool grid: what is turned on is the state, as with OpenVDB's
-    dilateActiveValues. Of a mask the state is the value. Active tiles become voxels (:func:`prune` makes tiles of
-    them). Held by tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py and
-    tests/volume/level_set/test_active_morphology_types.py.
+    A level set grows by ``distance``, as with :func:`offset` outwards. In other grids, such as fog, every voxel next to
+    an active one becomes active, ``voxels`` times. It keeps its value in the tree, which is that of an inactive voxel,
+    a tile or the background, in bool grids too: the state is turned on, not the value, as with OpenVDB's
+    dilateActiveValues. In a mask the state is the value. Active tiles become voxels (:func:`prune` makes tiles of
+    them).
 
     Args:
         volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
-        distance: Of a level set's surface [world], not negative.
-        voxels: Steps, at most 1024; not for level sets.
-        neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
+        distance: Distance by which a level set's surface moves [world], not negative.
+        voxels: Number of steps, at most 1024; not for level sets.
+        neighbors: Neighbors of a voxel in a step: across its "faces" (6), also "edges" (18), or also "vertices" (26).
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Grid of the same type, class and background (float where that is quantised).
+        Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
-            otherwise as of :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
-        DeviceMemoryError: The result needs more memory than there is.
+        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
+            otherwise as for :func:`offset`.
+        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
+        DeviceMemoryError: The result does not fit into memory.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
+        tests/volume/level_set/test_active_morphology_types.py
     """
     return _changed(volume, distance, voxels, neighbors, (1,), device)
 
@@ -119,26 +124,28 @@ def erode(
     neighbors: str = "faces",
     device: Any = None,
 ) -> SparseVolume:
-    """What a level set holds inside, or what is active in another grid, shrunk.
+    """Erosion: shrink the inside of a level set by a distance, or the active region of another grid by voxels.
 
-    A level set shrinks by a distance, as by :func:`offset` inwards, and has no surface where nothing is left. Of other
-    grids every active voxel next to an inactive one becomes inactive background, ``voxels`` times; inactive voxels
-    keep their values. Held by tests/volume/level_set/test_morphology.py,
-    tests/volume/level_set/test_active_morphology.py and tests/volume/level_set/test_active_morphology_types.py.
+    A level set shrinks by ``distance``, as with :func:`offset` inwards, and has no surface if nothing is left. In other
+    grids every active voxel next to an inactive one becomes inactive background, ``voxels`` times; inactive voxels keep
+    their values.
 
     Args:
         volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
-        distance: Of a level set's surface [world], not negative.
-        voxels: Steps, at most 1024; not for level sets.
-        neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
+        distance: Distance by which a level set's surface moves [world], not negative.
+        voxels: Number of steps, at most 1024; not for level sets.
+        neighbors: Neighbors of a voxel in a step: across its "faces" (6), also "edges" (18), or also "vertices" (26).
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Grid of the same type, class and background (float where that is quantised).
+        Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
-            otherwise as of :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
-        DeviceMemoryError: The result needs more memory than there is.
+        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
+            otherwise as for :func:`offset`.
+        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
+        DeviceMemoryError: The result does not fit into memory.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
+        tests/volume/level_set/test_active_morphology_types.py
     """
     return _changed(volume, distance, voxels, neighbors, (-1,), device)
 
@@ -151,26 +158,27 @@ def opening(
     neighbors: str = "faces",
     device: Any = None,
 ) -> SparseVolume:
-    """Eroded, then dilated: thin parts go.
+    """Opening: erosion followed by dilation. Removes parts thinner than twice the distance.
 
-    Of a level set parts thinner than twice the distance, and outer edges are rounded. Of other grids active parts in
-    which the neighbourhood of ``voxels`` steps does not fit; what stays active keeps its values.
-    Held by tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py and
-    tests/volume/level_set/test_active_morphology_types.py.
+    In a level set, outer edges are rounded too. Other grids lose active parts in which the neighborhood of ``voxels``
+    steps does not fit; voxels that stay active keep their values.
 
     Args:
         volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
-        distance: Radius of the ball that has to fit inside [world], not negative.
-        voxels: Steps, at most 1024; not for level sets.
-        neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
+        distance: Radius of the ball that must fit inside a level set [world], not negative.
+        voxels: Number of steps, at most 1024; not for level sets.
+        neighbors: Neighbors of a voxel in a step: across its "faces" (6), also "edges" (18), or also "vertices" (26).
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Grid of the same type, class and background (float where that is quantised).
+        Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
-            otherwise as of :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
-        DeviceMemoryError: The result needs more memory than there is.
+        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
+            otherwise as for :func:`offset`.
+        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
+        DeviceMemoryError: The result does not fit into memory.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
+        tests/volume/level_set/test_active_morphology_types.py
     """
     return _changed(volume, distance, voxels, neighbors, (-1, 1), device)
 
@@ -183,26 +191,28 @@ def closing(
     neighbors: str = "faces",
     device: Any = None,
 ) -> SparseVolume:
-    """Dilated, then eroded: gaps close.
+    """Closing: dilation followed by erosion. Fills gaps and holes narrower than twice the distance.
 
-    Of a level set gaps and holes narrower than twice the distance, and inner edges are rounded. Of other grids gaps
-    between active voxels in which the neighbourhood of ``voxels`` steps does not fit; what becomes active keeps the
-    value that it had, and so does what stays as it was. Held by tests/volume/level_set/test_morphology.py,
-    tests/volume/level_set/test_active_morphology.py and tests/volume/level_set/test_active_morphology_types.py.
+    In a level set, inner edges are rounded too. Other grids have gaps between active voxels filled in which the
+    neighborhood of ``voxels`` steps does not fit. Voxels that become active keep their previous values, and so do all
+    others.
 
     Args:
         volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
-        distance: Radius of the ball that has to fit outside [world], not negative.
-        voxels: Steps, at most 1024; not for level sets.
-        neighbors: Of a voxel in a step: those across its "faces" (6), also "edges" (18), or also "vertices" (26).
+        distance: Radius of the ball that must fit outside a level set [world], not negative.
+        voxels: Number of steps, at most 1024; not for level sets.
+        neighbors: Neighbors of a voxel in a step: across its "faces" (6), also "edges" (18), or also "vertices" (26).
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Grid of the same type, class and background (float where that is quantised).
+        Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels, a negative one, or one that the grid does not take;
-            otherwise as of :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance`` one whose values are not real.
-        DeviceMemoryError: The result needs more memory than there is.
+        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
+            otherwise as for :func:`offset`.
+        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
+        DeviceMemoryError: The result does not fit into memory.
+
+    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
+        tests/volume/level_set/test_active_morphology_types.py
     """
     return _changed(volume, distance, voxels, neighbors, (1, -1), device)
 
@@ -230,7 +240,7 @@ def _changed(
 
 def _offset(volume: SparseVolume, voxel_size: float, voxels: float, device: Any) -> SparseVolume:
     half_width = half_width_of(volume, voxel_size)
-    # The cells that the new surface crosses must be inside the band, corners and all.
+    # The band must contain every cell that the new surface crosses, with all its corners.
     needed = abs(voxels) + 2.0
     wide = with_band(volume, voxel_size, needed, device=device) if needed > half_width else volume
     return redistance(wide, voxel_size, half_width, isovalue=voxels, device=device)

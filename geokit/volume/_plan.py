@@ -1,4 +1,4 @@
-"""What a distance field within a tolerance would cost, before one is made."""
+"""Prediction of the settings and the cost of a distance field with a tolerance, before it is made."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
 
 __all__ = ["PlannedField", "plan"]
 
-# Leaves of the small band whose making is timed.
+# Leaves of the small band that is built to measure the time.
 TIMED_LEAVES = 2000.0
-# A field of no more leaves than these is made and checked, as from_mesh would: a second or two.
+# A field of at most this many leaves is built and checked, as in from_mesh: that takes a second or two.
 CHECKED_LEAVES = 20_000.0
 
 
 class PlannedField(NamedTuple):
-    """A setting of :func:`geokit.volume.from_mesh` that keeps a tolerance, and what it should cost.
+    """A setting of :func:`geokit.volume.from_mesh` that keeps a tolerance, with its predicted cost.
 
     Attributes:
         order: Order of interpolation, 1, 2 or 3.
-        codec: How the values are stored.
+        codec: Codec of the values.
         voxel_size: Edge length of a voxel [world].
         half_width: Width of the band on either side of the surface [voxels].
-        error: Largest error of the interpolated distance that is foreseen [world].
-        byte_count: Size of the grid that is foreseen.
-        seconds: Time to make it that is foreseen [s], without the search.
+        error: Predicted largest error of the interpolated distance [world].
+        byte_count: Predicted size of the grid in bytes.
+        seconds: Predicted time to build it [s], without the search.
     """
 
     order: int
@@ -55,35 +55,37 @@ def plan(
     codec: str | None = None,
     device: Any = None,
 ) -> list[PlannedField]:
-    """The settings with which a mesh's distance field keeps a tolerance, the one that ``from_mesh`` would take first.
+    """List settings with which a mesh's distance field keeps a tolerance; ``from_mesh`` tries the first one first.
 
-    One for each order and codec that can compete; others would need more memory than the best however they are set. No
-    error is above the tolerance. The first is made and checked where it has no more than 20,000 leaves; else it is
-    foreseen, as the others are, and a check may still lead ``from_mesh`` to another one near it. The memory is that of
-    the grid to a quarter (tests/volume/tolerance/test_from_mesh.py); the time is that of a small band of the same mesh,
-    by the number of leaves.
+    There is one setting for each order and codec that can compete; all others need more memory than the best, whatever
+    their other settings. No error is above the tolerance. If the first setting has no more than 20,000 leaves, it is
+    built and checked. Otherwise it is predicted like the others, and a check may still lead ``from_mesh`` to another
+    one near it. The memory is that of the grid to a quarter. The time is extrapolated from a small band of the same
+    mesh by the number of leaves.
 
     Args:
         mesh: Triangles, or a Surface of them.
         tolerance: Largest error of the interpolated distance [world].
-        within: How far from the surface the tolerance holds [world]; the others as well are as :func:`from_mesh` has
-            them.
+        within: Distance from the surface up to which the tolerance holds [world]; None as for :func:`from_mesh`.
         order: Order of interpolation; None for all.
         half_width: Width of the band [voxels]; None for as little as interpolation needs.
-        sign: How inside is told from outside.
+        sign: Method that tells inside from outside, as for :func:`from_mesh`.
         thickness: Thickness [world] of a solid shell around the surface.
-        codec: How to store the values; None for all.
+        codec: Codec of the values; None for all.
         device: Where to compute.
     Returns:
-        The settings, the least memory first; of equal memory (to 5 %) the quickest to read.
+        The settings, least memory first; of equal memory (to 5 %) the fastest to read.
     Raises:
-        InputError: An argument out of range, or no setting keeps the tolerance; the message says which could be kept.
-        DeviceMemoryError: No setting that fits into memory does.
+        InputError: An argument is out of range, or no setting keeps the tolerance; the message names one that can be
+            kept.
+        DeviceMemoryError: No setting that keeps the tolerance fits into memory.
     Example:
         >>> torus = gk.mesh.load("data/samples/torus.ply")
         >>> best = gk.volume.plan(torus, 0.01, device="cpu")[0]
         >>> best.error <= 0.01, best.byte_count < 1_000_000
         (True, True)
+
+    Held by: tests/volume/tolerance/test_from_mesh.py
     """
     search = tolerance_search(
         mesh,
@@ -121,7 +123,7 @@ def plan(
 
 
 def _best_of_each(search: Search) -> list[Setting]:
-    """Of the settings that differ only in how much of the tolerance the codec may take, the best."""
+    """The best of each group of settings that differ only in the codec's share of the tolerance."""
     found: dict[tuple[int, str], Setting] = {}
     for setting in quickest(search.settings()):
         found.setdefault((setting.option.order, setting.option.codec), setting)
@@ -129,7 +131,7 @@ def _best_of_each(search: Search) -> list[Setting]:
 
 
 def _seconds_per_leaf(search: Search, setting: Setting) -> float:
-    """Of making a band like this one, from a small one: the first call also loads the kernels."""
+    """Time per leaf of a band like this one, measured on a small one; the first call also loads the kernels."""
     coarser = max(1.0, setting.counts.leaves / TIMED_LEAVES) ** 0.5
     small = setting._replace(voxel_size=setting.voxel_size * coarser)
     for _ in range(2):

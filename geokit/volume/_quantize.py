@@ -1,4 +1,4 @@
-"""Quantised grids: 1 to 16 bits a voxel instead of 32, with a known error."""
+"""Quantized grids: 1 to 16 bits a voxel instead of 32, with a known error."""
 
 from __future__ import annotations
 
@@ -21,45 +21,44 @@ __all__ = ["quantize"]
 
 CODECS = ("float", *QUANTIZED)
 SOURCES = ("float", "double", *QUANTIZED)
-# What the kernels say where the values of a leaf span more than float32 holds is larger.
+# Kernels report a larger value than this if the span of a leaf's values exceeds float32.
 LARGEST_ERROR = 2.0 * float(np.finfo(np.float32).max)
-# Classes that NanoVDB allows for float grids but not for quantised ones.
-UNQUANTISED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
+# Classes that NanoVDB allows for float grids but not for quantized ones.
+UNQUANTIZED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
 
 
 def quantize(
     volume: SparseVolume, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
 ) -> SparseVolume:
-    """A volume with fewer bits a voxel, or with the float values of such a volume.
+    """Quantize a volume to fewer bits a voxel, or convert a quantized volume back to float.
 
-    Every leaf of 8^3 voxels is stored as codes between its smallest and its largest value, active or not: 4 ("fp4"), 8
-    ("fp8") or 16 ("fp16") bits for all leaves, or as many of 1, 2, 4, 8, 16 as each leaf needs ("fpn"). Tiles,
-    background, active states and transform stay as they are. A leaf's error is at most half a step,
-    ``range / (2 (2^bits - 1))``, a whole one with dithering, plus the rounding of float32.
+    Every leaf of 8^3 voxels is stored as codes between the smallest and the largest of its values, active or not: 4
+    ("fp4"), 8 ("fp8") or 16 ("fp16") bits for all leaves, or as many of 1, 2, 4, 8, 16 as each leaf needs ("fpn").
+    Tiles, background, active states and transform do not change. The error in a leaf is at most half a step, ``range /
+    (2 (2^bits - 1))``, or a whole step with dithering, plus the rounding of float32.
 
-    ``metadata["geokit:achieved_error"]`` is the largest change of any voxel, measured, whichever way a reader rounds.
-    It is added to the error that the metadata knows of already, and so is the tolerance. Trilinear interpolation takes
-    means: between the voxels ``sample`` is off by no more (and the roundings of its own). Gradients are off by up to
-    twice the error per voxel size. Held by tests/volume/tree/test_quantize.py,
-    tests/volume/tree/test_quantize_property.py and tests/volume/tree/test_quantize_stability.py.
+    ``metadata["geokit:achieved_error"]`` is the largest measured change of any voxel, for either way in which readers
+    round. It is added to the error that the metadata already holds; the tolerance is added likewise. Trilinear
+    interpolation is a weighted mean, so between voxels ``sample`` is off by no more (apart from its own roundings).
+    Gradients are off by up to twice the error per voxel size.
 
-    Of a level set a codec is off by at most half_width / (2^bits - 1), whatever the curvature: up to a radius of 2
-    (fp4), 16 (fp8) and 4096 (fp16) voxels, sampling at order 1 is then off by at most three times the 0.25 voxel^2 /
-    radius that it is off by anyway (half width 3). Held by tests/accuracy/stability/test_envelopes.py.
+    In a level set the error of a codec is at most half_width / (2^bits - 1), whatever the curvature. Up to a radius of
+    2 (fp4), 16 (fp8) and 4096 (fp16) voxels, sampling at order 1 is then off by at most three times the 0.25 voxel^2 /
+    radius by which it is off without quantization (half width 3).
 
     Args:
         volume: A grid of type float, double, fp4, fp8, fp16 or fpn.
-        codec: "fp4", "fp8", "fp16", "fpn", or "float" for 32-bit floats; None for the smallest that keeps the
-            tolerance (of two that are equally small, the one that is quicker to read).
-        tolerance: Largest change of a voxel [value units]; "fpn" and None need it.
-        dither: Let neighbouring voxels round differently, so that means over some voxels keep more of the values than
-            one voxel shows; the error of a voxel doubles.
+        codec: "fp4", "fp8", "fp16", "fpn", or "float" for 32-bit floats; None for the smallest that keeps the tolerance
+            (of two equally small ones, the one that is faster to read).
+        tolerance: Largest change of a voxel [value units]; required for "fpn" and None.
+        dither: Round neighboring voxels differently, so that means over some voxels are more exact than a single voxel;
+            the error of a voxel doubles.
     Returns:
-        SparseVolume of the codec's type; codes are the same bit for bit as NanoVDB's own without dithering.
+        SparseVolume of the codec's type. Without dithering the codes are bit for bit those of NanoVDB.
     Raises:
-        InputError: The codec or tolerance cannot be used, the codec does not keep the tolerance (the message says which
-            error it reaches), or the grid holds values that are not finite.
-        UnsupportedGridError: The grid is of another type, or of a class that NanoVDB does not quantise.
+        InputError: The codec or tolerance is invalid, the codec does not keep the tolerance (the message states the
+            error that it reaches), or the grid holds values that are not finite.
+        UnsupportedGridError: The grid has another type, or a class that NanoVDB does not quantize.
     Source:
         NanoVDB (Museth 2021), GridBuilder.h. Differs: the error is measured.
     Example:
@@ -68,6 +67,9 @@ def quantize(
         >>> small = quantize(torus, tolerance=1e-3)
         >>> small.info.grid_type, small.info.metadata["geokit:achieved_error"] <= 1e-3
         ('fpn', True)
+
+    Held by: tests/volume/tree/test_quantize.py, tests/volume/tree/test_quantize_property.py,
+        tests/volume/tree/test_quantize_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     tolerance = _checked(volume, codec, tolerance)
     check_volume(volume)
@@ -80,7 +82,7 @@ def quantize(
             codec = _smallest(bits)
     else:
         bits = np.full(reader.count, FIXED_BITS.get(codec, 32), np.uint8)
-    # Leaves of 32 bits have a header of the same size.
+    # Leaves with 32 bits a voxel have a header of the same size.
     retyped = retype_tree(volume.nanovdb, GRID_TYPES.index(codec), HEADER + 64 * bits.astype(np.int64))
     error = write_floats(reader, retyped) if codec == "float" else write_codes(reader, retyped, bits, rounding)
     achieved = max(error, _tile_error(volume))
@@ -108,17 +110,17 @@ def _checked(volume: SparseVolume, codec: str | None, tolerance: float | None) -
     if volume.info.grid_type not in SOURCES:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} is of type {volume.info.grid_type}; only {', '.join(SOURCES)} can be "
-            "quantised"
+            "quantized"
         )
-    if codec != "float" and volume.info.grid_class in UNQUANTISED_CLASSES:
+    if codec != "float" and volume.info.grid_class in UNQUANTIZED_CLASSES:
         raise UnsupportedGridError(
-            f"volume: NanoVDB has no quantised grids of class {volume.info.grid_class!r}; use codec 'float'"
+            f"volume: NanoVDB has no quantized grids of class {volume.info.grid_class!r}; use codec 'float'"
         )
     return tolerance
 
 
 def _smallest(bits: NDArray[np.uint8]) -> str:
-    # Leaves of one width take as much room in a fixed codec, which finds them without a look at each.
+    # If all leaves have one width, a fixed codec is as small, and its readers find a leaf without reading the others.
     for codec, width in FIXED_BITS.items():
         if (bits == width).all():
             return codec
@@ -126,7 +128,7 @@ def _smallest(bits: NDArray[np.uint8]) -> str:
 
 
 def _tile_error(volume: SparseVolume) -> float:
-    """What tiles and background lose: nothing unless they are of double precision."""
+    """Largest rounding error of tiles and background: 0 unless they are of double precision."""
     if volume.info.grid_type != "double":
         return 0.0
     values = tile_values(volume.nanovdb)

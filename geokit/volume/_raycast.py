@@ -1,4 +1,4 @@
-"""Where rays meet a level of a sparse volume."""
+"""Intersection of rays with an isosurface of a sparse volume."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
 
 __all__ = ["VolumeHits", "raycast"]
 
-# Fewest packets of rays worth a thread of their own.
+# Fewest packets of rays that are worth a thread of their own.
 GRAIN = 32
 
 
 class VolumeHits(NamedTuple):
-    """t (N,) in units of the ray's direction, points (N, 3) and normals (N, 3) [world].
+    """Result of :func:`raycast`: t (N,) in units of the ray's direction, points (N, 3) and normals (N, 3) [world].
 
     A miss has t inf and NaN elsewhere.
     """
@@ -40,50 +40,51 @@ def raycast(
     max_distance: float = math.inf,
     device: Any = None,
 ) -> VolumeHits:
-    """First place on each ray where the volume's value is the isovalue, from either side.
+    """First point on each ray where the volume's value equals the isovalue, from either side.
 
-    The value is the trilinear interpolant, that of ``sample`` of order 1: inactive voxels and tiles count with their
-    values, and beyond the stored voxels lies the background. A ray that starts at the isovalue, or in a region that has
-    it everywhere, hits at ``t_min``; one that touches the isovalue without crossing it hits where the touch is exact.
+    The value is the trilinear interpolant, that of ``sample`` at order 1: inactive voxels and tiles count with their
+    values, and beyond the stored voxels lies the background. A ray that starts at the isovalue, or in a region of that
+    constant value, hits at ``t_min``. A ray that touches the isovalue without crossing it hits if the touch is exact.
 
-    Nothing is stepped over: in each cell of eight voxels the interpolant is a cubic along the ray, which is cut where
-    its derivative vanishes, and a piece whose ends lie on both sides of the isovalue is bracketed to the last bits. All
-    is float64. t is off by a few times 2^-53 of the largest coordinate that takes part, and by what that many roundings
-    of the voxels move the crossing; where a ray misses or touches within those roundings, either may be reported.
-    Held by tests/volume/rays/test_raycast.py, tests/volume/rays/test_rays_property.py and
-    tests/volume/rays/test_rays_stability.py.
+    No crossing is stepped over. In each cell of eight voxels the interpolant is a cubic along the ray. The cubic is
+    divided where its derivative vanishes, and a piece whose ends lie on both sides of the isovalue is bracketed to the
+    last bits. All arithmetic is float64. t is off by a few times 2^-53 of the largest coordinate involved, plus the
+    shift of the crossing that as many roundings of the voxels cause. Where a ray misses or touches within those
+    roundings, either may be reported.
 
     No slope makes rays miss. The surface found is the field's own where its slope is at most half_width / 1.75
-    (distance fields: a half width of 1.75); steeper fields are cut off, and it is up to half a voxel off. Rays that
-    would be less than 0.375 voxel^2 over the radius of curvature below the surface may pass. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    (distance fields: a half width of 1.75). Steeper fields are cut off by the band, and the surface is up to half a
+    voxel off. Rays that would be less than 0.375 voxel^2 over the radius of curvature below the surface may pass.
 
     Args:
         volume: A grid of one component, of any type, with any transform.
-        origins: Where rays start [world], shape (N, 3).
-        directions: Their directions, of any length, shape (N, 3).
-        isovalue: The value to look for.
-        t_min: Crossings nearer than this are passed over, in units of the direction.
+        origins: Start points of the rays [world], shape (N, 3).
+        directions: Directions of the rays, of any length, shape (N, 3).
+        isovalue: The value to find.
+        t_min: Crossings nearer than this are ignored, in units of the direction.
         max_distance: Length of the rays [world]; farther crossings are misses.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         VolumeHits in the container of ``origins``: t (N,) in units of the direction, points (N, 3), and normals (N, 3):
-        unit gradients of the interpolant, towards larger values, of the cell in which the ray met the isovalue; zero
-        where it is constant.
+            unit gradients of the interpolant, towards larger values, in the cell of the hit; zero where the interpolant
+            is constant. A miss has t inf and NaN elsewhere.
     Raises:
         InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, the isovalue is not
             finite, t_min is negative or not finite, or max_distance is negative or not a number.
         UnsupportedGridError: The grid has several components, or stores indices or points.
     Source:
         Marmitt et al., "Fast and Accurate Ray-Voxel Intersection Techniques for Iso-Surface Ray Tracing" (VMV 2004),
-        for the cubic and where it is cut; Museth, "Hierarchical Digital Differential Analyzer" (SIGGRAPH Talks 2014),
-        for the walk. Differs: float64, cells that span leaves, and a side of the isovalue that is carried from cell to
-        cell.
+            for the cubic and its division; Museth, "Hierarchical Digital Differential Analyzer" (SIGGRAPH Talks 2014),
+            for the traversal. Differs: float64, cells that span leaves, and the side of the isovalue is carried from
+            cell to cell.
     Example:
         >>> from geokit.volume import load
         >>> hits = raycast(load("data/samples/torus.vdb"), [[3.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]], device="cpu")
         >>> hits.normals.shape
         (1, 3)
+
+    Held by: tests/volume/rays/test_raycast.py, tests/volume/rays/test_rays_property.py,
+        tests/volume/rays/test_rays_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -121,11 +122,13 @@ def raycast(
 
 
 def _neighbors(level: float) -> tuple[float, float]:
-    """The largest float32 that is not above ``level``, and the smallest that is not below: voxels are compared with
-    them instead, in their own type."""
+    """The largest float32 not above ``level``, and the smallest not below it.
+
+    Voxels are compared with these in their own type.
+    """
     with np.errstate(over="ignore"):
         near = np.float32(level)
-    # NumPy would round a number of Python's to float32 before it compares.
+    # NumPy would round a Python float to float32 before the comparison.
     below = near if float(near) <= level else np.nextafter(near, np.float32(-np.inf))
     above = near if float(near) >= level else np.nextafter(near, np.float32(np.inf))
     return float(below), float(above)

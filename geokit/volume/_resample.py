@@ -1,4 +1,4 @@
-"""Volumes on other voxels."""
+"""Resampling of volumes to another voxel size or transform."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from geokit.volume.level_set.operands import half_width_of, require_level_set, w
 from geokit.volume.nanovdb.header import voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.sampling.resample_leaves import filled_leaves, target_leaves, way_between
 from geokit.volume.sampling.space import query_inputs
 from geokit.volume.tree.leaves import (
     CUBE_TOLERANCE,
-    QUANTISED,
     Leaves,
     assemble,
     is_cubic,
@@ -36,11 +36,11 @@ from geokit.volume.tree.typed_writer import rebuilt
 __all__ = ["resample"]
 
 TYPES = ("float", "double", "vec3f", "vec3d")
-# A target leaf while it is made: values and masks, their copy in the order of the nodes and that in the buffer.
+# Memory of a target leaf during construction: values and masks, their copy in node order, and that in the buffer.
 BYTES_PER_LEAF = 3 * 2144
-# Source voxels that a level set's band is known beyond the band of the target: the trilinear stencil's reach.
+# Source voxels by which a level set's band must exceed that of the target: the reach of the trilinear stencil.
 STENCIL = 2.0
-# Widest band [source voxels] that is computed to fill a coarser target's.
+# Widest band [source voxels] that is computed to fill the band of a coarser target.
 WIDEST_BAND = 512.0
 
 
@@ -52,37 +52,39 @@ def resample(
     order: int = 1,
     device: Any = None,
 ) -> SparseVolume:
-    """The volume on voxels of another size, or under another transform.
+    """Resample a volume to voxels of another size, or to another transform.
 
-    A voxel's value is the volume's sample at its centre (:func:`geokit.volume.sample`, in float64, rounded once); a
-    linear field is reproduced to that rounding inside the active region. A voxel is active where the nearest voxel of
+    The value of a voxel is the volume's sample at its center (:func:`geokit.volume.sample`, in float64, rounded once);
+    inside the active region a linear field is reproduced to that rounding. A voxel is active if the nearest voxel of
     the source is; all others get the background. Level sets keep the width of their band in voxels: their background
-    follows the voxel size, values are distances [world] as before, and where the new band is wider than the old one,
+    follows the voxel size and their values stay distances [world]. Where the new band is wider than the old one,
     distances are first computed beyond the old one (:func:`geokit.volume.renormalize`), which needs cubic source
-    voxels. Held by tests/volume/sampling/test_resample.py.
+    voxels.
 
-    Labels, masks, integers and all other types that are not interpolated take order 0: the value of the nearest voxel
-    as it is stored, halves up in index space. Held by tests/volume/sampling/test_resample_nearest.py.
+    Labels, masks, integers and all other types that are not interpolated require order 0: the stored value of the
+    nearest voxel, halves rounded up in index space. Needs no OpenVDB.
 
     Args:
-        volume: Float, double, vec3f or vec3d grid; quantised ones become float. With order 0 any that holds values.
-            The components of vectors are not turned with the voxels.
-        voxel_size: New edge length [world]; voxels become cubes, along the same axes where these are orthogonal, else
-            along the world's. The centre of voxel (0, 0, 0) stays.
-        transform: Instead: index to world, shape (4, 4).
-        order: Of interpolation, as of ``sample``.
+        volume: Float, double, vec3f or vec3d grid; quantized ones become float. With order 0, any grid that holds
+            values. The components of vectors are not rotated with the voxels.
+        voxel_size: New edge length [world]. Voxels become cubes, along the same axes if these are orthogonal, else
+            along the world's. The center of voxel (0, 0, 0) stays in place.
+        transform: Alternative to ``voxel_size``: index to world, shape (4, 4).
+        order: Order of interpolation, as for ``sample``.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
-        InputError: Not exactly one of voxel_size and transform, one that no grid can have, an unknown order, or voxels
-            too many to be counted.
-        UnsupportedGridError: A grid of another type; of one that is not interpolated, and the order is not 0.
-        DeviceMemoryError: The result needs more memory than there is.
+        InputError: Not exactly one of voxel_size and transform is given, no grid can have it, the order is unknown, or
+            there are too many voxels to be numbered.
+        UnsupportedGridError: The grid holds no values, or its type is not interpolated and the order is not 0.
+        DeviceMemoryError: The result does not fit into memory.
+
+    Held by: tests/volume/sampling/test_resample.py, tests/volume/sampling/test_resample_nearest.py
     """
     require_volume(volume, "volume")
     order, grid_type = require_order(order), volume.info.grid_type
-    interpolated = grid_type in (*TYPES, *QUANTISED)
+    interpolated = grid_type in (*TYPES, *QUANTIZED)
     if order > 0 and not interpolated and grid_type in VALUE_TYPES:
         raise UnsupportedGridError(
             f"volume: grid {volume.info.name!r} is of type {grid_type}, and only {', '.join(TYPES)} grids are "
@@ -127,7 +129,7 @@ def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
     old = float(np.cbrt(np.prod(volume.info.voxel_size)))
     new = float(np.cbrt(np.prod(voxel_size_of(transform))))
     if not is_cubic(volume.info.transform):
-        # Distances beyond the band need cubes: what is missing is computed on the target's, if these are.
+        # Distances beyond the band need cubes: those missing are computed on the target's voxels if these are cubes.
         half_width = float(volume.info.background) / old
         known = min(half_width * new, float(volume.info.background))
         return _Band(volume, known, half_width, known < half_width * new and is_cubic(transform))
@@ -135,7 +137,7 @@ def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
     half_width = half_width_of(volume, old)
     background = half_width * new
     needed = background / old + STENCIL
-    # Also for equal voxels: at the end of the band the stencil would take the background for a distance.
+    # Also for equal voxels: at the end of the band the stencil would read the background as a distance.
     if needed > half_width:
         if needed > WIDEST_BAND:
             raise InputError(
@@ -147,7 +149,7 @@ def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
 
 
 def _scaled(transform: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """Cubes of another size that share the centre of voxel (0, 0, 0)."""
+    """Cubes of another size that share the center of voxel (0, 0, 0)."""
     target = np.array(transform)
     axes = transform[:3, :3] / voxel_size_of(transform)
     is_orthogonal = np.allclose(axes.T @ axes, np.eye(3), rtol=0.0, atol=CUBE_TOLERANCE)
@@ -164,7 +166,7 @@ def _sampled(
     band: float | None,
     device: Any,
 ) -> SparseVolume:
-    """Sample ``source`` at the voxels of another transform; of level sets only within ``band`` of the surface."""
+    """Sample ``source`` at the voxels of another transform; level sets only within ``band`` of the surface."""
     from geokit.volume._active import active_at
     from geokit.volume._sample import sample
 
@@ -194,11 +196,11 @@ def _sampled(
 
 
 def _resampled_nearest(volume: SparseVolume, transform: NDArray[np.float64], device: Any) -> SparseVolume:
-    """A volume of one of VALUE_TYPES under another transform: type, name, class, background and metadata stay.
+    """Resample a volume of one of VALUE_TYPES by nearest voxel; type, name, class, background and metadata stay.
 
     Raises:
         InputError: Indices of the result exceed int32.
-        DeviceMemoryError: The result, or the voxels in the volume's tiles, take more memory than there is.
+        DeviceMemoryError: The result, or the voxels in the volume's tiles, do not fit into memory.
     """
     tree = tree_of(volume)
     layout, background = tree.layout, tree.background
@@ -209,7 +211,7 @@ def _resampled_nearest(volume: SparseVolume, transform: NDArray[np.float64], dev
     linear, shift = way_between(transform, volume.info.transform)
 
     def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        # From index to index: by way of the world what is half a voxel away would be rounded to either side.
+        # Directly from index to index: a detour through world space would round exact halves to either side.
         points = voxels @ linear.T + shift
         active = np.asarray(active_at(volume, points, space="index", device=device))
         values = _values_at(volume, points, device).astype(layout.background.base)

@@ -1,4 +1,4 @@
-"""Values and gradients of a sparse volume at any world points."""
+"""Values and gradients of a sparse volume at arbitrary world points."""
 
 from __future__ import annotations
 
@@ -31,48 +31,42 @@ def sample(
     channel: int | str | None = None,
     device: Any = None,
 ) -> Any:
-    """Value of a volume at each point.
+    """Interpolate a volume at each point.
 
-    Order 0 takes the voxel whose centre is nearest (halves round up in index space), order 1 interpolates the eight
-    voxels around the point trilinearly. Order 2 is triquadratic: along each index axis the parabola through the voxel
-    below the point and its two neighbours, as of OpenVDB's and NanoVDB's quadratic samplers; 27 voxels, continuous, and
-    not the same if an axis is reversed. Order 3 is tricubic: Catmull-Rom splines, as of NanoVDB's tricubic sampler; 64
-    voxels and a continuous gradient. On a smooth field the error of order 1 shrinks with the square of the voxel size,
-    that of orders 2 and 3 with its cube (at most 0.065 and 0.047 times the third derivative, for each axis; order 3 by
-    0.016 of it where it hardly changes within four voxels): they reproduce quadratic fields, and can overshoot the
-    voxels' range by up to half of it.
+    Order 0 takes the voxel with the nearest center (halves round up in index space). Order 1 interpolates the eight
+    voxels around the point trilinearly. Order 2 is triquadratic: 27 voxels, continuous, and not symmetric under
+    reversal of an axis. Order 3 is tricubic (Catmull-Rom): 64 voxels and a continuous gradient. On a smooth field the
+    error shrinks with the square of the voxel size at order 1 and with its cube at orders 2 and 3, which reproduce
+    quadratic fields and can overshoot the range of the voxels by up to half of it.
 
-    Every voxel counts with the tree's own value: outside the active voxels that is the tile's value or the background.
-    Of a narrow band of half width w, order 1 sees nothing else up to about w - 1 voxels from the surface, orders 2 and
-    3 next to nothing up to w - 2.5. Points whose index coordinates lie beyond int32, or within two voxels of its ends,
-    get the background. In a staggered grid (three components) each component is taken where it is stored: at the centre
-    of the voxel's face towards smaller indices along its own axis.
+    Every voxel counts with its value in the tree; outside the active voxels that is the tile's value or the background.
+    Points whose index coordinates lie beyond int32, or within two voxels of its ends, get the background. A staggered
+    grid (three components) has each component sampled at its own location: the center of the voxel's face towards
+    smaller indices along the component's axis.
 
-    All arithmetic is float64. World to index is ``inverse(linear) @ (point - translation)``: the position is off by a
-    few times 2^-53 of the largest coordinate that takes part, and a linear field is reproduced to a few times 2^-53 of
-    its values plus that (orders 2 and 3: some tens). Where all voxels are equal the result is their value exactly.
-    int64 voxels beyond 2^53 are rounded to float64. A voxel that is not finite spoils the samples that it takes part
-    in. Held by tests/volume/sampling/test_sample.py, tests/volume/sampling/test_orders.py,
-    tests/volume/sampling/test_staggered.py, tests/volume/sampling/test_sample_property.py,
-    tests/volume/sampling/test_orders_property.py and tests/volume/sampling/test_sample_stability.py.
+    All arithmetic is float64. The index position is off by a few times 2^-53 of the largest coordinate involved. A
+    linear field is reproduced to a few times 2^-53 of its values (orders 2 and 3: some tens) plus the effect of that.
+    Where all voxels are equal the result is exactly their value. int64 voxels beyond 2^53 are rounded to float64. A
+    voxel that is not finite spoils all samples that use it. docs/design/sampling.md derives the errors, also near the
+    end of a narrow band.
 
-    Waves of amplitude 1 are off by at most 1 % from a length of 24 (order 1), 12 (2) and 12 (3) voxels on; order 0 by
-    10 % from 64 on. Up to 1e9 voxels from the origin values are those of a place at most 2e-6 voxel away. Held by
-    tests/accuracy/stability/test_envelopes.py.
+    Waves of amplitude 1 are off by at most 1 % from a length of 24 (order 1), 12 (order 2) and 12 voxels (order 3) on,
+    at order 0 by 10 % from 64 on. Up to 1e9 voxels from the origin, values are those of a place at most 2e-6 voxel
+    away.
 
     Args:
         volume: Any scalar or vector grid, or an index grid with channels.
         points: Query points [world], shape (N, 3).
-        order: 0, 1, 2 or 3; None for the one that the volume was made for (``info.order``), else 1.
-        space: What ``points`` are in: "world", or "index", where voxel centres lie at whole numbers.
-        channel: Number or name of the channel of an index grid; None for its first. See from_channel.
+        order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
+        space: Space of ``points``: "world", or "index", where voxel centers lie at whole numbers.
+        channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Values in the container of ``points``, float64 (float32 where the points are): shape (N,) for scalar grids, bool
-        and mask grids as 0 and 1, (N, 3) and (N, 4) for vector and colour grids. Integers keep their stored range.
+        Values in the container of ``points``, float64 (float32 if the points are): shape (N,) for scalar grids, bool
+            and mask grids as 0 and 1, (N, 3) and (N, 4) for vector and color grids. Integers keep their stored range.
     Raises:
-        InputError: points is not (N, 3) or not finite, the order or space is not known, or there is no such channel.
-        FileFormatError: The buffer is not a sound grid, or a channel has fewer values than the grid has indices.
+        InputError: points is not (N, 3) or not finite, the order or space is unknown, or there is no such channel.
+        FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
     Source:
         Keys, Cubic convolution interpolation (1981), for the cubic's weights (a = -1/2).
@@ -81,6 +75,11 @@ def sample(
         >>> torus = load("data/samples/torus.vdb")
         >>> [sample(torus, [[0.1, 0.2, 0.0]], order=order).shape for order in (0, 1, 2, 3)]
         [(1,), (1,), (1,), (1,)]
+
+    Held by: tests/volume/sampling/test_sample.py, tests/volume/sampling/test_orders.py,
+        tests/volume/sampling/test_staggered.py, tests/volume/sampling/test_sample_property.py,
+        tests/volume/sampling/test_orders_property.py, tests/volume/sampling/test_sample_stability.py,
+        tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -114,35 +113,36 @@ def gradient(
 ) -> Any:
     """Gradient of a volume at each point.
 
-    Orders 1, 2 and 3 give the exact gradient of the interpolant of :func:`sample`. That of orders 1 and 2 jumps between
-    cells, and at a cell's border it is that of the cell on the side of larger indices; that of order 3 is continuous.
-    On a smooth field the error of order 1 shrinks with the voxel size, that of orders 2 and 3 with its square. Order 0
-    takes central differences of the voxels beside the nearest one: constant around each voxel, and of second order at
-    voxel centres. All are computed along the index axes in float64 and brought to world space by the inverse transpose
-    of the transform, so that rotated, sheared and non-uniform voxels give world gradients. Constant regions, and points
-    beyond int32, give exactly 0.
+    Orders 1, 2 and 3 give the exact gradient of the interpolant of :func:`sample`. At orders 1 and 2 it jumps between
+    cells, and on a cell's border it belongs to the cell on the side of larger indices; at order 3 it is continuous. On
+    a smooth field the error shrinks with the voxel size at order 1 and with its square at orders 2 and 3. Order 0 takes
+    central differences of the voxels beside the nearest one: constant around each voxel, and of second order at voxel
+    centers. All gradients are computed along the index axes in float64 and transformed to world space by the inverse
+    transpose of the transform, so that rotated, sheared and non-uniform voxels give world gradients. Constant regions,
+    and points beyond int32, give exactly 0.
 
-    As normals of a level set, on a sphere with a radius of 30 voxels and half width 3, orders 1, 2 and 3 are off by
-    0.65, 0.011 and 0.006 degrees rms at the surface, by 0.65, 0.05 and 0.01 up to one voxel from it, and by 0.65, 0.74
-    and 0.35 up to two. Held by tests/volume/sampling/test_level_set_derivatives_stability.py,
-    tests/volume/sampling/test_sample.py, tests/volume/sampling/test_orders.py, tests/volume/sampling/test_staggered.py
-    and tests/volume/sampling/test_orders_property.py.
+    Errors as normals of a level set, on a sphere with a radius of 30 voxels and half width 3, at orders 1, 2 and 3:
+    0.65, 0.011 and 0.006 degrees rms at the surface, 0.65, 0.05 and 0.01 up to one voxel from it, and 0.65, 0.74 and
+    0.35 up to two.
 
     Args:
         volume: Any scalar or vector grid, or an index grid with channels.
         points: Query points [world], shape (N, 3).
-        order: 0, 1, 2 or 3; None for the one that the volume was made for (``info.order``), else 1.
-        space: What ``points`` are in, and the gradients are along: "world", or "index", where voxel centres lie at
-            whole numbers.
-        channel: Number or name of the channel of an index grid; None for its first. See from_channel.
+        order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
+        space: Space of ``points`` and of the gradients: "world", or "index", where voxel centers lie at whole numbers.
+        channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Gradients [value / world] in the container of ``points``, float64 (float32 where the points are): shape (N, 3)
         for scalar grids; for grids of C components the Jacobian, shape (N, C, 3), last axis the world axis.
     Raises:
-        InputError: points is not (N, 3) or not finite, the order or space is not known, or there is no such channel.
-        FileFormatError: The buffer is not a sound grid, or a channel has fewer values than the grid has indices.
+        InputError: points is not (N, 3) or not finite, the order or space is unknown, or there is no such channel.
+        FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
+
+    Held by: tests/volume/sampling/test_level_set_derivatives_stability.py, tests/volume/sampling/test_sample.py,
+        tests/volume/sampling/test_orders.py, tests/volume/sampling/test_staggered.py,
+        tests/volume/sampling/test_orders_property.py
     """
     import warp as wp
 
@@ -175,7 +175,7 @@ def _is_staggered(volume: SparseVolume) -> bool:
 
 
 def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
-    """The volume, or where it is an index grid the one that a channel makes of it."""
+    """The volume itself, or for an index grid the volume of values of one channel."""
     if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume
     from geokit.volume._from_channel import from_channel
@@ -187,7 +187,7 @@ def require_order(order: Any, lowest: int = 0) -> int:
     """The order of an interpolant as an int.
 
     Raises:
-        InputError: It is not one of those from ``lowest`` on.
+        InputError: It is not an order from ``lowest`` on.
     """
     allowed = {number: name for number, name in ORDERS.items() if number >= lowest}
     if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or int(order) not in allowed:
@@ -207,7 +207,7 @@ def _require_components(volume: SparseVolume) -> int:
 
 
 def view_as(out: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
-    """The same contiguous memory as another type and shape."""
+    """View the same contiguous memory as another type and shape."""
     import warp as wp
 
     view: Any = wp.array(ptr=out.ptr, dtype=dtype, shape=shape, device=out.device)

@@ -1,4 +1,4 @@
-"""Numbers that describe a volume's values."""
+"""Statistics of a volume's values."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_
 
 __all__ = ["Statistics", "statistics"]
 
-# Not colours, whose length means nothing.
+# Colors are left out: their length means nothing.
 TYPES = tuple(name for name in VALUE_TYPES if BY_NAME[name].family != "color")
-# Leaves that are turned into float64 at a time: 8 million values.
+# Leaves converted to float64 at a time: 8 million values.
 LEAVES_AT_A_TIME = 16384
 
 
 class Statistics(NamedTuple):
-    """Statistics of the values of active voxels, of lengths for vectors; NaN where there is none.
+    """Statistics of the values of active voxels, for vectors of their lengths; NaN if no voxel is active.
 
     Attributes:
-        count: Active voxels, those of tiles included.
-        minimum: Least value.
-        maximum: Greatest value.
-        mean: Average.
+        count: Number of active voxels, including those of active tiles.
+        minimum: Smallest value.
+        maximum: Largest value.
+        mean: Mean value.
         standard_deviation: Root of the mean squared difference from the mean.
-        area: Of a level set's surface [world^2]; None for other grids, and where voxels are no cubes.
-        volume: Inside a level set's surface [world^3]; None like the area.
+        area: Area of a level set's surface [world^2]; None for other grids, or if the voxels are not cubes.
+        volume: Volume inside a level set's surface [world^3]; None like the area.
     """
 
     count: int  # type: ignore[assignment]
@@ -47,20 +47,24 @@ class Statistics(NamedTuple):
 
 
 def statistics(volume: SparseVolume) -> Statistics:
-    """Count, extrema, mean and spread of a volume's active voxels; area and volume of a level set.
+    """Compute count, extrema, mean and spread of a volume's active voxels, and area and volume of a level set.
 
     Sums are float64 and exact to a few times 2^-53 of the largest; int64 values beyond 2^53 are rounded first. Area and
-    volume are integrals over the band, of second order in the voxel size: 0.1 % and 0.7 % off on a sphere of 10 voxels'
-    radius. They take closed surfaces and values that are distances. Held by tests/volume/tree/test_statistics.py.
+    volume are integrals over the band, of second order in the voxel size: on a sphere with a radius of 10 voxels they
+    are 0.1 % and 0.7 % off. They require closed surfaces and values that are distances.
 
     Args:
-        volume: A grid of any scalar or vector type; quantised ones as float. True counts as 1, as do all of a mask.
+        volume: A grid of any scalar or vector type; quantized ones are read as float. True, and every voxel of a mask,
+            counts as 1.
     Returns:
-        Statistics.
+        Statistics: count, minimum, maximum, mean and standard_deviation [value units] of the active voxels, area
+            [world^2] and volume [world^3].
     Raises:
-        InputError: volume is no SparseVolume, or a level set whose background is not positive.
-        UnsupportedGridError: A grid of colours, indices or points.
-        MissingDependencyError: A level set of cubic voxels, and geokit was built without OpenVDB.
+        InputError: volume is not a SparseVolume, or is a level set whose background is not positive.
+        UnsupportedGridError: A grid of colors, indices or points.
+        MissingDependencyError: A level set with cubic voxels, and geokit was built without OpenVDB.
+
+    Held by: tests/volume/tree/test_statistics.py
     """
     require_volume(volume, "volume", TYPES)
     area, inside = _measures(volume)
@@ -79,7 +83,7 @@ def statistics(volume: SparseVolume) -> Statistics:
 
 
 def _active_values(tree: TypedTree) -> Iterator[tuple[NDArray[np.float64], int]]:
-    """Values of active voxels and tiles, or lengths of their vectors, some leaves at a time, and voxels of each."""
+    """Values of active voxels and tiles (lengths for vectors), some leaves at a time, with their voxel counts."""
     for first in range(0, len(tree.origins), LEAVES_AT_A_TIME):
         part = slice(first, first + LEAVES_AT_A_TIME)
         yield from _lengths(tree.values[part][bits_of(tree.masks[part])], 1)

@@ -1,4 +1,4 @@
-"""Which voxels and tiles a volume has: pruning, clipping, connected components."""
+"""Operations on the voxels and tiles that a volume has: pruning, clipping, connected components."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
-from geokit.volume.nanovdb.types import OPENVDB_TOOL_TYPES
+from geokit.volume.nanovdb.types import OPENVDB_TOOL_TYPES, QUANTIZED
 from geokit.volume.tree.clip import clipped
-from geokit.volume.tree.leaves import QUANTISED, dequantized, require_volume
+from geokit.volume.tree.leaves import dequantized, require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
 from geokit.volume.tree.prune import pruned
 from geokit.volume.tree.segment import segmented
@@ -22,16 +22,16 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES
 
 __all__ = ["clip", "prune", "segment"]
 
-# Types for which OpenVDB's library has no segmentation, or which it does not know at all.
+# Types that OpenVDB's library cannot segment, or does not know at all.
 OPENVDB_LACKS = tuple(name for name in VALUE_TYPES if name not in OPENVDB_TOOL_TYPES)
 
 
 def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
-    """The volume with tiles in place of nodes whose voxels are alike.
+    """Replace nodes whose voxels are alike by tiles.
 
-    A node becomes a tile where all its voxels share one state and their values lie within the tolerance; the tile takes
-    their median (of vectors the one in the middle of their lexicographic order). With 0 every voxel keeps its value and
-    state. Vectors and colors are alike where each of their components is; of a mask the states alone count, and the two
+    A node becomes a tile if all its voxels share one state and their values lie within the tolerance. The tile takes
+    their median (for vectors the middle one in lexicographic order). With tolerance 0 every voxel keeps its value and
+    state. Vectors and colors are alike if each of their components is. In a mask only the states count, and the two
     values of a bool are never alike. Needs no OpenVDB.
 
     Args:
@@ -40,7 +40,7 @@ def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
-        InputError: volume is no SparseVolume, or tolerance is negative or not finite.
+        InputError: volume is not a SparseVolume, or tolerance is negative or not finite.
         UnsupportedGridError: A grid of indices or points.
     """
     require_volume(volume, "volume", VALUE_TYPES)
@@ -51,11 +51,11 @@ def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
 
 
 def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
-    """The part of a volume inside a box; everything outside becomes inactive background.
+    """Keep the part of a volume inside a box; everything outside becomes inactive background.
 
-    A voxel is inside if its centre is, the box's faces included, under any affine transform. A level set is cut open:
+    A voxel is inside if its center is, including the box's faces, under any affine transform. A level set is cut open:
     its surface ends at the box. (Its intersection with a level set of the box is closed.) Tiles that the box's faces
-    run through become voxels there. Needs no OpenVDB.
+    cut become voxels there. Needs no OpenVDB, for any type.
 
     Args:
         volume: A grid of any type that holds values; quantized ones become float.
@@ -63,9 +63,9 @@ def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
     Returns:
         Volume of the same type, class, name and metadata.
     Raises:
-        InputError: volume is no SparseVolume, or bounds are not (2, 3), finite and in order.
+        InputError: volume is not a SparseVolume, or bounds are not (2, 3), finite and in order.
         UnsupportedGridError: A grid of indices or points.
-        DeviceMemoryError: The box cuts through larger tiles than there is memory for.
+        DeviceMemoryError: The box cuts larger tiles than fit into memory.
     """
     require_volume(volume, "volume", VALUE_TYPES)
     try:
@@ -80,22 +80,22 @@ def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
 
 
 def segment(volume: SparseVolume) -> list[SparseVolume]:
-    """Connected components as volumes of their own, largest first.
+    """Split a volume into its connected components, largest first.
 
-    Level sets of real values are taken apart by their inside, connected over faces: a hollow body is one. Each part has
-    its own band; voxels keep their values, but for those between bodies whose bands meet, which get the distance to
-    the part's own surface (to 0.1 voxel, next to sharp edges to 0.5). Other grids are taken apart by their active
-    voxels.
+    Level sets of real values are split by their inside, connected over faces: a hollow body is one component. Each
+    component has its own band. Voxels keep their values, except those between bodies whose bands meet, which get the
+    distance to the component's own surface (to 0.1 voxel, next to sharp edges to 0.5). Other grids are split by their
+    active voxels. Needs OpenVDB.
 
     Args:
-        volume: A grid of any type that holds values; quantised ones become float.
+        volume: A grid of any type that holds values; quantized ones become float.
     Returns:
-        Volumes with the name, class and metadata of the whole; by number of active voxels, descending. None for a
-        volume without active voxels.
+        Volumes with the name, class and metadata of the whole, by number of active voxels, descending. The list is
+            empty if the volume has no active voxels.
     Raises:
-        InputError: volume is no SparseVolume, or a level set whose voxels are no cubes.
+        InputError: volume is not a SparseVolume, or is a level set whose voxels are not cubes.
         UnsupportedGridError: A grid of indices or points.
-        DeviceMemoryError: The inside of a level set has more voxels than can be labelled.
+        DeviceMemoryError: The inside of a level set has more voxels than can be labeled.
         MissingDependencyError: geokit was built without OpenVDB.
     """
     from geokit.native import operations
@@ -103,7 +103,7 @@ def segment(volume: SparseVolume) -> list[SparseVolume]:
     require_volume(volume, "volume", VALUE_TYPES)
     if not volume.info.active_voxel_count:
         return []
-    is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTISED)
+    is_distance = volume.info.grid_class == "level set" and volume.info.grid_type in ("float", "double", *QUANTIZED)
     voxel_size = require_level_set(volume, "volume") if is_distance else 1.0
 
     def parts_of(grid: SparseVolume) -> list[SparseVolume]:
@@ -118,7 +118,7 @@ def segment(volume: SparseVolume) -> list[SparseVolume]:
 
 
 def _marked(result: SparseVolume, like: SparseVolume) -> SparseVolume:
-    """The result with the mark of integer vectors that the whole has: no value has become another."""
+    """The result with the metadata mark of integer vectors that the whole has, since no value has changed."""
     if "geokit:value_type" not in like.info.metadata or result.info.grid_type != like.info.grid_type:
         return result
     return SparseVolume(result.nanovdb, replace(result.info, metadata=like.info.metadata))

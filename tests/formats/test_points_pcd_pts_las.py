@@ -319,8 +319,8 @@ def test_no_points_as_pts(tmp_path):
         ("2\n1 2 3\n4 5 x\n", r"line 3 \('4 5 x'\) is not a row"),
         ("1\n1 2\n", "has 2 values in a row"),
         ("1\n1 2 3 4 5\n", "has 5 values in a row"),
-        ("1\n1 2 3 0 0 256\n", r"colour of point 0 \(\[0.0, 0.0, 256.0\]\)"),
-        ("1\n1 2 3 0 0.5 6\n", "colour of point 0"),
+        ("1\n1 2 3 0 0 256\n", r"color of point 0 \(\[0.0, 0.0, 256.0\]\)"),
+        ("1\n1 2 3 0 0.5 6\n", "color of point 0"),
         ("1\n1 2 inf\n", "point 0 is not finite"),
     ],
 )

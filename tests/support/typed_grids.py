@@ -9,9 +9,9 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer,
 from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 
 SCALARS = ["float", "double", "int16", "int32", "int64", "uint8", "uint32", "half", "bool", "mask"]
-QUANTISED = ["fp4", "fp8", "fp16", "fpn"]
+QUANTIZED = ["fp4", "fp8", "fp16", "fpn"]
 VECTORS = ["vec3f", "vec3d", "vec3u8", "vec3u16", "vec4f", "vec4d", "rgba8"]
-VALUED = [*SCALARS, *QUANTISED, *VECTORS]
+VALUED = [*SCALARS, *QUANTIZED, *VECTORS]
 
 LEAVES = np.array([[0, 0, 0], [-8, 0, 0]])
 
@@ -29,7 +29,7 @@ class TypedGrid:
         shape = self.layout.background.shape
         self.background, self.lower_tile, self.upper_tile, self.root_tile = _values(self.layout, rng, (4, *shape))
         self.codes = None
-        if grid_type in QUANTISED:
+        if grid_type in QUANTIZED:
             bits = {"fp4": 4, "fp8": 8, "fp16": 16, "fpn": 2}[grid_type]
             self.codes = rng.integers(0, 2**bits, (2, 512), dtype=np.uint32)
             self.bits, self.minimum, self.quantum = bits, np.float32([-3.5, 1.25]), np.float32([0.0371, 0.5])

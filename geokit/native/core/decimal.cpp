@@ -21,7 +21,7 @@ double from_bits(std::uint64_t bits)
 
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
 bool is_blank(char c) { return c == ' ' || c == '\t'; }
-// ASCII letters only; other characters do not become letters by it.
+// Case-insensitive comparison with an ASCII letter; other characters never compare equal to one.
 bool is_letter(char c, char lower) { return (c | 32) == lower; }
 
 const char* skip_blanks(const char* p, const char* end)
@@ -38,7 +38,7 @@ std::int64_t line_start(const Text& text, std::int64_t at)
     return found ? static_cast<const char*>(found) - text.data + 1 : text.stop;
 }
 
-// Reads one number and moves `p` behind it; false where there is none.
+// Reads one number and moves `p` past it; returns false if there is none.
 bool parse_number(const char* text, const char*& p, const char* end, double& value)
 {
     const char* const begin = p;
@@ -49,7 +49,7 @@ bool parse_number(const char* text, const char*& p, const char* end, double& val
         value = from_bits(nan_bits | (negative ? sign_bit : 0));
         return true;
     }
-    // from_chars takes "inf", "nan(...)" and a second minus sign too.
+    // from_chars also accepts "inf", "nan(...)" and a second minus sign.
     const bool digits = p < end && (is_digit(*p) || (*p == '.' && end - p >= 2 && is_digit(p[1])));
     if (!digits) return false;
     double magnitude = 0.0;
@@ -61,7 +61,7 @@ bool parse_number(const char* text, const char*& p, const char* end, double& val
     return true;
 }
 
-// Moves `p` from the end of one number to the start of the next; false where they are not separated as they should be.
+// Moves `p` from the end of one number to the start of the next; returns false if the separator is wrong.
 bool skip_separator(const char*& p, const char* end, char separator)
 {
     const char* const begin = p;

@@ -13,7 +13,7 @@ constexpr std::int64_t longest_match = 264;
 // Most back references are no longer than this.
 constexpr std::int64_t short_match = 16;
 constexpr std::int64_t largest_distance = 8192;
-// Places that the compressor remembers by the hash of the three bytes there.
+// Size of the hash table, which stores positions by the hash of the three bytes there.
 constexpr int table_bits = 15;
 
 std::uint32_t slot_of(const std::uint8_t* bytes)
@@ -22,7 +22,7 @@ std::uint32_t slot_of(const std::uint8_t* bytes)
     return (three * 2654435761u) >> (32 - table_bits);
 }
 
-// Bytes that two places have in common, at most so many; 0 if fewer than three.
+// Number of bytes that two positions have in common, up to a limit; 0 if fewer than three.
 std::int64_t match_length(const std::uint8_t* a, const std::uint8_t* b, std::int64_t most)
 {
     if (a[0] != b[0] || a[1] != b[1] || a[2] != b[2]) return 0;
@@ -43,7 +43,7 @@ std::int64_t lzf_decompress(const std::uint8_t* packed, std::int64_t packed_size
         if (control < literal_run) {
             const std::int64_t run = control + 1;
             if (run > packed_size - in || run > size - to) return at;
-            // A copy of constant size is several times as fast; what it writes too much is written again or refused.
+            // A copy of constant size is several times as fast. Surplus bytes are overwritten later or rejected.
             if (packed_size - in >= literal_run && size - to >= literal_run)
                 std::memcpy(out + to, packed + in, literal_run);
             else std::memcpy(out + to, packed + in, std::size_t(run));
@@ -64,7 +64,7 @@ std::int64_t lzf_decompress(const std::uint8_t* packed, std::int64_t packed_size
             std::memcpy(out + to, out + to - distance, std::size_t(length));
             to += length;
         } else {
-            // The reference reaches into what it writes: its bytes repeat, twice as many known after each copy.
+            // The reference overlaps its own output: the bytes repeat, and each copy doubles the known part.
             const std::int64_t begin = to - distance;
             while (length > 0) {
                 const std::int64_t known = std::min(length, to - begin);

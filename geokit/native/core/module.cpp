@@ -1,5 +1,5 @@
-// The extension `geokit.native._core`: file parsers, which need nothing but a compiler. Every function checks its sizes
-// and releases Python's lock while it works.
+// The extension `geokit.native._core`: file parsers that need nothing but a compiler. Every function checks its sizes
+// and releases the GIL while it works.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 

@@ -43,7 +43,7 @@ MappedBuffer MappedBuffer::create(uint64_t size, const MappedBuffer* context)
     } else {
         const int file = ::open(context->path_.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
         if (file < 0) { throw BridgeError("spool", context->path_ + ": " + std::strerror(errno)); }
-        // Reserve the blocks now: a mapped page that the file system cannot provide later is a bus error.
+        // Reserve the blocks now: a mapped page that the file system cannot provide later raises a bus error.
         const int failure = ::posix_fallocate(file, 0, static_cast<off_t>(size));
         if (failure == 0) { address = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0); }
         ::close(file);

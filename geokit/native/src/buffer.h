@@ -1,4 +1,4 @@
-// Page-aligned memory that starts as zeros, private to the process or backed by a file.
+// Page-aligned, zero-initialized memory, private to the process or backed by a file.
 #pragma once
 
 #include <cstdint>
@@ -6,9 +6,9 @@
 
 namespace geokit {
 
-// Satisfies NanoVDB's BufferT, so that its converter writes a grid straight into the file that another process maps:
-// no copy. Fresh pages are zero, which NanoVDB's HostBuffer does not promise: the bytes that no member covers come out
-// equal in every run, and nothing of this process's memory leaks into a file.
+// Satisfies NanoVDB's BufferT, so that its converter writes a grid directly into the file that another process maps,
+// without a copy. Fresh pages are zero, which NanoVDB's HostBuffer does not guarantee. So padding bytes are equal in
+// every run, and no memory of this process leaks into a file.
 class MappedBuffer {
 public:
     MappedBuffer() = default;
@@ -18,10 +18,10 @@ public:
     MappedBuffer& operator=(const MappedBuffer&) = delete;
     ~MappedBuffer() { clear(); }
 
-    // An empty buffer whose only use is as the `context` of create().
+    // An empty buffer that only serves as the `context` of create().
     static MappedBuffer in_file(std::string path);
 
-    // NanoVDB calls this. Allocates in the file that `context` names, else in memory.
+    // Called by NanoVDB. Allocates in the file that `context` names, else in memory.
     static MappedBuffer create(uint64_t size, const MappedBuffer* context = nullptr);
 
     uint8_t* data() { return data_; }

@@ -8,12 +8,12 @@
 namespace geokit {
 namespace {
 
-// "NanoVDB1": what releases from 32.6 on write in front of a grid whose layout is the same.
+// "NanoVDB1": releases from 32.6 on write it before a grid whose layout is the same.
 constexpr uint64_t kNewerMagic = 0x314244566f6e614eUL;
 
 [[noreturn]] void damaged(const std::string& what) { throw BridgeError("damaged", "NanoVDB buffer: " + what); }
 
-// The bytes of one grid, and the question whether a node lies inside them.
+// The bytes of one grid, with tests whether a node lies inside them.
 struct Extent {
     const uint8_t* begin;
     uint64_t size;
@@ -52,7 +52,7 @@ public:
             if (count == 0) continue;
             if (count > extent_.size / sizes[level])
                 damaged(std::string("more ") + names[level] + "s than fit into it");
-            // Only these counts and first-node offsets are used by readers that walk a level as an array.
+            // Readers that traverse a level as an array use only these counts and first-node offsets.
             if (tree->mNodeOffset[level] != 0) {
                 const uint64_t span = Leaf::FIXED_SIZE || level > 0 ? count * sizes[level] : sizes[level];
                 extent_.node(tree_at, int64_t(tree->mNodeOffset[level]), span, names[level]);
@@ -69,7 +69,7 @@ private:
 
     static constexpr uint64_t leaf_header_size() { return sizeof(typename Leaf::DataType); }
 
-    // A buffer whose offsets all point at one node would make this walk endless: the header's counts bound it.
+    // A buffer whose offsets all refer to one node would make this traversal endless, so the header's counts bound it.
     void count(int level)
     {
         if (left_[level] == 0) damaged("the tree has more nodes than its header says");

@@ -1,4 +1,4 @@
-// Structural check of a NanoVDB buffer, before anything follows its offsets.
+// Structural check of a NanoVDB buffer, before any code follows its offsets.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,8 @@ namespace geokit {
 
 // Throws BridgeError("damaged") unless `data` holds exactly one grid whose nodes, root table, blind data and name all
 // lie inside `size` bytes, and BridgeError("unsupported") for a type that the bridge cannot convert. Values are not
-// looked at. Takes a few milliseconds for a grid of some hundred megabytes: only inner nodes and leaf headers are read.
+// checked. Takes a few milliseconds for a grid of some hundred megabytes, because only inner nodes and leaf headers are
+// read.
 void check_nanovdb(const uint8_t* data, uint64_t size);
 
 } // namespace geokit

@@ -29,8 +29,8 @@ typename TreeT::Ptr combined(const TreeT& a, const TreeT& b, Kind kind)
     }
 }
 
-// Quadratic polynomial smooth minimum (Quilez): the minimum where a and b differ by more than `blend`, and a blend with
-// continuous slope between.
+// Quadratic polynomial smooth minimum (Quilez): the minimum if a and b differ by more than `blend`, else a blend with
+// continuous slope.
 double smooth_minimum(double a, double b, double blend)
 {
     const double h = std::max(blend - std::abs(a - b), 0.0) / blend;

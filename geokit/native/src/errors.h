@@ -1,4 +1,4 @@
-// The one exception type that leaves the bridge on purpose. `kind` decides which Python exception it becomes.
+// The only exception type that leaves the bridge intentionally. `kind` decides which Python exception it becomes.
 #pragma once
 
 #include <stdexcept>
@@ -7,12 +7,12 @@
 
 namespace geokit {
 
-// damaged      the file or buffer is not what it should be
-// unsupported  a grid that NanoVDB or OpenVDB cannot represent
-// missing      no grid of that name; `names` holds those that are there
-// memory       more memory was needed than there is or than was allowed
+// damaged      the file or buffer is damaged
+// unsupported  NanoVDB or OpenVDB cannot represent the grid
+// missing      there is no grid of that name; `names` lists those in the file
+// memory       not enough memory, or the memory limit was exceeded
 // spool        the folder for results is full
-// input        an argument that cannot be used
+// input        an argument is invalid
 // access       the file cannot be opened, read or written
 struct BridgeError : std::runtime_error {
     BridgeError(std::string kind_, const std::string& message, std::vector<std::string> names_ = {})

@@ -5,7 +5,7 @@
 namespace geokit {
 namespace {
 
-// Bytes beyond ASCII go out as they are: names in a .vdb file need not be UTF-8.
+// Bytes beyond ASCII are written unchanged, because names in a .vdb file need not be UTF-8.
 std::string quoted(const std::string& text)
 {
     std::string out = "\"";

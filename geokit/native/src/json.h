@@ -1,4 +1,4 @@
-// What was read, as JSON: the form in which both the worker and the extension hand it to Python.
+// Results of reading as JSON: the form in which both the worker and the extension pass them to Python.
 #pragma once
 
 #include "bridge.h"

@@ -1,4 +1,4 @@
-// What the operations on level sets share: the types they take, and their values in voxels.
+// Shared by the operations on level sets: the supported types, and values in units of voxels.
 #pragma once
 
 #include "convert.h"
@@ -11,8 +11,8 @@
 
 namespace geokit {
 
-// Calls op(grid) with the typed grid and returns the result as a buffer under the transform that the grid came with:
-// operations may put another one on it meanwhile.
+// Calls op(grid) with the typed grid and returns the result as a buffer under the grid's original transform; operations
+// may change the transform meanwhile.
 template<typename Op>
 MappedBuffer on_real(const openvdb::GridBase::Ptr& grid, const char* what, Op&& op)
 {
@@ -25,8 +25,8 @@ MappedBuffer on_real(const openvdb::GridBase::Ptr& grid, const char* what, Op&& 
     return to_nanovdb(grid);
 }
 
-// Multiplies every value, tiles and background included. What equals the background's magnitude becomes exactly
-// `background`, so that going to voxels and back does not round it.
+// Multiplies every value, including tiles and background. Values equal to the background's magnitude become exactly
+// `background`, so that the conversion to voxels and back does not round them.
 template<typename TreeT>
 void scale_values(TreeT& tree, double factor, double background)
 {
@@ -48,8 +48,8 @@ void scale_values(TreeT& tree, double factor, double background)
     tree.root().setBackground(ValueT(background), /*updateChildNodes=*/false);
 }
 
-// Values and transform in voxels while the object lives; `half_width` may be changed meanwhile. OpenVDB's level set
-// tools look at the transform only for the size of a voxel, and take small voxels for a singular transform.
+// Scales values and transform to voxels while the object lives; `half_width` may be changed meanwhile. OpenVDB's level
+// set tools use the transform only for the size of a voxel, and treat small voxels as a singular transform.
 template<typename GridT>
 class InVoxels {
 public:

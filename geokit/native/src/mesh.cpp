@@ -46,7 +46,7 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity)
             mesh.points[i][row] = m[0] * index[0] + m[1] * index[1] + m[2] * index[2] + affine.offset[row];
         }
     }
-    // OpenVDB's polygons run clockwise; a mirroring transform turns them once more.
+    // OpenVDB's polygons run clockwise; a mirroring transform reverses them once more.
     const bool reverse = determinant(affine) > 0.0;
     size_t triangle_count = 0, quad_count = 0;
     for (size_t n = 0; n < mesher.polygonPoolListSize(); ++n) {
@@ -71,7 +71,8 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity)
     return mesh;
 }
 
-// OpenVDB's mesh interface over plain arrays; points go to index space in double, not through float as its own does.
+// OpenVDB's mesh interface over plain arrays. Points are converted to index space in double; OpenVDB's own class uses
+// float.
 struct MeshAdapter {
     const double* points;
     size_t count;

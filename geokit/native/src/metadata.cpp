@@ -35,7 +35,7 @@ std::vector<MetadataItem> metadata_of(const openvdb::GridBase& grid)
     for (auto it = grid.beginMeta(); it != grid.endMeta(); ++it) {
         const std::string& name = it->first;
         if (!it->second || describes_the_file(name) || name == GridBase::META_GRID_NAME) continue;
-        // A class that NanoVDB's converter cannot put on a grid of this type travels here instead.
+        // A class that NanoVDB's converter does not allow for this type is stored here instead.
         if (name == GridBase::META_GRID_CLASS && class_after_round_trip(grid) == grid.getGridClass()) continue;
         items.push_back({name, it->second->typeName(), bytes_of(*it->second)});
     }

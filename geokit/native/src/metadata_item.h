@@ -1,4 +1,4 @@
-// One OpenVDB metadata value in OpenVDB's own serialised form: exact for every type, known or not.
+// One OpenVDB metadata value in OpenVDB's own serialized form: exact for every type, known or unknown.
 #pragma once
 
 #include <string>

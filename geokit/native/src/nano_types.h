@@ -1,4 +1,4 @@
-// The NanoVDB grid types that the bridge knows, and dispatch on them.
+// The NanoVDB grid types that the bridge supports, and dispatch on them.
 #pragma once
 
 #include "errors.h"
@@ -14,9 +14,8 @@ struct BuildTag {
     using Type = T;
 };
 
-// Calls op(BuildTag<T>()) with the build type T of a NanoVDB grid type.
-// Left out, by name: Half (NanoVDB's C++ stores 32 bits a voxel, its C readers expect 16), RGBA8, Int16 and Index (no
-// OpenVDB grid has such values).
+// Calls op(BuildTag<T>()) with the build type T of a NanoVDB grid type. Not supported: Half (NanoVDB's C++ stores 32
+// bits a voxel, its C readers expect 16), RGBA8, Int16 and Index (no OpenVDB grid has such values).
 template<typename Op>
 auto dispatch(nanovdb::GridType type, Op&& op)
 {

@@ -1,4 +1,4 @@
-// Steps towards slope 1 at some voxels of a level set, leaf by leaf.
+// Steps towards slope 1 at selected voxels of a level set, leaf by leaf.
 #pragma once
 
 #include <openvdb/openvdb.h>
@@ -11,7 +11,7 @@
 
 namespace geokit {
 
-// Of the explicit Euler scheme [voxels]; OpenVDB takes the same.
+// Time step of the explicit Euler scheme [voxels]; the same as OpenVDB's.
 constexpr double kTimeStep = 0.3;
 
 // Upwind slope from five differences, of fifth order where the field is smooth (Jiang and Peng 2000).
@@ -29,8 +29,8 @@ inline T weno(T a, T b, T c, T d, T e)
     return sum / (T(6) * (w1 + w2 + w3));
 }
 
-// What LevelSetTracker::normalize does with a mask, a whole leaf at a time instead of one voxel's stencil: ten times as
-// fast, and quick to compile.
+// Does the same as LevelSetTracker::normalize with a mask, but a whole leaf at a time instead of one voxel's stencil,
+// which is ten times as fast and quick to compile.
 template<typename TreeT>
 class Normalizer {
 public:
@@ -78,7 +78,7 @@ private:
         typename Leaf::NodeMaskType mutable_voxels;
     };
 
-    // Offset of voxel (row, lane) where rows run along an axis: lanes number the other two.
+    // Offset of voxel (row, lane), where rows run along an axis and lanes number the other two.
     static int place(int axis, int row, int lane)
     {
         const int high = lane >> 3, low = lane & 7;
@@ -106,7 +106,7 @@ private:
                 const T d0 = at(-2) - at(-3), d1 = at(-1) - at(-2), d2 = at(0) - at(-1);
                 const T d3 = at(1) - at(0), d4 = at(2) - at(1), d5 = at(3) - at(2);
                 const T side = at(0) > T(0) ? T(1) : T(-1);
-                // Godunov: only slopes that bring information from the surface.
+                // Godunov: uses only slopes that carry information away from the surface.
                 const T back = std::max(side * weno(d0, d1, d2, d3, d4), T(0));
                 const T front = std::min(side * weno(d5, d4, d3, d2, d1), T(0));
                 larger[lane] = std::max(back * back, front * front);

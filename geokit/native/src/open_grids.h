@@ -1,23 +1,23 @@
-// The OpenVDB grid types that the bridge converts, and a way to create them that is cheap to compile.
+// The OpenVDB grid types that the bridge converts, and a way to create them that compiles fast.
 #pragma once
 
 #include <openvdb/openvdb.h>
 
 namespace geokit {
 
-// In NanoVDB's lists of types, but not among those that OpenVDB registers: extra_grids.cpp does.
+// In NanoVDB's type lists, but not registered by OpenVDB; extra_grids.cpp registers them.
 using UInt32Grid = openvdb::Grid<openvdb::UInt32Tree>;
 using Vec4fGrid = openvdb::Grid<openvdb::tree::Tree4<openvdb::Vec4s, 5, 4, 3>::Type>;
 using Vec4dGrid = openvdb::Grid<openvdb::tree::Tree4<openvdb::Vec4d, 5, 4, 3>::Type>;
 
 void register_extra_grids();
 
-// Types with a NanoVDB counterpart; Vec3IGrid comes on top, by way of Vec3DGrid.
+// Types with a NanoVDB counterpart. Vec3IGrid is supported too, through Vec3DGrid.
 using DirectGrids = openvdb::TypeList<openvdb::FloatGrid, openvdb::DoubleGrid, openvdb::Int32Grid, openvdb::Int64Grid,
     UInt32Grid, openvdb::Vec3SGrid, openvdb::Vec3DGrid, openvdb::BoolGrid, openvdb::MaskGrid, Vec4fGrid, Vec4dGrid>;
 
-// A grid made by OpenVDB's registry. Naming a constructor instead makes the compiler emit every virtual function of the
-// grid and its tree again: 12 seconds a type, for code that libopenvdb has.
+// Creates a grid through OpenVDB's registry. Calling a constructor instead makes the compiler emit every virtual
+// function of the grid and its tree again: 12 seconds a type, for code that libopenvdb already contains.
 template<typename GridT>
 typename GridT::Ptr registered_grid(const typename GridT::ValueType& background)
 {
@@ -28,7 +28,7 @@ typename GridT::Ptr registered_grid(const typename GridT::ValueType& background)
 
 } // namespace geokit
 
-// NanoVDB's converter creates its result with openvdb::createGrid(): let it take the registry too.
+// NanoVDB's converter creates its result with openvdb::createGrid(); this makes it use the registry too.
 namespace openvdb {
 OPENVDB_USE_VERSION_NAMESPACE
 namespace OPENVDB_VERSION_NAME {

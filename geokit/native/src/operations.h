@@ -1,7 +1,7 @@
-// Operations on volumes: NanoVDB buffers in, buffers out, computed by OpenVDB's tools. Includes no OpenVDB header.
-// Every buffer that goes in must have passed check_nanovdb(). All throw BridgeError("unsupported") for a grid type that
-// the operation has not, and ("input") where OpenVDB refuses an argument. Quantised grids become float grids. Name,
-// class and transform are those of the first operand.
+// Operations on volumes, from NanoVDB buffers to buffers, computed by OpenVDB's tools. Includes no OpenVDB header.
+// Every input buffer must have passed check_nanovdb(). All functions throw BridgeError("unsupported") for a grid type
+// that the operation does not support, and ("input") if OpenVDB rejects an argument. Quantized grids become float
+// grids. Name, class and transform are those of the first operand.
 #pragma once
 
 #include "buffer.h"
@@ -13,14 +13,14 @@
 
 namespace geokit {
 
-// Level sets below are float or double grids, both operands of one type, on one voxel lattice of cubic voxels. Lengths
-// are in voxels; `voxel_size` is what a voxel's edge measures in the unit of the values.
+// Level sets below are float or double grids on one lattice of cubic voxels, both operands of one type. Lengths are in
+// voxels; `voxel_size` is the length of a voxel's edge in the unit of the values.
 
-// "union", "intersection" or "difference" of level sets with equal backgrounds: per voxel minimum or maximum.
+// "union", "intersection" or "difference" of level sets with equal backgrounds: minimum or maximum per voxel.
 MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind);
 
 // The same with a polynomial smooth minimum of the given blending width [unit of the values]. Both bands must reach
-// `blend` beyond the surface; the result is not a distance yet.
+// `blend` beyond the surface. The result is not a distance field yet.
 MappedBuffer smooth_csg(const uint8_t* a, const uint8_t* b, const std::string& kind, double blend);
 
 // Smoothing "gaussian", "mean", "median", and for level sets also "mean_curvature" and "laplacian". `width` in voxels.
@@ -29,8 +29,8 @@ MappedBuffer smooth(const uint8_t* data, const std::string& method, int width, i
 // Area [voxels^2] and volume [voxels^3] of a level set.
 std::pair<double, double> measure(const uint8_t* data, double voxel_size);
 
-// Connected components, largest first: of the inside of a float or double level set with cubic voxels, else of the active
-// voxels. Throws BridgeError("memory") where labelling the inside would take more than `memory_limit` bytes.
+// Connected components, largest first: of the inside of a float or double level set with cubic voxels, else of the
+// active voxels. Throws BridgeError("memory") if labeling the inside would take more than `memory_limit` bytes.
 std::vector<MappedBuffer> segment(const uint8_t* data, double voxel_size, double memory_limit);
 
 } // namespace geokit

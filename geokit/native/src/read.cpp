@@ -15,12 +15,12 @@
 namespace geokit {
 namespace {
 
-// Big enough that a leaf's few kilobytes do not cost a system call each.
+// Large enough that a leaf's few kilobytes do not cost a system call each.
 constexpr size_t kStreamBufferSize = size_t(1) << 20;
 
 [[noreturn]] void damaged(const std::string& what) { throw BridgeError("damaged", what); }
 
-// What OpenVDB and the standard library throw while parsing means that the bytes are not a .vdb file's.
+// Exceptions of OpenVDB and the standard library during parsing mean that the bytes are not those of a .vdb file.
 template<typename Step>
 auto parsing(const char* what, Step&& step)
 {
@@ -95,8 +95,8 @@ openvdb::io::GridDescriptor VdbFile::read_descriptor()
         descriptor.read(stream_);
         return descriptor;
     } catch (const openvdb::LookupError&) {
-        // A type that OpenVDB does not know here. The names were read, the offsets were not: carry on with them, so that
-        // the file's other grids can be.
+        // OpenVDB does not know this type. The names were read but the offsets were not: continue with the offsets, so
+        // that the other grids of the file can be read.
     }
     if (!is_plausible_type(descriptor.gridType())) damaged("it names a grid type that does not exist");
     int64_t offsets[3];
@@ -156,7 +156,7 @@ openvdb::GridBase::Ptr VdbFile::read_grid(size_t i)
         damaged("grid '" + descriptor.gridName() + "' does not end where the file says");
     }
     if (descriptor.isInstance()) {
-        // Shares the tree of an earlier grid of the file, which can be no instance itself.
+        // Shares the tree of an earlier grid of the file, which cannot be an instance itself.
         for (const auto& parent : entries_) {
             if (parent.descriptor.uniqueName() != descriptor.instanceParentName()) continue;
             if (parent.descriptor.isInstance() || parent.descriptor.gridType() != descriptor.gridType()) break;
@@ -230,7 +230,7 @@ GridHeader VdbFile::read_header(size_t i)
     stream_.seekg(descriptor.getGridPos());
     readGridCompression(stream_);
     grid->readMeta(stream_);
-    // Files older than this one (2012) hold the voxels in front of the transform.
+    // Files older than this version (2012) store the voxels before the transform.
     if (openvdb::io::getFormatVersion(stream_) < openvdb::OPENVDB_FILE_VERSION_GRID_INSTANCING)
         return describe(*grid, i);
     grid->readTransform(stream_);
@@ -274,7 +274,7 @@ GridHeader VdbFile::describe(const openvdb::GridBase& grid, size_t i) const
     const auto upper = grid.getMetadata<openvdb::Vec3IMetadata>(GridBase::META_FILE_BBOX_MAX);
     if (lower && upper) header.index_bounds.emplace(openvdb::Coord(lower->value()), openvdb::Coord(upper->value()));
     if (descriptor.gridType() == openvdb::Name("Tree_vec3i_5_4_3")) {
-        // The buffer will be vec3d; this entry makes writing turn it back.
+        // The buffer will be vec3d; this entry makes the writer convert it back.
         header.metadata.push_back({"geokit:value_type", "string", "vec3i"});
     }
     return header;

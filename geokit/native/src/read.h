@@ -1,4 +1,4 @@
-// Reading .vdb files, with checks that OpenVDB's own io::File leaves out.
+// Reading .vdb files, with checks that OpenVDB's own io::File does not make.
 #pragma once
 
 #include "buffer.h"
@@ -17,7 +17,7 @@
 
 namespace geokit {
 
-// One grid of a file, as its header tells.
+// One grid of a file, as described by its header.
 struct GridHeader {
     std::string name;
     std::string grid_type;           // "Tree_float_5_4_3"
@@ -33,7 +33,7 @@ struct GridHeader {
     uint64_t byte_count = 0; // in the file
 };
 
-// A grid that was read: its NanoVDB buffer, in memory or in `path`.
+// A grid that has been read: its NanoVDB buffer, in memory or in `path`.
 struct ReadGrid {
     GridHeader header;
     MappedBuffer buffer;
@@ -41,10 +41,10 @@ struct ReadGrid {
     std::string path;
 };
 
-// An open .vdb file. OpenVDB's io::File ignores the state of its stream, so that a truncated or damaged file can load
-// as whatever lay in memory. This reader uses the same parts of OpenVDB (io::Archive, io::GridDescriptor) on a stream
-// that throws at a premature end, and checks that every grid ends where its descriptor says. It does NOT make OpenVDB
-// safe: files that are not trusted are read in a process of their own.
+// An open .vdb file. OpenVDB's io::File ignores the state of its stream, so a truncated or damaged file can load as
+// whatever was in memory. This reader uses the same parts of OpenVDB (io::Archive, io::GridDescriptor) on a stream that
+// throws at a premature end, and checks that every grid ends where its descriptor says. It does NOT make OpenVDB safe:
+// untrusted files are read in a separate process.
 class VdbFile : private openvdb::io::Archive {
 public:
     // Throws BridgeError("access") or ("damaged").
@@ -53,9 +53,9 @@ public:
     // Headers of all grids, no voxels.
     std::vector<GridHeader> inspect();
 
-    // The named grids (all of one name where a name is there twice; "name[1]" for one of them), in the file's order;
-    // every grid where `names` is empty. With a spool folder the buffers go into files in it ("0", "1", ...), whose
-    // sizes may sum to `spool_limit`, and are unmapped. Throws BridgeError("missing"), ("unsupported"), ("damaged").
+    // Reads the named grids in the file's order (all grids of a name that occurs twice; "name[1]" for one of them), or
+    // every grid if `names` is empty. With a spool folder the buffers go into files in it ("0", "1", ...), whose sizes
+    // may sum to `spool_limit`, and are unmapped. Throws BridgeError("missing"), ("unsupported"), ("damaged").
     std::vector<ReadGrid> read(
         const std::vector<std::string>& names, const std::string& spool = "", uint64_t spool_limit = UINT64_MAX);
 

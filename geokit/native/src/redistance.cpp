@@ -1,12 +1,12 @@
 // Redistancing in three steps.
 //
-// 1. Voxels at the corners of cells that the surface crosses are divided by the field's slope at the nearest point of the
-//    surface, taken from the crossed cells around. Both ends of an edge across the surface have the same slope then, so
-//    the crossing between them stays. (OpenVDB's own tools move it: LevelSetTracker::normalize by 0.02 to 0.5 voxel,
-//    sdfToSdf by 0.08.)
-// 2. All other voxels of the band get distances along shortest ways over neighbours from those, up to a tenth too long.
-// 3. The same voxels are improved by steps of phi_t = sign(phi) (1 - |grad phi|) with fifth-order upwind differences, the
-//    first ones held fixed.
+// 1. Voxels at the corners of cells that the surface crosses are divided by the field's slope at the nearest point of
+//    the surface, taken from the crossed cells around. Both ends of an edge across the surface then have the same
+//    slope, so the crossing between them stays in place. (OpenVDB's own tools move it: LevelSetTracker::normalize by
+//    0.02 to 0.5 voxel, sdfToSdf by 0.08.)
+// 2. All other voxels of the band get distances along shortest paths over neighbors from those, up to a tenth too long.
+// 3. The same voxels are improved by steps of phi_t = sign(phi) (1 - |grad phi|) with fifth-order upwind differences,
+//    while the voxels of step 1 stay fixed.
 #include "redistance.h"
 
 #include "errors.h"
@@ -22,16 +22,16 @@
 namespace geokit {
 namespace {
 
-// Half as much again as one voxel's way per voxel: what is wrong is carried out of the band.
+// Steps per voxel of the band, half as many again as information needs to cross it, so that errors are carried out.
 constexpr double kStepsPerVoxel = 5.0;
-// A slope that is 1 up to the error of differences on a sphere of five voxels' radius: the values are distances already
-// and keep their bits.
+// Slopes this close to 1 are within the error of differences on a sphere with a radius of five voxels: the values are
+// distances already and keep their bits.
 constexpr double kUnitSlope = 0.01;
-// Where faces meet in an edge, cells on the edge have smaller slopes than the faces'; they are a minority.
+// At an edge between faces, the cells on the edge have smaller slopes than those on the faces; they are a minority.
 constexpr double kSlopeQuantile = 0.75;
-// Share of the slope by which slopes scatter around a linear function where the field is smooth; at edges it is 0.1.
+// Scatter of slopes around a linear function, as a share of the slope, where the field is smooth; at edges it is 0.1.
 constexpr double kFitError = 0.02;
-// Variance of the cells' positions [voxels^2] that is as good as none; along a surface it is about 1.
+// Variance of the cells' positions [voxels^2] that counts as none; along a surface it is about 1.
 constexpr double kRidge = 0.05;
 
 // Values of a leaf and two voxels around it.
@@ -91,7 +91,7 @@ public:
         slopes_[count_++] = slope;
     }
 
-    // Slope of the field at a point of the surface: of a linear fit where the slopes are one, else their quantile.
+    // Slope of the field at a point of the surface: from a linear fit where the slopes follow one, else their quantile.
     double at(const openvdb::Vec3d& point)
     {
         openvdb::Vec3d centre(0.0);
@@ -125,7 +125,7 @@ private:
     std::array<double, 64> slopes_;
 };
 
-// The point of the surface next to a voxel, by the field's gradient there.
+// The point of the surface nearest to a voxel, by the field's gradient there.
 template<typename TreeT>
 openvdb::Vec3d foot(const Neighborhood<TreeT>& field, int x, int y, int z)
 {
@@ -139,7 +139,7 @@ openvdb::Vec3d foot(const Neighborhood<TreeT>& field, int x, int y, int z)
     return openvdb::Vec3d(x, y, z) - (length > 1.8 ? step * (1.8 / length) : step);
 }
 
-// Turns the corners of crossed cells of a leaf into distances and deactivates its other voxels.
+// Converts the corners of crossed cells of a leaf to distances and deactivates its other voxels.
 template<typename LeafT, typename TreeT>
 void seed_leaf(LeafT& leaf, const Neighborhood<TreeT>& field, typename TreeT::ValueType background)
 {
@@ -162,7 +162,7 @@ void seed_leaf(LeafT& leaf, const Neighborhood<TreeT>& field, typename TreeT::Va
             const int i = 1 + (corner >> 2), j = 1 + (corner >> 1 & 1), k = 1 + (corner & 1);
             is_corner = is_corner || slopes[((x + i) * width + y + j) * width + z + k] >= 0.0;
         }
-        // Inactive values are the background: no distances, where the band is narrower than a cell.
+        // Inactive values are the background, not distances, if the band is narrower than a cell.
         if (!is_corner || !leaf.isValueOn(n)) {
             leaf.setValueOff(n, value < ValueT(0) ? -background : background);
             continue;
@@ -201,7 +201,7 @@ void seed(GridT& grid, const typename GridT::TreeType& source, double isovalue)
     }
 }
 
-// Leaves the voxels nearer than `half_width` active; everything else becomes the background of its side.
+// Leaves the voxels nearer than `half_width` active; all others become the background of their side.
 template<typename TreeT>
 void trim(TreeT& tree, double half_width)
 {
@@ -225,13 +225,13 @@ void trim(TreeT& tree, double half_width)
     openvdb::tools::pruneLevelSet(tree);
 }
 
-// Shortest ways over neighbours are longer than the distance by up to this factor (0.09 in the worst direction).
+// Shortest paths over neighbors are longer than the distance by up to this factor (0.09 in the worst direction).
 constexpr double kLongestWay = 1.1;
-// Values that no way over neighbours is longer than.
+// Larger than the length of any path over neighbors.
 template<typename ValueT>
 constexpr ValueT kFar = ValueT(1e30);
 
-// Puts every voxel that is not fixed at a distance beyond all that matter, on its side.
+// Sets every voxel that is not fixed to a distance beyond all relevant ones, on its side.
 template<typename TreeT>
 void forget(TreeT& tree, const TreeT& fixed, double beyond)
 {
@@ -250,7 +250,7 @@ void forget(TreeT& tree, const TreeT& fixed, double beyond)
     tree.root().setBackground(ValueT(beyond), /*updateChildNodes=*/false);
 }
 
-// First distances for the active voxels that are inactive in `fixed`: shortest ways over the 26 neighbours, from both
+// First distances for the active voxels that are inactive in `fixed`: shortest paths over the 26 neighbors, from both
 // sides at once.
 template<typename TreeT>
 void spread(TreeT& tree, const TreeT& fixed, int rounds)
@@ -301,7 +301,7 @@ void redistance(GridT& grid, double half_width, double isovalue, bool keeps_band
     const auto fixed = std::static_pointer_cast<typename GridT::TreeType>(tree.copy());
     const double reach = keeps_band ? std::max(half_width - old_width, 0.0) : half_width;
     if (reach > 0.0 && fixed->activeVoxelCount() > 0) {
-        // One layer more than the band: upwind differences at its border need it.
+        // One layer more than the band, which upwind differences at its border need.
         const int layers = int(std::ceil(reach)) + 1;
         openvdb::tools::dilateActiveValues(
             tree, layers, openvdb::tools::NN_FACE_EDGE_VERTEX, openvdb::tools::IGNORE_TILES);

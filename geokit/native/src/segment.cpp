@@ -1,5 +1,5 @@
-// Connected components. Level sets are taken apart by their inside, so that a hollow body stays one. (OpenVDB's
-// segmentSDF parts surfaces: it gives the wall of a cavity on its own, with a negative background.)
+// Connected components. Level sets are split by their inside, so that a hollow body stays one. (OpenVDB's segmentSDF
+// splits surfaces: it returns the wall of a cavity separately, with a negative background.)
 #include "level_set.h"
 #include "open_grids.h"
 #include "operations.h"
@@ -18,10 +18,10 @@ namespace {
 using SegmentGrids = openvdb::TypeList<openvdb::FloatGrid, openvdb::DoubleGrid, openvdb::Int32Grid, openvdb::Int64Grid,
     openvdb::Vec3SGrid, openvdb::Vec3DGrid, openvdb::BoolGrid, openvdb::MaskGrid>;
 
-// A leaf of a mask, and its share of the inner nodes, for each 512 voxels.
+// Bytes per 512 voxels: a leaf of a mask, and its share of the inner nodes.
 constexpr double kBytesPerMaskVoxel = 0.25;
-// Voxels by which a distance may differ from that to one body alone and still be taken for it: several times what
-// redistancing errs by on smooth surfaces.
+// Largest difference [voxels] from the distance to a single body that still counts as equal: several times the error of
+// redistancing on smooth surfaces.
 constexpr double kSameDistance = 0.1;
 
 template<typename TreeT>
@@ -35,13 +35,13 @@ public:
           layers_(int(std::ceil(double(tree.background()) / voxel_size)) + 1)
     {}
 
-    // The body whose inside is `inside`, alone.
+    // The body whose inside is `inside`, without the others.
     typename TreeT::Ptr part(const openvdb::BoolTree& inside) const
     {
         openvdb::BoolTree region(inside);
         openvdb::tools::dilateActiveValues(
             region, layers_, openvdb::tools::NN_FACE_EDGE_VERTEX, openvdb::tools::PRESERVE_TILES);
-        // Deep inside tiles do, but where the field has a leaf the band may reach.
+        // Deep inside tiles are enough, but where the field has a leaf the band may reach.
         for (auto leaf = tree_.cbeginLeaf(); leaf; ++leaf) {
             if (region.isValueOn(leaf->origin())) region.touchLeaf(leaf->origin());
         }
@@ -80,14 +80,14 @@ private:
         return is_alone;
     }
 
-    // Between bodies whose bands meet, gives voxels the distance to this one.
+    // Sets voxels between bodies whose bands meet to the distance to this body.
     void separate(TreeT& result, const openvdb::BoolTree& inside) const
     {
         const auto grid = GridT::create(std::make_shared<TreeT>(result));
         grid->setGridClass(openvdb::GRID_LEVEL_SET);
         {
             InVoxels voxels(*grid, voxel_size_);
-            // Wider than the band: at its end a distance must not look like its background.
+            // Wider than the band, so that a distance at its end does not equal its background.
             const double half_width = double(background_) / voxel_size_ + 1.0;
             redistance(*grid, half_width, 0.0, false);
             voxels.background = half_width * voxel_size_;
@@ -132,7 +132,7 @@ std::vector<typename TreeT::Ptr> bodies(const TreeT& tree, double voxel_size, do
     std::vector<typename TreeT::Ptr> result;
     for (const auto& mask : insides) {
         if (mask->activeVoxelCount() == 0) continue;
-        openvdb::tools::prune(*mask); // labelling has made voxels of all tiles
+        openvdb::tools::prune(*mask); // labeling has made voxels of all tiles
         result.push_back(parts.part(*mask));
     }
     return result;

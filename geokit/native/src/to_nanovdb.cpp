@@ -10,8 +10,8 @@
 #include <set>
 #include <type_traits>
 
-// NanoVDB 32.4 lists Vec3d among its types, but its converter's list of headers leaves it out and throws. This is that
-// one step for Vec3d.
+// NanoVDB 32.4 lists Vec3d among its types, but its converter omits it from the list of headers and throws. This adds
+// that one step for Vec3d.
 namespace nanovdb {
 
 template<>
@@ -50,7 +50,7 @@ inline NanoGrid<Vec3d>* OpenToNanoVDB<openvdb::Vec3d, Vec3d, AbsDiff, geokit::Ma
 namespace geokit {
 namespace {
 
-// Whether NanoVDB's converter takes the class of this grid.
+// Whether NanoVDB's converter accepts the class of this grid.
 bool keeps_class(const openvdb::GridBase& grid)
 {
     const auto grid_class = grid.getGridClass();
@@ -65,7 +65,7 @@ MappedBuffer convert(const GridT& grid, const Affine& affine, const MappedBuffer
     using OpenBuildT = typename GridT::TreeType::BuildType;
     using NanoBuildT = typename nanovdb::OpenToNanoType<OpenBuildT>::Type;
     nanovdb::OpenToNanoVDB<OpenBuildT, NanoBuildT, nanovdb::AbsDiff, MappedBuffer> converter;
-    // The checksum comes last, after the header's doubles have been set bit for bit.
+    // The checksum is written last, after the header's doubles have been set bit for bit.
     auto handle = converter(grid, nanovdb::StatsMode::Default, nanovdb::ChecksumMode::Disable, 0, context);
     auto* nano = handle.template grid<NanoBuildT>();
     if (nano == nullptr) throw BridgeError("unsupported", "NanoVDB's converter gave no grid of the expected type");
@@ -115,7 +115,7 @@ openvdb::GridClass class_after_round_trip(const openvdb::GridBase& grid)
 MappedBuffer to_nanovdb(const openvdb::GridBase::Ptr& base, const std::string& path)
 {
     const auto context = MappedBuffer::in_file(path);
-    // Taken before the grid is copied, which rounds it. Refuses frustums.
+    // Read before the grid is copied, because copying rounds it. Rejects frustums.
     const Affine affine = affine_of(base->transform());
     openvdb::GridBase::Ptr grid = base;
     if (const auto integers = openvdb::gridPtrCast<openvdb::Vec3IGrid>(base)) {
@@ -124,7 +124,7 @@ MappedBuffer to_nanovdb(const openvdb::GridBase::Ptr& base, const std::string& p
         grid = doubles;
     }
     if (!keeps_class(*grid)) {
-        // NanoVDB throws at level sets of other than real numbers.
+        // NanoVDB throws at level sets whose values are not real numbers.
         grid = grid->copyGrid();
         grid->setGridClass(openvdb::GRID_UNKNOWN);
     }

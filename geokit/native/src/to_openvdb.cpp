@@ -21,9 +21,9 @@ openvdb::GridBase::Ptr to_openvdb(const uint8_t* data, bool as_vec3i)
         if (!doubles) throw BridgeError("input", "only a vec3d buffer can be written as integer vectors");
         grid = to_vec3i(*doubles);
     }
-    // NanoVDB's converter writes an unknown class down as metadata, where most programs have none.
+    // NanoVDB's converter stores an unknown class as metadata, where most programs store none.
     if (grid->getGridClass() == openvdb::GRID_UNKNOWN) grid->clearGridClass();
-    // NanoVDB's own transform went through OpenVDB's rounding simplify().
+    // NanoVDB's own transform was rounded by OpenVDB's simplify().
     grid->setTransform(transform);
     return grid;
 }

@@ -1,4 +1,4 @@
-// Affine transforms, taken from and given to OpenVDB and NanoVDB without rounding.
+// Affine transforms, read from and written to OpenVDB and NanoVDB without rounding.
 #pragma once
 
 #include <nanovdb/NanoVDB.h>
@@ -17,9 +17,9 @@ Affine affine_of(const openvdb::math::Transform& transform);
 Affine affine_of(const nanovdb::Map& map);
 
 // The simplest of OpenVDB's maps that holds the affine exactly: uniform scale, scale, either with translation, or any.
-// OpenVDB's own simplify() computes the scale as (scale + offset) - offset, which rounds, and drops small shears. It runs
-// in Transform's constructor and so whenever a grid is copied: set this on the last copy.
-// Throws BridgeError("input") where OpenVDB refuses the transform as singular.
+// OpenVDB's own simplify() computes the scale as (scale + offset) - offset, which rounds, and drops small shears. It
+// runs in Transform's constructor, and so whenever a grid is copied: set this transform on the last copy. Throws
+// BridgeError("input") if OpenVDB rejects the transform as singular.
 openvdb::math::Transform::Ptr transform_of(const Affine& affine);
 
 void store(const Affine& affine, nanovdb::Map& map);

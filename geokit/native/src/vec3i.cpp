@@ -12,7 +12,7 @@ openvdb::Vec3i converted(const openvdb::Vec3d& value)
 {
     openvdb::Vec3i integers;
     for (int i = 0; i < 3; ++i) {
-        // Written so that a NaN fails too.
+        // The comparison is written so that a NaN fails too.
         if (!(value[i] >= -2147483648.0 && value[i] <= 2147483647.0) || std::floor(value[i]) != value[i]) {
             throw BridgeError("input", "a grid marked as integer vectors holds a value that is no 32-bit integer");
         }

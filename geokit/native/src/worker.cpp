@@ -1,4 +1,4 @@
-// geokit_vdb_worker: reads one .vdb file that nobody vouches for, in a process that may die of it.
+// geokit_vdb_worker: reads one untrusted .vdb file, in a process that a damaged file may crash.
 //
 //   geokit_vdb_worker inspect MEMORY CPU_SECONDS FILE
 //   geokit_vdb_worker read MEMORY CPU_SECONDS FILE SPOOL_FOLDER [GRID...]
@@ -28,11 +28,13 @@
 
 namespace {
 
-// Conversion is bound by memory: more threads bring nothing, and each one's stack and malloc arena count as address space.
+// Conversion is bound by memory, so more threads gain nothing, and each one's stack and malloc arena count as address
+// space.
 constexpr unsigned kMaxThreads = 8;
 constexpr int kMaxArenas = 4;
 
-// Address space that is reserved but not used (thread stacks, malloc arenas, libraries), granted on top of the limit.
+// Address space that is reserved but not used (thread stacks, malloc arenas, libraries), allowed in addition to the
+// limit.
 constexpr rlim_t kReservedSpace = rlim_t(768) << 20;
 
 void limit(int resource, rlim_t value)
@@ -43,7 +45,7 @@ void limit(int resource, rlim_t value)
 
 void restrain(rlim_t memory, rlim_t cpu_seconds)
 {
-    ::prctl(PR_SET_PDEATHSIG, SIGKILL); // do not outlive the process that asked
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL); // do not outlive the parent process
     limit(RLIMIT_CORE, 0);
     ::prctl(PR_SET_DUMPABLE, 0);
     limit(RLIMIT_AS, memory + kReservedSpace);
@@ -61,7 +63,7 @@ std::string run(const std::vector<std::string>& arguments, uint64_t memory)
     return geokit::to_json(file.read(names, arguments[4], memory));
 }
 
-// Ends without destructors: the trees of a damaged file need not survive their own deletion.
+// Exits without destructors, because deleting the trees of a damaged file may crash.
 [[noreturn]] void finish(const std::string& json, int status)
 {
     std::fputs(json.c_str(), stdout);

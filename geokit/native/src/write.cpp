@@ -28,15 +28,16 @@ uint32_t compression_flags(const std::string& name)
         "input", "compression '" + name + "' is not one of none, zip, blosc, or OpenVDB was built without it");
 }
 
-// io::File ignores errors of its stream; a stream of our own throws when the disk is full.
+// io::File ignores errors of its stream, so a separate stream is used that throws when the disk is full.
 class VdbWriter : public openvdb::io::Archive {
 public:
-    // What OpenVDB adds on writing, done here: it would copy the grid first, and a copy rounds the transform.
+    // Adds the metadata that OpenVDB adds on writing. OpenVDB would copy the grid first, and a copy rounds the
+    // transform.
     void add_statistics(openvdb::GridBase& grid) const
     {
         const auto grid_class = grid.getGridClass();
         uint32_t flags = compression();
-        // OpenVDB does not use ZIP on these two.
+        // OpenVDB does not apply ZIP to these two.
         if (grid_class == openvdb::GRID_LEVEL_SET || grid_class == openvdb::GRID_FOG_VOLUME) {
             flags &= ~uint32_t(openvdb::io::COMPRESS_ZIP);
         }

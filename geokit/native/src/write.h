@@ -14,9 +14,9 @@ struct WriteGrid {
     std::vector<MetadataItem> metadata;
 };
 
-// Writes the grids into a new file. `compression` is "none", "zip" or "blosc"; the last two also leave out inactive
-// values that follow from the background. `half` stores floats and doubles with 16 bits.
-// Throws BridgeError("input"), ("unsupported") or ("access").
+// Writes the grids into a new file. `compression` is "none", "zip" or "blosc"; the last two also omit inactive values
+// that follow from the background. `half` stores floats and doubles with 16 bits. Throws BridgeError("input"),
+// ("unsupported") or ("access").
 void write_vdb(const std::string& path, const std::vector<WriteGrid>& grids, const std::string& compression, bool half);
 
 } // namespace geokit

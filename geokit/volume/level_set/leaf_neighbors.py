@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from geokit.core import available_memory, launcher
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._model import SparseVolume
-from geokit.volume.tree.leaves import QUANTISED, Leaves, leaves_of, voxelized
+from geokit.volume.nanovdb.types import QUANTIZED
+from geokit.volume.tree.leaves import Leaves, leaves_of, voxelized
 
 if TYPE_CHECKING:
     import warp as wp
@@ -55,7 +56,7 @@ class LinkedLeaves:
 
         from geokit.volume.level_set import leaf_neighbors_kernels as kernels
 
-        source = voxelized(volume) if volume.info.grid_type in QUANTISED else volume
+        source = voxelized(volume) if volume.info.grid_type in QUANTIZED else volume
         leaves = leaves_of(source)
         self._begin(source, leaves, isovalue, device)
         count = len(self.tiles)

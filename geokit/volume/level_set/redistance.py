@@ -18,7 +18,7 @@ from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import leaf_keys
 from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
-from geokit.volume.tree.grid_head import checked_head, result_head, result_of
+from geokit.volume.tree.grid_head import checked_head, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
 
 if TYPE_CHECKING:
@@ -300,15 +300,15 @@ def _double_volume(
     head = result_head(like, LAYOUTS["double"], background, "level set", like.info.transform)
     masks = active.numpy().view(np.uint8).reshape(-1, 64)[rows]
     values = value.numpy().reshape(-1, 512)[rows]
-    return result_of(build_real_grid(head, 8 * tiles[rows], masks, values), like)
+    return volume_from_buffer(build_real_grid(head, 8 * tiles[rows], masks, values), like)
 
 
 def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
     if grid.host is not None:
-        return result_of(grid.host, like)
+        return volume_from_buffer(grid.host, like)
     info = info_of(grid.head, byte_count=len(grid.buffer))
     metadata = dict(like.info.metadata)
-    # As result_of does for grids on the host.
+    # result_of does the same for grids on the host.
     metadata.pop("geokit:value_type", None)
     if info.grid_type != like.info.grid_type:
         metadata.pop("class", None)

@@ -1,7 +1,8 @@
 """Structural checks of a NanoVDB grid, so that a damaged buffer cannot make a kernel read outside it.
 
-After the checks every node lies inside the buffer, levels do not overlap, and every child offset leads to the start of
-a node of the next level that no other slot leads to. In an index grid every index is below the number of its values.
+A checked grid has every node inside the buffer, levels that do not overlap, and child offsets that each lead to the
+start of a node of the next level that no other slot refers to. In an index grid every index is below the number of its
+values.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ __all__ = ["check_grid", "check_head", "check_volume", "mark_checked"]
 
 _CHECKED = "checked"
 
-# The widest FpN code is 16 bits, stored as its logarithm.
+# The widest FpN code is 16 bits; a leaf stores the logarithm of its width.
 FPN_LARGEST_LOG = 4
-# Nodes whose masks are unpacked at a time: 256 lower nodes are a megabyte of bits.
+# Nodes whose masks are unpacked at a time: the bits of 256 lower nodes are a megabyte.
 NODES_AT_A_TIME = 256
 
 
@@ -61,11 +62,11 @@ class _Damage(Exception):
 
 
 def check_head(head: NDArray[np.uint8], size: int, where: str) -> GridLayout:
-    """Check what the headers of a grid say against the grid's size, before anything of that size is allocated.
+    """Check a grid's headers against its size before memory of that size is allocated.
 
     Args:
         head: At least the first 736 bytes of the grid.
-        size: Bytes that the grid is said to have.
+        size: Declared size of the grid in bytes.
         where: File or argument, for the message.
 
     Returns:
@@ -96,7 +97,7 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
         The layout of the grid's type.
 
     Raises:
-        FileFormatError: A node, a child or the blind data lies outside its place.
+        FileFormatError: A node, a child or the blind data lies outside its range.
         UnsupportedGridError: The grid's version, type or node order is not supported.
     """
     layout = check_head(buffer, len(buffer), where)
@@ -132,7 +133,7 @@ def check_volume(volume: SparseVolume, where: str = "") -> None:
 
 
 def mark_checked(volume: SparseVolume) -> None:
-    """Say that :func:`check_grid` has seen a volume's grid, or that it was built in place on a device."""
+    """Record that :func:`check_grid` has accepted a volume's grid, or that it was built in place on a device."""
     volume._cache.keep(_CHECKED, True)
 
 
@@ -183,7 +184,7 @@ def _check_root(buffer: NDArray[np.uint8], layout: GridLayout, root: _Level, upp
 
 
 def _check_targets(rough: NDArray[np.float64], target: NDArray[np.int64], level: _Level) -> None:
-    # The float sum shows what the integer sum would hide by wrapping around.
+    # The float sum reveals an overflow that wrapping would hide in the integer sum.
     inside = (rough >= level.begin) & (rough < level.end) & (target >= level.begin) & (target < level.end)
     if not inside.all() or ((target - level.begin) % level.size).any():
         raise _Damage(f"an offset does not lead to a {level.name} node")
@@ -214,7 +215,7 @@ def _check_children(
 
 
 def _check_variable_leaves(buffer: NDArray[np.uint8], start: NDArray[np.int64], leaf: _Level) -> None:
-    # Each leaf states its own width in bits; it must end before the next one starts.
+    # Each leaf stores its own width in bits; it must end before the next one starts.
     if start[0] != leaf.begin or start[-1] + leaf.size > len(buffer) or (start % ALIGNMENT).any():
         raise _Damage("an offset does not lead to a leaf node")
     width = buffer[start + 15] >> 5
@@ -226,13 +227,13 @@ def _check_variable_leaves(buffer: NDArray[np.uint8], start: NDArray[np.int64], 
 def _check_blind_data(buffer: NDArray[np.uint8], tree_end: int) -> None:
     grid = grid_header(buffer)
     count, offset = int(grid["blind_count"]), int(grid["blind_offset"])
-    # Without blind data the offset is zero up to 32.4, later the end of the grid.
+    # Without blind data the offset is zero up to version 32.4, later the end of the grid.
     if not count and offset == 0:
         return
     if offset < tree_end or offset % 8 or offset + count * BLIND_DATA.itemsize > len(buffer):
         raise _Damage(f"{count} blocks of blind data do not fit")
     entries = buffer[offset : offset + count * BLIND_DATA.itemsize].view(BLIND_DATA)
-    # Offsets count from the entry; the size of a value is zero where the writer (before 32.6) did not state it.
+    # Offsets count from the entry. The size of a value is zero if the writer (before 32.6) did not state it.
     start = entries["offset"].astype(np.float64) + offset + BLIND_DATA.itemsize * np.arange(count)
     end = start + entries["value_count"].astype(np.float64) * entries["value_size"]
     if (start < HEAD_SIZE).any() or (end > len(buffer)).any() or (start > len(buffer)).any():

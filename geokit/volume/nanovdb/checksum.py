@@ -1,8 +1,8 @@
-"""The CRC32 pair that a NanoVDB grid carries: one of its head, one of everything below.
+"""The pair of CRC32 checksums in a NanoVDB grid: one of its head, one of everything below.
 
-Three writers, three rules. Up to 32.6.0 the head runs through the root's table and the tail is a CRC over one CRC per
+Writers follow three rules. Up to 32.6.0 the head runs through the root's table, and the tail is a CRC over one CRC per
 node, widened to 8 bytes by NanoVDB 32.0 to 32.5 on Linux and kept at 4 elsewhere and in later versions. After 32.6.0
-the head ends with the tree header and the tail is a CRC over one CRC per 4096 bytes.
+the head ends with the tree header, and the tail is a CRC over one CRC per 4096 bytes.
 
 Source:
     NanoVDB, GridChecksum.h of OpenVDB 10.0.1 and of OpenVDB 12.
@@ -21,23 +21,23 @@ from geokit.volume.nanovdb.layout import GridLayout, layout_of
 __all__ = ["checksum_matches", "checksum_mode", "full_checksum", "partial_checksum"]
 
 EMPTY = 0xFFFFFFFF
-# The magic number and the checksum itself stay out of the sum.
+# The magic number and the checksum itself are not part of the sum.
 HEAD_START = 16
 LAST_OLD_VERSION = MAJOR_VERSION << 21 | 6 << 10
 BLOCK = 4096
 
 
 def checksum_mode(buffer: NDArray[np.uint8]) -> str:
-    """What the grid's checksum covers: "full", "partial" (headers, up to 32.6 also the root) or "none"."""
+    """Coverage of the grid's checksum: "full", "partial" (headers, up to 32.6 also the root) or "none"."""
     value = int(grid_header(buffer)["checksum"])
-    # A zero is a field that was never filled in: some writers start from it.
+    # Zero is a field that was never filled in, from which some writers start.
     if value in (0, EMPTY << 32 | EMPTY):
         return "none"
     return "partial" if value >> 32 == EMPTY else "full"
 
 
 def checksum_matches(buffer: NDArray[np.uint8]) -> bool:
-    """Whether a structurally sound grid is what its checksum says; True where it carries none."""
+    """Whether a structurally valid grid matches its checksum; True if it has none."""
     mode = checksum_mode(buffer)
     if mode == "none":
         return True
@@ -53,14 +53,14 @@ def partial_checksum(head: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> np.u
     """Checksum of a grid's headers and root.
 
     Args:
-        head: The first 736 bytes as they are to be, where those of ``buffer`` are not.
-        buffer: The structurally sound grid.
+        head: The first 736 bytes as they will be written, in place of those of ``buffer``.
+        buffer: The structurally valid grid.
     """
     return np.uint64(EMPTY << 32 | _head(head, buffer))
 
 
 def full_checksum(head: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> np.uint64:
-    """Checksum of a grid's headers, root and nodes; arguments as of :func:`partial_checksum`."""
+    """Checksum of a grid's headers, root and nodes; arguments as for :func:`partial_checksum`."""
     if _is_empty(buffer):
         return partial_checksum(head, buffer)
     return np.uint64(_tails(buffer, old=_is_old(head))[0] << 32 | _head(head, buffer))
@@ -87,16 +87,17 @@ def _head(head: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> int:
     total = crc32(head[HEAD_START:HEAD_SIZE].data)
     if not _is_old(head):
         return total
-    # The size of root and table from the end of the headers on, wherever they are: so the writers of that time did.
+    # Writers of that time took as many bytes as root and table have, starting at the end of the headers, wherever the
+    # root is.
     layout = _layout(buffer)
     end = HEAD_SIZE + layout.root_size + _root_tiles(buffer) * layout.root_tile_size
     return crc32(buffer[HEAD_SIZE:end].data, total)
 
 
 def _tails(buffer: NDArray[np.uint8], *, old: bool | None = None) -> tuple[int, ...]:
-    """The sums that a writer may have stored; first the one that geokit stores."""
+    """The sums that a writer may have stored, first the one that geokit stores."""
     if not (_is_old(buffer) if old is None else old):
-        # The last block takes what is left over, up to two blocks' worth.
+        # The last block also takes the remainder, up to two blocks in size.
         size = len(buffer) - HEAD_SIZE
         starts = [HEAD_SIZE + BLOCK * i for i in range(size // BLOCK)]
         ends = [*starts[1:], len(buffer)]
@@ -107,7 +108,7 @@ def _tails(buffer: NDArray[np.uint8], *, old: bool | None = None) -> tuple[int, 
 
 
 def _node_sums(buffer: NDArray[np.uint8], layout: GridLayout) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    # Early writers took the C++ size of a leaf, which of an FpN leaf is its header; later ones the whole leaf.
+    # Early writers took the C++ size of a leaf, which for an FpN leaf is its header; later ones take the whole leaf.
     tree = tree_header(buffer)
     headers: list[int] = []
     whole: list[int] = []

@@ -1,6 +1,6 @@
 """Compression of grids in .nvdb files: none, zip (one zlib stream) and Blosc (frames of up to 1 GiB).
 
-Every size is checked against what the file can honestly hold before memory is taken for it.
+Every size is checked against the largest plausible compression ratio before memory is allocated for it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from geokit.errors import FileFormatError, MissingDependencyError
 
 __all__ = ["CODECS", "Fetch", "compress_into", "decompress", "decompress_head", "largest_size"]
 
-# In the order of their numbers in the file.
+# In the order of their codes in the file.
 CODECS = ("none", "zip", "blosc")
 
-# Deflate's limit is 1032 to 1 and LZ4's 255 to 1; what claims more was made to fill memory.
+# Deflate's limit is 1032 to 1 and LZ4's 255 to 1; a file that claims more was made to exhaust memory.
 LARGEST_RATIO = 1032
-# NanoVDB cuts a grid into Blosc frames of this many bytes.
+# NanoVDB splits a grid into Blosc frames of this many bytes.
 BLOSC_FRAME = 1 << 30
 BLOSC_HEADER = 16
-# Bit 1 of a Blosc header's flags: the bytes after the header are the data itself.
+# Bit 1 of the flags in a Blosc header: the bytes after the header are the data itself, uncompressed.
 BLOSC_STORED = 2
 # NanoVDB compresses with LZ4 at level 9 over 4-byte elements; so does geokit.
 BLOSC_LEVEL = 9
@@ -41,7 +41,7 @@ class _Damaged(Exception):
 
 
 def largest_size(stored: int) -> int:
-    """The most bytes that ``stored`` compressed bytes of an honest file can hold."""
+    """Largest size to which ``stored`` compressed bytes of a valid file can decompress."""
     return LARGEST_RATIO * stored + PIECE
 
 
@@ -50,7 +50,7 @@ def decompress(codec: str, stored: memoryview, out: NDArray[np.uint8], where: st
 
     Args:
         codec: One of :data:`CODECS`.
-        stored: The grid's bytes in the file, with the length words of its codec.
+        stored: The grid's bytes in the file, including the length words of its codec.
         out: Destination, uint8.
         where: File and grid, for the message.
 
@@ -67,13 +67,13 @@ def decompress(codec: str, stored: memoryview, out: NDArray[np.uint8], where: st
 
 
 def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str) -> NDArray[np.uint8]:
-    """The first bytes of a grid, reading and decompressing no more than the block that holds them.
+    """The first bytes of a grid; only the block that holds them is read and decompressed.
 
     Args:
         codec: One of :data:`CODECS`.
-        fetch: ``fetch(start, count)`` gives bytes of what the file stores of the grid.
-        stored: How many bytes that is.
-        size: Bytes wanted; fewer come back where the grid is shorter.
+        fetch: ``fetch(start, count)`` returns bytes of the grid as stored in the file.
+        stored: Number of stored bytes.
+        size: Number of bytes wanted; fewer are returned if the grid is shorter.
         where: File and grid, for the message.
 
     Raises:
@@ -89,7 +89,7 @@ def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str
             head = _blosc_first_block(fetch, stored)[:size]
     except (_Damaged, zlib.error, struct.error) as error:
         raise _refusal(where, codec, str(error)) from None
-    # A copy starts at a boundary where the headers may be read as records.
+    # The copy is aligned, so that the headers may be read as records.
     return np.frombuffer(head, np.uint8).copy()
 
 
@@ -98,7 +98,7 @@ def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO
 
     Args:
         codec: One of :data:`CODECS`.
-        parts: The grid's bytes, in as many arrays as they lie in.
+        parts: The grid's bytes, in any number of arrays.
         file: Open for writing.
 
     Returns:
@@ -128,7 +128,7 @@ def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO
 
 
 def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
-    """The bytes of all parts, cut where NanoVDB cuts them."""
+    """The bytes of all parts, split where NanoVDB splits them."""
     room = BLOSC_FRAME
     gathered: list[NDArray[np.uint8]] = []
     for part in parts:
@@ -193,7 +193,7 @@ def _inflate(stored: memoryview, out: NDArray[np.uint8]) -> int:
     for first in range(0, len(stored), PIECE):
         waiting: bytes | memoryview = stored[first : first + PIECE]
         while waiting and not inflater.eof:
-            # One byte more than there is room for shows a stream that is too long.
+            # One byte more than fits reveals a stream that is too long.
             piece = inflater.decompress(waiting, min(16 * PIECE, len(out) - written + 1))
             if written + len(piece) > len(out):
                 raise _Damaged(f"it holds more than {len(out)} bytes")
@@ -229,7 +229,7 @@ def _blosc_frame(frame: memoryview, out: NDArray[np.uint8]) -> int:
 
 
 def _blosc_first_block(fetch: Fetch, stored: int) -> bytes:
-    # A frame of one block is made from the first block of the large one, so that only that block is decompressed.
+    # A frame of one block is built from the first block of the large one, so that only that block is decompressed.
     header = fetch(8, BLOSC_HEADER) if stored >= 8 + BLOSC_HEADER else b""
     if len(header) < BLOSC_HEADER:
         raise _Damaged("a Blosc frame is shorter than its header")

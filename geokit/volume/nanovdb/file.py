@@ -1,7 +1,7 @@
-"""Files of NanoVDB grids (.nvdb): segments of grids with a block of metadata each, or bare grid buffers.
+"""Files of NanoVDB grids (.nvdb): segments of grids with a block of metadata each, or plain grid buffers.
 
 A segment is a 16-byte header, one 176-byte block with the grid's name per grid, then the grids, all with one codec. A
-file is any number of segments; since NanoVDB 32.6 it may also be grid buffers one after the other.
+file is any number of segments. Since NanoVDB 32.6 it may also be grid buffers one after the other.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ FILE_METADATA = np.dtype(
         ("codec", "<u2"), ("padding", "<u2"), ("version", "<u4"),
     ]
 )  # fmt: skip
-# The root follows the headers; 4 KiB reach its fixed part in every file seen, whatever its padding.
+# The root follows the headers. In every known file its fixed part lies within 4 KiB, whatever the padding.
 INSPECTED = 4096
 REMEDY = "get the file again from its source"
 
@@ -59,11 +59,11 @@ class NvdbGrid(NamedTuple):
     """One grid of a file.
 
     Attributes:
-        buffer: The grid, uint8, aligned, checked; its header says that it is the only one. Metadata that geokit had
-            attached to it is taken out.
+        buffer: The grid, uint8, aligned and checked. Its header says that it is the only grid, and metadata that geokit
+            had attached to it is removed.
         name: Its name in the file.
-        checksum: What its checksum covered when it was read and verified: "full", "partial" or "none".
-        metadata: That metadata.
+        checksum: Coverage of the checksum that was verified on reading: "full", "partial" or "none".
+        metadata: The removed metadata.
     """
 
     buffer: NDArray[np.uint8]
@@ -87,27 +87,27 @@ class _Entry:
 
 
 def names(path: str | os.PathLike[str]) -> list[str]:
-    """Names of the grids in a file, in its order, without reading the grids.
+    """List the names of the grids in a file, in its order, without reading the grids.
 
     Raises:
         FileAccessError: The file is missing or not readable.
         FileFormatError: The file is damaged or no .nvdb file.
-        UnsupportedGridError: The file is of another major version of NanoVDB.
+        UnsupportedGridError: The file has another major version of NanoVDB.
     """
     with _opened(path) as file:
         return [entry.name for entry in _entries(file, Path(path))]
 
 
 def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
-    """What a file says about its grids, reading and decompressing their first bytes only.
+    """Describe the grids of a file, reading and decompressing only their first bytes.
 
-    Grids of types that cannot be loaded are listed too. Metadata stands at a grid's end: it is left out where the grid
-    would have to be decompressed for it, and counts as part of the grid's size there.
+    Grids of types that cannot be loaded are listed too. Metadata stands at the end of a grid: if the grid would have to
+    be decompressed for it, it is left out and counts as part of the grid's size.
 
     Raises:
         FileAccessError: The file is missing or not readable.
         FileFormatError: The file is damaged or no .nvdb file.
-        UnsupportedGridError: The file is of another major version of NanoVDB.
+        UnsupportedGridError: The file has another major version of NanoVDB.
         MissingDependencyError: A grid is Blosc-compressed and blosc is not installed.
     """
     path = Path(path)
@@ -122,21 +122,21 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
 
 
 def read(path: str | os.PathLike[str], indices: Sequence[int] | None = None) -> list[NvdbGrid]:
-    """Grids of a file, each in a buffer of its own, checked through and through.
+    """Read grids of a file, each into its own buffer, with all checks.
 
     Args:
         path: A .nvdb file.
-        indices: Which grids, by their place in the file; None for all.
+        indices: Positions of the grids in the file; None for all.
 
     Returns:
-        The grids in the order asked for.
+        The grids in the requested order.
 
     Raises:
         FileAccessError: The file is missing or not readable.
         FileFormatError: The file is damaged, truncated or no .nvdb file, or a checksum does not match.
-        UnsupportedGridError: A grid is of a type or version that geokit does not read.
+        UnsupportedGridError: geokit does not read a grid's type or version.
         MissingDependencyError: A grid is Blosc-compressed and blosc is not installed.
-        DeviceMemoryError: A grid is larger than the machine's memory.
+        DeviceMemoryError: A grid is larger than the host's memory.
     """
     path = Path(path)
     with _opened(path) as file:
@@ -164,7 +164,7 @@ def _entries(file: BufferedReader, path: Path) -> Iterator[_Entry]:
 
 
 def _is_raw_grid(start: bytes, size: int) -> bool:
-    # A file and a grid may start with the same magic number: what follows tells them apart.
+    # A file and a grid may start with the same magic number; the following bytes tell them apart.
     if len(start) < HEAD_SIZE:
         return False
     grid = grid_header(np.frombuffer(start, np.uint8).copy())
@@ -236,13 +236,13 @@ def _segment(file: BufferedReader, at: int, size: int, path: Path) -> tuple[list
 
 
 def _stored_size(file: BufferedReader, at: int, declared: int, grid_size: int, codec: str) -> int:
-    """Bytes of a grid in the file; warp's writer leaves the length words of compressed blocks out of its count."""
+    """Bytes of a grid in the file; warp's writer does not count the length words of compressed blocks."""
     if codec == "none" or grid_size > largest_size(declared):
         return declared
     frames = -(-grid_size // BLOSC_FRAME) if codec == "blosc" else 1
     followed = at
     for _ in range(frames):
-        # No further than the count that is to be tested: a damaged length must not be believed.
+        # Follow lengths no further than the declared count, since a damaged length cannot be trusted.
         if followed - at > declared:
             return declared
         followed += 8 + int.from_bytes(os.pread(file.fileno(), 8, followed), "little")
@@ -277,7 +277,7 @@ def _attached(file: BufferedReader, entry: _Entry, where: str) -> tuple[dict[str
 
 def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
     where = f"{path}: {entry.where}"
-    # The headers are judged before memory is taken for the whole.
+    # The headers are checked before memory for the whole grid is allocated.
     check_head(_head_of(file, entry, HEAD_SIZE, where), entry.grid_size, where)
     buffer = _memory(entry.grid_size, where)
     file.seek(entry.start)
@@ -298,7 +298,7 @@ def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
 def _memory(size: int, where: str) -> NDArray[np.uint8]:
     try:
         present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not every system says
+    except (AttributeError, ValueError, OSError):  # not available on every system
         present = size
     try:
         if size > present:
@@ -311,7 +311,7 @@ def _memory(size: int, where: str) -> NDArray[np.uint8]:
 
 
 def _make_single(buffer: NDArray[np.uint8], checksum: str) -> None:
-    # A grid from a buffer of several says so, and readers would look for the others behind it.
+    # A grid from a buffer of several says so, and readers would search for the others behind it.
     grid = grid_header(buffer)
     if int(grid["grid_count"]) == 1 and int(grid["grid_index"]) == 0:
         return

@@ -20,20 +20,20 @@ __all__ = ["GridInfo"]
 
 @dataclass(frozen=True, eq=False)
 class GridInfo:
-    """What is known about a grid without reading its voxels.
+    """Description of a grid that is known without reading its voxels.
 
     Attributes:
-        name: The grid's name, ``""`` where it has none.
+        name: The grid's name, ``""`` if it has none.
         grid_type: Value type, as NanoVDB names it in lower case: "float", "double", "int32", "int64", "vec3f",
             "vec3d", "vec3i", "bool", "mask", "half", "fp4", "fp8", "fp16", "fpn", ...
         grid_class: "level set", "fog volume", "staggered", "point index", "point data", "topology", "unknown", ...
         transform: Index to world, shape (4, 4) float64: ``world = transform[:3, :3] @ index + transform[:3, 3]``.
         voxel_size: Edge lengths of a voxel along its index axes [world], shape (3,).
-        background: Value outside every node; a float, int, bool or a tuple of them.
-        active_voxel_count: Number of active voxels, those of active tiles included; None where a file's header does
-            not say.
-        index_bounds: First and last active voxel, shape (2, 3) int64, both inclusive; None where none is active.
-        byte_count: Size of the NanoVDB buffer, or of the grid in its file where only its header was read.
+        background: Value outside all nodes: a float, int, bool or a tuple of them.
+        active_voxel_count: Number of active voxels, including those of active tiles; None if a file's header does not
+            state it.
+        index_bounds: First and last active voxel, shape (2, 3) int64, both inclusive; None if no voxel is active.
+        byte_count: Size of the NanoVDB buffer, or of the grid in its file if only its header was read.
         metadata: The OpenVDB metadata of the grid (strings, numbers, tuples, bytes), read-only.
     """
 
@@ -50,7 +50,7 @@ class GridInfo:
 
     @property
     def world_bounds(self) -> NDArray[np.float64] | None:
-        """Box around the active voxel centres [world], shape (2, 3); None where none is active."""
+        """Box around the active voxel centers [world], shape (2, 3); None if no voxel is active."""
         if self.index_bounds is None:
             return None
         corners = np.array(np.meshgrid(*self.index_bounds.T, indexing="ij"), dtype=np.float64).reshape(3, -1)
@@ -59,21 +59,21 @@ class GridInfo:
 
     @property
     def tolerance(self) -> float | None:
-        """Error that was asked for when the values were made [value units]; None where none was."""
+        """Error that was requested when the values were made [value units], or None if none was."""
         return known_number(self.metadata.get(TOLERANCE))
 
     @property
     def achieved_error(self) -> float | None:
-        """Largest error that was found then [value units]: of voxels, or of interpolated distances; None if unknown."""
+        """Largest error that was then found [value units], of voxels or of interpolated distances; None if unknown."""
         return known_number(self.metadata.get(ACHIEVED_ERROR))
 
     @property
     def achieved_error_999(self) -> float | None:
-        """99.9th percentile of the interpolated distances' errors [value units]; None if unknown."""
+        """99.9th percentile of the interpolated distances' errors [value units], or None if unknown."""
         return known_number(self.metadata.get(ACHIEVED_999))
 
     @property
     def order(self) -> int | None:
-        """Order of interpolation for which the values were made; None where none was chosen."""
+        """Order of interpolation for which the values were made, or None if none was chosen."""
         order = known_number(self.metadata.get(ORDER))
         return int(order) if order in (1.0, 2.0, 3.0) else None

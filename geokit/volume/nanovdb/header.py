@@ -1,4 +1,4 @@
-"""NanoVDB 32.x as NumPy sees it: headers, and what a buffer says about itself.
+"""Headers of NanoVDB 32.x as NumPy types, and the description of a grid from its buffer.
 
 A buffer holds one grid and starts at a 32-byte boundary: GridData (672 bytes), TreeData (64), the root with its table,
 then all upper nodes (32^3 slots), all lower nodes (16^3), all leaves (8^3 voxels), then optional blind data.
@@ -49,7 +49,7 @@ __all__ = [
     "voxel_size_of",
 ]
 
-# Cache lines are the larger of the two boundaries that a buffer should start at.
+# A buffer should start at a 32-byte boundary and at a cache line; the latter is the larger.
 BUFFER_ALIGNMENT = 64
 MAJOR_VERSION = 32
 
@@ -86,7 +86,7 @@ GRID_DATA = np.dtype(
         "itemsize": 672,
     }
 )  # fmt: skip
-# Offsets are relative to the tree header; node and tile counts run from the leaves upwards.
+# Offsets are relative to the tree header. Node and tile counts run from the leaves upwards.
 TREE_DATA = np.dtype(
     [("node_offset", "<u8", 4), ("node_count", "<u4", 3), ("tile_count", "<u4", 3), ("voxel_count", "<u8")]
 )
@@ -100,17 +100,17 @@ BLIND_CLASS_NAME = 3
 TREE_OFFSET = GRID_DATA.itemsize
 HEAD_SIZE = GRID_DATA.itemsize + TREE_DATA.itemsize
 
-# The root starts with the box of its active voxels: six int32.
+# The root starts with the bounding box of its active voxels: six int32.
 ROOT_BOUNDS = 24
 
 
 def grid_class_code(name: str) -> int:
-    """NanoVDB's number of a grid class; 0, its "unknown", for a class that NanoVDB does not have."""
+    """NanoVDB's code of a grid class; 0, its "unknown", for a class that NanoVDB does not have."""
     return GRID_CLASSES.index(name) if name in GRID_CLASSES else 0
 
 
 def aligned_buffer(size: int, *, zeroed: bool = False) -> NDArray[np.uint8]:
-    """An uninitialised or zeroed uint8 array of ``size`` bytes that starts where NanoVDB allows a grid to start."""
+    """Allocate ``size`` bytes of uint8, uninitialized or zeroed, at an address where NanoVDB allows a grid to start."""
     make = np.zeros if zeroed else np.empty
     memory = make(size + BUFFER_ALIGNMENT, dtype=np.uint8)
     start = -memory.ctypes.data % BUFFER_ALIGNMENT
@@ -118,17 +118,17 @@ def aligned_buffer(size: int, *, zeroed: bool = False) -> NDArray[np.uint8]:
 
 
 def grid_header(buffer: NDArray[np.uint8]) -> Any:
-    """GridData of a buffer, as one record that shares its memory."""
+    """GridData of a buffer, as one record that shares the buffer's memory."""
     return buffer[:TREE_OFFSET].view(GRID_DATA)[0]
 
 
 def tree_header(buffer: NDArray[np.uint8]) -> Any:
-    """TreeData of a buffer, as one record that shares its memory."""
+    """TreeData of a buffer, as one record that shares the buffer's memory."""
     return buffer[TREE_OFFSET:HEAD_SIZE].view(TREE_DATA)[0]
 
 
 def version_text(version: int) -> str:
-    """ "32.4.2" from NanoVDB's packed version."""
+    """ "32.4.2" from NanoVDB's packed version number."""
     return f"{version >> 21}.{(version >> 10) & 0x7FF}.{version & 0x3FF}"
 
 
@@ -140,8 +140,8 @@ def require_header(head: NDArray[np.uint8], where: str) -> None:
         where: File or argument, for the message.
 
     Raises:
-        FileFormatError: This is no NanoVDB grid, or its header contradicts itself.
-        UnsupportedGridError: The grid is of another major version.
+        FileFormatError: The bytes are not a NanoVDB grid, or its header contradicts itself.
+        UnsupportedGridError: The grid has another major version.
     """
     remedy = "get the file again from its source"
     if len(head) < HEAD_SIZE:
@@ -163,14 +163,14 @@ def require_header(head: NDArray[np.uint8], where: str) -> None:
 
 
 def require_supported(head: NDArray[np.uint8], where: str) -> GridLayout:
-    """As :func:`require_header`, and the grid's type and node order are ones that geokit reads.
+    """Check the header as :func:`require_header` does, and that geokit reads the grid's type and node order.
 
     Returns:
         The layout of the grid's type.
 
     Raises:
-        FileFormatError: This is no NanoVDB grid, or its header contradicts itself.
-        UnsupportedGridError: The grid is of a version, type or node order that geokit does not read.
+        FileFormatError: The bytes are not a NanoVDB grid, or its header contradicts itself.
+        UnsupportedGridError: geokit does not read the grid's version, type or node order.
     """
     require_header(head, where)
     grid = grid_header(head)
@@ -181,15 +181,15 @@ def require_supported(head: NDArray[np.uint8], where: str) -> GridLayout:
 
 
 def _is_singular(matrix: NDArray[np.float64]) -> bool:
-    # Rows are scaled first: voxels of 1e-120 have a determinant that underflows though the matrix is sound.
+    # Rows are scaled first: voxels of 1e-120 have a determinant that underflows although the matrix is regular.
     scale = np.abs(matrix).max(axis=1, keepdims=True)
     return not (scale > 0.0).all() or np.linalg.matrix_rank(matrix / scale) < 3
 
 
 def voxel_size_of(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Edge lengths (3,) of a voxel under an index-to-world transform whose linear part is its first three columns."""
+    """Edge lengths (3,) of a voxel under a transform, index to world, whose first three columns are linear."""
     linear = transform[:3, :3]
-    # Scaled first: squares of lengths beyond 1e154 overflow though the lengths do not.
+    # Scaled first: squares of lengths beyond 1e154 overflow although the lengths do not.
     largest = np.abs(linear).max(axis=0)
     return np.linalg.norm(linear / np.where(largest > 0.0, largest, 1.0), axis=0) * largest
 
@@ -202,21 +202,21 @@ def info_of(
     byte_count: int | None = None,
     where: str = "NanoVDB buffer",
 ) -> GridInfo:
-    """What a NanoVDB buffer says about its grid.
+    """Describe the grid in a NanoVDB buffer.
 
     Args:
         buffer: A grid, uint8, at least through its root's fixed part.
-        metadata: OpenVDB metadata that came with the grid; NanoVDB has no place for it.
-        name: The grid's name where it is known from elsewhere; else it is read from the buffer.
-        byte_count: Size of the grid where the buffer is only its beginning.
+        metadata: OpenVDB metadata of the grid; NanoVDB has no place for it.
+        name: The grid's name if known from elsewhere; else it is read from the buffer.
+        byte_count: Size of the grid if the buffer holds only its beginning.
         where: File or argument, for the message.
 
     Returns:
-        GridInfo of the grid; its background is None where the type holds no values.
+        GridInfo of the grid; its background is None if the type holds no values.
 
     Raises:
-        FileFormatError: This is no NanoVDB grid.
-        UnsupportedGridError: The grid is of another major version of NanoVDB.
+        FileFormatError: The buffer is not a NanoVDB grid.
+        UnsupportedGridError: The grid has another major version of NanoVDB.
     """
     require_header(buffer, where)
     grid, tree = grid_header(buffer), tree_header(buffer)
@@ -250,7 +250,7 @@ def info_of(
 def grid_name(buffer: NDArray[np.uint8]) -> str:
     """A grid's name: in the header up to 255 bytes, else in a block of blind data.
 
-    Bytes that are not UTF-8 come back as surrogates, which give the same bytes again when encoded.
+    Bytes that are not UTF-8 become surrogates, which encode to the same bytes again.
     """
     grid = grid_header(buffer)
     offset, count = int(grid["blind_offset"]), int(grid["blind_count"])
@@ -264,12 +264,12 @@ def grid_name(buffer: NDArray[np.uint8]) -> str:
 
 
 def decoded_name(text: bytes) -> str:
-    """Name from bytes that end with the first zero, if any."""
+    """Decode a name from bytes that end with the first zero, if any."""
     return text.split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
 
 
 def encoded_name(name: str) -> bytes:
-    """The bytes that :func:`decoded_name` made the name from."""
+    """Encode a name to the bytes from which :func:`decoded_name` made it."""
     return name.encode("utf-8", "surrogateescape")
 
 

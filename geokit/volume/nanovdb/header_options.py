@@ -1,4 +1,4 @@
-"""Headers of new grids: their options, checked, and what is written of them."""
+"""Options of a new grid's headers: validation and writing."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, GridLayout
 
 __all__ = ["GridOptions", "checked_options", "checked_transform", "write_header", "write_transform"]
 
-# 32.4.2 is what OpenVDB 10 writes; later readers take it too.
+# OpenVDB 10 writes 32.4.2; later readers accept it too.
 VERSION = 32 << 21 | 4 << 10 | 2
 LONGEST_NAME = 255
 
 
 class GridOptions(NamedTuple):
-    """Index to world (4, 4), the name's bytes, and NanoVDB's number of the class."""
+    """Index to world (4, 4), the name in bytes, and NanoVDB's code of the class."""
 
     transform: NDArray[np.float64]
     name: bytes
@@ -37,7 +37,7 @@ class GridOptions(NamedTuple):
 
 
 def checked_options(transform: NDArray[np.float64], name: str, grid_class: str) -> GridOptions:
-    """Options of a grid, refused where no grid can have them.
+    """Validate the options of a grid.
 
     Raises:
         InputError: A name, class or transform that no grid can have.
@@ -53,7 +53,7 @@ def checked_options(transform: NDArray[np.float64], name: str, grid_class: str) 
 
 
 def checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A transform as float64 (4, 4).
+    """Validate a transform and return it as float64 (4, 4).
 
     Raises:
         InputError: No grid can have it.
@@ -86,11 +86,11 @@ def write_header(
     """Write a grid's headers, still without statistics and checksum.
 
     Args:
-        buffer: Zeros.
-        layout: Of the grid's type, which has extrema.
-        options: Checked.
-        size: Bytes of the grid.
-        begins: Bytes at which leaves, lower nodes, upper nodes and the root begin.
+        buffer: Target, filled with zeros.
+        layout: Layout of the grid's type, which must have extrema.
+        options: Options from :func:`checked_options`.
+        size: Size of the grid in bytes.
+        begins: Offsets [bytes] of the leaves, lower nodes, upper nodes and the root.
         counts: Numbers of leaves, lower and upper nodes.
     """
     grid = grid_header(buffer)
@@ -107,11 +107,11 @@ def write_header(
 
 
 def write_transform(grid: Any, transform: NDArray[np.float64]) -> None:
-    """Put index to world (4, 4) into a grid's header."""
+    """Write a transform, index to world (4, 4), into a grid's header."""
     linear, translation = transform[:3, :3], transform[:3, 3]
     inverse = np.linalg.inv(linear)
     grid["matrix"], grid["inverse"], grid["vector"], grid["taper"] = linear.ravel(), inverse.ravel(), translation, 1.0
-    # Beyond float32's range the single-precision map overflows to inf; geokit's kernels use the double one.
+    # Beyond float32's range the single-precision map overflows to inf; geokit's kernels use the double-precision one.
     with np.errstate(over="ignore", under="ignore"):
         grid["matrix_f"], grid["inverse_f"] = linear.ravel(), inverse.ravel()
         grid["vector_f"], grid["taper_f"] = translation, 1.0

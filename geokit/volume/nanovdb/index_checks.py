@@ -1,8 +1,8 @@
-"""Index grids: how their nodes are laid out, and whether every index lies in the range that the grid claims.
+"""Index grids: the layout of their nodes, and checks that every index lies in the range that the grid claims.
 
-An index grid stores no values. Each voxel and tile has an index into channels, arrays that follow the nodes as blind
-data; index 0 is the background's. A leaf numbers its voxels consecutively from its own offset: all 512 ("index"), or
-the active ones only ("onindex").
+An index grid stores no values. Each voxel and tile has an index into channels, which are arrays that follow the nodes
+as blind data. Index 0 belongs to the background. A leaf numbers its voxels consecutively from its own offset: all 512
+of them ("index"), or only the active ones ("onindex").
 
 Source:
     NanoVDB (Museth 2021), NanoVDB.h 32.8, LeafIndexBase. Before 32.6 leaves of index grids were laid out differently.
@@ -26,24 +26,24 @@ from geokit.volume.nanovdb.layout import (
 
 __all__ = ["index_damage", "index_layout", "leaf_offsets", "masks_of", "slots_of", "value_count_of"]
 
-# First version, as NanoVDB packs it, whose leaves have an offset and prefix sums.
+# First version, packed as in NanoVDB, whose leaves have an offset and prefix sums.
 FIRST_VERSION = 32 << 21 | 6 << 10
 LEAF_FLAGS = 15
 LEAF_MASK = 16
 LEAF_OFFSET = 80
 LEAF_PREFIX = 88
-# Leaves with statistics have their minimum, maximum, average and deviation right behind their voxels.
+# Leaves with statistics store their minimum, maximum, average and deviation directly after their voxels.
 HAS_STATISTICS = 16
 STATISTICS = 4
-# Nodes looked at together: the slots of 64 upper nodes are 16 megabytes.
+# Nodes checked together: the slots of 64 upper nodes are 16 megabytes.
 NODES_AT_A_TIME = 64
 
 
 def index_layout(head: NDArray[np.uint8], where: str) -> GridLayout | None:
-    """Layout of a grid, by its header, if it is an index grid; else None.
+    """Layout of an index grid, from its header; None for other grids.
 
     Raises:
-        FileFormatError: This is no NanoVDB grid, or its header contradicts itself.
+        FileFormatError: The bytes are not a NanoVDB grid, or its header contradicts itself.
         UnsupportedGridError: It is an index grid of a version whose leaves are laid out differently.
     """
     require_header(head, where)
@@ -60,19 +60,19 @@ def index_layout(head: NDArray[np.uint8], where: str) -> GridLayout | None:
 
 
 def value_count_of(buffer: NDArray[np.uint8]) -> int:
-    """How many values each channel of an index grid must have."""
+    """Number of values that each channel of an index grid must have."""
     return int(grid_header(buffer)["data_1"])
 
 
 def masks_of(buffer: NDArray[np.uint8], begin: int, count: int, size: int, at: int, slots: int) -> NDArray[np.uint8]:
-    """Bit masks of consecutive nodes as stored, shape (count, slots / 8), sharing the buffer's memory."""
+    """Stored bit masks of consecutive nodes, shape (count, slots / 8), sharing the buffer's memory."""
     return np.ndarray((count, slots // 8), np.uint8, buffer, begin + at, (size, 1))
 
 
 def slots_of(
     buffer: NDArray[np.uint8], begin: int, count: int, size: int, table: int, slots: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-    """Slots (count, slots) of consecutive nodes of an index grid, and which of them lead to children."""
+    """Slots (count, slots) of consecutive nodes of an index grid, and the mask of those that hold children."""
     entries = np.ndarray((count, slots), "<u8", buffer, begin + table, (size, 8))
     children = masks_of(buffer, begin, count, size, 32 + slots // 8, slots)
     return entries, np.unpackbits(children, axis=1, bitorder="little").view(np.bool_)
@@ -93,13 +93,13 @@ def index_damage(
     buffer: NDArray[np.uint8], layout: GridLayout, root: int, upper: tuple[int, int], lower: tuple[int, int],
     leaf: tuple[int, int],
 ) -> str | None:  # fmt: skip
-    """What is wrong with the indices of a grid whose nodes are known to be in their places; None if nothing is.
+    """Describe what is wrong with the indices of a grid whose nodes are already checked; None if they are valid.
 
     Args:
         buffer: The whole grid.
         layout: One of INDEX_LAYOUTS.
-        root: Where the root begins.
-        upper: Where the upper nodes begin, and their number; so for ``lower`` and ``leaf``.
+        root: Offset of the root.
+        upper: Offset and number of the upper nodes; likewise ``lower`` and ``leaf``.
     """
     values = value_count_of(buffer)
     at = root + layout.root_background
@@ -133,12 +133,12 @@ def _leaf_damage(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, coun
         bits = np.unpackbits(masks_of(buffer, begin, count, layout.leaf_size, LEAF_MASK, LEAF_VOXELS), axis=1)
         sums = bits.reshape(count, 8, 64).sum(axis=2, dtype=np.uint64).cumsum(axis=1, dtype=np.uint64)
         used = sums[:, 7]
-        # Readers add these sums to the offset without looking: one that is wrong leads out of the leaf's range.
+        # Readers add these prefix sums to the offset unchecked: a wrong one leads out of the leaf's range.
         shifts = np.arange(7, dtype=np.uint64) * np.uint64(9)
         if ((prefix[:, None] >> shifts & np.uint64(511)) != (sums[:, :7] & np.uint64(511))).any():
             return "the prefix sums of a leaf do not fit its mask"
     used = used + np.where(flags & HAS_STATISTICS, np.uint64(STATISTICS), np.uint64(0))
-    # Compared this way round: a damaged offset could wrap around when something is added to it.
+    # Compared in this order, since adding to a damaged offset could wrap around.
     if (used > values).any() or (offset > np.uint64(values) - used).any():
         return f"a leaf has indices that are not below its {values} values"
     return None

@@ -49,8 +49,8 @@ class GridLayout:
         background: NumPy type of the background value, with its shape for vectors.
         align: Alignment [bytes] of a value.
         stat: Size and alignment [bytes] of an average or deviation.
-        leaf_bits: Bits per voxel in a leaf's table; 0 where a leaf stores none, -1 where every leaf has its own number.
-        leaf_header: Bytes of a leaf before its table where values are quantized, else 0.
+        leaf_bits: Bits per voxel in a leaf's table; 0 if a leaf stores none, -1 if every leaf has its own width.
+        leaf_header: Bytes of a leaf before its table if values are quantized, else 0.
     """
 
     name: str
@@ -102,7 +102,7 @@ class GridLayout:
 
     @cached_property
     def leaf_size(self) -> int:
-        """Bytes of a leaf; the smallest there can be where leaves differ."""
+        """Bytes of a leaf; the smallest possible size if leaves differ."""
         if self.leaf_header:
             return self.leaf_header + max(self.leaf_bits, 1) * LEAF_VOXELS // 8
         if self.leaf_bits == 0:
@@ -113,7 +113,8 @@ class GridLayout:
         return _round(table + self.leaf_bits * LEAF_VOXELS // 8, ALIGNMENT)
 
     def _after_statistics(self, offset: int) -> int:
-        # Minimum and maximum are values, average and deviation are statistics, each aligned by its own size.
+        # Minimum and maximum have the value type, average and deviation the statistics type; each is aligned to its own
+        # size.
         offset = _round(offset, self.align) + 2 * self.background.itemsize
         return _round(offset, self.stat) + 2 * self.stat
 
@@ -129,11 +130,11 @@ def _layout(kind: GridType) -> GridLayout:
     return GridLayout(kind.name, kind.value, align, kind.statistic_bytes, kind.leaf_bits, header)
 
 
-# In the order of NanoVDB's numbers.
+# In the order of NanoVDB's type codes.
 LAYOUTS: Mapping[str, GridLayout] = MappingProxyType(
     {name: _layout(BY_NAME[name]) for name in GRID_TYPES if BY_NAME[name].has_values}
 )
-# Index grids hold no values of their own: each voxel has the number of one.
+# Index grids hold no values: each voxel holds the index of one.
 INDEX_LAYOUTS: Mapping[str, GridLayout] = MappingProxyType({name: _layout(BY_NAME[name]) for name in INDEX_TYPES})
 
 
@@ -146,11 +147,11 @@ def layout_of(grid_type: int, where: str) -> GridLayout:
     """Byte layout of a grid type.
 
     Args:
-        grid_type: NanoVDB's number of the type.
+        grid_type: NanoVDB's code of the type.
         where: File or argument, for the message.
 
     Raises:
-        UnsupportedGridError: Grids of that type hold no values of their own, or the type is unknown.
+        UnsupportedGridError: Grids of that type hold no values, or the type is unknown.
     """
     name = type_name(grid_type)
     layout = LAYOUTS.get(name)

@@ -1,15 +1,15 @@
-"""Metadata of a grid in a .nvdb file: a channel of blind data at the grid's end, which other readers pass over.
+"""Metadata of a grid in a .nvdb file: a channel of blind data at the grid's end, which other readers ignore.
 
-NanoVDB has no place for OpenVDB's metadata, but lets any data follow the nodes, each with an entry that says its
-class, type and name. geokit's entry is of class and type "unknown" (which means bytes) and called ``geokit:metadata``;
-its data is a JSON object::
+NanoVDB has no place for OpenVDB's metadata, but allows any data after the nodes, each with an entry that states its
+class, type and name. geokit's entry has class and type "unknown" (which means bytes) and the name ``geokit:metadata``.
+Its data is a JSON object::
 
     {"blind_offset": "zero", "metadata": {"creator": "me", "seed": 7, "scale": {"type": "float", "hex": "0000803f"}}}
 
-Strings, booleans, integers and finite doubles stand as they are; all else is its OpenVDB type and bytes.
-``blind_offset`` is where the header put blind data while there was none, at "zero" or at the "end" of the grid, so that
-taking the channel out again gives the grid's own bytes. The grid's checksum covers nodes only: a CRC32 of the text
-stands behind the zero byte that ends the entry's name.
+Strings, booleans, integers and finite doubles are stored as they are; all other values as their OpenVDB type and bytes.
+``blind_offset`` records the header's offset of blind data before there was any, at "zero" or at the "end" of the grid,
+so that removing the channel restores the grid's own bytes. The grid's checksum covers nodes only, so a CRC32 of the
+text follows the zero byte that ends the entry's name.
 
 Source:
     NanoVDB.h 32.4 and 32.8, GridBlindMetaData.
@@ -36,7 +36,7 @@ from geokit.volume.nanovdb.layout import ALIGNMENT
 __all__ = ["CHANNEL", "body_with_metadata", "metadata_of", "without_metadata"]
 
 CHANNEL = b"geokit:metadata"
-# JSON becomes objects of some thirty times its size: a damaged length must not fill the memory.
+# JSON expands to objects of some thirty times its size: a damaged length must not exhaust memory.
 LARGEST_TEXT = 16 << 20
 INT64 = np.iinfo(np.int64)
 REMEDY = "get the file again from its source"
@@ -49,13 +49,13 @@ class _Damage(Exception):
 def body_with_metadata(
     head: NDArray[np.uint8], buffer: NDArray[np.uint8], metadata: Mapping[str, Any], where: str
 ) -> list[NDArray[np.uint8]]:
-    """What follows a grid's headers in a file, with its metadata at the end; nothing of the grid is copied.
+    """The parts of a file that follow a grid's headers, with its metadata at the end; the grid is not copied.
 
     Args:
-        head: The grid's first 736 bytes; size and place of the blind data are changed in place.
-        buffer: The structurally sound grid.
-        metadata: Values of the types of OpenVDB's metadata; none leaves the grid as it is.
-        where: The volume, for the message.
+        head: The grid's first 736 bytes; size and offset of the blind data are changed in place.
+        buffer: The structurally valid grid.
+        metadata: Values of the types of OpenVDB's metadata; an empty one leaves the grid as it is.
+        where: Name of the volume, for the message.
 
     Returns:
         Parts that follow the head, one after the other.
@@ -74,7 +74,7 @@ def body_with_metadata(
     entries = np.zeros(count + 1, BLIND_DATA)
     if count:
         entries[:count] = buffer[begin:table].view(BLIND_DATA)
-        # Data behind the table moves away by one entry; data before it stays, and offsets count from the entries.
+        # Data after the table moves back by one entry, data before it stays, and offsets count from the entries.
         start = entries["offset"][:count] + begin + BLIND_DATA.itemsize * np.arange(count)
         entries["offset"][:count] += np.where(start >= table, BLIND_DATA.itemsize, 0)
     mine = entries[count]
@@ -88,14 +88,14 @@ def body_with_metadata(
 
 
 def metadata_of(grid: NDArray[np.uint8], where: str) -> tuple[dict[str, Any], int]:
-    """The metadata that a grid brings along, and the size of the grid without it; reads only headers and channel.
+    """Metadata attached to a grid, and the size of the grid without it; reads only headers and channel.
 
     Args:
-        grid: A grid, not necessarily a sound one.
+        grid: A grid, which need not be valid.
         where: File and grid, for the message.
 
     Raises:
-        FileFormatError: The channel does not hold what geokit writes there.
+        FileFormatError: The channel does not have geokit's format.
     """
     try:
         found = _channel(grid)
@@ -107,17 +107,17 @@ def metadata_of(grid: NDArray[np.uint8], where: str) -> tuple[dict[str, Any], in
 
 
 def without_metadata(buffer: NDArray[np.uint8], where: str) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """The grid as it was before its metadata was attached, and the metadata.
+    """Remove the metadata from a grid; returns the original grid and the metadata.
 
     Args:
-        buffer: The structurally sound grid with a checksum that matches; changed in place.
+        buffer: The structurally valid grid with a matching checksum; changed in place.
         where: File and grid, for the message.
 
     Returns:
         The grid (the beginning of ``buffer``) and the metadata; a channel that is not the last one is left in place.
 
     Raises:
-        FileFormatError: The channel does not hold what geokit writes there.
+        FileFormatError: The channel does not have geokit's format.
     """
     try:
         found = _channel(buffer)
@@ -131,7 +131,7 @@ def without_metadata(buffer: NDArray[np.uint8], where: str) -> tuple[NDArray[np.
 
 @dataclass(frozen=True)
 class _Channel:
-    """Where a grid's metadata is: its entry, its data, and whether both are the last of their kind."""
+    """Location of a grid's metadata: its entry, its data, and whether both are the last of their kind."""
 
     entry: int
     start: int
@@ -165,7 +165,7 @@ def _renew_checksum(buffer: NDArray[np.uint8], mode: str) -> None:
     if mode == "none":
         return
     if mode == "full" and int(grid["version"]) <= LAST_OLD_VERSION:
-        # The sum over the nodes does not know of blind data: only that of the headers is new.
+        # The sum over the nodes does not cover blind data, so only that of the headers changes.
         low = (1 << 32) - 1
         head = int(partial_checksum(buffer[:HEAD_SIZE], buffer)) & low
         grid["checksum"] = int(grid["checksum"]) & ~low | head
@@ -174,7 +174,7 @@ def _renew_checksum(buffer: NDArray[np.uint8], mode: str) -> None:
 
 
 def _channel(buffer: NDArray[np.uint8]) -> _Channel | None:
-    """The last channel of geokit's name."""
+    """The last channel with geokit's name."""
     grid = grid_header(buffer)
     begin, count = int(grid["blind_offset"]), int(grid["blind_count"])
     if not count:

@@ -1,16 +1,16 @@
-"""Where a volume came from and how exact it is, as metadata of its grid.
+"""Provenance and accuracy of a volume, as metadata of its grid.
 
-The keys go through .vdb as OpenVDB metadata and through .nvdb as a channel of blind data
+The keys are stored in .vdb as OpenVDB metadata and in .nvdb as a channel of blind data
 (:mod:`geokit.volume.nanovdb.metadata`). A key that does not apply is absent.
 
 ============================  =============================================================================
-``geokit:source``             name of what the volume was made from: a mesh, a file, a function
+``geokit:source``             name of the source of the volume: a mesh, a file, a function
 ``geokit:source_sha256``      SHA-256 of its content in hexadecimal, see :func:`content_hash`
-``geokit:voxel_size``         edge length of a voxel that was asked for or chosen [world]
-``geokit:tolerance``          error that was asked for [value units]
-``geokit:achieved_error``     error that was achieved, at most the tolerance [value units]
-``geokit:achieved_error_999`` its 99.9th percentile, where it was found by sampling [value units]
-``geokit:checked_within``     how far from the surface that holds [world]
+``geokit:voxel_size``         requested or chosen edge length of a voxel [world]
+``geokit:tolerance``          requested error [value units]
+``geokit:achieved_error``     achieved error, at most the tolerance [value units]
+``geokit:achieved_error_999`` its 99.9th percentile, if it was found by sampling [value units]
+``geokit:checked_within``     distance from the surface up to which it holds [world]
 ``geokit:order``              order of interpolation for which it holds
 ``geokit:level``              number of a level of an adaptive field, 0 the coarsest
 ``geokit:level_count``        number of its levels
@@ -66,16 +66,16 @@ def provenance(
     checked_within: float | None = None,
     order: int | None = None,
 ) -> dict[str, Any]:
-    """Metadata that says where a volume came from.
+    """Metadata that records the source and the accuracy of a volume.
 
     Args:
-        source_name: Name of what it was made from.
-        source_hash: SHA-256 of that, from :func:`content_hash`.
+        source_name: Name of the source.
+        source_hash: SHA-256 of the source, from :func:`content_hash`.
         voxel_size: Edge length of a voxel [world].
-        tolerance: Error that was asked for [value units].
-        achieved_error: Error that was achieved [value units].
+        tolerance: Requested error [value units].
+        achieved_error: Achieved error [value units].
         achieved_error_999: Its 99.9th percentile [value units].
-        checked_within: How far from the surface that holds [world].
+        checked_within: Distance from the surface up to which the error holds [world].
         order: Order of interpolation for which it holds.
     Returns:
         The keys of this module's table whose values are known, and the version of geokit.
@@ -97,18 +97,17 @@ def provenance(
 
 
 def with_error(metadata: Mapping[str, Any], tolerance: float | None, achieved_error: float) -> Mapping[str, Any]:
-    """Metadata of a volume after a further step that changed its values.
+    """Metadata of a volume after another step that changed its values.
 
-    Errors add up, and so do the tolerances that they are held against. Without a tolerance for this step there is none
-    for the whole.
+    Errors add up, and so do their tolerances. Without a tolerance for this step there is none for the whole.
 
     Args:
-        metadata: Of the volume before the step.
-        tolerance: Error that was asked of the step [value units]; None where none was.
+        metadata: Metadata of the volume before the step.
+        tolerance: Requested error of the step [value units]; None if none was.
         achieved_error: Largest change of a value in the step [value units].
     """
     made = {**metadata, **provenance()}
-    # What was found by sampling does not hold for other values.
+    # Errors found by sampling do not apply to the changed values.
     made.pop(ACHIEVED_999, None)
     before = known_number(made.pop(ACHIEVED_ERROR, None))
     asked = known_number(made.pop(TOLERANCE, None))
@@ -119,17 +118,17 @@ def with_error(metadata: Mapping[str, Any], tolerance: float | None, achieved_er
 
 
 def with_more(volume: SparseVolume, more: Mapping[str, Any]) -> SparseVolume:
-    """A volume that was just made, with further metadata: it is changed in place, since nobody else has seen it yet."""
+    """Add metadata in place to a volume that was just made, and that no other code has seen yet."""
     metadata = MappingProxyType({**volume.info.metadata, **more})
     object.__setattr__(volume, "info", replace(volume.info, metadata=metadata))
     return volume
 
 
 def content_hash(*arrays: NDArray[Any]) -> str:
-    """SHA-256 of arrays: their types, shapes and little-endian bytes, in hexadecimal.
+    """SHA-256 of arrays: of their types, shapes and little-endian bytes, in hexadecimal.
 
     Args:
-        arrays: What a volume was made from, such as the vertices and faces of a mesh.
+        arrays: The source of a volume, such as the vertices and faces of a mesh.
     """
     digest = hashlib.sha256()
     for array in arrays:
@@ -141,5 +140,5 @@ def content_hash(*arrays: NDArray[Any]) -> str:
 
 
 def known_number(value: Any) -> float | None:
-    """A value of metadata as a number: it comes from files, where a key of ours may hold anything."""
+    """A metadata value as a number, or None: in a file, one of geokit's keys may hold any type."""
     return float(value) if isinstance(value, (int, float, np.number)) and not isinstance(value, bool) else None

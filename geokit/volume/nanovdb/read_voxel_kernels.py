@@ -1,11 +1,11 @@
 """Reads one voxel of a NanoVDB grid of any value type as float64.
 
-Warp's own ``volume_lookup*`` and ``volume_sample*`` know nine value types and give 0 for all others, such as the
+Warp's own ``volume_lookup*`` and ``volume_sample*`` support nine value types and return 0 for all others, such as the
 quantized ones. These functions read through PNanoVDB, which warp compiles into its kernels anyway. Finding a voxel's
 node and reading the voxel are two steps, so that the voxels of a leaf share the walk down the tree. elements.inl lists
 the value types and how their voxels are read.
 
-Nothing here checks the buffer: grids with damaged offsets must be refused before.
+The buffer is not checked here: the caller must reject grids with damaged offsets first.
 """
 
 from typing import Any
@@ -25,13 +25,13 @@ vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
 @wp.func_native("return (int)wp::volume::get_grid_type(wp::volume::id_to_buffer(volume));")
 def grid_type_of(volume: wp.uint64) -> int:
-    """NanoVDB's number of the grid's value type."""
+    """NanoVDB's code of the grid's value type."""
     ...
 
 
 @wp.func_native(cpp("volume/nanovdb/node_of.inl"))
 def node_of(volume: wp.uint64, grid_type: int, i: int, j: int, k: int) -> wp.uint64:
-    """The leaf that holds a voxel, or the tile or background that stands for it, for read_voxel."""
+    """The leaf of a voxel, or the tile or background in its place, as an argument of read_voxel."""
     ...
 
 
@@ -45,7 +45,7 @@ def is_leaf(node: wp.uint64) -> bool:
 def read_voxel(
     volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: wp.float64
 ) -> wp.float64:
-    """The value of a voxel, by the node that node_of found for it."""
+    """The value of a voxel, given the node from node_of."""
     ...
 
 
@@ -63,13 +63,13 @@ def read_voxel(  # noqa: F811
 
 @wp.func_native(cpp("volume/nanovdb/float_leaf_cell.inl"))
 def read_float_leaf_cell(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> vec8d:
-    """The voxels (i, j, k) to (i + 1, j + 1, k + 1), k fastest, of a float grid, all of them in one leaf."""
+    """The voxels (i, j, k) to (i + 1, j + 1, k + 1), k fastest, of a float grid; all must lie in one leaf."""
     ...
 
 
 @wp.func
 def read_separate(volume: wp.uint64, kind: int, n000: wp.uint64, i: int, j: int, k: int, family: Any):
-    """As read_cell, by the node of the first voxel; the others share it where no border is between them."""
+    """As read_cell, given the node of the first voxel; the others share it unless a node border lies between them."""
     x = (i & 7) == 7
     y = (j & 7) == 7
     z = (k & 7) == 7
@@ -120,7 +120,7 @@ def read_cell(volume: wp.uint64, i: int, j: int, k: int, family: wp.float64):
     """The eight voxels (i, j, k) to (i + 1, j + 1, k + 1), k fastest."""
     kind = grid_type_of(volume)
     node = node_of(volume, kind, i, j, k)
-    # Two thirds of all cells are in one leaf: this path makes float grids 1.2 times as fast.
+    # Two thirds of all cells lie in one leaf: this path makes float grids 1.2 times as fast.
     if kind == FLOAT_TYPE and is_leaf(node) and (i & 7) < 7 and (j & 7) < 7 and (k & 7) < 7:
         c = read_float_leaf_cell(volume, node, i, j, k)
         return c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7]

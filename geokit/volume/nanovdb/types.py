@@ -1,8 +1,8 @@
-"""The grid types of NanoVDB: one table, from which everything that must know a type is derived.
+"""The grid types of NanoVDB: one table, from which all other tables of types are derived.
 
-To add a type, add a row here, say how a kernel reads a voxel (beside ``read_voxel_kernels``) and give the tests an
-example (``tests/support/typed_grids.py``); where OpenVDB has the type too, add it to ``native/src``.
-tests/volume/nanovdb/test_types.py names each place that was forgotten.
+To add a type, add a row here, add the code that reads its voxels in a kernel (beside ``read_voxel_kernels``) and an
+example for the tests (``tests/support/typed_grids.py``). If OpenVDB has the type too, add it to ``native/src``.
+tests/volume/nanovdb/test_types.py reports each place that was forgotten.
 
 Source:
     NanoVDB.h 32.8, GridType and isValid(GridType, GridClass).
@@ -40,7 +40,7 @@ __all__ = [
 
 Family = Literal["none", "float", "quantized", "integer", "bool", "mask", "vector", "color", "index", "point"]
 
-# In the order of NanoVDB's numbers.
+# In the order of NanoVDB's class codes.
 GRID_CLASSES = (
     "unknown", "level set", "fog volume", "staggered", "point index", "point data", "topology", "voxel volume",
     "index grid", "tensor grid",
@@ -54,15 +54,15 @@ class GridType:
     """One grid type.
 
     Attributes:
-        number: NanoVDB's number of it.
+        number: NanoVDB's code of the type.
         name: NanoVDB's name in lower case.
-        family: What its values are; a "quantized" type has float values and stores codes in its leaves.
-        value: NumPy type of a tile and of the background, with its shape for vectors; None where geokit reads none.
+        family: Kind of its values; a "quantized" type has float values and stores codes in its leaves.
+        value: NumPy type of a tile and of the background, with its shape for vectors; None if geokit reads none.
         statistic_bytes: Size and alignment of an average or deviation in a node.
-        leaf_bits: Bits of a voxel in a leaf's table; 0 where leaves have no table, -1 where each has its own number.
-        openvdb: OpenVDB's name of the value type that geokit writes into .vdb files; None where OpenVDB has none.
-        has_openvdb_tools: Whether OpenVDB's own library has operations on such grids.
-        classes: Grid classes that NanoVDB allows for this type, beside "unknown".
+        leaf_bits: Bits of a voxel in a leaf's table; 0 if leaves have no table, -1 if each has its own width.
+        openvdb: OpenVDB's name of the value type that geokit writes into .vdb files; None if OpenVDB has none.
+        has_openvdb_tools: Whether OpenVDB's library has operations for such grids.
+        classes: Grid classes that NanoVDB allows for this type, in addition to "unknown".
         align: Alignment of a value [bytes]; 0 for the size of one component.
     """
 
@@ -79,12 +79,12 @@ class GridType:
 
     @property
     def components(self) -> int:
-        """Numbers in a value."""
+        """Number of components of a value."""
         return self.value.shape[0] if self.value is not None and self.value.shape else 1
 
     @property
     def has_values(self) -> bool:
-        """Whether voxels have values: such grids can be sampled."""
+        """Whether voxels have values, so that such grids can be sampled."""
         return self.family not in ("none", "index", "point")
 
     @property
@@ -94,12 +94,12 @@ class GridType:
 
     @property
     def has_isosurface(self) -> bool:
-        """Whether numbers between two values mean something: integers, bits and vectors have no isosurface."""
+        """Whether values can be interpolated to an isosurface; integers, bits and vectors cannot."""
         return self.family in ("float", "quantized")
 
     @property
     def pnanovdb(self) -> str:
-        """The name of the type in PNanoVDB.h, behind ``PNANOVDB_GRID_TYPE_``."""
+        """The name of the type in PNanoVDB.h, after ``PNANOVDB_GRID_TYPE_``."""
         return "BOOLEAN" if self.family == "bool" else self.name.upper()
 
 
@@ -117,7 +117,7 @@ def _quantized(number: int, name: str, leaf_bits: int) -> GridType:
     return _scalar(number, name, "quantized", "<f4", 4, leaf_bits=leaf_bits, openvdb="float", classes=DISTANCE)
 
 
-# Leaves of index grids have no table: a leaf of 96 bytes, or one with a mask behind it, as if a voxel had one bit.
+# Leaves of index grids have no table. They have 96 bytes, or 96 bytes and a mask, as if a voxel had one bit.
 def _index(number: int, name: str, leaf_bits: int) -> GridType:
     return _scalar(number, name, "index", "<u8", 8, leaf_bits=leaf_bits)
 
@@ -156,33 +156,33 @@ TYPES: tuple[GridType, ...] = (
 BY_NAME: Mapping[str, GridType] = MappingProxyType({grid_type.name: grid_type for grid_type in TYPES})
 
 
-# The tables below are in the order of the rows above, but for the first: that is in the order of NanoVDB's numbers.
+# The tables below keep the order of the rows above, except the first, which is in the order of NanoVDB's codes.
 GRID_TYPES = tuple(kind.name for kind in sorted(TYPES, key=lambda kind: kind.number))
 FLOAT = BY_NAME["float"].number
 INDEX_TYPES = tuple(kind.name for kind in TYPES if kind.family == "index")
 
-# Types whose voxels have values, and how many numbers each value is.
+# Types whose voxels have values, with the number of components of each.
 COMPONENTS: Mapping[str, int] = MappingProxyType({kind.name: kind.components for kind in TYPES if kind.has_values})
 SCALAR_TYPES = tuple(name for name, count in COMPONENTS.items() if count == 1)
 ISOSURFACE_TYPES = tuple(kind.name for kind in TYPES if kind.has_isosurface)
-# An index grid's channels are of these types.
+# Types that a channel of an index grid can have.
 CHANNEL_TYPES = tuple(kind.name for kind in TYPES if kind.has_plain_leaves)
 OPENVDB_TOOL_TYPES = tuple(kind.name for kind in TYPES if kind.has_openvdb_tools)
 
 QUANTIZED = tuple(kind.name for kind in TYPES if kind.family == "quantized")
-# Bits of a voxel of the quantized types whose leaves are all alike.
+# Bits of a voxel of the quantized types whose leaves all have the same size.
 FIXED_BITS: Mapping[str, int] = MappingProxyType(
     {name: BY_NAME[name].leaf_bits for name in QUANTIZED if BY_NAME[name].leaf_bits > 0}
 )
 
-# Types that NanoVDB allows for each class of grid; every type may be "unknown".
+# Types that NanoVDB allows for each grid class; every type may be "unknown".
 CLASS_TYPES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {name: tuple(kind.name for kind in TYPES if name in kind.classes) for name in GRID_CLASSES if name != "unknown"}
 )
 
 
 def _smallest_type(code: str) -> str | None:
-    """The scalar type of whole numbers that holds those of a NumPy type: its own, or the smallest that does."""
+    """Scalar type for the whole numbers of a NumPy type: that type itself, or the smallest that holds it."""
     dtype = np.dtype(code)
     fitting = [
         kind
@@ -193,7 +193,7 @@ def _smallest_type(code: str) -> str | None:
     return best.name if best else None
 
 
-# What arrays of whole numbers become, by NumPy's code of their type, and by that and the number of components.
+# Grid types for arrays of whole numbers, by NumPy's type code, and by that and the number of components.
 _WHOLE = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
 WHOLE_TYPES: Mapping[str, str] = MappingProxyType(
     {code: name for code in _WHOLE if (name := _smallest_type(code)) is not None}

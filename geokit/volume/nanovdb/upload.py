@@ -1,4 +1,4 @@
-"""Volumes on devices: one warp.Volume per device, made when first asked for."""
+"""Volumes on devices: one warp.Volume per device, made on first use."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ __all__ = ["above_leaves", "download", "upload"]
 
 
 def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
-    """The grid as a warp.Volume on a device, kept with the volume.
+    """Upload a grid to a device as a warp.Volume, which is cached with the volume.
 
-    On the CPU it shares the host buffer's memory; on a GPU it is copied there once.
+    On the CPU it shares the host buffer's memory. To a GPU it is copied once.
 
     Args:
         volume: The grid.
         device: Alias or warp device; None for the first GPU, else the CPU.
 
     Returns:
-        The same warp.Volume for every call with the same device.
+        The same warp.Volume for all calls with the same device.
 
     Raises:
         InputError: There is no such device.
-        FileFormatError: The buffer is not a sound grid.
-        UnsupportedGridError: The grid's type cannot be used.
+        FileFormatError: The buffer is not a valid grid.
+        UnsupportedGridError: The grid's type is not supported.
         DeviceMemoryError: The device has too little free memory.
     """
     import warp as wp
@@ -65,7 +65,7 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
     try:
         made = wp.Volume(array, copy=False)
     except RuntimeError:
-        # Warp knows a volume by its address: a buffer that another volume shows already needs one of its own.
+        # Warp identifies a volume by its address, so a buffer that another volume already uses must be copied.
         if found.is_cpu:
             moved = aligned_buffer(len(buffer))
             moved[:] = buffer
@@ -73,23 +73,23 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
         else:
             array = wp.clone(array)
         made = wp.Volume(array, copy=False)
-    # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, also where the
-    # caller keeps nothing else.
+    # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, even if the
+    # caller keeps no other reference.
     made._geokit_source = (array, buffer)
     volume._uploads[found.alias] = (made, array, buffer)
     return made
 
 
 def download(volume: SparseVolume) -> NDArray[np.uint8]:
-    """The host buffer of a volume that :func:`made_on_device` has made."""
+    """Download the host buffer of a volume that :func:`made_on_device` has made."""
     source = _source(volume)
     return _front(source, len(source))
 
 
 def above_leaves(volume: SparseVolume) -> NDArray[np.uint8]:
-    """The buffer up to its leaves, or all of it: headers, root and inner nodes.
+    """The part of the buffer before its leaves (headers, root and inner nodes), or all of it.
 
-    Of a grid that is on a device alone no more is brought to the host.
+    For a grid that exists only on a device, no more than that is copied to the host.
     """
     if "nanovdb" in volume.__dict__:
         return volume.nanovdb

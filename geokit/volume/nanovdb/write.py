@@ -1,4 +1,4 @@
-"""Writing .nvdb files that every reader of NanoVDB 32.x takes, and that nanovdb_validate accepts."""
+"""Writing .nvdb files that every reader of NanoVDB 32.x and nanovdb_validate accept."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = ["write"]
 
-# What OpenVDB 10 writes: its own tools refuse later versions' magic numbers, later tools read this one.
+# OpenVDB 10 writes this version. Its tools reject later versions' magic numbers, and later tools read this one.
 OLD_VERSION = 32 << 21 | 4 << 10 | 2
-# The last grid type and the number of grid classes that 32.4 knows with the layout that later versions have.
+# The last grid type and the number of grid classes that 32.4 has with the same layout as later versions.
 LAST_OLD_TYPE = 18
 OLD_CLASSES = 9
 LONGEST_NAME = 255
@@ -44,10 +44,10 @@ GRIDS_PER_SEGMENT = 0xFFFF
 
 
 def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, codec: str = "none") -> None:
-    """Write grids to one .nvdb file, which appears whole or not at all.
+    """Write grids to one .nvdb file. The file appears complete or not at all.
 
-    Each grid gets its volume's name, its metadata and a checksum over all its nodes; the volumes' own buffers stay as
-    they are. Grids from later versions of NanoVDB are stored as 32.4 where their type and blind data allow it.
+    Each grid gets its volume's name, its metadata and a checksum over all its nodes. The volumes' own buffers do not
+    change. Grids from later versions of NanoVDB are stored as 32.4 if their type and blind data allow it.
 
     Args:
         path: Target; an existing file is replaced.
@@ -55,10 +55,10 @@ def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, code
         codec: "none", "zip" or "blosc".
 
     Raises:
-        InputError: There is no volume, the codec is unknown, a name is too long, a buffer is no sound grid, or metadata
-            has a value of no OpenVDB type.
+        InputError: There is no volume, the codec is unknown, a name is too long, a buffer is not a valid grid, or the
+            metadata holds a value that has no OpenVDB type.
         FileAccessError: The target cannot be written.
-        UnsupportedGridError: A grid's type cannot be used.
+        UnsupportedGridError: A grid's type is not supported.
         MissingDependencyError: The codec is "blosc" and blosc is not installed.
     """
     if codec not in CODECS:
@@ -74,7 +74,7 @@ def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, code
 
 
 class _Prepared(NamedTuple):
-    """A grid as the file is to have it: its first bytes, and what follows them."""
+    """A grid prepared for the file: its first bytes, and the parts that follow them."""
 
     head: NDArray[np.uint8]
     body: list[NDArray[np.uint8]]
@@ -105,7 +105,7 @@ def _prepared(volume: SparseVolume, index: int) -> _Prepared:
         grid["name"] = name
     body = body_with_metadata(head, buffer, volume.info.metadata, where)
     if len(body) > 1 and int(grid["version"]) > LAST_OLD_VERSION:
-        # From then on the checksum covers the blind data too, in blocks that do not end where the parts do.
+        # From this version on the checksum covers blind data too, in blocks that do not end where the parts do.
         whole = np.concatenate([head, *body])
         grid["checksum"] = full_checksum(head, whole)
     else:
@@ -125,7 +125,7 @@ def _write_segment(file: BinaryIO, grids: list[_Prepared], magic: int, version: 
     blocks = [_file_metadata(grid.head, grid.volume, codec) for grid in grids]
     names = [encoded_name(grid.volume.info.name) + b"\0" for grid in grids]
     start = file.tell()
-    # Compressed sizes are known only afterwards: the metadata is written over its own place at the end.
+    # Compressed sizes are known only afterwards, so the metadata is written into its place at the end.
     file.seek(FILE_HEADER.itemsize + sum(FILE_METADATA.itemsize + len(name) for name in names), os.SEEK_CUR)
     for block, grid in zip(blocks, grids, strict=True):
         block["file_size"] = compress_into(codec, [grid.head, *grid.body], file)

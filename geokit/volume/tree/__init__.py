@@ -1,1 +1,1 @@
-"""Trees of grids as arrays: leaves, nodes and tiles; how grids are built from them, cut and converted."""
+"""Trees of grids as arrays of leaves, nodes and tiles; building, clipping, pruning and converting grids."""

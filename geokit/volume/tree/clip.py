@@ -1,4 +1,4 @@
-"""Clipping grids of any value type: tiles that the box's faces run through are taken apart, level by level."""
+"""Clipping of grids of any value type: tiles that the box's faces cut are split, level by level."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from geokit.volume.tree.typed_writer import rebuilt
 __all__ = ["clipped"]
 
 LEAVES_AT_A_TIME = 4096
-# First and last of eight steps along each axis.
+# First and last of eight positions along each axis.
 CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
 
 
 def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
-    """The voxels whose centres are in a box (2, 3) [world], for one of VALUE_TYPES; the others are background.
+    """Keep the voxels whose centers lie in a box (2, 3) [world], for one of VALUE_TYPES; all others become background.
 
     Raises:
-        DeviceMemoryError: The box cuts through larger tiles than there is memory for.
+        DeviceMemoryError: The box cuts larger tiles than fit into memory.
     """
     tree = tree_of(volume)
     transform = volume.info.transform
@@ -34,7 +34,7 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
     root = tree.root
     side = _side_of(root.origins, 4096, transform, box)
     upper = [_masked(tree.upper, 32, 128, transform, box, tree.background)]
-    # What is cut through goes on to the next level as nodes full of it.
+    # Cut tiles pass to the next level as nodes filled with their value.
     upper.append(_split(root.origins, root.values, root.active, side == 0, 32, 128, transform, box, tree.background))
     lower = [_masked(tree.lower, 16, 8, transform, box, tree.background)]
     for nodes in upper:
@@ -67,12 +67,12 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
 
 
 def _all_of(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Parts of an array as one; without a copy where only the first holds anything."""
+    """Concatenate parts of an array; without a copy if only the first is not empty."""
     return np.concatenate(parts) if any(map(len, parts[1:])) else parts[0]
 
 
 class _Cut:
-    """Nodes, and which of their slots (N * slots,) the box's faces run through."""
+    """Nodes, and a mask (N * slots,) of the slots that the box's faces cut."""
 
     def __init__(self, nodes: Nodes, cut: NDArray[np.bool_]) -> None:
         self.nodes = nodes
@@ -82,7 +82,7 @@ class _Cut:
         return _slot_corners(self.nodes.origins, width, span).reshape(-1, 3)
 
     def flat(self) -> NDArray[Any]:
-        """Values of all slots, one after the other."""
+        """Values of all slots, flattened."""
         values = self.nodes.values
         return values.reshape(-1, *values.shape[2:])
 
@@ -90,7 +90,7 @@ class _Cut:
 def _masked(
     nodes: Nodes, width: int, span: int, transform: NDArray[Any], box: NDArray[Any], background: NDArray[Any]
 ) -> _Cut:
-    """Nodes with background in place of the tiles outside."""
+    """Nodes with background in place of the tiles outside the box."""
     if not len(nodes.origins):
         return _Cut(nodes, np.zeros(0, np.bool_))
     values, active = nodes.values.copy(), nodes.active.copy()
@@ -115,7 +115,7 @@ def _split(
     box: NDArray[Any],
     background: NDArray[Any],
 ) -> _Cut:
-    """Nodes full of the tiles that are cut through."""
+    """Nodes filled with the values of the tiles that are cut."""
     rows = np.flatnonzero(cut)
     shape = (len(rows), width**3)
     full = Nodes(
@@ -127,7 +127,7 @@ def _split(
 
 
 def _joined(parts: list[_Cut], background: NDArray[Any]) -> Nodes:
-    """All nodes of a level, with background in place of what has gone on to the next."""
+    """All nodes of a level, with background in place of the tiles that passed to the next level."""
     found = []
     for part in parts:
         nodes, cut = part.nodes, part.cut.reshape(part.nodes.active.shape)
@@ -147,10 +147,10 @@ def _slot_corners(origins: NDArray[np.int32], width: int, span: int) -> NDArray[
 def _side_of(
     corners: NDArray[np.int32], span: int, transform: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.int8]:
-    """Of cubes of voxels: 1 where all centres are in the box, -1 where none can be, else 0.
+    """Classify cubes of voxels: 1 if all centers are in the box, -1 if none can be, else 0.
 
-    Rounded sums and products are monotonous too: what holds for the corners, as they are computed for single voxels,
-    holds for all between them.
+    Rounded sums and products are monotonic too. So a result for the corners, computed as for single voxels, holds for
+    all voxels between them.
     """
     worlds = _world_of(corners[:, None].astype(np.float64) + CORNERS * (span - 1), transform)
     inside = np.ones(len(corners), np.bool_)
@@ -162,7 +162,7 @@ def _side_of(
 
 
 def _world_of(voxels: NDArray[np.float64], transform: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """World coordinates of voxels (..., 3), an array for each."""
+    """World coordinates of voxels (..., 3), one array per axis."""
     return [m[0] * voxels[..., 0] + m[1] * voxels[..., 1] + m[2] * voxels[..., 2] + m[3] for m in transform[:3]]
 
 
@@ -182,7 +182,7 @@ def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray
             some |= differs(values, tree.background).any(axis=1)
         kept[rows] = some
         changed.append((rows[some], np.packbits(states[some], axis=1, bitorder="little"), values[some]))
-    # All leaves are copied once.
+    # If all leaves remain, they are copied once.
     taken = np.flatnonzero(kept)
     masks, values = tree.masks[taken], tree.values[taken]
     for rows, new_masks, new_values in changed:
@@ -194,7 +194,7 @@ def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray
 def _voxels_inside(
     origins: NDArray[np.int32], transform: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which voxels (L, 512) of leaves have their centers in the box."""
+    """Mask of the voxels (L, 512) of leaves whose centers are in the box."""
     inside = np.ones((len(origins), 8, 8, 8), np.bool_)
     steps = np.arange(8)
     voxels = [
@@ -203,7 +203,7 @@ def _voxels_inside(
     ]
     for m, low, high in zip(transform[:3], *box, strict=True):
         used = np.flatnonzero(m[:3])
-        # Along one axis alone the world coordinate is the same number: what is left out are zeros.
+        # Along a single axis the world coordinate is the same number: the omitted terms are zero.
         terms = [m[axis] * voxels[axis] for axis in (used if len(used) == 1 else range(3))]
         world = sum(terms[1:], terms[0]) + m[3]
         inside &= (world >= low) & (world <= high)

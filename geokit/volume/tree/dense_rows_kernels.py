@@ -17,13 +17,13 @@ def copy_float_run(
     volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int, count: int, out_values: wp.array(dtype=wp.float32),
     to: wp.int64,
 ):  # fmt: skip
-    """Copies ``count`` voxels along z, all of them in the leaf or tile that node_of found for the first."""
+    """Copies ``count`` voxels along z, all in the leaf or tile that node_of found for the first."""
     ...
 
 
 @wp.func_native(cpp("volume/tree/read_int64.inl"))
 def read_int64(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> wp.int64:
-    """The value of a voxel of an int64 grid, by the node that node_of found for it."""
+    """The value of a voxel of an int64 grid, given the node from node_of."""
     ...
 
 
@@ -40,7 +40,7 @@ def dense_kernel(
     begin = wp.int64(row) * wp.int64(count_z)
     for n in range(count_z):
         k = lower[2] + n
-        # Voxels of a leaf share their node; so do those of a tile, which is never smaller.
+        # The voxels of a leaf share their node, and so do those of a tile, which is never smaller than a leaf.
         if n == 0 or (k & 7) == 0:
             node = node_of(volume, kind, i, j, k)
         at = begin + wp.int64(n)

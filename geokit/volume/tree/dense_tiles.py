@@ -1,4 +1,4 @@
-"""The tiles of a dense array: which become leaves, which lie inside, and what the leaves hold."""
+"""Classification of the tiles of a dense array: leaves, inner tiles, and the contents of the leaves."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from geokit.volume.nanovdb.layout import LEAF_VOXELS
 
 __all__ = ["VOXELS_AT_A_TIME", "DenseTiles", "block_keys"]
 
-# Voxels that are looked at together: what a block of them takes does not grow with the array.
+# Voxels processed together, so that memory does not grow with the array.
 VOXELS_AT_A_TIME = 1 << 22
-# Tiles worth a slice of a launch: each takes a microsecond.
+# Fewest tiles that are worth a slice of a launch: each takes a microsecond.
 TILE_GRAIN = 256
 
 
 class DenseTiles:
-    """The tiles of 8^3 voxels that a dense array touches, some slabs of eight voxels along x at a time.
+    """The tiles of 8^3 voxels that a dense array touches, read a few slabs of eight voxels along x at a time.
 
     Args:
         dense: Shape (X, Y, Z), real numbers.
         start: Index of its first voxel, shape (3,).
         background: A float32 number.
-        tolerance: Largest difference from the background that counts as none.
+        tolerance: Largest difference from the background that still counts as background.
         level_set: Whether minus the background counts as background too.
     """
 
@@ -38,17 +38,17 @@ class DenseTiles:
 
         self.dense = dense
         self.background = background
-        # The array's place in its first tile, and the tiles that it needs.
+        # Position of the array in its first tile, and the number of tiles.
         self.shift = start & 7
         self.first = start - self.shift
         self.count = [int(n) for n in -(-(self.shift + dense.shape) // 8)] if dense.size else [0, 0, 0]
         self.rule = [wp.float32(background), wp.float64(tolerance), int(level_set)]
 
     def sort_out(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Origins of the tiles that become leaves, and of those that lie inside.
+        """Origins of the tiles that become leaves, and of those that lie inside the level set.
 
         Raises:
-            InputError: A value is none that float32 holds.
+            InputError: float32 cannot hold a value.
         """
         from geokit.volume.tree.dense_tiles_kernels import BAD, INSIDE, LEAF, tile_state_kernel
 
@@ -81,7 +81,7 @@ class DenseTiles:
         return values, masks
 
     def _slabs(self) -> Iterator[tuple[int, NDArray[Any], tuple[int, int, int]]]:
-        """First tile along x, part of the array as float32 or float64, and the place of the part in its first tile."""
+        """First tile along x, part of the array as float32 or float64, and its offset in that tile."""
         plane = max(1, self.dense.size // max(1, len(self.dense)))
         step = max(1, VOXELS_AT_A_TIME // (8 * plane))
         for x in range(0, self.count[0], step):
@@ -106,7 +106,7 @@ class DenseTiles:
     def _with_hooks(
         leaves: NDArray[np.int64], inside: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        # A tile needs a lower node (128^3 voxels) to stand in: where no leaf makes one, a tile becomes a leaf.
+        # A tile needs a lower node (128^3 voxels) to be stored in: if no leaf creates one, a tile becomes a leaf.
         have = np.unique(block_keys(leaves))
         keys = block_keys(inside)
         _, rows = np.unique(keys, return_index=True)
@@ -115,7 +115,7 @@ class DenseTiles:
 
 
 def _launch_on_host(kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-    """Launch on the CPU with NumPy arrays, whose own memory the kernel uses."""
+    """Launch on the CPU with NumPy arrays, whose memory the kernel uses directly."""
     import warp as wp
 
     def shared(value: Any) -> Any:
@@ -128,7 +128,7 @@ def _launch_on_host(kernel: Any, count: int, inputs: list[Any], outputs: list[An
 
 
 def block_keys(origins: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each lower node (128^3 voxels) that voxels (N, 3) of one array lie in."""
-    # int32 indices leave 25 bits of each coordinate of a block, of which 21 tell the blocks of an array apart.
+    """One key for each lower node (128^3 voxels) that contains one of the voxels (N, 3) of an array."""
+    # int32 indices leave 25 bits of each coordinate of a block, of which 21 distinguish the blocks of an array.
     block = (origins >> 7) & ((1 << 21) - 1)
     return block[:, 0] << 42 | block[:, 1] << 21 | block[:, 2]

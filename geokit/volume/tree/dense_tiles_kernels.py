@@ -22,7 +22,7 @@ BAD = wp.constant(3)
 
 @wp.func
 def is_active(value: wp.float32, background: wp.float32, tolerance: wp.float64, level_set: int) -> bool:
-    """Whether a value differs by more than the tolerance from the background, in a level set from both its signs."""
+    """Whether a value differs from the background by more than the tolerance; in a level set, from both its signs."""
     level = value
     if level_set != 0:
         level = wp.abs(value)
@@ -55,7 +55,7 @@ def tile_state_kernel(
     level_set: int,
     out_state: wp.array3d(dtype=wp.uint8),
 ):
-    """A tile with an active voxel, or with both signs, is a leaf; ``shift`` is the array's place in the first tile."""
+    """Marks tiles with an active voxel or both signs as leaves. ``shift``: the array's place in its first tile."""
     tile = first + wp.tid()
     z = 8 * (tile % count_z) - shift[2]
     y = 8 * ((tile // count_z) % count_y) - shift[1]
@@ -75,7 +75,7 @@ def tile_state_kernel(
     if active > 0:
         state = int(LEAF)
     elif level_set != 0 and negative > 0:
-        # A block with both signs cannot be a tile: it is a leaf without active voxels.
+        # A block with both signs cannot be a tile, so it is a leaf without active voxels.
         state = int(LEAF)
         if negative == 512:
             state = int(INSIDE)

@@ -1,6 +1,6 @@
-"""Dense arrays to trees of any value type: which type an array becomes, and its leaves and tiles.
+"""Conversion of dense arrays to trees of any value type: choice of the type, and the leaves and tiles.
 
-Floats have kernels of their own (``volume/tree/dense_tiles.py``).
+Floats have their own kernels (``volume/tree/dense_tiles.py``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, slot_of
 
 __all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
 
-# Numbers that a thread looks at together: with their states they stay in its cache.
+# Numbers that a thread processes together: with their states they stay in its cache.
 NUMBERS_AT_A_TIME = 1 << 18
 # States of a tile.
 LEAF, INSIDE = 1, 2
@@ -30,12 +30,12 @@ LEAF, INSIDE = 1, 2
 
 @dataclass(frozen=True)
 class DenseRule:
-    """Which values are background: those within a tolerance in each component, in a level set on both its sides.
+    """Which values count as background: those within a tolerance in each component, in a level set with either sign.
 
     Attributes:
-        layout: Of the grid's type.
-        background: () or (C,), of that type.
-        tolerance: Largest difference.
+        layout: Layout of the grid's type.
+        background: Background value, () or (C,), of that type.
+        tolerance: Largest difference that counts as background.
         level_set: Whether minus the background counts too.
     """
 
@@ -45,7 +45,7 @@ class DenseRule:
     level_set: bool
 
     def active(self, block: NDArray[Any]) -> NDArray[np.bool_]:
-        """Which voxels (A, B, C) or (A, B, C, D) are other values."""
+        """Mask of the voxels (A, B, C) or (A, B, C, D) that are not background."""
         level = np.abs(block) if self.level_set else block
         if self.tolerance == 0.0:
             unlike = level != self.background
@@ -57,7 +57,7 @@ class DenseRule:
         return np.asarray(unlike.any(axis=-1) if self.background.ndim else unlike)
 
     def _beyond(self, level: NDArray[Any]) -> NDArray[np.bool_]:
-        # By limits: the type may not hold a difference, and float64 not all of its numbers.
+        # Limits are compared, since the type may not hold a difference, nor float64 all of the type's numbers.
         kind = np.dtype(np.uint8) if level.dtype == np.bool_ else level.dtype
         ends, reach = np.iinfo(kind), math.floor(self.tolerance)
         middle = self.background.astype(kind)
@@ -69,7 +69,7 @@ class DenseRule:
         return np.asarray((numbers < low) | (numbers > high))
 
     def rest(self, values: NDArray[Any], active: NDArray[np.bool_]) -> None:
-        """Give voxels (N, 512) or (N, 512, C) that are not active the background's value, in place."""
+        """Set inactive voxels (N, 512) or (N, 512, C) to the background, in place."""
         if self.level_set:
             np.copyto(values, np.where(values < 0, -self.background, self.background), where=~active)
         else:
@@ -77,18 +77,18 @@ class DenseRule:
 
 
 def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule) -> TypedTree:
-    """The tree of an array: leaves where a voxel is active, and in a level set tiles inside.
+    """Build the tree of an array: leaves where a voxel is active, and in a level set tiles inside.
 
     Args:
         dense: Shape (X, Y, Z) or (X, Y, Z, C), real numbers.
         start: Index of its first voxel, shape (3,).
-        rule: What is not stored.
+        rule: Defines the background, which is not stored.
     Raises:
-        InputError: A value is none that the type holds.
-        DeviceMemoryError: The leaves need more memory than there is.
+        InputError: The type cannot hold a value.
+        DeviceMemoryError: The leaves do not fit into memory.
     """
     tiles, layout, background = _Tiles(dense, start, rule), rule.layout, rule.background
-    # NumPy lets go of the GIL in most of these passes.
+    # NumPy releases the GIL in most of these passes.
     with ThreadPoolExecutor(thread_count()) as pool:
         states = np.concatenate([np.zeros((0, *tiles.count[1:]), np.uint8), *pool.map(tiles.states, tiles.layers)])
         places = np.argwhere(states == LEAF)
@@ -107,11 +107,11 @@ def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule
 
 
 class _Tiles:
-    """The tiles of 8^3 voxels that an array touches, some layers of them along x at a time."""
+    """The tiles of 8^3 voxels that an array touches, processed a few layers along x at a time."""
 
     def __init__(self, dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule) -> None:
         self.dense, self.rule = dense, rule
-        # The array's place in its first tile, and the tiles that it needs.
+        # Position of the array in its first tile, and the number of tiles.
         self.shift = start & 7
         self.first = start - self.shift
         self.count = -(-(self.shift + dense.shape[:3]) // 8) if dense.size else np.zeros(3, np.int64)
@@ -125,23 +125,23 @@ class _Tiles:
         return np.asarray((self.first + 8 * places).astype(np.int32))
 
     def states(self, x: int) -> NDArray[np.uint8]:
-        """LEAF, INSIDE or 0 for the tiles of a part, (A, B, C).
+        """State of the tiles of a part, (A, B, C): LEAF, INSIDE or 0.
 
         Raises:
-            InputError: A value is none that the type holds.
+            InputError: The type cannot hold a value.
         """
         block = self._block(x, checked=True)
         state = (_any(self.rule.active(block)) * LEAF).astype(np.uint8)
         if self.rule.level_set:
             negative = block < 0
             rests = state == 0
-            # What has both signs can be no tile: it is a leaf, if without active voxels.
+            # A block with both signs cannot be a tile, so it is a leaf, even without active voxels.
             state[rests & _any(negative)] = LEAF
             state[rests & ~_any(~negative)] = INSIDE
         return state
 
     def fill(self, x: int, places: NDArray[np.int64], values: NDArray[Any], masks: NDArray[np.uint8]) -> None:
-        """Values and masks of the leaves of a part, at their rows."""
+        """Write values and masks of the leaves of a part into their rows."""
         rows = slice(*np.searchsorted(places[:, 0], [x, x + self.step]))
         if rows.start == rows.stop:
             return
@@ -153,7 +153,7 @@ class _Tiles:
         masks[rows] = np.packbits(active, axis=1, bitorder="little")
 
     def _block(self, x: int, *, checked: bool = False) -> NDArray[Any]:
-        """The voxels of a part's tiles as the grid stores them, with background around the array."""
+        """The voxels of a part's tiles as the grid stores them, padded with background around the array."""
         background = self.rule.background
         low = max(0, 8 * x - int(self.shift[0]))
         part = self.dense[low : 8 * (x + self.step) - int(self.shift[0])]
@@ -178,14 +178,14 @@ class _Tiles:
 
 
 def _tiled(block: NDArray[Any]) -> NDArray[Any]:
-    """A block (8 A, 8 B, 8 C, ...) by tiles, (A, B, C, 8, 8, 8, ...)."""
+    """Rearrange a block (8 A, 8 B, 8 C, ...) by tiles, (A, B, C, 8, 8, 8, ...)."""
     a, b, c = (n // 8 for n in block.shape[:3])
     return np.moveaxis(block.reshape(a, 8, b, 8, c, 8, *block.shape[3:]), (2, 4), (1, 2))
 
 
 def _any(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which tiles (A, B, C) of a block have a true voxel."""
-    # Eight voxels as a word: twenty times as fast as any().
+    """Mask of the tiles (A, B, C) of a block that have a true voxel."""
+    # Eight voxels are read as one word: twenty times as fast as any().
     a, b, c = (n // 8 for n in voxels.shape)
     words = np.ascontiguousarray(voxels).view(np.uint64).reshape(a, 8, b, 8, c)
     return np.asarray(np.bitwise_or.reduce(np.bitwise_or.reduce(words, axis=3), axis=1) != 0)
@@ -202,14 +202,14 @@ def _inside(origins: NDArray[np.int32], background: NDArray[Any]) -> Nodes:
 
 
 def layout_for(values: NDArray[Any], grid_type: str | None, grid_class: str) -> GridLayout:
-    """Layout of the grid that an array becomes.
+    """Choose the layout of an array's grid.
 
     Args:
         values: Shape (X, Y, Z) or (X, Y, Z, C), real numbers.
-        grid_type: The type that was asked for, or None for the array's own.
-        grid_class: Of the grid.
+        grid_type: Requested type, or None for the array's own.
+        grid_class: Class of the grid.
     Raises:
-        InputError: There is no such type, it is none for such an array, or has no such class.
+        InputError: The type does not exist, cannot hold such an array, or does not allow the class.
     """
     name = _own_type(values, grid_class) if grid_type is None else grid_type
     if name not in VALUE_TYPES:
@@ -219,7 +219,7 @@ def layout_for(values: NDArray[Any], grid_type: str | None, grid_class: str) -> 
     if values.shape[3:] != layout.background.shape:
         wanted = ", ".join(["X", "Y", "Z", *map(str, layout.background.shape)])
         raise InputError(f"values: shape {values.shape} is not ({wanted}); give what voxels of type {name} hold")
-    # Float grids have always taken every class.
+    # Float grids accept every class, for compatibility.
     if name != "float" and name not in CLASS_TYPES.get(grid_class, (name,)):
         raise InputError(
             f"grid_class: no {grid_class} is of type {name}; use 'unknown'"
@@ -243,10 +243,10 @@ def _own_type(values: NDArray[Any], grid_class: str) -> str:
 
 
 def background_of(value: Any, layout: GridLayout) -> NDArray[Any]:
-    """A background as a grid stores it, () or (C,); one number serves for all components.
+    """A background as a grid stores it, () or (C,); a single number applies to all components.
 
     Raises:
-        InputError: It is none that the type holds.
+        InputError: The type cannot hold it.
     """
     kind = layout.background
     remedy = f"give {'a number' if not kind.shape else f'one number, or {kind.shape[0]},'} that {layout.name} holds"
@@ -266,15 +266,15 @@ def background_of(value: Any, layout: GridLayout) -> NDArray[Any]:
 
 
 def _cannot_hold(stored: NDArray[Any], given: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where numbers were lost in ``stored = given.astype(...)``.
+    """Mask of the numbers that were lost in ``stored = given.astype(...)``.
 
-    Types of floats hold the nearest of all numbers within their range, others exact ones.
+    Types of floats hold the nearest value of every number within their range, other types exact numbers only.
     """
     if stored.dtype.kind == "f":
         return np.asarray(~np.isfinite(stored))
     if np.can_cast(given.dtype, stored.dtype, "safe"):
         return np.zeros(stored.shape, np.bool_)
-    # A number that wrapped around may come back as it was, on the other side of zero.
+    # A number that wrapped around may convert back to itself, so its sign is compared too.
     with np.errstate(all="ignore"):
         back = stored.astype(given.dtype)
     return np.asarray((back != given) | ((stored < 0) != (given < 0)))

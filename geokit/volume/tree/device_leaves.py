@@ -1,4 +1,4 @@
-"""Grids of floats and int32 from leaves that are on the host, in any order, by the device writer on the CPU."""
+"""Grids of floats and int32 from leaves on the host, in any order, built by the device writer on the CPU."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def build_leaves(
     *,
     signed: bool,
 ) -> NDArray[np.uint8]:
-    """A NanoVDB grid of floats or int32 from leaves in any order, built by kernels on the CPU.
+    """Build a NanoVDB grid of floats or int32 from leaves in any order, with kernels on the CPU.
 
     Args:
-        head: What the grid is to be.
+        head: Headers and options of the grid.
         leaf_origins: First voxel of each leaf, multiples of 8, shape (L, 3) int32, each once.
         leaf_values: Values of the leaves, shape (L, 512) of the grid's type, z fastest.
         leaf_masks: Active voxels, shape (L, 512) bool in the order of the values, or packed (L, 64) uint8.
-        signed: Give empty regions that lie inside the surface ``head.inside`` (a level set).
+        signed: Set empty regions inside the surface to ``head.inside`` (for a level set).
     Returns:
         The grid: uint8, 32-byte aligned, with min, max and box of every node.
     Raises:
-        InputError: Origins off the lattice, given twice or too far apart, or arrays that do not fit them.
+        InputError: Origins are off the lattice, repeated or too far apart, or the arrays do not fit them.
     """
     import warp as wp
 
@@ -97,7 +97,7 @@ def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def leaf_keys(origins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Keys of leaves as ``Leaves`` has them, and coordinates of upper nodes (U, 3) by their ranks in the keys."""
+    """Keys of leaves as in ``Leaves``, and coordinates of upper nodes (U, 3) by their ranks in the keys."""
     root, first, rank = np.unique(root_keys_of(origins), return_index=True, return_inverse=True)
     # At most 2^36 upper nodes leave 27 bits for the slots in them.
     keys = rank.reshape(-1).astype(np.int64) << 27 | slot_of(origins, 32, 128) << 12 | slot_of(origins, 16, 8)

@@ -1,4 +1,4 @@
-"""Building NanoVDB grids of floats or int32 on the device where their leaves are; only the head is made on the host."""
+"""Writer of NanoVDB grids of floats or int32, on the device that holds their leaves; the host writes only the head."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ __all__ = ["BuiltGrid", "Leaves", "build_on_device"]
 # Logarithms of the slots along an axis of a lower and of an upper node, and voxels along an axis.
 LOWER_BITS, LOWER_SPAN = 4, 128
 UPPER_BITS, UPPER_SPAN = 5, 4096
-# Upper nodes whose keys the host gets without a copy of its own: each spans 4096^3 voxels.
+# Upper nodes whose keys reach the host without a separate copy: each spans 4096^3 voxels.
 FEW_UPPERS = 256
-# Parts of a lower node's children that threads of a GPU look at side by side; a CPU looks at all in a row.
+# Parts of a lower node's children that GPU threads reduce in parallel; a CPU reduces all in one loop.
 PARTS_CPU, PARTS_CUDA = 0, 64
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """Where the leaves of a grid are, in the order of its nodes.
+    """Positions of the leaves of a grid, in breadth-first order.
 
     Attributes:
-        keys: Place of each leaf in that order, ascending, each once, (L,) of int64; see ``tiles_kernels``.
+        keys: Key of each leaf in that order, ascending and unique, (L,) of int64; see ``tiles_kernels``.
         tiles: Coordinates in units of leaves, any number of them in any order, (T,) of vec3i.
         rows: Row of each leaf among the tiles, (L,) of int32.
-        axes: Coordinates of upper nodes in units of themselves, in the order of their ranks in the keys: either three
-            arrays, along x, y and z, each by 12 bits of a key, or one (U, 3) by all 36 bits.
+        axes: Coordinates of upper nodes in units of upper nodes, in the order of their ranks in the keys: either three
+            arrays, along x, y and z, each addressed by 12 bits of a key, or one (U, 3) addressed by all 36 bits.
     """
 
     keys: "wp.array"
@@ -52,7 +52,7 @@ class Leaves:
 
     @cached_property
     def nodes(self) -> _Nodes:
-        """The nodes above them; asked for early, they are ready once the grid is built."""
+        """The nodes above the leaves; read early, they are ready when the grid is built."""
         return _Nodes(self.keys)
 
     def upper_places(self, ranks: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -65,7 +65,7 @@ class Leaves:
 
 @dataclass(frozen=True)
 class BuiltGrid:
-    """A grid on a device, and its first bytes (headers, root and root's table) on the host.
+    """A grid on a device, with a copy of its first bytes (headers, root and root table) on the host.
 
     On the CPU ``host`` is the grid itself and ``buffer`` shares its memory.
     """
@@ -77,13 +77,13 @@ class BuiltGrid:
 
 @dataclass(frozen=True)
 class _Level:
-    """Nodes of one kind, as many as ``count``; arrays may be longer.
+    """Nodes of one level; there are ``count`` of them, and arrays may be longer.
 
     Attributes:
-        keys: Of each node.
-        first_child: Of each node; one more entry ends the last.
-        first_leaf: Of each node.
-        parent: For each child the nodes up to its own.
+        keys: Key of each node.
+        first_child: First child of each node; one more entry ends the last.
+        first_leaf: First leaf of each node.
+        parent: For each child, the number of nodes up to its own.
     """
 
     keys: ScratchArray
@@ -101,16 +101,16 @@ def build_on_device(
     *,
     seal: bool = True,
 ) -> BuiltGrid:
-    """A grid from leaves whose values a function writes.
+    """Build a grid from leaves whose values are written by a function.
 
     Args:
-        leaves: Where they are.
-        head: What the grid is to be.
-        write_leaves: Called with the buffer and the byte where the leaves begin; writes 512 values from byte 96 of each
-            leaf on, 2144 bytes apart, and the mask of its active voxels from byte 16 on.
+        leaves: Positions of the leaves.
+        head: Headers and options of the grid.
+        write_leaves: Called with the buffer and the offset of the leaves. Writes 512 values from byte 96 of each leaf
+            on, 2144 bytes apart, and the mask of its active voxels from byte 16 on.
         inside: Bits of the voxels that lie inside, (L, 8) of uint64: empty regions next to such voxels take
             ``head.inside`` instead of the background.
-        seal: Write the checksum of headers and root.
+        seal: Whether to write the checksum of headers and root.
     Raises:
         InputError: The leaves are too far apart.
     """
@@ -123,7 +123,7 @@ def build_on_device(
     _link(buffer, head, places, (leaves, lower, upper), states)
     write_leaves(buffer, places.leaf_begin)
     boxes, extrema, active = _statistics(buffer, head, places, leaves, lower, upper)
-    # Until here nothing of it was waited for, and for most grids nothing is before the head is written.
+    # Nothing has waited for the device so far, and most grids need no wait before the head is written.
     start = write_head(head, places, faces.numpy() if places.gaps else np.zeros(upper.count, np.uint8))
     write_root(start, head, boxes.numpy().reshape(-1, 2, 3), extrema.numpy().view(head.word).reshape(-1, 2), active())
     if seal:
@@ -136,9 +136,9 @@ def _buffer(size: int, device: "wp.Device") -> tuple["wp.array", NDArray[np.uint
     import warp as wp
 
     if device.is_cuda:
-        # Zeros also where nothing is written: the same leaves give the same bytes.
+        # Unwritten bytes are zero too, so that the same leaves give the same bytes.
         return wp.zeros(size, dtype=wp.uint8, device=device), None
-    # calloc's pages are zero until they are written: padding costs nothing and the leaves are touched once.
+    # Pages from calloc are zero until they are written: padding costs nothing and the leaves are touched once.
     host = aligned_buffer(size, zeroed=True)
     array: Any = wp.array(host, dtype=wp.uint8, device=device, copy=False)
     return array, host
@@ -154,7 +154,7 @@ def _put(buffer: "wp.array", host: NDArray[np.uint8] | None, start: NDArray[np.u
 
 
 class _Nodes:
-    """Lower and upper nodes that are being made."""
+    """Lower and upper nodes under construction."""
 
     def __init__(self, keys: "wp.array") -> None:
         import warp as wp
@@ -163,7 +163,7 @@ class _Nodes:
 
         count, device = len(keys), keys.device
         shifts = [3 * LOWER_BITS, 3 * (LOWER_BITS + UPPER_BITS)]
-        # There are no more nodes of either kind than leaves: how many there are is read once both are made.
+        # There are at most as many nodes of either kind as leaves; the exact numbers are read once both are made.
         shapes = [*[((count,), wp.int32)] * 6, *[((count + 1,), wp.int32)] * 2, *[((count,), wp.int64)] * 2]
         arrays = Scratch(device, *shapes).arrays
         starts, ends, (upper_of, first_leaf), (lower_first, upper_first), (lower_keys, upper_keys) = (
@@ -184,7 +184,7 @@ class _Nodes:
         self._upper = upper_keys, upper_first, first_leaf, upper_of
 
     def read(self) -> tuple[_Level, _Level, NDArray[np.int64]]:
-        """Lower nodes, upper nodes, and the keys of the latter on the host."""
+        """Lower nodes, upper nodes, and the keys of the upper nodes on the host."""
         lower_count, upper_count = self._counts.numpy().tolist()
         keys = self._few if upper_count <= FEW_UPPERS else self._upper[0]
         lower, upper = _Level(*self._lower, lower_count), _Level(*self._upper, upper_count)
@@ -194,10 +194,10 @@ class _Nodes:
 def _spread_signs(
     inside: "wp.array | None", leaves: Leaves, lower: _Level, upper: _Level
 ) -> tuple[list[ScratchArray | None], Any]:
-    """States of the slots of lower and upper nodes, and the faces of the upper ones, for the host to read.
+    """States of the slots of lower and upper nodes, and the faces of the upper nodes, for the host to read.
 
-    A narrow band keeps every sign change inside its leaves: a slot without child lies on one side, the one that the
-    touching face of any neighbour shows. One sweep each along z, y and x reaches every slot of a node with a child.
+    A narrow band keeps every sign change inside its leaves, so a slot without a child lies on one side, which the
+    touching face of any neighbor shows. One sweep each along z, y and x reaches every slot of a node with a child.
     """
     import warp as wp
 
@@ -260,9 +260,9 @@ def _word_of(value: float, kind: np.dtype[Any]) -> int:
 def _statistics(
     buffer: "wp.array", head: GridHead, places: Places, leaves: Leaves, lower: _Level, upper: _Level
 ) -> tuple[Any, Any, Callable[[], int]]:
-    """Boxes and extrema of all nodes, written into them.
+    """Write boxes and extrema of all nodes.
 
-    Those of the upper ones are given, and the number of active voxels, for the host to read.
+    Returns those of the upper nodes, and the number of active voxels, for the host to read.
     """
     import warp as wp
 
@@ -275,7 +275,7 @@ def _statistics(
     of_node = kernels.float_node_kernel if is_float else kernels.int_node_kernel
 
     count = len(leaves.keys)
-    # Lower nodes are few, with hundreds of children each.
+    # There are few lower nodes, with hundreds of children each.
     lower_parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
     # Boxes and extrema of leaves, parts and lower nodes.
     items = (count, lower_parts * lower.count, lower.count)

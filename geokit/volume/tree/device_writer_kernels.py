@@ -1,7 +1,7 @@
-"""Nodes of a NanoVDB grid written where the grid is: their tables and masks, and values and masks of leaves.
+"""Writes the nodes of a NanoVDB grid in place: their tables and masks, and values and masks of leaves.
 
-Children of a node follow each other in the order of their keys. Each word of a mask and each row of a table have one
-writer: no atomics, and the same bytes on every device.
+Children of a node follow each other in the order of their keys. Each word of a mask and each row of a table has a
+single writer, so no atomics are needed and every device writes the same bytes.
 """
 
 # mypy: ignore-errors
@@ -22,7 +22,7 @@ def starts_kernel(
     out_lower: wp.array(dtype=int),
     out_upper: wp.array(dtype=int),
 ):
-    """1 where a new lower node begins, and where a new upper node does: where the key changes before its last bits."""
+    """Writes 1 where a new lower node begins, and where a new upper node does: where the key's leading bits change."""
     i = first + wp.tid()
     changed = wp.int64(-1)
     if i > 0:
@@ -50,10 +50,10 @@ def nodes_kernel(
     out_few: wp.array(dtype=wp.int64),
     out_count: wp.array(dtype=int),
 ):
-    """Key and first child of each node (one more entry ends the last), and for uppers their first leaf.
+    """Writes key and first child of each node (one more entry ends the last), and for upper nodes their first leaf.
 
-    ``out_lower_end`` is for each lower node the upper nodes up to its own; ``out_few`` takes keys of upper nodes as far
-    as there is room; ``out_count`` the numbers of lower and of upper nodes.
+    ``out_lower_end`` holds for each lower node the number of upper nodes up to its own, ``out_few`` as many keys of
+    upper nodes as it has room for, ``out_count`` the numbers of lower and of upper nodes.
     """
     i = first + wp.tid()
     lower = lower_ends[i]
@@ -112,7 +112,7 @@ def link_kernel(
     inside: wp.uint64,
     out_buffer: wp.array(dtype=wp.uint8),
 ):
-    """64 slots of a node: offsets of the children, tiles in between, and a word of the child mask."""
+    """Writes 64 slots of a node: offsets of the children, tiles between them, and a word of the child mask."""
     link_word(
         first + wp.tid(),
         bits,
@@ -131,7 +131,7 @@ def link_kernel(
     )
 
 
-# A row of 64 values of 32 bits, whatever they are, and their mask.
+# Copies a row of 64 values of 32 bits of any type, and their mask.
 _COPY = """
     unsigned char* out = out_buffer.data + begin + 2144ll * leaf;
     const unsigned* from = (const unsigned*)values.data + 512ll * order.data[leaf] + 64 * x;
@@ -162,6 +162,6 @@ def copy_leaves_kernel(
     masks: wp.array(dtype=wp.uint64),
     out_buffer: wp.array(dtype=wp.uint8),
 ):
-    """A plane of a leaf's values (as bits) and of its mask, from rows in another order."""
+    """Copies a plane of a leaf's values (as bits) and of its mask, from rows in another order."""
     i = first + wp.tid()
     copy_plane(i >> 3, i & 7, begin, order, values, masks, out_buffer)

@@ -1,11 +1,11 @@
-"""Signs of a level set's empty regions, spread from the faces of its leaves through the tables of its nodes.
+"""Signs of a level set's empty regions, propagated from the faces of its leaves through the tables of its nodes.
 
-A narrow band keeps every sign change inside its leaves: a slot without child lies on one side, the one that the
-touching face of any neighbour shows. One sweep each along z, y and x reaches every slot of a node that has a child.
+A narrow band keeps every sign change inside its leaves, so a slot without a child lies on one side, which the touching
+face of any neighbor shows. One sweep each along z, y and x reaches every slot of a node that has a child.
 
 Source:
-    OpenVDB's signedFloodFill. Differs: all nodes of a level at once, and every face passes its own sign instead of each
-    node the one of its last voxel.
+    OpenVDB's signedFloodFill. Differs: all nodes of a level are processed at once, and every face passes on its own
+        sign, where OpenVDB passes on that of a node's last voxel.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, slot_of
 
 __all__ = ["with_signs"]
 
-# Axis and side of a node's faces: 0 is the lower one.
+# Axis and side of a node's faces; side 0 is the lower one.
 FACES = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1))
-# Nodes whose slots are looked at together: with their faces 512 upper nodes would be 120 MB.
+# Nodes processed together: with their faces 512 upper nodes would be 120 MB.
 LOWER_AT_A_TIME, UPPER_AT_A_TIME = 512, 64
 
 
 def with_signs(tree: TypedTree) -> TypedTree:
-    """A level set's tree of leaves alone, with tiles of minus the background in the empty regions that lie inside.
+    """Add tiles of minus the background to a level set's tree of leaves, in the empty regions inside.
 
     Raises:
-        InputError: The upper nodes are too far apart to be filled in between.
+        InputError: The upper nodes are too far apart to fill the gaps between them.
     """
     if not len(tree.origins):
         return tree
@@ -41,7 +41,7 @@ def with_signs(tree: TypedTree) -> TypedTree:
     keys = root_keys_of(upper_origins)
     order = np.argsort(keys)
     table, _, gaps = with_gaps(keys[order], True)
-    # Both ends of a gap along z show whether it lies inside: faces 5 (upper z) and 4 (lower z).
+    # The gap lies inside if both its ends along z do: faces 5 (upper z) and 4 (lower z).
     rows = [row for row, below, above in gaps if faces[order[below], 5] < 0 and faces[order[above], 4] < 0]
     origins = root_origins(table[rows]).reshape(-1, 3)
     root = RootTiles(origins, np.full(len(rows), inside, tree.values.dtype), np.zeros(len(rows), np.bool_))
@@ -76,7 +76,7 @@ def _level(
 
 
 def face_signs(values: NDArray[Any]) -> NDArray[np.int8]:
-    """Sign on each face of each leaf, read next to the middle of the face.
+    """Sign on each face of each leaf, read at the voxel next to the middle of the face.
 
     Args:
         values: Leaf values (L, 512), z fastest.
@@ -97,7 +97,7 @@ def face_signs(values: NDArray[Any]) -> NDArray[np.int8]:
 def flood(
     node_count: int, width: int, node: NDArray[np.int64], slot: NDArray[np.int64], faces: NDArray[np.int8]
 ) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """Signs of the slots of nodes from the faces of their children.
+    """Signs of the slots of nodes, from the faces of their children.
 
     Args:
         node_count: Number of nodes N.
@@ -114,7 +114,7 @@ def flood(
     open_slots[node, slot] = False
     unknown = open_slots.reshape(shape)
     signs = np.zeros(shape, np.int8)
-    # What a neighbour sees of a slot is the tile's sign or the child's face on its side: the other of the two is zero.
+    # A neighbor sees the tile's sign, or the child's face on its side; the other of the two is zero.
     shown = np.zeros((6, node_count, width**3), np.int8)
     shown[:, node, slot] = faces.T
     shown = shown.reshape(6, *shape)

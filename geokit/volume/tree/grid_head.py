@@ -1,4 +1,4 @@
-"""What stands before the nodes of a grid: headers, root and the root's table, written on the host."""
+"""The part of a grid before its nodes (headers, root and root table), written on the host."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ __all__ = [
     "head_like",
     "places_of",
     "result_head",
-    "result_of",
+    "volume_from_buffer",
     "write_head",
     "write_root",
 ]
@@ -49,14 +49,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class GridHead:
-    """What a grid is to be, apart from its voxels.
+    """Specification of a grid, apart from its voxels.
 
     Attributes:
-        layout: Of its type.
-        background: Value outside of everything, a number, or an array where the type has vectors.
-        inside: Value of empty regions that lie inside a level set.
+        layout: Layout of the grid's type.
+        background: Value outside all nodes, a number, or an array if the type has vectors.
+        inside: Value of empty regions inside a level set.
         options: Transform, name and class.
-        header: First bytes of a grid whose transform, name and class go on bit by bit; None where ``options`` say them.
+        header: First bytes of a grid whose transform, name and class are kept bit by bit; None if ``options`` define
+            them.
     """
 
     layout: GridLayout
@@ -72,7 +73,7 @@ class GridHead:
 
     @property
     def has_long_name(self) -> bool:
-        """Whether the name stands behind the nodes: the header has no room for it."""
+        """Whether the name is too long for the header and follows the nodes."""
         if self.header is not None:
             return bool(int(self.header.view(GRID_DATA)["flags"][0]) & FLAG_LONG_NAME)
         return len(self.options.name) > LONGEST_NAME
@@ -80,14 +81,14 @@ class GridHead:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the nodes of a grid go: numbers of nodes, the byte at which each kind begins, and the root's table.
+    """Positions of the nodes of a grid: their numbers, the offset of each kind, and the root table.
 
     Attributes:
-        counts: Leaves, lower nodes and upper nodes.
-        root_keys: Keys of the root's table, ascending.
+        counts: Numbers of leaves, lower nodes and upper nodes.
+        root_keys: Keys of the root table, ascending.
         root_child: Upper node of each entry, -1 for a tile.
         gaps: Entries between two upper nodes along z, as (row, upper node below, upper node above).
-        size: Bytes of the grid.
+        size: Size of the grid in bytes.
     """
 
     counts: tuple[int, int, int]
@@ -103,7 +104,7 @@ class Places:
 def checked_head(
     grid_type: str, background: Any, inside: Any, transform: NDArray[np.float64], name: str, grid_class: str
 ) -> GridHead:
-    """The options of a grid, refused where no grid can have them.
+    """Validate the options of a grid and return its head.
 
     Raises:
         InputError: A name, class, background or transform that no grid can have.
@@ -117,7 +118,7 @@ def checked_head(
 def head_like(
     volume: SparseVolume, layout: GridLayout, background: Any, transform: NDArray[np.float64] | None = None
 ) -> GridHead:
-    """The head of a grid with name, class and (unless one is given) the transform of another."""
+    """The head of a grid with the name, class and (unless one is given) the transform of another grid."""
     header = volume.nanovdb[:TREE_OFFSET]
     if transform is not None:
         header = header.copy()
@@ -131,9 +132,9 @@ def head_like(
 def result_head(
     volume: SparseVolume, layout: GridLayout, background: Any, grid_class: str, transform: NDArray[np.float64]
 ) -> GridHead:
-    """The head of what an operation makes of a volume: its name, with another class and transform.
+    """The head of an operation's result: the name of a volume, with another class and transform.
 
-    A class that NanoVDB does not have for the type becomes "unknown".
+    A class that NanoVDB does not allow for the type becomes "unknown".
     """
     if layout.background.shape and grid_class == "level set":
         grid_class = "unknown"
@@ -143,14 +144,14 @@ def result_head(
     return GridHead(layout, outside, -outside, options)
 
 
-def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
-    """A volume from an operation's buffer, with the metadata of its first operand."""
+def volume_from_buffer(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
+    """Wrap an operation's buffer as a volume with the metadata of the operation's first operand."""
     buffer.setflags(write=False)
     info = info_of(buffer)
     metadata = dict(like.info.metadata)
-    # Results of operations are not integers.
+    # Results of operations are not integers, so the mark of an integer type is dropped.
     metadata.pop("geokit:value_type", None)
-    # A class that NanoVDB does not have for the type travels as metadata; it says nothing about another type.
+    # A class that NanoVDB does not allow for the type is kept as metadata; it does not apply to another type.
     if info.grid_type != like.info.grid_type:
         metadata.pop("class", None)
     grid_class = str(metadata.get("class", info.grid_class))
@@ -158,16 +159,16 @@ def result_of(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
 
 
 def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.int64], *, fill_gaps: bool) -> Places:
-    """Places of the nodes.
+    """Compute the positions of the nodes.
 
     Args:
-        layout: Of the grid's type.
+        layout: Layout of the grid's type.
         leaves: Number of leaves.
         lowers: Number of lower nodes.
         uppers: Coordinates of the upper nodes in units of themselves, in the order of their keys, shape (U, 3).
-        fill_gaps: Reserve root tiles between upper nodes along z.
+        fill_gaps: Whether to reserve root tiles between upper nodes along z.
     Raises:
-        InputError: The upper nodes are too far apart to be filled in between.
+        InputError: The upper nodes are too far apart to fill the gaps between them.
     """
     keys, child, gaps = with_gaps(root_keys_of(uppers << 12), fill_gaps)
     upper_begin = HEAD_SIZE + layout.root_size + len(keys) * layout.root_tile_size
@@ -178,12 +179,13 @@ def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.i
 
 
 def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Headers, root and the root's table, still without statistics and checksum.
+    """Write headers, root and root table, still without statistics and checksum.
 
     Args:
-        head: What the grid is to be.
-        places: Where its nodes are.
-        upper_faces: For each upper node a bit for each face, -x +x -y +y -z +z: whether it lies inside, shape (U,).
+        head: Specification of the grid.
+        places: Positions of its nodes.
+        upper_faces: For each upper node one bit per face, -x +x -y +y -z +z, that is set if the face lies inside, shape
+            (U,).
     """
     buffer = aligned_buffer(places.upper_begin, zeroed=True)
     begins = (places.leaf_begin, places.lower_begin, places.upper_begin, HEAD_SIZE)
@@ -195,7 +197,7 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
     to_upper = places.upper_begin - HEAD_SIZE + places.root_child * head.layout.upper_size
     table["child"] = np.where(places.root_child >= 0, to_upper, 0)
     for row, below, above in places.gaps:
-        # Both ends of a gap along z show whether it lies inside: faces 5 (upper z) and 4 (lower z).
+        # The gap lies inside if both its ends along z do: faces 5 (upper z) and 4 (lower z).
         if upper_faces[below] >> 5 & 1 and upper_faces[above] >> 4 & 1:
             table["value"][row] = head.inside
     return buffer
@@ -209,7 +211,7 @@ def _root_table(buffer: NDArray[np.uint8], head: GridHead, count: int) -> NDArra
 def write_root(
     buffer: NDArray[np.uint8], head: GridHead, boxes: NDArray[np.int32], extrema: NDArray[Any], active: int
 ) -> None:
-    """Statistics of the whole grid from those of its upper nodes: boxes (U, 2, 3) and extrema (U, 2)."""
+    """Write the grid's statistics from those of its upper nodes: boxes (U, 2, 3) and extrema (U, 2)."""
     root = buffer[HEAD_SIZE:]
     box = root[:24].view("<i4").reshape(2, 3)
     box[0], box[1] = np.iinfo(np.int32).max, np.iinfo(np.int32).min

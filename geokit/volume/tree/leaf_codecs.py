@@ -1,6 +1,6 @@
-"""Leaves of scalar floating-point grids as values, and values as leaves of float and quantized grids.
+"""Conversion of leaves of scalar floating-point grids to values, and of values to float and quantized leaves.
 
-A quantized leaf holds codes of 1 to 16 bits: ``value = code * quantum + minimum``, in float32, as NanoVDB reads them.
+A quantized leaf holds codes of 1 to 16 bits: ``value = code * quantum + minimum``, in float32, as NanoVDB reads it.
 
 Source:
     NanoVDB (Museth 2021), NanoVDB.h and GridBuilder.h of OpenVDB 10.0.1. Differs: the thresholds of dithering are a
@@ -26,20 +26,20 @@ from geokit.volume.tree.retype_tree import RetypedTree, leaf_starts
 __all__ = ["HEADER", "LeafReader", "decode", "fewest_bits", "thresholds", "write_codes", "write_floats"]
 
 HEADER = QUANTIZED_HEADER
-# Widths of an FpN leaf, in the order of the logarithms that its flags store.
+# Widths of an FpN leaf, in the order of the logarithms that the flags store.
 BITS = (1, 2, 4, 8, 16)
-# Box, flags and mask: the same in every type.
+# Bytes of box, flags and mask, the same in every type.
 COMMON = 80
-# Flags of a leaf; the others are the width of an FpN leaf.
+# Bits of a leaf's flags; the remaining bits hold the width of an FpN leaf.
 FLAG_BITS = 0x1F
 FPN_TYPE = BY_NAME["fpn"].number
-# A leaf of a float grid: as many bytes before its values as a quantised one.
+# A leaf of a float grid has as many bytes before its values as a quantized one.
 FLOAT_LEAF = HEADER + 4 * LEAF_VOXELS
-# Leaves of other types that are turned into float leaves at a time: 17 MiB.
+# Leaves of other types converted to float leaves at a time: 17 MiB.
 LEAVES_AT_A_TIME = 8192
-# Leaves that a thread turns at a time: their values in float64 take a megabyte.
+# Leaves that a thread converts at a time: their values in float64 take a megabyte.
 LEAVES_PER_TASK = 256
-# Leaves worth a slice of a launch: each takes some microseconds.
+# Fewest leaves that are worth a slice of a launch: each takes some microseconds.
 LEAF_GRAIN = 64
 
 
@@ -49,7 +49,7 @@ class Codes(NamedTuple):
     Attributes:
         codes: Shape (L, 512) uint16, below ``2^bits``.
         minimum: Value of code 0, shape (L,) float32.
-        quantum: Difference of two codes, shape (L,) float32; 0 where all values are equal.
+        quantum: Difference of two successive codes, shape (L,) float32; 0 if all values are equal.
     """
 
     codes: NDArray[np.uint16]
@@ -58,13 +58,13 @@ class Codes(NamedTuple):
 
 
 class FloatLeaves(NamedTuple):
-    """Leaves as those of a float grid.
+    """Leaves in the layout of a float grid.
 
     Attributes:
-        first: Number of the first leaf.
+        first: Index of the first leaf.
         memory: Bytes that hold the leaves.
-        starts: First byte of each leaf, shape (n,).
-        loss: Largest error of each leaf's values as float32, shape (n,).
+        starts: Offset of each leaf, shape (n,).
+        loss: Largest rounding error of each leaf's values in float32, shape (n,).
     """
 
     first: int
@@ -74,10 +74,10 @@ class FloatLeaves(NamedTuple):
 
 
 class LeafReader:
-    """Values and statistics of the leaves of a float, double or quantised grid.
+    """Reader of the values and statistics of the leaves of a float, double or quantized grid.
 
     Args:
-        buffer: A structurally sound grid.
+        buffer: A structurally valid grid.
     """
 
     def __init__(self, buffer: NDArray[np.uint8]) -> None:
@@ -87,7 +87,7 @@ class LeafReader:
         self._buffer = buffer
 
     def float_leaves(self) -> Iterator[FloatLeaves]:
-        """All leaves, some thousand at a time; those of float grids at once and without a copy."""
+        """All leaves, some thousands at a time; those of float grids in one part and without a copy."""
         if self.layout.name == "float":
             yield FloatLeaves(0, self._buffer, self.starts, np.zeros(self.count))
             return
@@ -124,7 +124,7 @@ class LeafReader:
             values = self.rows(first, stop, table, size * LEAF_VOXELS).view(self.layout.background)
         else:
             values = self._decoded(first, stop)
-        # The extrema see every value that is not a number, and cost a tenth of a pass that looks at each.
+        # The extrema reveal every NaN and infinity, at a tenth of the cost of a pass that tests each value.
         with np.errstate(invalid="ignore"):
             bad = ~(np.isfinite(values.min(axis=1)) & np.isfinite(values.max(axis=1)))
         if bad.any():
@@ -132,12 +132,12 @@ class LeafReader:
         return values
 
     def not_finite(self, leaf: int) -> InputError:
-        """What to say of a leaf with a value that is not finite."""
+        """The error for a leaf that holds a value that is not finite."""
         origin = self.rows(leaf, leaf + 1, 0, 12).view("<i4")[0] & ~7
         return InputError(f"volume: the leaf at voxel {origin.tolist()} holds a value that is not finite; replace it")
 
     def statistics(self, first: int, stop: int) -> NDArray[np.float64]:
-        """Average and deviation of the active values of leaves as they are stored, shape (n, 2)."""
+        """Average and deviation of the active values of leaves, as stored, shape (n, 2)."""
         if self.layout.name == "double":
             return self.rows(first, stop, 96, 16).view("<f8")
         if self.layout.name == "float":
@@ -147,7 +147,7 @@ class LeafReader:
         return np.stack([codes[:, 0] * quantum + minimum, codes[:, 1] * quantum], axis=1)
 
     def rows(self, first: int, stop: int, offset: int, size: int) -> NDArray[np.uint8]:
-        """A copy of ``size`` bytes of leaves from ``offset`` on, shape (n, size)."""
+        """Copy ``size`` bytes of each leaf from ``offset`` on, shape (n, size)."""
         return self._copied(self.starts[first:stop] + offset, size)
 
     def _copied(self, starts: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
@@ -173,9 +173,9 @@ class LeafReader:
 
 
 def thresholds(dither: bool) -> NDArray[np.float32]:
-    """What is added before a scaled value is cut to a code: 1/2, or with dithering 512 levels between 0 and 1.
+    """Rounding terms added to a scaled value before truncation to a code: 1/2, or 512 dithering levels from 0 to 1.
 
-    Neighbours get levels far from each other, and each half, quarter and eighth of a leaf gets all levels evenly: the
+    Neighbors get levels far from each other, and each half, quarter and eighth of a leaf gets all levels evenly. So the
     mean over a few voxels is more exact than one voxel, whose error is up to twice that without dithering.
     """
     if not dither:
@@ -184,19 +184,19 @@ def thresholds(dither: bool) -> NDArray[np.float32]:
     level = np.zeros(LEAF_VOXELS, np.int64)
     for bit in range(3):
         a, b, c = (axis >> bit & 1 for axis in (x, y, z))
-        # Corners of a cube in an order in which successive ones lie apart, the finest cube deciding most.
+        # Corners of a cube in an order in which successive ones lie far apart; the finest cube has the most weight.
         level = level << 3 | (a ^ b ^ c) << 2 | (a ^ b) << 1 | a
     return ((level + 0.5) / LEAF_VOXELS).astype(np.float32)
 
 
 def decode(coded: Codes) -> NDArray[np.float32]:
-    """Values (L, 512) float32 as NanoVDB's own classes read them: product and sum rounded one after the other."""
+    """Values (L, 512) float32 as NanoVDB's own classes read them: product and sum are rounded separately."""
     with np.errstate(invalid="ignore", over="ignore", under="ignore"):
         return coded.codes * coded.quantum[:, None] + coded.minimum[:, None]
 
 
 def unpack(packed: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
-    """Codes (L, 512) from bytes (L, 64 * bits): the first voxel in the lowest bits."""
+    """Unpack codes (L, 512) from bytes (L, 64 * bits); the first voxel is in the lowest bits."""
     if bits == 16:
         return np.ascontiguousarray(packed).view("<u2")
     shift = np.arange(0, 8, bits, dtype=np.uint8)
@@ -205,14 +205,14 @@ def unpack(packed: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
 
 
 def in_tasks(first: int, stop: int, work: Callable[[int, int], float]) -> float:
-    """The largest of ``work(begin, end)`` over blocks of leaves: NumPy lets go of the GIL in most of it."""
+    """The largest of ``work(begin, end)`` over blocks of leaves, in threads: NumPy releases the GIL in most of it."""
     with ThreadPoolExecutor(launcher.thread_count()) as pool:
         begins = range(first, stop, LEAVES_PER_TASK)
         return max(pool.map(lambda begin: work(begin, min(begin + LEAVES_PER_TASK, stop)), begins), default=0.0)
 
 
 def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Fewest bits of each leaf that keep the tolerance, 16 where none does."""
+    """Smallest width of each leaf that keeps the tolerance, 16 bits if none does."""
     import warp as wp
 
     from geokit.volume.tree.quantize_kernels import bits_kernel
@@ -237,7 +237,7 @@ def write_codes(
     Args:
         reader: The leaves of the source.
         target: The grid to be filled.
-        bits: Width of each leaf.
+        bits: Width of each leaf in bits.
         rounding: Thresholds of the rounding, shape (512,).
 
     Raises:
@@ -263,14 +263,14 @@ def write_codes(
         if (error < 0.0).any():
             raise reader.not_finite(leaves.first + int(np.argmin(error)))
         worst = max(worst, float((error + leaves.loss).max(initial=0.0)))
-    # Leaves whose span float32 does not hold have extrema that are no numbers; the caller refuses them.
+    # Leaves whose span exceeds float32 get extrema that are not finite; the caller rejects them.
     with np.errstate(over="ignore", invalid="ignore"):
         target.write_extrema(measures[:, 1].astype(np.float32), measures[:, 2].astype(np.float32))
     return worst
 
 
 def write_floats(reader: LeafReader, target: RetypedTree) -> float:
-    """Write all leaves as those of a float grid, and the extrema of all nodes; returns the largest change of a value.
+    """Write all leaves as float leaves, and the extrema of all nodes; returns the largest change of a value.
 
     Raises:
         InputError: A value is not finite.
@@ -302,7 +302,7 @@ def write_floats(reader: LeafReader, target: RetypedTree) -> float:
 
 
 def _on_cpu(array: NDArray[Any], dtype: Any) -> Any:
-    """The array's own memory as a warp array."""
+    """Wrap the array's own memory as a warp array."""
     import warp as wp
 
     return wp.array(array, dtype=dtype, device="cpu", copy=False)

@@ -1,4 +1,4 @@
-"""The leaves of a volume as arrays, and volumes from such arrays."""
+"""Leaves of a volume as arrays, and volumes built from such arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.flood_signs import with_signs
-from geokit.volume.tree.grid_head import GridHead, result_head, result_of
+from geokit.volume.tree.grid_head import GridHead, result_head, volume_from_buffer
 from geokit.volume.tree.leaf_codecs import LeafReader, write_floats
 from geokit.volume.tree.retype_tree import retype_tree
 from geokit.volume.tree.typed_tree import tree_of, tree_of_leaves, voxelized_tree
@@ -31,7 +31,6 @@ from geokit.volume.tree.typed_writer import build_grid, rebuilt
 
 __all__ = [
     "LEAF_VOXELS",
-    "QUANTISED",
     "Leaves",
     "assemble",
     "build_real_grid",
@@ -43,9 +42,8 @@ __all__ = [
     "voxelized",
 ]
 
-QUANTISED = QUANTIZED
 LEAF_VOXELS = 512
-# Edges of a voxel whose lengths or angles differ by less than this are those of a cube whose matrix was rounded.
+# Edges of a voxel whose lengths or angles differ by less than this belong to a cube whose matrix was rounded.
 CUBE_TOLERANCE = 1e-6
 
 
@@ -57,16 +55,16 @@ class Leaves(NamedTuple):
 
 
 def require_volume(volume: Any, name: str, types: tuple[str, ...] | None = None) -> SparseVolume:
-    """``volume`` itself, if it is one, of one of ``types`` (quantised ones count as float).
+    """Return ``volume`` if it is a SparseVolume of one of ``types`` (quantized ones count as float).
 
     Raises:
         InputError: It is not a SparseVolume.
-        UnsupportedGridError: Its type is none of them.
+        UnsupportedGridError: It has another type.
     """
     if not isinstance(volume, SparseVolume):
         raise InputError(f"{name}: {type(volume).__name__} is not a SparseVolume; load or make one first")
     grid_type = volume.info.grid_type
-    if types is not None and ("float" if grid_type in QUANTISED else grid_type) not in types:
+    if types is not None and ("float" if grid_type in QUANTIZED else grid_type) not in types:
         raise UnsupportedGridError(
             f"{name}: grid {volume.info.name!r} is of type {grid_type}; this operation takes {', '.join(types)} grids, "
             "so convert it first"
@@ -75,10 +73,10 @@ def require_volume(volume: Any, name: str, types: tuple[str, ...] | None = None)
 
 
 def uniform_voxel_size(volume: SparseVolume, name: str) -> float:
-    """Edge of a volume's cubic voxels [world].
+    """Edge length of a volume's cubic voxels [world].
 
     Raises:
-        InputError: Voxels are no cubes: distances along the index axes are not those in the world.
+        InputError: The voxels are not cubes: distances along the index axes differ from those in the world.
     """
     if not is_cubic(volume.info.transform):
         raise InputError(
@@ -88,19 +86,19 @@ def uniform_voxel_size(volume: SparseVolume, name: str) -> float:
 
 
 def is_cubic(transform: NDArray[np.float64]) -> bool:
-    """Whether distances along the index axes are those in the world but for one factor; rotated and mirrored too."""
+    """Whether index distances equal world distances up to one factor; rotated and mirrored voxels too."""
     shape = transform[:3, :3] / float(voxel_size_of(transform)[0])
     return bool(np.allclose(shape.T @ shape, np.eye(3), rtol=0.0, atol=CUBE_TOLERANCE))
 
 
 def dequantized(volume: SparseVolume) -> SparseVolume:
-    """The volume with floats in place of quantized values; itself where it has none.
+    """Convert quantized values to floats; returns the volume itself if it has none.
 
     Raises:
-        FileFormatError: The buffer is not a sound grid.
+        FileFormatError: The buffer is not a valid grid.
         InputError: A value is not finite.
     """
-    if volume.info.grid_type not in QUANTISED:
+    if volume.info.grid_type not in QUANTIZED:
         return volume
     buffer = volume.nanovdb
     check_volume(volume)
@@ -109,14 +107,14 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
     retyped = retype_tree(buffer, GRID_TYPES.index("float"), np.full(reader.count, layout.leaf_size))
     write_floats(reader, retyped)
     grid_header(retyped.buffer)["checksum"] = partial_checksum(retyped.buffer[:HEAD_SIZE], retyped.buffer)
-    return result_of(retyped.buffer, volume)
+    return volume_from_buffer(retyped.buffer, volume)
 
 
 def voxelized(volume: SparseVolume) -> SparseVolume:
-    """The volume with leaves in place of active tiles and floats in place of quantized values; itself without either.
+    """Convert active tiles to leaves and quantized values to floats; returns the volume itself if it has neither.
 
     Raises:
-        DeviceMemoryError: The tiles hold more voxels than there is memory for.
+        DeviceMemoryError: The tiles hold more voxels than fit into memory.
     """
     volume = dequantized(volume)
     if _leaf_active_count(volume) == volume.info.active_voxel_count:
@@ -125,7 +123,7 @@ def voxelized(volume: SparseVolume) -> SparseVolume:
 
 
 def leaves_of(volume: SparseVolume) -> Leaves:
-    """Origins and masks of a volume's leaves, in their order in the buffer. Not for quantised grids."""
+    """Origins and masks of a volume's leaves, in their order in the buffer. Not for quantized grids."""
     tree = tree_header(volume.nanovdb)
     count = int(tree["node_count"][0])
     size = LAYOUTS[volume.info.grid_type].leaf_size
@@ -134,7 +132,7 @@ def leaves_of(volume: SparseVolume) -> Leaves:
         return Leaves(np.empty((0, 3), np.int32), np.empty((0, 64), np.uint8))
     corners = np.ndarray((count, 3), "<i4", volume.nanovdb, begin, (size, 4))
     masks = np.ndarray((count, 64), np.uint8, volume.nanovdb, begin + 16, (size, 1))
-    # A leaf stores the first voxel of its active box; its own first voxel is the multiple of eight below.
+    # A leaf stores the first voxel of its active box; the leaf's own first voxel is the multiple of eight below it.
     return Leaves(np.ascontiguousarray(corners & ~np.int32(7)), np.ascontiguousarray(masks))
 
 
@@ -147,29 +145,29 @@ def assemble(
     grid_class: str = "unknown",
     transform: NDArray[np.float64] | None = None,
 ) -> SparseVolume:
-    """A volume from leaves and their values (L, 512) or (L, 512, 3), with name and metadata of ``like``.
+    """Build a volume from leaves and their values (L, 512) or (L, 512, 3), with name and metadata of ``like``.
 
     Leaves without an active voxel are left out.
     """
     kept: Any = leaves.masks.any(axis=1)
     if kept.all():
-        kept = slice(None)  # without a copy
+        kept = slice(None)  # avoids a copy
     rows = leaves.origins[kept], leaves.masks[kept], values[kept]
     layout = _real_layout(values)
     head = result_head(like, layout, background, grid_class, like.info.transform if transform is None else transform)
-    return result_of(build_real_grid(head, *rows), like)
+    return volume_from_buffer(build_real_grid(head, *rows), like)
 
 
 def build_real_grid(
     head: GridHead, origins: NDArray[np.int32], masks: NDArray[np.uint8], values: NDArray[Any]
 ) -> NDArray[np.uint8]:
-    """A grid of floats, doubles or vectors of them; empty regions inside a level set get ``head.inside``.
+    """Build a grid of floats, doubles or vectors of them; empty regions inside a level set get ``head.inside``.
 
     Args:
-        head: What the grid is to be.
-        origins: First voxel of each leaf, (L, 3), each once.
+        head: Specification of the grid.
+        origins: First voxel of each leaf, (L, 3), without repetitions.
         masks: Active voxels of each leaf, (L, 64).
-        values: Of each leaf, (L, 512) or (L, 512, C).
+        values: Values of each leaf, (L, 512) or (L, 512, C).
     """
     signed = head.options.grid_class == grid_class_code("level set")
     if head.layout.name == "float" and not head.has_long_name:

@@ -1,4 +1,4 @@
-"""Union, intersection and difference of mask grids: of the sets of voxels that are on."""
+"""Union, intersection and difference of mask grids, as sets of voxels that are on."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["combined_masks"]
 
 
 def combined_masks(kind: str, operands: Sequence[SparseVolume], names: Sequence[str]) -> SparseVolume:
-    """The voxels that are on in one of several masks ("union"), in all of them ("intersection"), or in the first alone.
+    """The voxels on in at least one mask ("union"), in all of them ("intersection"), or only in the first.
 
     Raises:
-        InputError: Their voxels are not the same.
-        UnsupportedGridError: One is no mask.
-        DeviceMemoryError: Their tiles hold more voxels than there is memory for.
+        InputError: The masks lie on different lattices.
+        UnsupportedGridError: A grid is not a mask.
+        DeviceMemoryError: Their tiles hold more voxels than fit into memory.
     """
     wanted = operands[0].info.transform
     tolerance = 8 * math.ulp(float(np.abs(wanted).max()))

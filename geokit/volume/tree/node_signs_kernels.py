@@ -1,4 +1,4 @@
-"""Signs of a level set's empty regions, spread from the faces of its leaves through the slots of its nodes."""
+"""Signs of a level set's empty regions, propagated from the faces of its leaves through the slots of its nodes."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# A slot's state while signs spread: unknown, outside, inside, or a child with a bit for each of its six faces.
+# State of a slot during the propagation: unknown, outside, inside, or a child with one bit for each of its six faces.
 UNKNOWN = wp.constant(wp.uint8(0))
 OUTSIDE = wp.constant(wp.uint8(1))
 INSIDE = wp.constant(wp.uint8(2))
@@ -15,7 +15,7 @@ CHILD = wp.constant(wp.uint8(64))
 
 @wp.kernel
 def leaf_faces_kernel(first: int, inside: wp.array2d(dtype=wp.uint64), out_faces: wp.array(dtype=wp.uint8)):
-    """One bit for each face of a leaf, -x +x -y +y -z +z: whether the voxel next to its middle lies inside."""
+    """One bit for each face of a leaf, -x +x -y +y -z +z, set if the voxel next to its middle lies inside."""
     i = first + wp.tid()
     faces = int(0)
     for face in range(6):
@@ -37,7 +37,7 @@ def place_children_kernel(
     faces: wp.array(dtype=wp.uint8),
     out_state: wp.array(dtype=wp.uint8),
 ):
-    """Marks the slots of children in their parents; ``bits`` is the logarithm of a parent's slots."""
+    """Marks the slots of children in their parents; ``bits`` is the logarithm of the number of a parent's slots."""
     i = first + wp.tid()
     slot = int(keys[i] & ((wp.int64(1) << wp.int64(bits)) - wp.int64(1)))
     out_state[((ends[i] - 1) << bits) + slot] = CHILD | faces[i]
@@ -45,7 +45,7 @@ def place_children_kernel(
 
 @wp.func
 def seen_from(state: wp.uint8, face: int) -> wp.uint8:
-    """The side that a slot shows through one of its faces: outside, inside, or unknown."""
+    """The side that a slot shows on one of its faces: outside, inside, or unknown."""
     seen = state
     if (state & CHILD) != wp.uint8(0):
         seen = OUTSIDE
@@ -56,7 +56,7 @@ def seen_from(state: wp.uint8, face: int) -> wp.uint8:
 
 @wp.kernel
 def sweep_kernel(first: int, bits: int, axis: int, out_state: wp.array(dtype=wp.uint8)):
-    """Spreads signs along one line of slots of a node, forward and back, into slots that have none."""
+    """Propagates signs along one line of slots of a node, forward and back, into slots that have none."""
     i = first + wp.tid()
     width = 1 << bits
     node = i >> (2 * bits)
@@ -73,13 +73,13 @@ def sweep_kernel(first: int, bits: int, axis: int, out_state: wp.array(dtype=wp.
             here = at + wp.where(direction == 0, k, width - 1 - k) * step
             if out_state[here] == UNKNOWN:
                 out_state[here] = seen
-            # Forward the next slot sees the upper face of this one, back the lower.
+            # Going forward, the next slot sees the upper face of this one; going back, the lower face.
             seen = seen_from(out_state[here], 2 * axis + 1 - direction)
 
 
 @wp.kernel
 def node_faces_kernel(first: int, bits: int, state: wp.array(dtype=wp.uint8), out_faces: wp.array(dtype=wp.uint8)):
-    """As :func:`leaf_faces_kernel`, of nodes: the side that the slot in the middle of each face shows."""
+    """As :func:`leaf_faces_kernel`, for nodes: the side that the slot in the middle of each face shows."""
     i = first + wp.tid()
     width = 1 << bits
     middle = width / 2
@@ -102,7 +102,7 @@ def negative_bits_kernel(
     values: wp.array(dtype=float),
     out_bits: wp.array2d(dtype=wp.uint64),
 ):
-    """Which values of a plane are negative."""
+    """Writes bits for the negative values of a plane."""
     i = first + wp.tid()
     word = wp.uint64(0)
     start = 512 * order[i >> 3] + 64 * (i & 7)

@@ -1,6 +1,6 @@
-"""Box, flag and extrema of the nodes of a grid of floats or integers, written where the grid is.
+"""Box, flag and extrema of the nodes of a grid of floats or integers, written in place.
 
-Each node's statistics have one writer: no atomics, and the same bytes on every device.
+Each node's statistics have a single writer, so no atomics are needed and every device writes the same bytes.
 """
 
 # mypy: ignore-errors
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 
 def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
-    """The kernels for leaves, parts and nodes whose values are of a type of C++."""
+    """The kernels for leaves, parts and nodes whose values have the given C++ type."""
 
     def text(*files: str) -> str:
         return cpp(*(f"volume/tree/{file}.inl" for file in files), defines={"T": name})
@@ -41,7 +41,7 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
         out_extrema: wp.array(dtype=int),
         out_count: wp.array(dtype=int),
     ):
-        """Box, flag and extrema of a leaf whose values and mask are written, and how many of its voxels are active."""
+        """Writes box, flag and extrema of a leaf with values and mask, and the number of its active voxels."""
         leaf(first + wp.tid(), begin, tiles, rows, out_buffer, out_boxes, out_extrema, out_count)
 
     @wp.func_native(text("part_children", "merge_statistics", "part_statistics"))
@@ -65,7 +65,7 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
         out_boxes: wp.array(dtype=int),
         out_extrema: wp.array(dtype=int),
     ):
-        """Box and extrema of a part of a node's children, for threads that would wait for the last node."""
+        """Writes box and extrema of a part of a node's children, so that no thread has to reduce a large node alone."""
         part(first + wp.tid(), parts, first_child, boxes, extrema, out_boxes, out_extrema)
 
     @wp.func_native(text("node_children", "merge_statistics", "node_statistics"))
@@ -105,7 +105,7 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
         out_boxes: wp.array(dtype=int),
         out_extrema: wp.array(dtype=int),
     ):
-        """Box, flag and extrema of an internal node from those of its children."""
+        """Writes box, flag and extrema of an internal node from those of its children."""
         node(
             first + wp.tid(), parts, span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles,
             rows, out_buffer, out_boxes, out_extrema,

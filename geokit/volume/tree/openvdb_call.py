@@ -1,4 +1,4 @@
-"""Volumes to the bridge's operations and back, past OpenVDB's limit on small voxels."""
+"""Calls of the OpenVDB bridge on volumes, with a workaround for OpenVDB's limit on small voxels."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from numpy.typing import NDArray
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
-from geokit.volume.tree.grid_head import result_of
+from geokit.volume.tree.grid_head import volume_from_buffer
 
 __all__ = ["call_openvdb", "scale_factor", "scaled_up"]
 
-# OpenVDB takes a transform as singular where a voxel's volume is below 3e-15: voxels of 1.4e-5.
+# OpenVDB treats a transform as singular if a voxel's volume is below 3e-15, which is an edge of 1.4e-5.
 SMALLEST_VOXEL_VOLUME = 1e-14
 
 
 def call_openvdb(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> Any:
-    """What an operation of ``geokit.native.operations`` makes of volumes on one lattice.
+    """Call an operation of ``geokit.native.operations`` on volumes that share a lattice.
 
     Args:
-        function: Takes one buffer for each volume, gives a buffer or a list of them.
-        volumes: The operands; the first gives metadata.
-        options: Of the function.
+        function: Takes one buffer for each volume and returns a buffer or a list of them.
+        volumes: The operands; the first provides the metadata.
+        options: Further arguments of the function.
     Returns:
         SparseVolume, or a list of them.
     """
     factor = scale_factor(volumes[0].info.transform)
     result = function(*(scaled_up(volume.nanovdb, factor) for volume in volumes), **options)
     if isinstance(result, list):
-        return [result_of(scaled_back(buffer, factor), volumes[0]) for buffer in result]
-    return result_of(scaled_back(result, factor), volumes[0])
+        return [volume_from_buffer(scaled_back(buffer, factor), volumes[0]) for buffer in result]
+    return volume_from_buffer(scaled_back(result, factor), volumes[0])
 
 
 def scale_factor(transform: NDArray[np.float64]) -> float:
-    """Power of two by which a transform has to be scaled for OpenVDB to take it: 1 for all but tiny voxels."""
+    """Power of two that scales a transform so that OpenVDB accepts it: 1 for all but tiny voxels."""
     volume = abs(float(np.linalg.det(transform[:3, :3])))
     if volume >= SMALLEST_VOXEL_VOLUME:
         return 1.0
@@ -45,14 +45,14 @@ def scale_factor(transform: NDArray[np.float64]) -> float:
 
 
 def scaled_back(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
-    """Undoes the scaling, in place."""
+    """Undo the scaling, in place."""
     if factor != 1.0:
         _scale(buffer, 1.0 / factor)
     return buffer
 
 
 def scaled_up(buffer: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
-    """The grid in a world that is ``factor`` times as large: a copy, unless that is 1."""
+    """The grid in a world ``factor`` times as large: a copy, unless the factor is 1."""
     if factor == 1.0:
         return buffer
     copy = aligned_buffer(len(buffer))
@@ -65,7 +65,7 @@ def _scale(buffer: NDArray[np.uint8], factor: float) -> None:
     grid = grid_header(buffer)
     for name, power in (("matrix", factor), ("vector", factor), ("inverse", 1.0 / factor)):
         grid[name] *= power
-        # Beyond float32's range the single-precision map overflows; geokit's kernels use the double one.
+        # Beyond float32's range the single-precision map overflows; geokit's kernels use the double-precision one.
         with np.errstate(over="ignore", under="ignore"):
             grid[f"{name}_f"] = grid[name]
     grid["voxel_size"] *= factor

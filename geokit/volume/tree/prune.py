@@ -18,13 +18,13 @@ ROWS_AT_A_TIME = 4096
 
 
 def pruned(volume: SparseVolume, tolerance: float) -> SparseVolume:
-    """The volume, of one of VALUE_TYPES, with tiles in place of nodes with one state and values within a tolerance."""
+    """Replace nodes with one state and values within a tolerance by tiles, in a volume of one of VALUE_TYPES."""
     tree = tree_of(volume)
-    # The two values of a bool are no nearer to each other than that.
+    # The two values of a bool are alike only if they are equal.
     tolerance = 0.0 if tree.layout.leaf_bits == 1 else tolerance
     full, empty = (tree.masks == 255).all(axis=1), ~tree.masks.any(axis=1)
     alike = full | empty
-    # The states of a mask are all there is.
+    # A mask has states only.
     if tree.layout.name != "mask":
         alike[alike] = _alike(tree.values, np.flatnonzero(alike), tolerance)
     tiles = RootTiles(tree.origins[alike], _middle(tree.values, np.flatnonzero(alike), tolerance), full[alike])
@@ -46,13 +46,13 @@ def _level(
     span: int,
     tolerance: float,
 ) -> tuple[Nodes, RootTiles]:
-    """Put tiles into the nodes of a level; returns those that stay, and those that have become tiles themselves.
+    """Put tiles into the nodes of a level; returns the nodes that remain, and those that have become tiles themselves.
 
     Args:
         tree: The tree.
-        nodes: Of the level, before.
-        tiles: Places of ``span``^3 voxels.
-        below: Corners of what the level's nodes hold beside tiles, wherever in them.
+        nodes: Nodes of the level before pruning.
+        tiles: New tiles of ``span``^3 voxels.
+        below: Any voxel of each child that remains below the level.
         width: Slots along an axis.
         span: Voxels of a slot along an axis.
         tolerance: Largest difference of values in a tile.
@@ -83,7 +83,7 @@ def _level(
 
 
 def _alike(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> NDArray[np.bool_]:
-    """Of some rows (R, n, ...), whether the values differ by at most the tolerance, in each component."""
+    """Mask of the rows (R, n, ...) whose values differ by at most the tolerance in each component."""
     found = np.empty(len(rows), np.bool_)
     for first in range(0, len(rows), ROWS_AT_A_TIME):
         part = values[rows[first : first + ROWS_AT_A_TIME]]
@@ -95,7 +95,7 @@ def _alike(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> N
 
 
 def _middle(values: NDArray[Any], rows: NDArray[np.int64], tolerance: float) -> NDArray[Any]:
-    """The median of each of some rows (R, n, ...); of vectors the one in the middle of their lexicographic order."""
+    """The median of each row (R, n, ...); for vectors the middle one in lexicographic order."""
     if tolerance == 0.0:
         return np.asarray(values[rows, 0])
     found = np.empty((len(rows), *values.shape[2:]), values.dtype)

@@ -1,6 +1,6 @@
-"""Float leaves as codes of 1 to 16 bits, bit for bit as NanoVDB writes them, with the errors that readers will see.
+"""Encodes float leaves as codes of 1 to 16 bits, bit for bit as NanoVDB writes them, and measures the readers' errors.
 
-Every rounding of float32 counts here: no product and sum are fused but where it says so.
+Every float32 rounding matters here: product and sum are never fused, except where the code says so.
 """
 
 # mypy: ignore-errors
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 def leaf_error(
     source: wp.array(dtype=wp.uint8), start: wp.int64, bits: int, rounding: wp.array(dtype=wp.float32)
 ) -> wp.float64:
-    """Largest error of a leaf's values as codes of ``bits`` bits; -1 where one of them is not finite."""
+    """Largest error of a leaf's values as codes of ``bits`` bits; -1 if a value is not finite."""
     ...
 
 
@@ -30,7 +30,7 @@ def write_leaf(
     target: wp.array(dtype=wp.uint8),
     to: wp.int64,
 ) -> wp.vec3d:
-    """Writes a float leaf as codes; returns its error as leaf_error, and its smallest and largest active value."""
+    """Writes a float leaf as codes; returns its error as in leaf_error, and its smallest and largest active value."""
     ...
 
 
@@ -43,7 +43,7 @@ def bits_kernel(
     rounding: wp.array(dtype=wp.float32),
     out_bits: wp.array(dtype=wp.uint8),
 ):
-    """Fewest bits that keep a leaf's error within its tolerance, 16 where none does."""
+    """Smallest width in bits that keeps a leaf's error within its tolerance, 16 if none does."""
     i = first + wp.tid()
     bits = int(1)
     while bits < 16 and leaf_error(source, starts[i], bits, rounding) > tolerance[i]:
@@ -63,6 +63,6 @@ def encode_kernel(
     target: wp.array(dtype=wp.uint8),
     out_measures: wp.array(dtype=wp.vec3d),
 ):
-    """Writes leaves; measures are the largest error, the smallest and the largest active value of each."""
+    """Writes leaves; ``measures`` holds the largest error and the smallest and largest active value of each."""
     i = first + wp.tid()
     out_measures[i] = write_leaf(source, starts[i], int(bits[i]), rounding, int(flags[i]), target, places[i])

@@ -1,4 +1,4 @@
-"""A grid's tree in another value type: the same nodes in the same order, with room for leaves of other sizes."""
+"""Conversion of a grid's tree to another value type: the same nodes in the same order, with room for new leaves."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from geokit.volume.tree.root_table import root_tile_type
 
 __all__ = ["RetypedTree", "leaf_starts", "retype_tree", "tile_values"]
 
-# Nodes that are copied at a time: 64 upper nodes are 16 MiB.
+# Nodes copied at a time: 64 upper nodes are 16 MiB.
 NODES_AT_A_TIME = 64
 
 
 @dataclass(frozen=True)
 class RetypedTree:
-    """A grid of another type, whose leaves are to be filled in.
+    """A grid of another type whose leaves are still to be filled.
 
     Attributes:
-        buffer: The grid, uint8, 32-byte aligned; leaves are zero, checksum and the nodes' extrema those of the source.
-        leaf_starts: First byte of each leaf, shape (L,), in the order of the source's leaves.
+        buffer: The grid, uint8, 32-byte aligned. Leaves are zero; the checksum and the nodes' extrema are those of the
+            source.
+        leaf_starts: Offset of each leaf, shape (L,), in the order of the source's leaves.
         lower_of_leaf: Lower node of each leaf, shape (L,).
         upper_of_lower: Upper node of each lower node.
     """
@@ -43,11 +44,11 @@ class RetypedTree:
     upper_of_lower: NDArray[np.int64]
 
     def write_extrema(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
-        """Store the smallest and the largest active value of every node above the leaves.
+        """Write the smallest and the largest active value of every node above the leaves.
 
         Args:
-            low: Smallest active value of each leaf, inf where none is active.
-            high: Largest active value of each leaf, -inf where none is active.
+            low: Smallest active value of each leaf, inf if none is active.
+            high: Largest active value of each leaf, -inf if none is active.
         """
         grid, tree = grid_header(self.buffer), tree_header(self.buffer)
         layout = layout_of(int(grid["grid_type"]), "grid")
@@ -92,7 +93,7 @@ class _Nodes:
         return self.buffer[self.begin : self.begin + self.count * self.size].reshape(self.count, self.size)
 
     def column(self, dtype: Any, offset: int, count: int, step: int) -> NDArray[Any]:
-        """``count`` values of each node from ``offset`` on, ``step`` bytes apart; vectors have an axis more."""
+        """``count`` values of each node from ``offset`` on, ``step`` bytes apart; vectors have one more axis."""
         kind = np.dtype(dtype)
         shape = (self.count, count, *kind.shape)
         if not self.count:
@@ -101,11 +102,11 @@ class _Nodes:
         return np.ndarray(shape, kind.base, self.buffer, self.begin + offset, strides)
 
     def tiles(self) -> NDArray[Any]:
-        """What the slots hold, values where there is no child, (count, slots) or (count, slots, C)."""
+        """Contents of the slots, (count, slots) or (count, slots, C); a value unless the slot has a child."""
         return self.column(self.layout.background, self.table, self.slots, self.layout.table_stride)
 
     def statistics(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Minimum and maximum (count, 2), average and deviation (count, 2)."""
+        """Minimum and maximum (count, 2); average and deviation (count, 2)."""
         return _statistics(self, 32 + 2 * self.slots // 8, self.layout)
 
     def children(self, first: int, stop: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -115,7 +116,7 @@ class _Nodes:
         return node + first, slot
 
     def add_tiles(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
-        """Let the active tiles of each node take part in its extrema."""
+        """Include the active tiles of each node in its extrema."""
         part = self.slots // 8
         value = self.tiles()
         for first in range(0, self.count, NODES_AT_A_TIME):
@@ -140,7 +141,7 @@ def _write_limits(statistics: tuple[NDArray[Any], NDArray[Any]], low: Any, high:
 
 
 def leaf_starts(buffer: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """First byte of each leaf of a structurally sound grid, ascending, shape (L,)."""
+    """Offset of each leaf of a structurally valid grid, ascending, shape (L,)."""
     tree = tree_header(buffer)
     layout = _layout_of(buffer)
     begin, count = TREE_OFFSET + int(tree["node_offset"][0]), int(tree["node_count"][0])
@@ -150,13 +151,13 @@ def leaf_starts(buffer: NDArray[np.uint8]) -> NDArray[np.int64]:
     memory = buffer.data
     for i in range(count):
         starts[i] = begin
-        # Each leaf says how wide it is.
+        # Each leaf stores its own width.
         begin += layout.leaf_header + (LEAF_VOXELS // 8 << (int(memory[begin + 15]) >> 5))
     return starts
 
 
 def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
-    """Background and values of all tiles of a structurally sound grid, in no particular order."""
+    """Background and values of all tiles of a structurally valid grid, in no particular order."""
     tree = tree_header(buffer)
     layout = layout_of(int(grid_header(buffer)["grid_type"]), "grid")
     root = TREE_OFFSET + int(tree["node_offset"][3])
@@ -184,15 +185,15 @@ def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
 def retype_tree(
     buffer: NDArray[np.uint8], grid_type: int, leaf_sizes: NDArray[np.int64], channel: NDArray[Any] | None = None
 ) -> RetypedTree:
-    """Copy everything of a grid but its leaves into a grid of another type.
+    """Copy a grid except its leaves into a grid of another type.
 
     Args:
-        buffer: A structurally sound grid of a scalar floating-point type, whose values become their nearest in the new
-            one; or an index grid.
-        grid_type: NanoVDB's number of the new type.
+        buffer: A structurally valid grid of a scalar floating-point type, whose values are rounded to the new one; or
+            an index grid.
+        grid_type: NanoVDB's code of the new type.
         leaf_sizes: Bytes of each leaf of the new grid, shape (L,).
-        channel: What the indices of an index grid lead to, shape (count,) or (count, C). Its statistics and its blind
-            data are left out: they are those of the indices.
+        channel: Values to which the indices of an index grid refer, shape (count,) or (count, C). Statistics and blind
+            data of an index grid are left out, since they describe the indices.
     """
     old = _layout_of(buffer)
     new = layout_of(grid_type, type_name(grid_type))
@@ -227,7 +228,7 @@ def _layout_of(buffer: NDArray[np.uint8]) -> GridLayout:
 
 
 def _blind_data(buffer: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    # Offsets count from the entries, so that entries and data move as one.
+    # Offsets count from the entries, so that entries and data can move together.
     grid = grid_header(buffer)
     return buffer[int(grid["blind_offset"]) :] if int(grid["blind_count"]) else buffer[:0]
 
@@ -320,7 +321,7 @@ def _copy_nodes(
         target.bytes()[first:stop, :head] = source.bytes()[first:stop, :head]
         node, slot = source.children(first, stop)
         if channel is None:
-            with np.errstate(over="ignore", invalid="ignore"):  # what a slot with a child holds is no value
+            with np.errstate(over="ignore", invalid="ignore"):  # a slot with a child holds no value
                 values[1][first:stop] = values[0][first:stop]
         else:
             is_tile = np.ones((stop - first, source.slots), np.bool_)

@@ -1,4 +1,4 @@
-"""The root of a grid: keys of its entries, tiles between upper nodes, and the grid's world box."""
+"""The root table of a grid: keys of its entries and tiles between upper nodes; the grid's world box."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from geokit.volume.nanovdb.layout import GridLayout
 
 __all__ = ["root_keys_of", "root_origins", "root_span", "root_tile_type", "with_gaps"]
 
-# Tiles between upper nodes are written one by one: this many are 2 MiB and cover 2.7e8 voxels of solid along an axis.
+# Largest number of tiles between upper nodes: they are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
-# Of a coordinate in the key of an entry of the root.
+# Bits of a coordinate in the key of a root entry.
 ROOT_BITS = 20
 
 
 def root_tile_type(layout: GridLayout) -> np.dtype[Any]:
-    """An entry of the root's table as a NumPy type."""
+    """An entry of the root table as a NumPy type."""
     return np.dtype(
         {
             "names": ["key", "child", "state", "value"],
@@ -32,8 +32,8 @@ def root_tile_type(layout: GridLayout) -> np.dtype[Any]:
 
 
 def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
-    """Keys of the root's entries for voxels (N, 3)."""
-    # 20 bits of each coordinate, negative ones wrapped as NanoVDB does by shifting unsigned.
+    """Keys of the root entries for voxels (N, 3)."""
+    # 20 bits of each coordinate; negative ones wrap around, as in NanoVDB's unsigned shift.
     x, y, z = voxels.T.astype(np.int64) >> 12 & ((1 << ROOT_BITS) - 1)
     return np.asarray((x << 42 | y << 21 | z).astype(np.uint64))
 
@@ -41,12 +41,12 @@ def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
 def with_gaps(
     uppers: NDArray[np.uint64], fill_gaps: bool
 ) -> tuple[NDArray[np.uint64], NDArray[np.int64], list[tuple[int, int, int]]]:
-    """The root's table, with a tile for every place between two upper nodes on one line along z."""
+    """The root table, with a tile for every gap between two upper nodes on one line along z."""
     numbers = np.arange(len(uppers))
     if not fill_gaps or len(uppers) < 2:
         return uppers, numbers, []
     line = uppers >> np.uint64(21)
-    # Signed z decides what lies between: the keys' own order puts negative ones last.
+    # Signed z defines the gaps; the order of the keys puts negative z last.
     z = (uppers & np.uint64((1 << 21) - 1)).astype(np.int64)
     z = np.where(z >= 1 << 19, z - (1 << 20), z)
     order = np.lexsort((z, line))
@@ -72,7 +72,7 @@ def with_gaps(
 
 
 def root_origins(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
-    """First voxels (N, 3) of the root's entries with the given keys."""
+    """First voxels (N, 3) of the root entries with the given keys."""
     low = (1 << 21) - 1
     at = np.stack([(keys >> np.uint64(shift)).astype(np.int64) & low for shift in (42, 21, 0)], axis=1)
     at = np.where(at >= 1 << (ROOT_BITS - 1), at - (1 << ROOT_BITS), at)
@@ -80,7 +80,7 @@ def root_origins(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
 
 
 def root_span(buffer: NDArray[np.uint8], box: NDArray[np.int32] | None) -> None:
-    """Store the grid's world box; its upper corner is the far side of the last voxel, as NanoVDB has it."""
+    """Write the grid's world box; its upper corner is the far side of the last voxel, as in NanoVDB."""
     grid = grid_header(buffer)
     if box is None:
         limits = np.finfo(np.float64)

@@ -1,4 +1,4 @@
-"""Connected components of grids of any value type, found in a mask of their active voxels."""
+"""Connected components of grids of any value type, computed on a mask of their active voxels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["mask_of", "segmented"]
 
 
 def segmented(volume: SparseVolume, parts_of: Callable[[SparseVolume], list[SparseVolume]]) -> list[SparseVolume]:
-    """The parts of a volume of one of VALUE_TYPES, in the order in which ``parts_of`` gives those of a mask."""
+    """Split a volume of one of VALUE_TYPES into parts, in the order in which ``parts_of`` returns those of its mask."""
     tree = voxelized_tree(tree_of(volume), volume.info.name)
     found = []
     for part in parts_of(mask_of(volume)):
@@ -37,7 +37,7 @@ def segmented(volume: SparseVolume, parts_of: Callable[[SparseVolume], list[Spar
 
 
 def mask_of(volume: SparseVolume) -> SparseVolume:
-    """A mask grid of a volume's active voxels, on the same lattice, tiles as tiles."""
+    """A mask grid of a volume's active voxels, on the same lattice; tiles stay tiles."""
     tree = tree_of(volume)
 
     def states(nodes: Nodes) -> Nodes:

@@ -1,4 +1,4 @@
-"""Boxes and extrema of the active values of leaves, tiles and nodes, for grids of any value type.
+"""Bounding boxes and extrema of the active values of leaves, tiles and nodes, for grids of any value type.
 
 Grids of bits have no extrema in NanoVDB.
 """
@@ -15,7 +15,7 @@ from geokit.volume.tree.typed_tree import bits_of
 
 __all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
 
-# A box that adds nothing to the union with another.
+# The neutral element of a union of boxes.
 NO_BOX = np.array([[[np.iinfo(np.int32).max] * 3, [np.iinfo(np.int32).min] * 3]], np.int32)
 _BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)
 _FIRST_BIT = np.array([8] + [(i & -i).bit_length() - 1 for i in range(1, 256)], np.int8)
@@ -23,14 +23,14 @@ _LAST_BIT = np.array([i.bit_length() - 1 for i in range(256)], np.int8)
 
 
 class Items(NamedTuple):
-    """What is known of the active voxels of some leaves, tiles or nodes.
+    """Boxes and extrema of the active voxels of some leaves, tiles or nodes.
 
     Attributes:
-        boxes: First and last active voxel, (N, 2, 3) int32, turned around where there is none.
-        low: Least active value, (N,) or (N, C); of vectors the shortest.
-        high: The greatest.
-        low_key: What the former are compared by: themselves, or the squares of their lengths.
-        high_key: The same of the latter.
+        boxes: First and last active voxel, (N, 2, 3) int32, in reverse order if there is none.
+        low: Smallest active value, (N,) or (N, C); for vectors the shortest.
+        high: Largest active value; for vectors the longest.
+        low_key: Sort key of ``low``: the value itself, or the square of its length.
+        high_key: Sort key of ``high``.
     """
 
     boxes: NDArray[np.int32]
@@ -41,14 +41,14 @@ class Items(NamedTuple):
 
     @classmethod
     def empty(cls, layout: GridLayout, count: int) -> Items:
-        """Room for some."""
+        """Allocate items that hold no active voxel."""
         kind = layout.background
         values = [np.zeros((count, *kind.shape), kind.base) for _ in range(2)]
         keys = [np.zeros(count, np.float64) for _ in range(2)] if kind.shape else values
         return cls(np.repeat(NO_BOX, count, axis=0), *values, *keys)
 
     def some(self, part: slice = slice(None)) -> NDArray[np.bool_]:
-        """Which have an active voxel."""
+        """Mask of the items that have an active voxel."""
         return self.boxes[part, 0, 0] <= self.boxes[part, 1, 0]
 
 
@@ -73,7 +73,7 @@ def items_of_leaves(
             (out.high, out.high_key, np.argmax, _least(keys.dtype)),
         ):
             at = best(np.where(active, keys, worst), axis=1)
-            # Where all active values are the worst there can be, it may be an inactive one that is found.
+            # If all active values equal the worst possible value, an inactive one may have been found.
             at = np.where(active[rows, at], at, np.argmax(active, axis=1))
             column[part] = values[rows, at]
             if key_column is not column:
@@ -82,7 +82,7 @@ def items_of_leaves(
 
 
 def items_of_tiles(layout: GridLayout, origins: NDArray[np.int32], values: NDArray[Any], span: int) -> Items:
-    """Of active tiles of ``span``^3 voxels."""
+    """Items of active tiles of ``span``^3 voxels."""
     boxes = np.stack([origins, origins + np.int32(span - 1)], axis=1)
     if layout.leaf_bits <= 1:
         values = np.zeros_like(values)
@@ -93,14 +93,14 @@ def items_of_tiles(layout: GridLayout, origins: NDArray[np.int32], values: NDArr
 def add_items(
     items: Items, parent: NDArray[np.int64], more: Items, more_parent: NDArray[np.int64]
 ) -> tuple[Items, NDArray[np.int64]]:
-    """Both as one, with the nodes that they are in."""
+    """Concatenate two sets of items, with the nodes that contain them."""
     if not len(more_parent):
         return items, parent
     return Items(*map(np.concatenate, zip(items, more, strict=True))), np.concatenate([parent, more_parent])
 
 
 def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
-    """Of ``count`` nodes, from those of what is in them."""
+    """Reduce items to those of the ``count`` nodes that contain them."""
     kind = items.low
     shape = (count, *kind.shape[1:])
     low, high = np.zeros(shape, kind.dtype), np.zeros(shape, kind.dtype)
@@ -124,7 +124,7 @@ def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
 
 
 def _local_boxes(packed: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """First and last active voxel of leaves within themselves, shape (L, 2, 3); first > last where none is active."""
+    """First and last active voxel of leaves, in local coordinates, shape (L, 2, 3); first > last if none is active."""
     planes = packed.view("<u8")
     columns = np.bitwise_or.reduce(planes, axis=1, keepdims=True).view(np.uint8)
     rows = np.bitwise_or.reduce(columns, axis=1, keepdims=True)
@@ -147,7 +147,7 @@ def _keys(layout: GridLayout, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _turned(keys: NDArray[Any]) -> NDArray[Any]:
-    """Numbers in the opposite order."""
+    """Keys that sort numbers in descending order."""
     return ~keys if keys.dtype.kind in "iub" else -keys
 
 

@@ -1,7 +1,7 @@
-"""The tree of a grid of any value type as arrays: its leaves, and the tiles that stand where none is.
+"""The tree of a grid of any value type as arrays: its leaves, and the tiles in regions without leaves.
 
-Only what can be told from the background is here: a node whose slots are all leaves or inactive background needs no
-words, its place shows in those of its leaves.
+Only what differs from the background is stored: a node whose slots are all leaves or inactive background is not,
+because its position follows from those of its leaves.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ __all__ = [
     "voxelized_tree",
 ]
 
-# Types whose leaves hold their values as they are: all but the quantised ones.
+# Types whose leaves store their values unencoded: all but the quantized ones.
 VALUE_TYPES = tuple(name for name, layout in LAYOUTS.items() if not layout.leaf_header)
-# Nodes whose slots are looked at together: 64 upper nodes are 16 MiB.
+# Nodes processed together: the slots of 64 upper nodes are 16 MiB.
 NODES_AT_A_TIME = 64
 
 
@@ -46,8 +46,8 @@ class Nodes(NamedTuple):
 
     Attributes:
         origins: First voxel of each, (N, 3) int32.
-        values: Of their tiles, (N, slots) or (N, slots, C); the background where a child is.
-        active: Whether a slot is an active tile, (N, slots) bool.
+        values: Values of their tiles, (N, slots) or (N, slots, C); the background if a slot has a child.
+        active: Mask of the slots that are active tiles, (N, slots) bool.
     """
 
     origins: NDArray[np.int32]
@@ -55,7 +55,7 @@ class Nodes(NamedTuple):
     active: NDArray[np.bool_]
 
     def rows(self, kept: Any) -> Nodes:
-        """Some of them, by a mask or by numbers."""
+        """Select nodes by a mask or by indices."""
         return Nodes(self.origins[kept], self.values[kept], self.active[kept])
 
 
@@ -67,22 +67,23 @@ class RootTiles(NamedTuple):
     active: NDArray[np.bool_]
 
     def rows(self, kept: Any) -> RootTiles:
-        """Some of them, by a mask or by numbers."""
+        """Select tiles by a mask or by indices."""
         return RootTiles(self.origins[kept], self.values[kept], self.active[kept])
 
 
 @dataclass(frozen=True)
 class TypedTree:
-    """A grid's tree.
+    """A grid's tree as arrays.
 
     Attributes:
-        layout: Of the grid's type.
-        background: Value outside of everything, () or (C,).
+        layout: Layout of the grid's type.
+        background: Value outside all nodes, () or (C,).
         origins: First voxel of each leaf, (L, 3) int32.
         masks: Active voxels of each leaf, (L, 64) uint8.
-        values: Of each leaf, (L, 512) or (L, 512, C), z fastest; of a mask, its states. May share a grid's memory.
+        values: Values of each leaf, (L, 512) or (L, 512, C), z fastest; for a mask, its states. May share a grid's
+            memory.
         lower: Nodes of 16^3 leaves that hold a tile other than inactive background.
-        upper: The same of nodes of 32^3 lower ones.
+        upper: Nodes of 32^3 lower nodes that hold such a tile.
         root: Tiles of the root.
     """
 
@@ -98,16 +99,16 @@ class TypedTree:
     def tiles_at(
         self, origins: NDArray[np.int32], *, below_root: bool = True
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """What stands at places (N, 3) where no leaf is: values (N,) or (N, C), and whether it is active (N,).
+        """Tiles at positions (N, 3) without a leaf: values (N,) or (N, C), and whether they are active (N,).
 
-        Without ``below_root`` what the root has there.
+        If ``below_root`` is false, only the root's tiles are read.
         """
         values = np.empty((len(origins), *self.layout.background.shape), self.layout.background.base)
         values[:] = self.background
         active = np.zeros(len(origins), np.bool_)
         row = rows_in(self.root.origins, origins & ~np.int32(4095))
         values[row >= 0], active[row >= 0] = self.root.values[row[row >= 0]], self.root.active[row[row >= 0]]
-        # A lower node's answer comes last: it is the nearer one.
+        # A lower node's tile is written last, since it is the more specific one.
         for nodes, width, span in ((self.upper, 32, 128), (self.lower, 16, 8)) if below_root else ():
             row = rows_in(nodes.origins, origins & ~np.int32(span * width - 1))
             inside = row >= 0
@@ -117,13 +118,13 @@ class TypedTree:
 
 
 def slot_of(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int64]:
-    """Slot of places in nodes of ``width``^3 slots of ``span`` voxels each."""
+    """Slot index of voxels in nodes of ``width``^3 slots of ``span`` voxels each."""
     at = (origins.astype(np.int64) // span) & (width - 1)
     return (at[:, 0] * width + at[:, 1]) * width + at[:, 2]
 
 
 def differs(values: NDArray[Any], background: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which values (..., C) are other than the background, bit by bit."""
+    """Mask of the values (..., C) that differ from the background, bit by bit."""
     base = values.dtype
     raw = np.dtype(f"u{base.itemsize}")
     unlike = values.view(raw) != np.asarray(background, base).view(raw)
@@ -131,22 +132,22 @@ def differs(values: NDArray[Any], background: NDArray[Any]) -> NDArray[np.bool_]
 
 
 def bits_of(masks: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Bits of packed masks (N, B), as (N, 8 B)."""
+    """Unpack masks (N, B) to bits (N, 8 B)."""
     return np.unpackbits(masks, axis=1, bitorder="little").view(np.bool_)
 
 
 def leaf_values_begin(layout: GridLayout) -> int:
-    """Offset of the values from a leaf: they are the last that it holds, and fill a multiple of 32 bytes."""
-    # The bits of a bool leaf stand right behind its mask.
+    """Offset of a leaf's values, which are its last entry and fill a multiple of 32 bytes."""
+    # The bits of a bool leaf directly follow its mask.
     return 80 if layout.name == "bool" else layout.leaf_size - LEAF_VOXELS * layout.background.itemsize
 
 
 def tree_of(volume: SparseVolume) -> TypedTree:
-    """The tree of a grid of one of VALUE_TYPES.
+    """Read the tree of a grid of one of VALUE_TYPES.
 
     Raises:
-        FileFormatError: The buffer is not a sound grid.
-        UnsupportedGridError: The grid stores no values as they are.
+        FileFormatError: The buffer is not a valid grid.
+        UnsupportedGridError: The grid does not store its values unencoded.
     """
     buffer = volume.nanovdb
     where = f"volume {volume.info.name!r}"
@@ -181,7 +182,7 @@ def tree_of_leaves(
     masks: NDArray[np.uint8],
     values: NDArray[Any],
 ) -> TypedTree:
-    """A tree of leaves alone."""
+    """Build a tree that has leaves only."""
     kind = layout.background
 
     def none(slots: int) -> Nodes:
@@ -193,10 +194,10 @@ def tree_of_leaves(
 
 
 def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
-    """The tree with leaves in place of its active tiles, which come behind the others.
+    """Convert the active tiles of a tree to leaves, which follow the existing ones.
 
     Raises:
-        DeviceMemoryError: The tiles of the grid ``name`` hold more voxels than there is memory for.
+        DeviceMemoryError: The tiles of the grid ``name`` hold more voxels than fit into memory.
     """
     if not (tree.root.active.any() or tree.upper.active.any() or tree.lower.active.any()):
         return tree
@@ -206,7 +207,7 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
         (*_active_tiles(tree.lower, 16, 8), 1),
     )
     count = sum(len(origins) * width**3 for origins, _, width in sources)
-    # As they are, as they will be in the new grid, and once more on the way.
+    # The leaves in the tree, in the new grid, and in one copy during the conversion.
     need = count * 3 * (LEAF_VOXELS * max(1, tree.layout.background.itemsize) + 100)
     have = available_memory.available_host()
     if need > have:
@@ -236,7 +237,7 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
 
 @dataclass(frozen=True)
 class _Level:
-    """Where the nodes of one level are: ``width``^3 slots of ``span`` voxels."""
+    """Location of the nodes of one level: ``width``^3 slots of ``span`` voxels."""
 
     buffer: NDArray[np.uint8]
     layout: GridLayout
@@ -249,7 +250,7 @@ class _Level:
     def read(
         self, origins: NDArray[np.int32], background: NDArray[Any], child_begin: int, child_size: int, child_count: int
     ) -> tuple[Nodes, NDArray[np.int32]]:
-        """What the nodes with the given origins hold, and the origins of their children."""
+        """Contents of the nodes with the given origins, and the origins of their children."""
         slots = UPPER_SLOTS if self.width == 32 else LOWER_SLOTS
         kind = self.layout.background
         child_origins = np.empty((child_count, 3), np.int32)
@@ -299,7 +300,7 @@ def _leaf_contents(
 
 
 def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Row of each wanted corner (N, 3) in a table of them, -1 where it is not there."""
+    """Row of each wanted corner (N, 3) in a table of corners, -1 if it is missing."""
     if not len(table):
         return np.full(len(wanted), -1)
     both, number = np.unique(np.concatenate([table, wanted]), axis=0, return_inverse=True)
@@ -316,7 +317,7 @@ def _active_tiles(nodes: Nodes, width: int, span: int) -> tuple[NDArray[np.int32
 
 
 def _without_active(nodes: Nodes, background: NDArray[Any]) -> Nodes:
-    """The nodes with inactive background in place of their active tiles; those that hold nothing else are left out."""
+    """Replace active tiles by inactive background, and drop nodes that then hold nothing else."""
     inactive = differs(nodes.values, background) & ~nodes.active
     kept = np.flatnonzero(inactive.any(axis=1))
     values = nodes.values[kept]

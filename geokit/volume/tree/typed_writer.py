@@ -1,4 +1,4 @@
-"""Building NanoVDB grids of any value type from their leaves and tiles, on the host."""
+"""Writer of NanoVDB grids of any value type, from their leaves and tiles, on the host."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, leaf_values
 
 __all__ = ["build_grid", "rebuilt"]
 
-# Leaves that a thread works on at a time: 256 of them are half a megabyte of floats, which stays in the cache.
+# Leaves that a thread processes at a time: 256 of them are half a megabyte of floats, which stays in the cache.
 LEAVES_AT_A_TIME = 256
 
 
 class _Places(NamedTuple):
-    """Which nodes there are, and where, in the grid's order.
+    """Nodes of a grid and their relations, in breadth-first order.
 
     Attributes:
-        leaf_order: Rows of the leaves given.
+        leaf_order: Row of each leaf in the tree.
         leaf_lower: Lower node of each leaf.
-        leaf_slot: Slot of each leaf in it.
+        leaf_slot: Slot of each leaf in its lower node.
         lower_origins: First voxel of each lower node.
-        lower_upper: Upper node of each.
-        lower_slot: Slot of each in it.
-        lower_row: Row of each among the lower nodes of the tree, -1 where it has none.
+        lower_upper: Upper node of each lower node.
+        lower_slot: Slot of each lower node in its upper node.
+        lower_row: Row of each lower node in the tree, -1 if the tree does not have it.
         upper_origins: First voxel of each upper node.
-        upper_row: Row of each among the upper nodes of the tree, -1 where it has none.
+        upper_row: Row of each upper node in the tree, -1 if the tree does not have it.
     """
 
     leaf_order: NDArray[np.int64]
@@ -66,21 +66,21 @@ class _Places(NamedTuple):
 
 
 def rebuilt(tree: TypedTree, volume: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
-    """A volume with another tree, and name, class, metadata and (unless one is given) the transform of ``volume``."""
+    """Build a volume with another tree; name, class, metadata and the default transform are those of ``volume``."""
     buffer = build_grid(tree, head_like(volume, tree.layout, tree.background, transform))
     info = info_of(buffer, name=volume.info.name)
     return SparseVolume(buffer, replace(info, grid_class=volume.info.grid_class, metadata=volume.info.metadata))
 
 
 def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
-    """A NanoVDB grid of any value type from its leaves and tiles.
+    """Build a NanoVDB grid of any value type from its leaves and tiles.
 
-    Nodes that the leaves need and the tree does not have are filled with the tile in whose place they come, that of the
-    root included. Every node gets its box and its extrema (of vectors by length), no averages.
+    Nodes that the leaves need and the tree does not have are filled with the tile that they replace, that of the root
+    included. Every node gets its box and its extrema (for vectors by length), but no averages.
 
     Args:
-        tree: Of the layout and background of ``head``.
-        head: What the grid is to be.
+        tree: Tree with the layout and background of ``head``.
+        head: Specification of the grid.
     Returns:
         The grid: uint8, 32-byte aligned, read-only.
     """
@@ -95,7 +95,7 @@ def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
     leaf_begin = lower_begin + len(places.lower_upper) * layout.lower_size
     tree_end = leaf_begin + len(tree.origins) * layout.leaf_size
     name = _name_block(head)
-    # calloc's pages are zero until they are written: padding costs nothing.
+    # Pages from calloc are zero until they are written, so padding costs nothing.
     buffer = aligned_buffer(-(-(tree_end + len(name)) // ALIGNMENT) * ALIGNMENT, zeroed=True)
     buffer[tree_end : tree_end + len(name)] = name
     begins = (leaf_begin, lower_begin, upper_begin, root_begin)
@@ -180,11 +180,11 @@ class _Level:
 
     @property
     def slots(self) -> int:
-        """Of a node."""
+        """Number of slots of a node."""
         return self.width**3
 
     def column(self, dtype: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> NDArray[Any]:
-        """Something that every node has at an offset."""
+        """View of the field that every node has at an offset."""
         if not self.count:
             return np.empty((0, *shape), dtype)
         return np.ndarray((self.count, *shape), dtype, self.buffer, self.begin + offset, (self.size, *strides))
@@ -196,9 +196,9 @@ class _Level:
         return self.column(kind.base, self.table, (self.slots, *kind.shape), (self.layout.table_stride, *element))
 
     def link(self, node: NDArray[np.int64], slot: NDArray[np.int64], child: NDArray[np.int64]) -> None:
-        """Put children that start at the given bytes into slots."""
+        """Store the offsets of children in slots."""
         offsets = self.column("<i8", self.table, (self.slots,), (self.layout.table_stride,))
-        # A value may be longer than an offset.
+        # A value may be longer than an offset, so the slot is cleared first.
         self.tiles()[node, slot] = np.zeros(self.layout.background.shape, self.layout.background.base)
         offsets[node, slot] = child - (self.begin + node * self.size)
         mask = self.column(np.uint8, 32 + self.slots // 8, (self.slots // 8,), (1,))
@@ -213,9 +213,9 @@ class _Level:
         return rows[node], slot, self.tiles()[rows[node], slot]
 
     def write_statistics(self, origins: NDArray[np.int32], items: Items) -> None:
-        """Store box, flag, minimum and maximum of the nodes."""
+        """Write box, flag, minimum and maximum of the nodes."""
         some = items.some()
-        # Readers take a node's origin from its box: an empty one starts there too, and ends before it.
+        # Readers take a node's origin from its box, so an empty box starts at the origin too, and ends before it.
         empty = np.stack([origins, np.full_like(origins, np.iinfo(np.int32).min)], axis=1)
         self.column("<i4", 0, (2, 3), (12, 4))[:] = np.where(some[:, None, None], items.boxes, empty)
         self.column("<u8", 24, (1,), (8,))[:, 0] = np.where(some, FLAG_HAS_BBOX, 0)
@@ -235,7 +235,7 @@ def _level_of(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: 
 def _fill(
     level: _Level, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
 ) -> NDArray[np.int64]:
-    """Write the tiles of a level, those of the tree's own ``nodes`` and around them; returns nodes with active ones."""
+    """Write the tiles of a level, those of the tree's ``nodes`` and of all others; returns nodes with active ones."""
     tiles = level.tiles()
     if tree.background.tobytes().strip(b"\0"):
         tiles[:] = tree.background
@@ -252,7 +252,7 @@ def _filled(
     origins: NDArray[np.int32],
     active: list[int],
 ) -> NDArray[np.int64]:
-    """Fill nodes that the tree has not with the tile in whose place they come; returns those with active slots."""
+    """Fill nodes missing in the tree with the tile that they replace; returns those with active slots."""
     if len(tree.upper.origins) or len(tree.root.origins):
         values, states = tree.tiles_at(origins, below_root=level.span == 8)
         masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
@@ -264,7 +264,7 @@ def _filled(
 
 
 def _own(level: _Level, tiles: NDArray[Any], nodes: Nodes, row: NDArray[np.int64]) -> list[int]:
-    """Copy the tiles of nodes that the tree has; returns those with active ones."""
+    """Copy the tiles of nodes that the tree has; returns the nodes with active tiles."""
     old = np.flatnonzero(row >= 0)
     masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
     for node in old:
@@ -306,7 +306,7 @@ def _write_leaves(buffer: NDArray[np.uint8], tree: TypedTree, places: _Places, b
             rows[part, limits_at : limits_at + 2 * kind.itemsize] = limits.reshape(len(limits), -1).view(np.uint8)
         return active
 
-    # NumPy lets go of the GIL in most of these passes.
+    # NumPy releases the GIL in most of these passes.
     with ThreadPoolExecutor(thread_count()) as pool:
         return items, sum(pool.map(write, range(0, count, LEAVES_AT_A_TIME)))
 
@@ -371,7 +371,7 @@ def _write_heads(
 
 
 def _name_block(head: GridHead) -> NDArray[np.uint8]:
-    """A name too long for the header as a block of blind data; that of other programs may go with the old voxels."""
+    """A name too long for the header as a block of blind data; blind data of other programs is not kept."""
     if not head.has_long_name:
         return np.empty(0, np.uint8)
     text = head.options.name + b"\0"

@@ -24,7 +24,7 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES
 from tests.support.nanovdb_validate import OPENVDB, VALIDATED, assert_validated, needs_validate
 from tests.support.random_grids import HIGH, LOW, RandomGrid, dense_of, random_grid
 from tests.support.scipy_morphology import CONNECTIVITY, GEOKIT, SCIPY
-from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
+from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 
 def expected_of(grid, name, voxels, neighbors="faces"):
@@ -51,7 +51,7 @@ def assert_is(volume, values, active):
 
 def test_the_types_are_all_that_hold_values():
     assert set(OPENVDB) | set(VALIDATED) < set(VALUE_TYPES)
-    assert set(VALUE_TYPES) == set(VALUED) - set(QUANTISED)
+    assert set(VALUE_TYPES) == set(VALUED) - set(QUANTIZED)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

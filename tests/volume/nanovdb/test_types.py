@@ -44,7 +44,8 @@ from geokit.volume.nanovdb.types import (
 from geokit.volume.tolerance import search
 from tests.native.test_bridge import GRID_TYPES as BRIDGE_TYPES
 from tests.support.index_grids import IndexGrid
-from tests.support.typed_grids import QUANTISED, SCALARS, VALUED, VECTORS, TypedGrid
+from tests.support.typed_grids import QUANTIZED as QUANTIZED_EXAMPLES
+from tests.support.typed_grids import SCALARS, VALUED, VECTORS, TypedGrid
 
 PACKAGE = Path(geokit.__file__).parent
 HEADER = Path(wp.__file__).parent / "native" / "nanovdb" / "PNanoVDB.h"
@@ -122,7 +123,7 @@ def test_codecs_are_the_quantized_types_and_float():
 def test_examples_in_the_tests_cover_the_table():
     families = {name: BY_NAME[name].family for name in NAMES}
     assert {name for name in NAMES if BY_NAME[name].has_values} == set(VALUED)
-    assert {name for name in NAMES if families[name] == "quantized"} == set(QUANTISED)
+    assert {name for name in NAMES if families[name] == "quantized"} == set(QUANTIZED_EXAMPLES)
     assert {name for name in NAMES if families[name] in ("vector", "color")} == set(VECTORS)
     assert {name for name in NAMES if families[name] in ("float", "integer", "bool", "mask")} == set(SCALARS)
     assert {kind.name for kind in TYPES if kind.openvdb and kind.family != "quantized"} == set(BRIDGE_TYPES)

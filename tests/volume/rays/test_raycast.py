@@ -18,7 +18,7 @@ from geokit.volume.rays import crossing_blocks
 from geokit.volume.rays.crossing_blocks_kernels import FARTHEST, spread_distance_kernel
 from tests.support import reference
 from tests.support.sphere_volumes import sphere
-from tests.support.typed_grids import QUANTISED, SCALARS, TypedGrid
+from tests.support.typed_grids import QUANTIZED, SCALARS, TypedGrid
 from tests.support.volume_rays import Field, assert_first_crossings, both_ways, rays_through
 
 SHEARED = np.array([[0.3, 0.05, 0.0, 2.0], [0.0, -0.2, 0.04, -1.0], [0.02, 0.0, 0.5, 3.0], [0.0, 0.0, 0.0, 1.0]])
@@ -103,7 +103,7 @@ class TestFields:
 
 
 class TestTypes:
-    @pytest.mark.parametrize("grid_type", SCALARS + QUANTISED)
+    @pytest.mark.parametrize("grid_type", SCALARS + QUANTIZED)
     def test_leaves_and_tiles_of_every_type(self, grid_type, monkeypatch):
         grid = TypedGrid(grid_type)
         start, toward = rays_through(np.array([-9.0, -1.0, -1.0]), np.array([8.0, 8.0, 16.0]), 25, 4)

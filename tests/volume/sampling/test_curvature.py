@@ -13,7 +13,7 @@ from geokit.volume.nanovdb.header import info_of
 from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
 from tests.support.sphere_volumes import VOXELS
-from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
+from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 ORDERS = (2, 3)
 SHEARED = np.array([[0.5, 0.2, 0.0, 3.0], [-0.1, 0.25, 0.3, -7.0], [0.0, 0.1, 2.0, 11.0], [0.0, 0.0, 0.0, 1.0]])
@@ -58,7 +58,7 @@ def test_hessian_of_every_type_in_a_sheared_grid(grid_type, order):
     expected = inverse.T @ along @ inverse
     scale = max(1.0, *(float(np.abs(v).max()) for v in (grid.leaves, grid.background, grid.lower_tile)))
     # Entries of the inverse up to 3.4, twice; second differences up to 8 times the values.
-    tolerance = (DECODING if grid_type in QUANTISED else 1e-12) * scale * 100
+    tolerance = (DECODING if grid_type in QUANTIZED else 1e-12) * scale * 100
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
     np.testing.assert_array_equal(np.transpose(found, (0, 2, 1)), found)
 

@@ -14,7 +14,7 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
-from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
+from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Up to 64 products whose weights add up to 1.95 in absolute value: some tens of roundings of 1.1e-16.
 ROUNDING = 1e-13
@@ -52,7 +52,7 @@ class TestEveryType:
         found = sample(grid.volume, u, order=order, device="cpu")
         expected = tensor_interpolant(grid.at, u, order)
         assert found.shape == expected.shape
-        tolerance = (DECODING if grid_type in QUANTISED else ROUNDING) * _scale(grid)
+        tolerance = (DECODING if grid_type in QUANTIZED else ROUNDING) * _scale(grid)
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
     def test_gradient_in_a_sheared_grid(self, grid_type, order):
@@ -62,14 +62,14 @@ class TestEveryType:
         expected = along @ np.linalg.inv(SHEARED[:3, :3])
         assert found.shape == expected.shape
         # The points were rounded on their way to the world and back: 1e-14 of a voxel, times second differences.
-        tolerance = (DECODING if grid_type in QUANTISED else 1e-12) * _scale(grid) * 10
+        tolerance = (DECODING if grid_type in QUANTIZED else 1e-12) * _scale(grid) * 10
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
     def test_voxel_centres_give_the_stored_values(self, grid_type, order):
         grid = TypedGrid(grid_type)
         ijk = np.round(_points()).astype(np.int64)
         found = sample(grid.volume, ijk.astype(float), order=order, device="cpu")
-        if grid_type in QUANTISED:
+        if grid_type in QUANTIZED:
             np.testing.assert_allclose(found, grid.at(ijk), rtol=DECODING, atol=DECODING)
         else:
             np.testing.assert_array_equal(found, grid.at(ijk))

@@ -15,7 +15,7 @@ from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES
 from tests.support.float_grids import build_float_grid
-from tests.support.typed_grids import QUANTISED, VALUED, TypedGrid
+from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Seven float64 interpolations and three of the coordinates: some tens of roundings of 1.1e-16, values below 300.
 ROUNDING = 1e-12
@@ -80,7 +80,7 @@ class TestEveryType:
         found = sample(grid.volume, ijk.astype(float), order=0, device="cpu")
         expected = grid.at(ijk)
         assert found.shape == expected.shape
-        if grid_type in QUANTISED:
+        if grid_type in QUANTIZED:
             np.testing.assert_allclose(found, expected, rtol=DECODING, atol=DECODING)
         else:
             np.testing.assert_array_equal(found, expected)
@@ -89,7 +89,7 @@ class TestEveryType:
         grid = TypedGrid(grid_type)
         u = _points()
         found = sample(grid.volume, u, order=1, device="cpu")
-        tolerance = (DECODING if grid_type in QUANTISED else ROUNDING) * _scale(grid)
+        tolerance = (DECODING if grid_type in QUANTIZED else ROUNDING) * _scale(grid)
         np.testing.assert_allclose(found, _trilinear(grid.at, u), rtol=0, atol=tolerance)
 
     def test_gradient_of_order_1_in_a_sheared_grid(self, grid_type):
@@ -99,7 +99,7 @@ class TestEveryType:
         expected = _index_gradient(grid.at, u) @ np.linalg.inv(SHEARED[:3, :3])
         assert found.shape == expected.shape
         # Points within a rounding of a cell's border may fall to either side: random ones do not.
-        tolerance = (DECODING if grid_type in QUANTISED else 1e-11) * _scale(grid) * 10
+        tolerance = (DECODING if grid_type in QUANTIZED else 1e-11) * _scale(grid) * 10
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
     def test_gradient_of_order_0_is_central_differences(self, grid_type):
@@ -109,7 +109,7 @@ class TestEveryType:
         steps = np.eye(3, dtype=np.int64)
         differences = np.stack([(grid.at(nearest + e) - grid.at(nearest - e)) / 2 for e in steps], axis=-1)
         found = gradient(grid.volume, _to_world(SHEARED, u), order=0, device="cpu")
-        tolerance = (DECODING if grid_type in QUANTISED else 1e-13) * _scale(grid) * 10
+        tolerance = (DECODING if grid_type in QUANTIZED else 1e-13) * _scale(grid) * 10
         np.testing.assert_allclose(found, differences @ np.linalg.inv(SHEARED[:3, :3]), rtol=0, atol=tolerance)
 
     def test_beyond_int32_is_background(self, grid_type):

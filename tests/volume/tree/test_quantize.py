@@ -22,7 +22,7 @@ from geokit.volume.tree.leaf_codecs import BITS, thresholds, unpack
 from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.sphere_volumes import ROTATED, sphere
-from tests.support.typed_grids import QUANTISED, TypedGrid
+from tests.support.typed_grids import QUANTIZED, TypedGrid
 
 FIXED = {"fp4": 4, "fp8": 8, "fp16": 16}
 # NanoVDB's decoding rounds product and sum to float32, relative to the range of a leaf (6 voxels of the sphere).
@@ -204,7 +204,7 @@ def test_active_tiles_count_in_the_statistics():
     assert small.nanovdb[node + 32 + 1024 + 4 : node + 32 + 1024 + 8].view("<f4")[0] == 1e3
 
 
-@pytest.mark.parametrize("source", ["double", *QUANTISED])
+@pytest.mark.parametrize("source", ["double", *QUANTIZED])
 @pytest.mark.parametrize("codec", ["float", "fp8", "fpn"])
 def test_tiles_and_leaves_of_other_sources(source, codec):
     grid = TypedGrid(source)
