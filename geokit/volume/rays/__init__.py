@@ -1,1 +1,1 @@
-"""Rays through volumes: traversal of cells, first crossings, integrals along rays."""
+"""Where a ray first crosses an isovalue of a volume, and what the integrals of volumes along a ray are."""

@@ -1,1 +1,1 @@
-"""Values and derivatives of volumes at points: nearest, trilinear, quadratic, cubic, staggered."""
+"""Which value and which derivatives a volume has at a point, by the nearest voxel or an interpolant of order 1 to 3."""

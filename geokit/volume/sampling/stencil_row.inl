@@ -1,9 +1,9 @@
 // Differences of the voxels (i, j, k) to (i, j, k + count - 1) from a value: a row of a stencil along the last axis.
 //
-// Expects volume, grid_type, i, j, k, count (4 at most), centre; near and far: the nodes of the first `cut` voxels
-// and of the others (the address of a leaf, marked by its lowest bit, or of a value); the macro COMPONENTS, 1, 3 or
-// 4. Returns a row of four doubles for each component, 0 beyond `count`; NaN where the grid's type has another number
-// of components.
+// Expects volume, grid_type, i, j, k, count (4 at most), centre; near and far, the nodes of the first `cut` voxels
+// and of the others (the address of a leaf, with its lowest bit set, or of a tile's value); the macro COMPONENTS, 1,
+// 3 or 4. Returns a row of four doubles for each component, 0 beyond `count`; NaN where the grid's type has another
+// number of components.
 #include "volume/nanovdb/elements.inl"
 #if COMPONENTS == 1
     wp::vec_t<4, double> row;
@@ -46,7 +46,7 @@
         const unsigned long long node = part ? far : near;
         const pnanovdb_leaf_handle_t leaf = { node & ~1ull };
         ijk.z = k + begin;
-        // Voxels of a row follow each other.
+        // Voxels of a row are contiguous.
         const unsigned first = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk)) - (unsigned)begin;
         if (node & 1u) {
             switch (grid_type) {
