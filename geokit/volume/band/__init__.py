@@ -1,1 +1,1 @@
-"""From a mesh or balls to a narrow band: tiles near the surface, distances, signs."""
+"""Which voxels lie in a narrow band around a mesh or balls, and what their signed distances are."""
