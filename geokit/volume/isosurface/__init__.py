@@ -1,1 +1,1 @@
-"""From a volume to a mesh: crossed cells, surface nets, marching cubes, dual contouring."""
+"""Which mesh represents an isosurface of a volume: crossed cells, surface nets, marching cubes, dual contouring."""

@@ -1,6 +1,6 @@
-// An active tile and those below it: which of them may have crossed cells.
+// Finds which of an active tile and the tiles below it may have crossed cells.
 //
-// Expects blocks_around.inl. Returns them as bits by direction.
+// Expects blocks_around.inl. Returns a bit mask by direction.
 
 look_around((int*)0);
 int rims = 0;

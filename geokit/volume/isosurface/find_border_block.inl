@@ -1,6 +1,6 @@
-// The block of tiles that starts at the voxel (i, j, k), -1 for none. They are sorted by x, then y, then z.
+// Binary search for the border block that starts at the voxel (i, j, k). Border blocks are sorted by x, then y, then z.
 //
-// Expects cells, rim_count, i, j, k. Returns the block's number.
+// Expects cells, rim_count, i, j, k. Returns the block's number, -1 for none.
 
 const wp::vec_t<3, int>* rims = cells.origin.data + cells.leaf_count;
 int low = 0, high = rim_count;

@@ -1,4 +1,4 @@
-"""Rims: blocks of tiles beside the leaves, or beside other tiles, of which an isosurface crosses some cells."""
+"""Finds border blocks: blocks of tiles, beside leaves or other tiles, with cells that an isosurface crosses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_rims", "rim_origins"]
 
-# Eight steps to the block that is below a block, or above it: 4 dx + 2 dy + dz.
+# Steps (dx, dy, dz) from a block to the eight blocks above it (or below, when subtracted), number 4 dx + 2 dy + dz.
 STEPS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1).astype(np.int32)
 
 
@@ -27,10 +27,10 @@ def rim_origins(
     Args:
         cells: The kernels' struct of blocks.
         tree: The kernels' struct of nodes.
-        leaf_rims: What link_kernel found below each leaf.
+        leaf_rims: Bit masks by direction from link_kernel, of the tiles below each leaf.
         topology: The nodes of the volume.
         isovalue: Value of the surface.
-        device: Where the arrays are.
+        device: Device of the arrays.
     """
     import warp as wp
 
@@ -53,7 +53,7 @@ def rim_origins(
 
 
 def _below(origins: NDArray[np.int32], rims: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """First voxels of the blocks that bits name, by their steps below each of the origins."""
+    """First voxels of the blocks below each origin whose bits are set, by direction."""
     rows = np.flatnonzero(rims)
     bits = np.unpackbits(rims[rows, None], axis=1, bitorder="little")
     row, step = np.nonzero(bits)

@@ -1,4 +1,4 @@
-"""Rims: blocks of tiles beside the leaves, or beside other tiles, of which an isosurface crosses some cells."""
+"""Kernels that find border blocks: blocks of tiles, beside leaves or other tiles, with crossed cells."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -22,13 +22,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.func_native(cpp(*AROUND, "volume/isosurface/border_of_tile.inl"))
 def tile_rims(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
-    """As link_leaf, for the slot of an active tile: itself and the tiles below it that may have crossed cells."""
+    """The active tile in a slot and the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
 @wp.func_native(cpp("volume/isosurface/find_border_block.inl"))
 def find_rim(cells: Cells, rim_count: int, i: int, j: int, k: int) -> int:
-    """The rim that starts at a voxel, -1 for none."""
+    """The border block that starts at a voxel, -1 for none."""
     ...
 
 
@@ -53,7 +53,7 @@ def large_tile_rims_kernel(
     origin: wp.array(dtype=wp.vec3i),
     out_rims: wp.array(dtype=wp.uint8),
 ):
-    """As tile_rims_kernel, for blocks of tiles that are larger than a block."""
+    """Does the same as tile_rims_kernel, for blocks in tiles larger than a block."""
     item = first + wp.tid()
     corner = origin[item]
     kind = grid_type_of(volume)
@@ -87,7 +87,7 @@ def rim_kernel(
     out_active: wp.array(dtype=wp.uint8),
     out_refs: wp.array(dtype=int),
 ):
-    """Planes, state and upper neighbors of a block of tiles."""
+    """Writes planes, active state and upper neighbors of a border block."""
     rim = first + wp.tid()
     block = cells.leaf_count + rim
     corner = cells.origin[block]
@@ -115,7 +115,7 @@ def rim_kernel(
 
 @wp.kernel
 def leaf_rims_kernel(first: int, cells: Cells, rim_count: int, out_refs: wp.array(dtype=int)):
-    """Where a block above a leaf is a rim, its number."""
+    """Replaces references to tiles above a leaf by the number of the border block there, if there is one."""
     item = first + wp.tid()
     if out_refs[item] < 0:
         d = item % 8
