@@ -1,1 +1,1 @@
-"""Level sets that change: redistancing, features, neighbors of leaves, morphology."""
+"""How a level set or its active voxels change: redistancing, wider bands, morphology."""
