@@ -1,1 +1,1 @@
-"""Distance fields that keep a tolerance with the least memory."""
+"""Which settings keep a distance field within a tolerance, with the least memory."""
