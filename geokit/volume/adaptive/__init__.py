@@ -1,1 +1,1 @@
-"""Distance fields of several voxel sizes."""
+"""Which cells of a distance field need finer voxels, and how fields of several voxel sizes are built and sampled."""
