@@ -1,1 +1,1 @@
-"""Which cells of a distance field need finer voxels, and how fields of several voxel sizes are built and sampled."""
+"""Adaptive fields: which cells need finer voxels, and how are fields of several voxel sizes built and sampled?"""

@@ -118,7 +118,7 @@ def cells_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the wanted keys are among ``keys``, which are sorted."""
+    """Whether each wanted key is among the sorted ``keys``."""
     if not len(keys):
         return np.zeros(len(wanted), bool)
     place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)

@@ -66,8 +66,8 @@ def examine_kernel(
     corner: wp.array(dtype=int),
     distance: wp.array(dtype=wp.float64),
     closest: wp.array(dtype=wp.vec3d),
-    centre_distance: wp.array(dtype=wp.float64),
-    centre_closest: wp.array(dtype=wp.vec3d),
+    center_distance: wp.array(dtype=wp.float64),
+    center_closest: wp.array(dtype=wp.vec3d),
     origin: wp.vec3d,
     size: wp.float64,
     within: wp.float64,
@@ -79,13 +79,13 @@ def examine_kernel(
     base = origin + size * wp.vec3d(cells[n])
     c = corner_values(n, corner, distance)
     p = base + wp.vec3d(wp.float64(0.5) * size)
-    d = centre_distance[n]
-    worst = error_along(p, centre_closest[n], d, base, size, within, c)
+    d = center_distance[n]
+    worst = error_along(p, center_closest[n], d, base, size, within, c)
     # A center on the surface has no direction; the voxels' directions are then compared with each other.
     known = wp.abs(d) > SLACK * size
     middle = wp.vec3d()
     if known:
-        middle = (p - centre_closest[n]) / d
+        middle = (p - center_closest[n]) / d
     spread = wp.float64(0.0)
     for k in range(8):
         v = corner[8 * n + k]

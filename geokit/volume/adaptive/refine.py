@@ -16,7 +16,7 @@ __all__ = ["Refinement"]
 
 # Bytes of a cell while it is examined: its key, its halves' keys, the distances at its voxels.
 CELL_BYTES = 1000
-# The sharpest creases exceed the limit in cells of 1.5 times the limit, and spikes in slightly smaller ones. If cells of
+# The sharpest creases exceed the limit in cells of 1.5 times its size, and spikes in slightly smaller ones. If cells of
 # this share of the limit exceed it, the distance itself jumps: beside the border of an open mesh.
 SMALLEST_SHARE = 0.25
 

@@ -1,1 +1,1 @@
-"""Which voxels lie in a narrow band around a mesh or balls, and what their signed distances are."""
+"""Narrow bands: which voxels lie near a mesh or balls, and what are their signed distances?"""

@@ -1,1 +1,1 @@
-"""Which mesh represents an isosurface of a volume: crossed cells, surface nets, marching cubes, dual contouring."""
+"""Isosurfaces: which mesh represents the places where a volume takes a value?"""

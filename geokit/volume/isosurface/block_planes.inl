@@ -21,7 +21,7 @@ auto inside_plane = [&](int ref, int x) -> u64 {
 };
 auto active_plane = [&](int ref, int x) -> u64 {
     if (ref < 0) return (-1 - ref) & 2 ? ~0ull : 0ull;
-    if (ref >= cells.leaf_count) return cells.rim_active.data[ref - cells.leaf_count] ? ~0ull : 0ull;
+    if (ref >= cells.leaf_count) return cells.border_active.data[ref - cells.leaf_count] ? ~0ull : 0ull;
     return *(const u64*)(cells.volume + cells.leaf_offset.data[ref] + LEAF_MASK + 8 * x);
 };
 // Bit masks of the voxels (x, y, z), (x, y, z + 1), (x, y + 1, z) and (x, y + 1, z + 1) of the 64 cells of plane x; x

@@ -1,7 +1,7 @@
 // The 27 blocks around a block: leaf numbers, or tiles as negative numbers.
 //
 // Expects leaf_index.inl, cells, tree, lower, slot. Defines u64, look_around(refs), which writes the eight blocks above
-// if refs is not null, and is_rim.
+// if refs is not null, and is_border.
 
 // Offsets of a lower node's masks: active tiles after its box and flags, then children.
 constexpr int LOWER_MASK = 32, LOWER_CHILDREN = 544;
@@ -36,7 +36,7 @@ auto look_around = [&](int* refs) {
 // Whether the block 13 - 9 ex - 3 ey - ez is a tile that may have crossed cells. Two corners of a crossed cell differ.
 // So among the 8 blocks that it may reach, tiles differ from each other or from voxels of a leaf. Each leaf tests its
 // own voxels only.
-auto is_rim = [&](int e, bool some_in, bool some_out) -> bool {
+auto is_border = [&](int e, bool some_in, bool some_out) -> bool {
     const int block = 13 - 9 * (e >> 2) - 3 * (e >> 1 & 1) - (e & 1);
     // The block itself and the seven above it.
     const unsigned reached = 0x361bu << block;

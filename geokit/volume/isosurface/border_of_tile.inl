@@ -3,6 +3,6 @@
 // Expects blocks_around.inl. Returns a bit mask by direction.
 
 look_around((int*)0);
-int rims = 0;
-for (int e = 0; e < 8; ++e) if (is_rim(e, false, false)) rims |= 1 << e;
-return rims;
+int below = 0;
+for (int e = 0; e < 8; ++e) if (is_border(e, false, false)) below |= 1 << e;
+return below;

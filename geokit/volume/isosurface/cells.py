@@ -16,7 +16,7 @@ from geokit.core.pinned import host_flags
 from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume.isosurface.nodes import Topology, topology_of
-from geokit.volume.isosurface.tile_border_cells import add_rims, rim_origins
+from geokit.volume.isosurface.tile_border_cells import add_border_blocks, border_origins
 
 if TYPE_CHECKING:
     import warp as wp
@@ -79,7 +79,7 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     cells.leaf_offset, cells.origin = topology.on(device)[:2]
     lowers = len(topology.lower.offset)
     # One allocation for all, because creating an array costs the host as much as a GPU launch.
-    sides, refs, rims, tile_inside, around, *lists = Scratch(
+    sides, refs, below, tile_inside, around, *lists = Scratch(
         device,
         ((8 * leaves,), wp.uint64),
         ((8 * leaves,), wp.int32),
@@ -93,11 +93,11 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     tree = _tree(cells, topology, isovalue, device, tile_inside.warp, around.warp)
     some = host_flags(1, device)
     mixed, place, crossed, slot = lists
-    launch_even(kernels.link_kernel, leaves, [cells, tree], [rims, some, mixed], device, least=GRAIN)
+    launch_even(kernels.link_kernel, leaves, [cells, tree], [below, some, mixed], device, least=GRAIN)
     # Few level sets have border blocks. Without them the first wait is for the count of crossed blocks.
     found = [] if topology.has_tiles else fill_offsets([mixed], [place])
     if not found or some.numpy()[0]:
-        add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
+        add_border_blocks(cells, tree, border_origins(cells, tree, below, topology, isovalue, device), isovalue)
         mixed, place, crossed, slot = Scratch(device, *_lists(len(cells.origin))).arrays
         launch_even(kernels.mixed_kernel, len(mixed), [cells], [mixed], device, least=GRAIN)
         found = fill_offsets([mixed], [place])

@@ -36,7 +36,7 @@ class Cells:
     leaf_offset: wp.array(dtype=wp.uint64)  # bytes from the grid's start to each leaf
     origin: wp.array(dtype=wp.vec3i)  # first voxel of each block
     sides: wp.array(dtype=wp.uint64)  # 8 planes per block: bit masks of the inside voxels
-    rim_active: wp.array(dtype=wp.uint8)  # whether each border block is active
+    border_active: wp.array(dtype=wp.uint8)  # whether each border block is active
     refs: wp.array(dtype=int)  # 8 per block: the blocks at + (dx, dy, dz), number 4 dx + 2 dy + dz; tiles negative
     crossed: wp.array(dtype=int)  # blocks with crossed cells
     slot: wp.array(dtype=int)  # place of each block in `crossed`, or -1
@@ -201,7 +201,7 @@ def link_kernel(
     first: int,
     cells: Cells,
     tree: Tree,
-    out_rims: wp.array(dtype=wp.uint8),
+    out_below: wp.array(dtype=wp.uint8),
     out_some: wp.array(dtype=int),
     out_mixed: wp.array(dtype=int),
 ):
@@ -210,9 +210,9 @@ def link_kernel(
     If there are none, out_mixed equals that of mixed_kernel.
     """
     leaf = first + wp.tid()
-    rims = link_leaf(cells, tree, leaf)
-    out_rims[leaf] = wp.uint8(rims)
-    if rims != 0:
+    below = link_leaf(cells, tree, leaf)
+    out_below[leaf] = wp.uint8(below)
+    if below != 0:
         out_some[0] = 1
     out_mixed[leaf] = int(is_mixed(cells, leaf))
 

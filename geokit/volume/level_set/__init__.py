@@ -1,1 +1,1 @@
-"""How a level set or its active voxels change: redistancing, wider bands, morphology."""
+"""Level sets: what are the distances in a new band, and which voxels are active after a dilation or an erosion?"""

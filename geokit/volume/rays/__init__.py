@@ -1,1 +1,1 @@
-"""Where a ray first crosses an isovalue of a volume, and what the integrals of volumes along a ray are."""
+"""Rays: where does a ray first cross an isovalue of a volume, and what are the integrals along it?"""

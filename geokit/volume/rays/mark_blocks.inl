@@ -16,7 +16,7 @@
                 }
     };
     const int row_x = row / block_count[1], row_y = row % block_count[1];
-    const bool rim = row_x == 0 || row_y == 0 || row_x == block_count[0] - 1 || row_y == block_count[1] - 1;
+    const bool is_border = row_x == 0 || row_y == 0 || row_x == block_count[0] - 1 || row_y == block_count[1] - 1;
     const int x = 8 * (first_block[0] + row_x), y = 8 * (first_block[1] + row_y);
     int* out = out_busy.data + (address)row * block_count[2];
     // The prefix sum that follows has one element more than there are blocks.
@@ -24,7 +24,7 @@
     for (int n = 0; n < block_count[2]; ++n) {
         const int z = 8 * (first_block[2] + n);
         bool over = true, under = true;
-        for (int m = 0; m < 8 && (over || under) && !rim && n > 0 && n < block_count[2] - 1; ++m) {
+        for (int m = 0; m < 8 && (over || under) && !is_border && n > 0 && n < block_count[2] - 1; ++m) {
             const int i = x + 2 * (m & 4), j = y + 4 * (m & 2), k = z + 8 * (m & 1);
             const address node = find(i, j, k, ignored);
             if (!(node & 1)) look(node, i, j, k, 1, 1, 1, over, under);

@@ -7,13 +7,13 @@
 #include "volume/nanovdb/cached_accessor.inl"
     (void)background;
     const int row_x = row / block_count[1], row_y = row % block_count[1];
-    const bool rim = row_x == 0 || row_y == 0 || row_x == block_count[0] - 1 || row_y == block_count[1] - 1;
+    const bool is_border = row_x == 0 || row_y == 0 || row_x == block_count[0] - 1 || row_y == block_count[1] - 1;
     const int x = 8 * (first_block[0] + row_x), y = 8 * (first_block[1] + row_y);
     for (int n = 0; n < block_count[2]; ++n) {
         const address at = (address)row * block_count[2] + n;
         const int own = numbers.data[at];
         if (numbers.data[at + 1] == own) {
-            out_distance.data[at] = rim || n == 0 || n == block_count[2] - 1 ? -1 : FARTHEST;
+            out_distance.data[at] = is_border || n == 0 || n == block_count[2] - 1 ? -1 : FARTHEST;
             continue;
         }
         out_distance.data[at] = 0;

@@ -1,1 +1,1 @@
-"""Which value and which derivatives a volume has at a point, by the nearest voxel or an interpolant of order 1 to 3."""
+"""Sampling: which value and which derivatives does a volume have at a point?"""

@@ -68,10 +68,10 @@ def target_leaves(
     if not len(origins):
         return np.empty((0, 3), np.int32)
     linear, shift = way_between(source, target)
-    centre = (origins.astype(np.float64) + 3.5) @ linear.T + shift
+    center = (origins.astype(np.float64) + 3.5) @ linear.T + shift
     # Half the extent of a leaf, with half a voxel around its voxel centers and a margin for rounding.
     reach = 4.0 * np.abs(linear).sum(axis=1) * (1.0 + 1e-9) + 1e-6
-    lowest, highest = np.floor((centre - reach) / 8.0), np.floor((centre + reach) / 8.0)
+    lowest, highest = np.floor((center - reach) / 8.0), np.floor((center + reach) / 8.0)
     if max(-lowest.min(), highest.max()) * 8.0 > LARGEST_INDEX:
         raise InputError(f"transform: voxel indices of the result exceed int32; {REMEDY}")
     size = highest - lowest + 1.0

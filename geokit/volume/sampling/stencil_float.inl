@@ -25,7 +25,7 @@
     const int cut_j = wp::min(count, 8 - (j & 7)), cut_k = wp::min(count, 8 - (k & 7));
     const unsigned own = (unsigned)(((i + 1) & 7) << 6 | ((j + 1) & 7) << 3 | ((k + 1) & 7));
     // Sums run over differences from the voxel at the lower corner of the point's cell.
-    const double centre = voxel(node_of(i + 1, j + 1, k + 1), own);
+    const double center = voxel(node_of(i + 1, j + 1, k + 1), own);
 #if DERIVATIVES == 0
     double sums = {};
 #elif DERIVATIVES == 1
@@ -53,7 +53,7 @@
             double r2 = 0.0;
 #endif
             for (int s = 0; s < count; ++s) {
-                const double value = voxel(s < cut_k ? near : far, n + (unsigned)((k + s) & 7)) - centre;
+                const double value = voxel(s < cut_k ? near : far, n + (unsigned)((k + s) & 7)) - center;
                 r0 += z.data[0][s] * value;
 #if DERIVATIVES >= 1
                 r1 += z.data[1][s] * value;
@@ -90,7 +90,7 @@
         }
     }
 #if DERIVATIVES == 0
-    return centre + sums;
+    return center + sums;
 #else
     return sums;
 #endif

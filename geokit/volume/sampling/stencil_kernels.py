@@ -103,9 +103,9 @@ def read_row(
     k: int,
     cut: int,
     count: int,
-    centre: wp.float64,
+    center: wp.float64,
 ) -> wp.vec4d:
-    """Differences of up to four voxels along the last axis from ``centre``; near and far are nodes from node_of."""
+    """Differences of up to four voxels along the last axis from ``center``; near and far are nodes from node_of."""
     ...
 
 
@@ -120,7 +120,7 @@ def read_row(  # noqa: F811
     k: int,
     cut: int,
     count: int,
-    centre: wp.vec3d,
+    center: wp.vec3d,
 ) -> mat34d: ...
 
 
@@ -135,7 +135,7 @@ def read_row(  # noqa: F811
     k: int,
     cut: int,
     count: int,
-    centre: wp.vec4d,
+    center: wp.vec4d,
 ) -> wp.mat44d: ...
 
 
@@ -200,7 +200,7 @@ def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     total = zero
     z0 = z[0]
     n00 = wp.uint64(0)
@@ -212,9 +212,9 @@ def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             total += along(row, z0) * (x[0, a] * y[0, b])
-    return centre + total
+    return center + total
 
 
 @wp.func
@@ -229,7 +229,7 @@ def gradient_by_rows(
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     along_i = zero
     along_j = zero
     along_k = zero
@@ -242,7 +242,7 @@ def gradient_by_rows(
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             value = along(row, z[0])
             along_i += value * (x[1, a] * y[0, b])
             along_j += value * (x[0, a] * y[1, b])
@@ -261,7 +261,7 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     slope = wp.vec3d()
     straight = wp.vec3d()
     mixed = wp.vec3d()
@@ -274,7 +274,7 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             r0 = along(row, z[0])
             r1 = along(row, z[1])
             r2 = along(row, z[2])

@@ -1,1 +1,1 @@
-"""Which settings keep a distance field within a tolerance, with the least memory."""
+"""Tolerances: which settings keep a distance field within an error, with the least memory?"""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["FIXED_BITS", "REACH", "Stencils", "interpolation_errors", "quantisation_step", "stencils_of"]
+__all__ = ["FIXED_BITS", "REACH", "Stencils", "interpolation_errors", "quantization_step", "stencils_of"]
 
 # First voxel of an order's stencil along an axis, relative to the voxel below the point, and number of voxels.
 STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
@@ -87,7 +87,7 @@ def interpolation_errors(stencils: Stencils, order: int, limit: float, step: flo
     return np.abs(corners - stencils.exact)
 
 
-def quantisation_step(codec: str, half_width: float, voxel_size: float) -> float:
+def quantization_step(codec: str, half_width: float, voxel_size: float) -> float:
     """Largest distance [world] between adjacent codes in a leaf of a codec of fixed width; 0 for floats."""
     return 2.0 * half_width * voxel_size / (2.0 ** FIXED_BITS[codec] - 1.0) if codec in FIXED_BITS else 0.0
 

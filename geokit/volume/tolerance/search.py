@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
-from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantisation_step, stencils_of
+from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantization_step, stencils_of
 from geokit.volume.tolerance.zone import Zone
 
 __all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "quickest"]
@@ -305,7 +305,7 @@ class Search:
     def _step(self, option: Option, voxel_size: float) -> float:
         if option.codec == "fpn":
             return 2.0 * option.share * self.tolerance
-        return quantisation_step(option.codec, self.width_of(option, voxel_size), voxel_size)
+        return quantization_step(option.codec, self.width_of(option, voxel_size), voxel_size)
 
     def _brackets(self, option: Option) -> tuple[_Level | None, _Level | None]:
         """The coarsest size that keeps the aim, and the next coarser one, which does not.
