@@ -28,7 +28,7 @@ SLICES = 3
 # Fewest blocks per slice.
 GRAIN = 32
 # Needs up to this many bytes are not checked: the query of free memory takes as long as two kernels of a small surface.
-UNASKED_BYTES = 1 << 24
+UNCHECKED_BYTES = 1 << 24
 
 
 def launch_planes(kernel: Any, planes: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
@@ -102,7 +102,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
 
 
 def require_memory(need: int, device: Any) -> None:
-    if need <= UNASKED_BYTES:
+    if need <= UNCHECKED_BYTES:
         return
     have = min(available_memory.available(device), available_memory.available_host())
     if need > have:

@@ -112,7 +112,7 @@ def _count(
     flags = host_flags(2, device)
     outputs = [flips, records, problems, *sums[:2], flags]
     launch_planes(kernels.count_kernel, planes, [found.cells, table], outputs, device)
-    if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:
+    if _searches_without_flag(device) or flags.numpy()[HAS_PROBLEM]:
         inputs = [found.cells, table, problems, wp.float64(isovalue)]
         launch_planes(kernels.flips_kernel, planes, inputs, [flips], device)
         inputs = [found.cells, table, flips, problems]
@@ -120,6 +120,6 @@ def _count(
     return flips, records, sums[:2], sums[2:], flags
 
 
-def _asks_for_problems(device: "wp.Device") -> bool:
+def _searches_without_flag(device: "wp.Device") -> bool:
     """Whether searching for cells with a joined face is cheaper than waiting for the flag that they exist."""
     return bool(device.is_cuda)

@@ -115,11 +115,11 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
 
 
 def within_tolerance(
-    mesh: TriangleMesh | Surface, tolerance: float, asked: dict[str, Any], sign: str, method: str, name: str | None
+    mesh: TriangleMesh | Surface, tolerance: float, options: dict[str, Any], sign: str, method: str, name: str | None
 ) -> SparseVolume:
     if method != "geokit":
         raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
-    search = tolerance_search(mesh, tolerance, sign=sign, **asked)
+    search = tolerance_search(mesh, tolerance, sign=sign, **options)
     setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, name))
     assert volume is not None
     assert achieved is not None

@@ -32,7 +32,7 @@ FPN_SHARES = (0.5, 0.3, 0.15)
 # the first FREE_MISSES do not: where a lattice suits a mesh by chance, the next best setting may be far off.
 AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 6
 # Voxels that are evaluated per size: half a second on a CPU.
-VOXELS_ASKED = 500_000
+VOXELS_PER_SIZE = 500_000
 # For each order, one of TAKEN points counts as worst; each is moved MOVES times for the next size.
 TAKEN, MOVES = 25, 3
 # Rounds per size: the first at the points, the others at AROUND new points around each of the worst.
@@ -249,7 +249,7 @@ class Search:
     def _look(self, voxel_size: float, options: list[Option]) -> _Level:
         """Errors of options at a voxel size, at points of the zone and then around the worst of them."""
         orders = {option.order for option in options}
-        count = VOXELS_ASKED // (8 if orders == {1} else 64)
+        count = VOXELS_PER_SIZE // (8 if orders == {1} else 64)
         points, exact = self._points(voxel_size, count)
         errors = dict.fromkeys(options, 0.0)
         random = np.random.default_rng(len(self.levels))
