@@ -26,7 +26,7 @@ def gpu_ways(monkeypatch):
         monkeypatch.setattr(signs, "ROUNDS_CPU", signs.ROUNDS_CUDA)
         monkeypatch.setattr(signs, "ROWS_CPU", signs.ROWS_CUDA)
         monkeypatch.setattr(tiles, "START_CELLS_CPU", tiles.START_CELLS_CUDA)
-        monkeypatch.setattr(surface_nets, "_asks_for_problems", lambda device: True)
+        monkeypatch.setattr(surface_nets, "_searches_without_flag", lambda device: True)
 
     return change
 

@@ -1,4 +1,4 @@
-"""The grids of an adaptive field: a band of the coarsest voxels, and of each finer level the voxels of some cells."""
+"""Builds the grids of an adaptive field: a band of the coarsest voxels, and the refined cells of each finer level."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from geokit.volume.tree.grid_head import checked_head
 
 __all__ = ["build_band_level", "build_finer_level"]
 
-# Cells of a level whose voxels are found in one go: a gigabyte of keys.
+# Cells of a level whose voxels are found at a time: a gigabyte of keys.
 CELLS_AT_A_TIME = 1 << 22
 
 
 def build_band_level(lattice: CellLattice, name: str) -> SparseVolume:
-    """Level 0: exact distances at all voxels that interpolation in the zone needs, as a level set."""
+    """Build level 0, a level set: exact distances at all voxels that interpolation in the zone needs."""
     voxels = band_lattice(lattice)
     shape = BandShape(voxels.reach, voxels.reach, 0.0, lattice.sign)
     band = make_band(voxels, shape)
@@ -31,13 +31,13 @@ def build_band_level(lattice: CellLattice, name: str) -> SparseVolume:
 
 
 def build_finer_level(lattice: CellLattice, parents: NDArray[np.int64], background: float, name: str) -> SparseVolume:
-    """A level above 0: exact distances at the voxels of the halves of some cells, active, and nothing else.
+    """Build a level above 0: exact distances at the voxels of the halves of refined cells; only these are active.
 
     Args:
-        lattice: The level's own.
-        parents: Keys of the cells of the level before that are handed to this one.
+        lattice: The lattice of this level.
+        parents: Keys of the refined cells of the next coarser level.
         background: Value of all other voxels.
-        name: Of the grid.
+        name: Name of the grid.
     """
     cells = cells_of(parents)
     placement = placed(cells)
@@ -57,7 +57,7 @@ def build_finer_level(lattice: CellLattice, parents: NDArray[np.int64], backgrou
 
 
 def _voxels_of(cells: NDArray[np.int64], placement: Placement) -> NDArray[np.int64]:
-    """Voxels of the halves of cells, each once, in the index space of the grid."""
+    """Unique voxels of the halves of cells, in the index space of the grid."""
     keys = [
         np.unique(keys_of(((2 * cells[i : i + CELLS_AT_A_TIME])[:, None] + HALVES - placement.start).reshape(-1, 3)))
         for i in range(0, len(cells), CELLS_AT_A_TIME)

@@ -1,4 +1,4 @@
-"""Cells of a lattice as arrays: their keys, their corners, those near a surface, and how exact their interpolant is."""
+"""Cells of a lattice as arrays: their keys, the cells near a surface, and the errors of their interpolants."""
 
 from __future__ import annotations
 
@@ -19,48 +19,50 @@ if TYPE_CHECKING:
 
 __all__ = ["CORNERS", "HALVES", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells"]
 
-# Bits of a coordinate in a key: three fit 63 bits. Coordinates are not negative.
+# Bits of a coordinate in a key; three coordinates fit into 63 bits. Coordinates are not negative.
 KEY_BITS = 21
 LARGEST_INDEX = (1 << KEY_BITS) - 1
 # Offsets of a cell's voxels, z fastest, and of the voxels of its eight halves.
 CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 HALVES = np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0, 1, 2], indexing="ij"), axis=-1).reshape(-1, 3)
-# Half the diagonal of a cell of size 1, and a little more than rounding takes.
+# Half the diagonal of a unit cell, with a margin for rounding.
 HALF_DIAGONAL = 0.5 * np.sqrt(3.0) * (1.0 + 1e-9)
-# Where the search for cells near the surface starts: few enough to be asked in no time.
+# Most cells at the start of the search for cells near the surface; testing so few is cheap.
 START_CELLS = 4096
-# Cells that are looked at in one go: some hundred megabytes.
+# Cells that are examined at a time: some hundred megabytes.
 CELLS_AT_A_TIME = 1 << 18
-# The error of a cell across which the gradient changes by s is below this times s and the voxel size: a crease through
-# the middle of a cell, the worst of all, makes a quarter, and a corner of three faces little more. Cells that stay
-# below the limit by this need no closer look.
+# Bound of a cell's error, as a share of s times the voxel size, where s is the change of the gradient across the cell.
+# The worst case, a crease through the middle of a cell, gives a quarter, and a corner of three faces little more. Cells
+# whose bound is below the limit are not examined further.
 SPREAD_SHARE = 0.35
-# Points of an edge of the mesh that are looked at: so many for the length of a cell.
+# Points tested on an edge of the mesh, per edge length of a cell.
 CREASE_POINTS = 8
-# Points of edges that are looked at in one go.
+# Points of edges that are tested at a time.
 POINTS_AT_A_TIME = 1 << 20
-# Cells whose error comes up to this share of the limit are looked at most closely: the error between the places of the
-# first look is up to half as large again.
+# Cells whose error exceeds this share of the limit are sampled most densely, because between the first sample points
+# the error is up to half as large again.
 CLOSEST_LOOK = 0.6
-# Points of edges this near to a border [cells] count for both sides: an edge may cut off less of a cell than lies
-# between two of its points, and what is wrong on a border is wrong for either side.
+# Points of edges this near to a cell border [cells] count for both cells. An edge may cut off less of a cell than the
+# spacing of its points, and an error on a border belongs to both sides.
 BORDER = 0.5 / CREASE_POINTS
 
 
-# Depths at which creases of the distance are looked at, as shares of ``within``.
+# Depths at which creases of the distance are tested, as shares of ``within``.
 CREASE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Squared sum of two normals below which an edge counts as no sharper: of faces two degrees apart.
+# Lower limit of the squared length of the sum of two normals, reached by faces two degrees apart. Sharper edges
+# (blades) are treated as this sharp.
 BLADE = 1e-3
 
 
 class _Creases(NamedTuple):
-    """Edges of a mesh, each once.
+    """Unique edges of a mesh.
 
     Attributes:
-        ends: Shape (E, 2, 3) [world].
-        sharpness: How much the normals of its two faces differ, 0 to 2, shape (E,); 2 where it has not two.
-        between: The way on which the distance to both faces grows by 1 for each 1, on the side where the nearer of the
-            two faces changes, shape (E, 3); 0 where it has not two.
+        ends: End points [world], shape (E, 2, 3).
+        sharpness: Length of the difference of the two faces' normals, 0 to 2, shape (E,); 2 for edges without exactly
+            two faces.
+        between: Vector along which the distance to both faces grows by 1, on the side where the nearer of the two
+            faces changes, shape (E, 3); 0 for edges without exactly two faces.
     """
 
     ends: NDArray[np.float64]
@@ -70,11 +72,11 @@ class _Creases(NamedTuple):
 
 @dataclass(frozen=True)
 class CellLattice:
-    """Cells of one size: cell (i, j, k) lies between ``origin + size * (i, j, k)`` and the voxel after that.
+    """Cells of one size. Cell (i, j, k) is the cube of edge ``size`` with lowest corner ``origin + size * (i, j, k)``.
 
     Attributes:
-        surface: What distances are to.
-        sign: How inside is told from outside, as ``Surface.signed_distance`` takes it.
+        surface: Surface of the distances.
+        sign: Sign method, as ``Surface.signed_distance`` takes it.
         origin: Position of index 0 [world], shape (3,).
         size: Edge length of a cell [world].
         within: Distance [world] from the surface up to which errors count.
@@ -101,7 +103,7 @@ class CellLattice:
 
 
 def keys_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each cell, shape (N,), in the order of x, then y, then z."""
+    """Sort keys (N,) of cells, ordered by x, then y, then z."""
     return np.asarray((cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2])
 
 
@@ -111,7 +113,7 @@ def cells_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the wanted keys are among ``keys``, which are sorted."""
+    """Whether each wanted key is among the sorted ``keys``."""
     if not len(keys):
         return np.zeros(len(wanted), bool)
     place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -119,7 +121,7 @@ def contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.b
 
 
 def near_cells(lattice: CellLattice) -> NDArray[np.int64]:
-    """Cells that may hold a point within the zone around the surface: all of those, and few others."""
+    """All cells that may hold a point of the zone around the surface, and few others."""
     bounds = lattice.surface.bounds
     low = np.floor((bounds[0] - lattice.within - lattice.origin) / lattice.size).astype(np.int64) - 1
     high = np.floor((bounds[1] + lattice.within - lattice.origin) / lattice.size).astype(np.int64) + 1
@@ -137,7 +139,7 @@ def near_cells(lattice: CellLattice) -> NDArray[np.int64]:
 
 
 def near(lattice: CellLattice, cells: NDArray[np.int64], span: int = 1) -> NDArray[np.bool_]:
-    """Which cells, of ``span`` times the lattice's size, may hold a point of the zone."""
+    """Whether each cell, of ``span`` times the lattice's size, may hold a point of the zone."""
     if not len(cells):
         return np.zeros(0, bool)
     reach = lattice.within + HALF_DIAGONAL * span * lattice.size
@@ -146,12 +148,12 @@ def near(lattice: CellLattice, cells: NDArray[np.int64], span: int = 1) -> NDArr
 
 
 def examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> NDArray[np.float64]:
-    """Largest error [world] of the interpolant that was found in each cell, where the cell lies in the zone.
+    """Largest error [world] of the interpolant found in the part of each cell that lies in the zone.
 
     Args:
-        lattice: What the cells are of.
+        lattice: Lattice of the cells.
         cells: Cells near the surface, shape (N, 3).
-        limit: Cells whose error may exceed it are looked at closely.
+        limit: Cells whose error may exceed it are sampled more densely.
     """
     errors = [
         _examine(lattice, cells[start : start + CELLS_AT_A_TIME], limit)
@@ -186,10 +188,10 @@ def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> ND
 def _inspect(
     lattice: CellLattice, cells: NDArray[np.int64], corner: NDArray[np.int64], values: "wp.array", width: int
 ) -> NDArray[np.float64]:
-    """Largest error of each cell on the segments of ``width`` cubed points in it.
+    """Largest error of each cell on the segments from ``width ** 3`` points in it to their closest points.
 
     Args:
-        lattice: What the cells are of.
+        lattice: Lattice of the cells.
         cells: Cells, shape (N, 3).
         corner: Their voxels, as rows of ``values``, shape (N, 8).
         values: Exact distances of voxels.
@@ -220,10 +222,10 @@ def _inspect(
 def _crease_errors(
     lattice: CellLattice, cells: NDArray[np.int64], values: NDArray[np.float32], limit: float
 ) -> NDArray[np.float64]:
-    """Largest error of each cell where the distance has its creases: on edges of the mesh and on what halves them.
+    """Largest error of each cell on creases of the distance: on edges of the mesh and on their bisecting planes.
 
-    On an edge the distance is 0. Where the faces turn away from each other it has a crease inside, else outside, which
-    leaves the edge halfway between its faces.
+    On an edge the distance is 0. The crease that leaves it, halfway between its faces, lies inside at convex edges and
+    outside at concave ones.
     """
     errors = np.zeros(len(cells))
     keys = keys_of(cells)
@@ -251,15 +253,15 @@ def _crease_errors(
 def _touched(
     lattice: CellLattice, points: NDArray[np.float64], keys: NDArray[np.int64], order: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs of a point and a cell that it lies in, or beyond whose border it lies by next to nothing.
+    """Pairs of a point and a cell that contains it, up to BORDER beyond the cell's border.
 
     Args:
-        lattice: What the cells are of.
+        lattice: Lattice of the cells.
         points: Positions [world], shape (N, 3).
-        keys: Of the cells, in any order.
-        order: That sorts them.
+        keys: Keys of the cells, in any order.
+        order: Permutation that sorts the keys.
     Returns:
-        Rows of the points, rows of the cells, and where in the cell the point lies, (P, 3).
+        Rows of the points, rows of the cells, and the points' fractions in the cells, (P, 3).
     """
     index = (points - lattice.origin) / lattice.size
     border = np.abs(index - np.round(index)) < BORDER
@@ -276,10 +278,9 @@ def _touched(
 
 
 def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Points of the edges of the mesh that are sharp enough to miss the limit in such cells, and all its corners.
+    """All vertices of the mesh, and points on its edges that are sharp enough to exceed the limit in such cells.
 
-    With each goes the way from there on which the distance to both faces grows by 1 for each 1, or 0 where there are
-    not two.
+    Each point comes with ``_Creases.between`` of its edge; vertices with 0.
     """
     creases = _creases_of(lattice.surface.mesh)
     corners = np.unique(creases.ends.reshape(-1, 3), axis=0)
@@ -292,7 +293,7 @@ def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray
     last = np.cumsum(counts)
     start = 0
     while start < len(counts):
-        # One edge at least, however many points it has.
+        # At least one edge, however many points it has.
         stop = max(start + 1, int(np.searchsorted(last, last[start] - counts[start] + POINTS_AT_A_TIME, side="right")))
         count = counts[start:stop]
         step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
@@ -321,7 +322,7 @@ def _find_creases(mesh: TriangleMesh) -> _Creases:
     middle = corners.mean(axis=1)
     convex = np.einsum("ek,ek->e", middle[second] - middle[first], normals[first]) < 0.0
     length_squared = np.einsum("ek,ek->e", both, both)
-    # Along a blade's edge that way is long, and leaves the cell in any case.
+    # At a blade this vector is long and leaves the cell in any case.
     between = np.where(convex, -2.0, 2.0)[:, None] * both / np.maximum(length_squared, BLADE)[:, None]
     between[single] = 0.0
     return _Creases(mesh.vertices[edges], sharpness, between)

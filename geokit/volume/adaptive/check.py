@@ -1,4 +1,4 @@
-"""Points near a mesh where a field is held against the exact distance: on its faces, its edges and its corners."""
+"""Random points near a mesh's faces, edges and vertices, with exact distances, to check a field."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DRAWN_POINTS", "CheckPoints", "check_points"]
 
-# Points of a round. Of them as many lie along edges as on faces, where they are the same for a mesh of tiny faces, and
-# half as many at corners: interpolants are worst on creases.
+# Points of a round: as many along edges as on faces, and half as many at vertices, because interpolants are worst on
+# creases. On meshes of tiny faces the three kinds hardly differ.
 FACE_POINTS = 100_000
 EDGE_POINTS = 100_000
 CORNER_POINTS = 50_000
@@ -30,9 +30,9 @@ class CheckPoints(NamedTuple):
 
 
 def check_points(lattice: CellLattice, seed: int) -> CheckPoints:
-    """Random points of the zone around a mesh: others for each seed.
+    """Random points of the zone around a mesh, different for each seed.
 
-    Half of them are moved by up to ``within`` from the surface in any direction, half lie on it.
+    Half of them are moved by up to ``within`` from the surface in a random direction, half lie on it.
     """
     random = np.random.default_rng(seed)
     mesh = lattice.surface.mesh
@@ -43,13 +43,13 @@ def check_points(lattice: CellLattice, seed: int) -> CheckPoints:
     length = lattice.within * np.maximum(random.uniform(-1.0, 1.0, len(on)), 0.0)
     points = on + directions * length[:, None]
     distance = lattice.surface.signed_distance(points, sign=lattice.sign).distance
-    # Rounding takes some that are as far as they may be out of the zone.
+    # Rounding may put points at the zone's limit outside it.
     kept = np.abs(distance) <= lattice.within
     return CheckPoints(points[kept], distance[kept])
 
 
 def _on_faces(corners: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.float64]:
-    """Points spread evenly over the area."""
+    """Random points, uniform over the area."""
     a, b, c = corners.transpose(1, 0, 2)
     chosen = _drawn(np.linalg.norm(np.cross(b - a, c - a), axis=1), FACE_POINTS, random)
     u, v = np.sqrt(random.uniform(size=FACE_POINTS))[:, None], random.uniform(size=FACE_POINTS)[:, None]
@@ -57,7 +57,7 @@ def _on_faces(corners: NDArray[np.float64], random: np.random.Generator) -> NDAr
 
 
 def _on_edges(corners: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.float64]:
-    """Points spread evenly along the faces' edges."""
+    """Random points, uniform along the faces' edges."""
     start = corners.reshape(-1, 3)
     end = np.roll(corners, -1, axis=1).reshape(-1, 3)
     chosen = _drawn(np.linalg.norm(end - start, axis=1), EDGE_POINTS, random)
@@ -70,6 +70,6 @@ def _at_corners(mesh: TriangleMesh, random: np.random.Generator) -> NDArray[np.f
 
 
 def _drawn(weight: NDArray[np.float64], count: int, random: np.random.Generator) -> NDArray[np.int64]:
-    """Rows, each as likely as its weight says."""
+    """Random rows with probabilities proportional to ``weight``."""
     total = np.cumsum(weight)
     return np.minimum(np.searchsorted(total, random.uniform(0.0, total[-1], count), side="right"), len(weight) - 1)

@@ -1,7 +1,7 @@
-"""How far the trilinear interpolant of a cell is from the exact distance, where the cell lies near the surface.
+"""Errors of a cell's trilinear interpolant against the exact distance, in the part of the cell near the surface.
 
-Of a point p with its closest point q on the surface the whole segment from q to p is known: q stays the closest point
-of every point on it. So a query at p gives exact distances where they matter, next to the surface, for nothing.
+If q is the closest point of p on the surface, it is the closest point of every point on the segment from q to p. So one
+query at p gives exact distances on the whole segment, and thus next to the surface, where they matter.
 """
 
 # mypy: ignore-errors
@@ -14,9 +14,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
-# Places on a segment that are looked at: this many from the surface to the zone's edge, both included.
+# Test points on a segment, from the surface to the zone's edge, both included.
 PLACES = wp.constant(4)
-# Share of a voxel that a position may lie beyond its cell: what rounding does to one on the border.
+# Share of a voxel by which rounding may put a position on the border outside its cell.
 SLACK = wp.constant(wp.float64(1e-9))
 
 
@@ -66,26 +66,26 @@ def examine_kernel(
     corner: wp.array(dtype=int),
     distance: wp.array(dtype=wp.float64),
     closest: wp.array(dtype=wp.vec3d),
-    centre_distance: wp.array(dtype=wp.float64),
-    centre_closest: wp.array(dtype=wp.vec3d),
+    center_distance: wp.array(dtype=wp.float64),
+    center_closest: wp.array(dtype=wp.vec3d),
     origin: wp.vec3d,
     size: wp.float64,
     within: wp.float64,
     out_error: wp.array(dtype=wp.float64),
     out_spread: wp.array(dtype=wp.float64),
 ):
-    """Errors along the segments of a cell's voxels and of its centre, and how much their directions differ."""
+    """Errors along the segments of a cell's voxels and of its center, and the spread of the segments' directions."""
     n = first + wp.tid()
     base = origin + size * wp.vec3d(cells[n])
     c = corner_values(n, corner, distance)
     p = base + wp.vec3d(wp.float64(0.5) * size)
-    d = centre_distance[n]
-    worst = error_along(p, centre_closest[n], d, base, size, within, c)
-    # Where the centre lies on the surface it has no direction; then the voxels are held against each other.
+    d = center_distance[n]
+    worst = error_along(p, center_closest[n], d, base, size, within, c)
+    # A center on the surface has no direction; the voxels' directions are then compared with each other.
     known = wp.abs(d) > SLACK * size
     middle = wp.vec3d()
     if known:
-        middle = (p - centre_closest[n]) / d
+        middle = (p - center_closest[n]) / d
     spread = wp.float64(0.0)
     for k in range(8):
         v = corner[8 * n + k]

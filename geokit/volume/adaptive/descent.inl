@@ -1,9 +1,9 @@
-// From the cell of level 0 around a point to the cell that answers for it: as long as the cell's bit says that the
-// next level answers, the half of the cell that the point lies in is the next cell.
+// Descends from the cell of level 0 around a point to the finest cell that contains it. While a cell's bit says that it
+// is refined, the next cell is the one of its halves that contains the point.
 //
 // Expects levels, an AdaptiveLevels; i, j, k, the cell of level 0, and x, y, z, the point's fractions in it, which
-// become those of the cell that answers; LEVEL_TABLE, TREE_OF and FIND_ENTRY. Defines level; a, b, c, the cell's
-// place in the box of the level's table; e000, the entry of its first voxel.
+// become those in the finest cell; LEVEL_TABLE, TREE_OF and FIND_ENTRY. Defines level; a, b, c, the cell's place in
+// the box of the level's table; e000, the entry of its first voxel.
     int level = 0, e000, a, b, c;
     for (;;) {
         const auto& table = LEVEL_TABLE(level);
@@ -19,7 +19,7 @@
         const int p = x >= 0.5, q = y >= 0.5, r = z >= 0.5;
         const auto& moved = levels.shift.data[level];
         i = 2 * i + moved[0] + p; j = 2 * j + moved[1] + q; k = 2 * k + moved[2] + r;
-        // Doubling rounds nothing.
+        // Doubling is exact.
         x = 2.0 * x - p; y = 2.0 * y - q; z = 2.0 * z - r;
         ++level;
     }

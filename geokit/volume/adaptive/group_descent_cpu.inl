@@ -1,8 +1,8 @@
-// The queries of a group whose cell of level 0 is answered by the next level go down one by one, before the voxels of
-// all are prefetched.
+// Descends for the queries of a group whose cell of level 0 is refined, one by one, before the voxels of all are
+// prefetched.
 //
 // Expects the names of trilinear_cells.inl for a group, and levels, an AdaptiveLevels. Changes at_x, at_y, at_z, u,
-// v, w, first and last of those that go down. Defines voxels, an address for each query, and level_of, its level.
+// v, w, first and last of these queries. Defines voxels, an address for each query, and level_of, its level.
     const unsigned* const words = levels.finer.data + levels.first_word.data[0];
     const int coarse_first = levels.first_entry.data[0];
     const bool alone = levels.tables.shape[0] == 1;

@@ -1,4 +1,4 @@
-"""Where the voxels of a level go in its index space, so that they fill few leaves and few nodes."""
+"""Places the voxels of a level in its index space so that they fill few leaves and few nodes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["FLOAT", "LEAF", "Placement", "float_grid_bytes", "placed"]
 
 FLOAT = layout_of(1, "float grid")
 LEAF, LOWER, UPPER = 8, 128, 4096
-# Places of a table that is marked rather than sorted: 64 MiB.
+# Most places for which rows are counted in a table of marks, 64 MiB; beyond this they are sorted.
 LARGEST_TABLE = 1 << 26
-# Corners of the 3^3 voxels of a cell's halves: as a leaf is wider than they are, they touch all leaves that those do.
+# Corners of the 3^3 voxels of a cell's halves. A leaf is wider than these, so the corners touch the same leaves.
 EXTREMES = 2 * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -24,7 +24,7 @@ class Placement(NamedTuple):
     """Index space of a level.
 
     Attributes:
-        start: What is taken off an index of the lattice to give one of the grid, shape (3,); none is negative then.
+        start: Index of the lattice that becomes index 0 of the grid, shape (3,); no index of the grid is negative.
         byte_count: Size of the grid.
     """
 
@@ -33,10 +33,10 @@ class Placement(NamedTuple):
 
 
 def placed(parents: NDArray[np.int64]) -> Placement:
-    """Placement of the voxels of the halves of cells, shape (N, 3), of the level before.
+    """Placement of the voxels of the halves of refined cells (N, 3) of the next coarser level.
 
-    One leaf begins where it begins for all: of the 8 x 8 x 8 ways those are tried that differ from the best so far
-    along one axis, and in the same way the lower nodes.
+    The phase of the leaves is one of 8 x 8 x 8. A pass over the axes tries those that differ from the best so far along
+    one axis, and then does the same for the phase of the lower nodes.
     """
     low = 2 * parents.min(axis=0)
     local = (2 * parents - low)[:, None] + EXTREMES
@@ -48,7 +48,7 @@ def placed(parents: NDArray[np.int64]) -> Placement:
 
 
 def float_grid_bytes(tiles: NDArray[np.int64]) -> int:
-    """Bytes of a float grid with such leaves, in units of leaves, shape (L, 3), each once."""
+    """Bytes of a float grid with the given unique leaves, (L, 3) in units of leaves."""
     lower = np.unique(tiles >> 4, axis=0)
     upper = np.unique(lower >> 5, axis=0)
     nodes = len(tiles) * FLOAT.leaf_size + len(lower) * FLOAT.lower_size
@@ -56,7 +56,7 @@ def float_grid_bytes(tiles: NDArray[np.int64]) -> int:
 
 
 def _descend(count, options: int) -> NDArray[np.int64]:
-    """The phase (3,) of least count that one pass over the axes finds."""
+    """The phase (3,) with the least count that one pass over the axes finds."""
     best = np.zeros(3, np.int64)
     least = count(best)
     for axis in range(3):
@@ -78,7 +78,7 @@ def _node_count(tiles: NDArray[np.int64]) -> int:
 
 
 def _count(places: NDArray[np.int64]) -> int:
-    """Number of different rows, which are not negative."""
+    """Number of unique rows of nonnegative integers."""
     size = places.max(axis=0) + 1
     if np.prod(size.astype(np.float64)) > LARGEST_TABLE:
         return len(np.unique(keys_of(places)))

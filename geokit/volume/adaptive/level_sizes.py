@@ -1,4 +1,7 @@
-"""Voxel sizes for levels: which ladder of halves, and which of its steps to begin at, for the least memory."""
+"""Chooses the voxel sizes of an adaptive field's levels for the least memory.
+
+A ladder is a sequence of voxel sizes that halve from level to level. The choice is a ladder and the level to begin at.
+"""
 
 from __future__ import annotations
 
@@ -18,44 +21,44 @@ if TYPE_CHECKING:
 
 __all__ = ["band_lattice", "choose"]
 
-# The coarsest cells that are thought of: so many along the longest edge of the mesh's box.
+# Coarsest cells of a ladder, counted along the longest edge of the mesh's box.
 COARSEST_CELLS = 12
-# Levels of a ladder: from there down to 2^-20 of the box, where indices end.
+# Levels of a ladder, from the coarsest down to 2^-20 of the box, where indices end.
 MOST_LEVELS = 16
-# Cells on a crease of a right angle miss from about this multiple of the limit on.
+# Cells on a right-angled crease exceed the limit from about this multiple of it on.
 FIRST_SIZE = 3.0
-# Factors for the sizes of a ladder that are thought of; with 2 it would be the same ladder again.
+# Factors on a ladder's sizes that are considered; a factor of 2 would give the same ladder again.
 FACTORS = tuple(2.0 ** (step / 8.0) for step in (-4, -3, -2, -1, 1, 2, 3))
-# Further ladders take as long as the first: they must promise this share of its bytes, and the first have had no more
-# cells than so many, which take some seconds.
+# Further ladders take as long as the first. They are tried if they promise less than this share of its bytes, and if
+# the first ladder had at most this many cells, which take some seconds.
 WORTH_ANOTHER = 0.95
 CELLS_WORTH_ANOTHER = 1 << 20
-# What is promised is rough: sizes on either side of the one that promises most are looked at as well.
+# The prediction is rough, so sizes on either side of the best are tried as well.
 NEARBY = (2.0 ** (-1.0 / 16.0), 1.0, 2.0 ** (1.0 / 16.0))
-# Of the area of a part that was drawn on a lattice, the share that lies on planes along the axes.
+# Least share of the area on axis-aligned planes for a mesh to count as drawn on a lattice.
 PLANE_SHARE = 0.25
-# Planes nearer than this share of the box are one, and so are vertices on a plane: coordinates of float32 meshes.
+# Planes, or a vertex and a plane, closer than this share of the box coincide: float32 meshes round coordinates.
 SAME_PLANE = 1e-6
-# A lattice through all planes whose voxels are smaller than this multiple of the limit is of no use.
+# A lattice through all planes is of no use if its voxels are smaller than this multiple of the limit.
 SMALLEST_STEP = 3.0
 
 
 def choose(surface: Surface, sign: str, within: float, limit: float, level_limit: int) -> Refinement:
-    """The refinement of least memory, of some ladders of voxel sizes and of all levels to begin at.
+    """The refinement of least memory among some ladders of voxel sizes and all levels to begin at.
 
-    The error in a cell on a crease is proportional to its size. So from the errors of one ladder follows about how many
-    cells of another would be handed on, and those about the one that promises most are looked at as well. Of a part
-    that was drawn on a lattice only the ladder is looked at on whose voxels its faces lie: straight edges cost nothing
+    The error in a cell on a crease is proportional to its size. So the errors of one ladder predict about how many
+    cells of another would be refined, and the ladders around the most promising one are tried as well. For parts drawn
+    on a lattice, the only ladder tried is the one whose voxels lie on their faces, because straight edges have no error
     there.
 
     Args:
-        surface: What distances are to.
-        sign: How inside is told from outside.
+        surface: Surface of the distances.
+        sign: Sign method.
         within: Distance [world] from the surface up to which errors count.
-        limit: Error [world] from which on a cell is handed on.
-        level_limit: Most levels there may be.
+        limit: Cells with a larger error [world] are refined.
+        level_limit: Most levels.
     Raises:
-        DeviceMemoryError: There are more cells than can be looked at.
+        DeviceMemoryError: There are more cells than memory can hold.
     """
 
     def ladder(size: float) -> _Ladder:
@@ -73,9 +76,9 @@ def choose(surface: Surface, sign: str, within: float, limit: float, level_limit
 
 
 def common_step(mesh: TriangleMesh) -> float | None:
-    """The largest step [world] from the lower corner of the mesh's box to all its planes along the axes.
+    """The largest common step [world] from the lower corner of the mesh's box to all its axis-aligned planes.
 
-    None where there are few such planes, or where they have no step in common.
+    None if there are few such planes, or if they have no step in common.
     """
     corners = mesh.vertices[mesh.faces] - mesh.bounds[0]
     longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
@@ -91,22 +94,22 @@ def common_step(mesh: TriangleMesh) -> float | None:
             while b > 4.0 * near:
                 a, b = b, abs(a - b * np.round(a / b))
             step = a
-    # Rounded to the nearest plane the step is off by less than that; it must divide the box's edge.
+    # Planes are rounded, so the step is slightly off; the returned step divides the box's edge exactly.
     return None if step < longest * np.sqrt(SAME_PLANE) else float(longest / np.round(longest / step))
 
 
 def band_lattice(lattice: CellLattice) -> Lattice:
-    """The voxels of level 0: all that interpolation within the zone needs."""
+    """The lattice of level 0, with all voxels that interpolation within the zone needs."""
     reach = float(np.float32(lattice.within + np.sqrt(3.0) * lattice.size))
-    # Index 0 is where the band begins, so that it lies in as few nodes as it can.
+    # Index 0 is where the band begins, so that the band fills the fewest nodes.
     start = np.floor((lattice.surface.bounds[0] - reach - lattice.origin) / lattice.size)
     return Lattice(lattice.surface, lattice.size, reach, translation=lattice.positions(start))
 
 
 def _coarsest(surface: Surface, sign: str, within: float, size: float) -> CellLattice:
-    """The lattice whose voxels are a power of two times ``size``, the largest that tell the shape of the mesh.
+    """The coarsest lattice that resolves the mesh's shape, with voxels of ``size`` times a power of two.
 
-    The box of the mesh begins at one of its voxels, and no index that a cell near it may have is negative.
+    The box of the mesh begins at one of its voxels, and cells near the mesh have no negative index.
     """
     longest = float((surface.bounds[1] - surface.bounds[0]).max())
     size *= 2.0 ** np.floor(np.log2(longest / (COARSEST_CELLS * size)))
@@ -115,7 +118,7 @@ def _coarsest(surface: Surface, sign: str, within: float, size: float) -> CellLa
 
 
 class _Ladder:
-    """A refinement from its coarsest level on, and the bytes that it takes from each level on."""
+    """A refinement over a whole ladder of sizes, with the level to begin at that takes the fewest bytes."""
 
     def __init__(self, lattice: CellLattice, limit: float, level_limit: int) -> None:
         self.size = lattice.size
@@ -127,7 +130,7 @@ class _Ladder:
         self.byte_count = np.inf
         for start in range(first, self.tree.level_count):
             level = self.tree.lattice_of(start)
-            # A surface meets a leaf for each 8 x 8 voxels of its area: no need to count those of ever finer ones.
+            # A surface meets a leaf for each 8 x 8 voxels of its area, so finer levels cannot take fewer bytes.
             if self.byte_count < _area(level) / (LEAF * level.size) ** 2 * FLOAT.leaf_size:
                 break
             total = _band_bytes(level) + sum(self.finer[start:])
@@ -135,7 +138,7 @@ class _Ladder:
                 self.start, self.byte_count = start, total
 
     def better_factor(self) -> float:
-        """The factor for all voxel sizes that promises the least memory; 1 where none promises much."""
+        """The factor on all voxel sizes that promises the least memory; 1 if none promises enough."""
         assert self.tree.errors is not None
         if sum(map(len, self.tree.errors)) > CELLS_WORTH_ANOTHER:
             return 1.0
@@ -158,7 +161,7 @@ class _Ladder:
         tree, start = self.tree, self.start
         chosen = Refinement(tree.lattice_of(start), tree.limit, self.level_limit, tree.refined[start:])
         if start:
-            # What lies in cells that were right before has not been looked at by cells of this size.
+            # Cells whose coarser parents kept the limit have not been examined yet.
             cells = near_cells(chosen.lattice)
             chosen.explore(0, cells[~contains(tree.refined[start - 1], keys_of(cells >> 1))])
         return chosen

@@ -1,4 +1,4 @@
-"""Which cells are handed to finer ones: a tree of cells around a surface."""
+"""Refines cells around a surface until their interpolants keep an error limit: a tree of cells."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from geokit.volume.adaptive.level_placement import Placement, placed
 
 __all__ = ["Refinement"]
 
-# Bytes that a cell takes while it is looked at: its key, its halves' keys, its voxels' answers.
+# Bytes of a cell while it is examined: its key, its halves' keys, the distances at its voxels.
 CELL_BYTES = 1000
-# A crease of the sharpest kind misses the limit in cells of one and a half times its size, a spike in little smaller
-# ones. Where cells of this share of the limit miss it, the distance itself jumps: beside the border of an open mesh.
+# The sharpest creases exceed the limit in cells of 1.5 times its size, and spikes in slightly smaller ones. If cells of
+# this share of the limit exceed it, the distance itself jumps: beside the border of an open mesh.
 SMALLEST_SHARE = 0.25
 
 
 @dataclass
 class Refinement:
-    """Cells of level 0 all around a surface, and those of each level that the next one answers for.
+    """The cells of level 0 around a surface, and the refined cells of each level.
 
     Attributes:
-        lattice: Level 0.
-        limit: Error [world] from which on a cell is handed on.
-        level_limit: Most levels there may be.
-        refined: Keys of the cells that are handed on, sorted, of each level that has any.
-        worst: Largest error [world] that was found in a cell that could not be handed on; 0 where there is none.
-        errors: Where not None, the errors that were found in the cells of each level.
+        lattice: Lattice of level 0.
+        limit: Cells with a larger error [world] are refined.
+        level_limit: Most levels.
+        refined: Sorted keys of the refined cells of each level that has any.
+        worst: Largest error [world] of a cell that could not be refined; 0 if there is none.
+        errors: If not None, the errors found in the cells of each level.
     """
 
     lattice: CellLattice
@@ -51,10 +51,10 @@ class Refinement:
         return replace(self.lattice, size=self.lattice.size / 2**level)
 
     def explore(self, level: int, cells: NDArray[np.int64]) -> None:
-        """Look at cells of a level, hand on those that miss the limit, and go on with their halves.
+        """Examine cells of a level, refine those that exceed the limit, and go on with their halves.
 
         Raises:
-            DeviceMemoryError: There are more than can be looked at.
+            DeviceMemoryError: There are more cells than memory can hold.
         """
         if len(cells) * CELL_BYTES > available_memory.available_host():
             raise DeviceMemoryError(
@@ -70,7 +70,7 @@ class Refinement:
             self.hand_on(level, cells[missed], float(errors.max()))
 
     def hand_on(self, level: int, cells: NDArray[np.int64], error: float) -> None:
-        """Let the next level answer for cells of this one, whose largest error is ``error``."""
+        """Refine cells of a level, whose largest error is ``error``, by their halves in the next level."""
         if level + 1 >= self.level_limit or self.lattice_of(level + 1).size < SMALLEST_SHARE * self.limit:
             self.worst = max(self.worst, error)
             return
@@ -85,14 +85,14 @@ class Refinement:
         self.explore(level + 1, halves[near(self.lattice_of(level + 1), halves)])
 
     def correct(self, points: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
-        """Hand on the cells that answer for points whose errors were found to exceed the limit."""
+        """Refine the finest cells around points whose errors were found to exceed the limit."""
         level, cell = self.locate(points)
         for each in np.unique(level):
             here = level == each
             self.hand_on(int(each), cell[here], float(errors[here].max()))
 
     def locate(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Level (N,), and cell of that level (N, 3), that answers for each point near the surface."""
+        """Level (N,) and cell (N, 3) of the finest cell around each point near the surface."""
         index = (points - self.lattice.origin) / self.lattice.size
         cell = np.floor(index).astype(np.int64)
         fraction = index - cell
@@ -107,5 +107,5 @@ class Refinement:
         return level, cell
 
     def placements(self) -> list[Placement]:
-        """Where the voxels of levels 1, 2, ... go."""
+        """Placements of the voxels of levels 1, 2, ..."""
         return [placed(cells_of(keys)) for keys in self.refined]

@@ -1,8 +1,8 @@
-"""The interpolant of an adaptive field, and its gradient: of each point in the finest cell that answers for it.
+"""The interpolant of an adaptive field, and its gradient, in the finest cell around each point.
 
-A point's cell of level 0 is found as in any grid, and from there descent.inl goes down. Sums are those of
-trilinear_table_kernels, in the same order: a field of one level gives what a volume gives, and a CPU what a GPU gives.
-On a CPU a thread works on 64 queries side by side, as there.
+A point's cell of level 0 is found as in any grid, and descent.inl goes down from there. Sums are those of
+trilinear_table_kernels, in the same order: a field of one level equals a volume, and a CPU equals a GPU, to the last
+bit. On a CPU a thread handles 64 queries at a time, as there.
 """
 
 from typing import Any
@@ -31,7 +31,7 @@ def _cells(gradient: int, real: str | None = None) -> str:
     return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
 
 
-# One overload for values and for gradients, and for points and answers of each precision.
+# Overloads: values or gradients, and points and answers of each precision.
 @wp.func_native(_cells(0, "double"))
 def adaptive_group(
     levels: AdaptiveLevels,
@@ -42,7 +42,7 @@ def adaptive_group(
     to_index: wp.mat33d,
     out: wp.array(dtype=wp.float64),
 ) -> wp.uint64:
-    """Answers at the points ``start`` to ``stop``, 64 at most; a bit for each that lies beyond the box of level 0."""
+    """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those beyond the box of level 0."""
     ...
 
 
@@ -82,7 +82,7 @@ def adaptive_group(  # noqa: F811
 ) -> wp.uint64: ...
 
 
-# One overload for values and for gradients, chosen by the type of the last argument.
+# Overloads: values or gradients, by the type of the last argument.
 @wp.func_native(_cells(0))
 def adaptive_single(levels: AdaptiveLevels, u: wp.vec3d, to_index: wp.mat33d, background: wp.float64) -> wp.float64:
     """The answer at index coordinates of level 0; NaN beyond the box of its table."""
@@ -95,9 +95,9 @@ def adaptive_single(  # noqa: F811
 ) -> wp.vec3d: ...
 
 
-# Kernels. On a CPU an item is a group of queries, on CUDA a query. What lies beyond the box of level 0 gets
-# ``background``: level 0's, for values, and a zero vector for gradients. Points that are not finite are among it, and
-# make out_bad 1.
+# An item is a group of queries on a CPU, a single query on CUDA. Points beyond the box of level 0 get ``background``:
+# the background of level 0 for values, and a zero vector for gradients. Non-finite points are among them and set
+# out_bad to 1.
 @wp.kernel
 def adaptive_groups_kernel(
     first: int,

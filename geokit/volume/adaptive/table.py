@@ -1,4 +1,4 @@
-"""What sampling an adaptive field needs on a device: a table of leaves for each level, and which cells go on."""
+"""Builds the tables for sampling an adaptive field on a device: a leaf table per level, and the refined cells."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 __all__ = ["AdaptiveTable", "adaptive_table", "shifts_of"]
 
-# Steps between levels are compared as shares of a voxel: transforms go through files as decimal or binary doubles.
+# Tolerance on the steps between levels, as a share of a voxel: files may store transforms as decimal or binary doubles.
 SAME = 1e-6
-# Words of 32 cells that a leaf has.
+# Words of 32 cells per leaf.
 LEAF_WORDS = 16
 LEAF = 8
-# Bytes of a leaf divided by 32: entries of neighboring leaves differ by it.
+# Bytes of a leaf divided by 32: the entries of consecutive leaves differ by it.
 LEAF_ENTRIES = 67
 
 
 class AdaptiveTable(NamedTuple):
-    """The kernels' AdaptiveLevels of a field; ``tables`` and ``grids`` own what it points to."""
+    """The kernels' AdaptiveLevels of a field; ``tables`` and ``grids`` own its memory."""
 
     levels: Any
     tables: list[Any]
@@ -35,10 +35,10 @@ class AdaptiveTable(NamedTuple):
 
 
 def shifts_of(levels: tuple[SparseVolume, ...]) -> np.ndarray:
-    """What is added to twice the index of a cell to give that of its first half in the next level, shape (L - 1, 3).
+    """Shifts (L - 1, 3): twice a cell's index plus the shift is the index of its first half in the next level.
 
     Raises:
-        InputError: Voxel sizes do not halve from one level to the next, or their voxels do not lie on each other.
+        InputError: Voxel sizes do not halve from one level to the next, or the voxels of two levels do not coincide.
     """
     shifts = np.zeros((len(levels) - 1, 3), np.int64)
     for row, (coarser, finer) in enumerate(pairwise(levels)):
@@ -63,7 +63,7 @@ def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> Ada
 
     Args:
         levels: Float grids, the coarsest first, each with half the voxel size of the one before.
-        device: Where it is wanted.
+        device: Device of the table.
     """
     import warp as wp
 
@@ -93,12 +93,12 @@ def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> Ada
 
 
 def _box(level: SparseVolume) -> tuple[np.ndarray, np.ndarray]:
-    """First voxel, a multiple of 128, and size in steps of 128 voxels, of a box around a level's active voxels."""
+    """Box around a level's active voxels: first voxel, a multiple of 128, and size in steps of 128 voxels."""
     bounds = level.info.index_bounds
     if bounds is None:
         return np.zeros(3, np.int64), np.ones(3, np.int64)
-    # One voxel more below: a cell that only touches the active voxels is blended with what is around them. Above, the
-    # voxels behind the last leaves, which a GPU's pairs take in. Whatever lies farther out is the background.
+    # One voxel more below, because a cell that only touches the active voxels also reads the voxels around them. Above,
+    # the voxels beyond the last leaves, which a GPU's pairs include. Everything farther out is background.
     first, last = (bounds[0] - 1) // SPAN, (bounds[1] // LEAF * LEAF + LEAF) // SPAN
     return first * SPAN, last - first + 1
 

@@ -1,7 +1,7 @@
-"""The levels of an adaptive field as kernels see them, and which of their cells the next one answers.
+"""The levels of an adaptive field as a kernel struct, and the bit masks of their refined cells.
 
-Cells of the next level are found by doubling a cell's index and adding its ``shift``, which is exact: which cell a
-point lies in never depends on how rounding falls at another level.
+A cell of the next level is found by doubling a cell's index and adding the level's ``shift``. This is exact, so the
+cell around a point never depends on rounding at another level.
 """
 
 # mypy: ignore-errors
@@ -16,15 +16,15 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 @wp.struct
 class AdaptiveLevels:
-    """An adaptive field: its levels, the coarsest first, and which of their cells the next level answers."""
+    """An adaptive field: its levels, the coarsest first, and the bit masks of their refined cells."""
 
     tables: wp.array(dtype=LeafTable)
-    # A bit for each cell of each leaf, 16 words a leaf. For each level: the first of its words, and the entry of the
-    # leaf that they begin with.
+    # A bit for each cell of each leaf, 16 words per leaf: whether the cell is refined. For each level: its first word,
+    # and the entry of the leaf that this word belongs to.
     finer: wp.array(dtype=wp.uint32)
     first_word: wp.array(dtype=wp.int64)
     first_entry: wp.array(dtype=int)
-    # What is added to twice the index of a cell to give that of its first half in the next level.
+    # Twice a cell's index plus the shift of its level is the index of its first half in the next level.
     shift: wp.array(dtype=wp.vec3i)
 
 
@@ -50,7 +50,7 @@ def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
 @wp.func
 def has_halves(finer: LeafTable, c: wp.vec3i) -> bool:
     """Whether all 27 voxels of the eight halves of a cell are active; c is the first of them."""
-    # The one in the middle belongs to this cell alone: where it is not, the others need no look.
+    # The middle voxel belongs to this cell alone: if it is not active, the others need no test.
     if not is_active(finer, c[0] + 1, c[1] + 1, c[2] + 1):
         return False
     for n in range(27):
@@ -69,7 +69,7 @@ def fill_finer_kernel(
     first_entry: int,
     out_bits: wp.array(dtype=wp.uint32),
 ):
-    """For 32 cells of a leaf, from x and y on z fastest, a bit for each that the next level answers."""
+    """A word for 32 cells of a leaf, z fastest: a bit for each refined cell."""
     t = first + wp.tid()
     entry = entries[t / 16]
     word = t % 16

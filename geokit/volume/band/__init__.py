@@ -1,1 +1,1 @@
-"""From a mesh or balls to a narrow band: tiles near the surface, distances, signs."""
+"""Narrow bands: which voxels lie near a mesh or balls, and what are their signed distances?"""

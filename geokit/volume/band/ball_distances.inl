@@ -1,8 +1,8 @@
-// Least distances of eight voxels in a row to listed balls, or the band.
+// Least distances of eight voxels in a row to listed balls, at most the band.
 //
-// The whole loop in C++: eight lanes stay in registers, where warp's own vectors go through memory at each step. Of
-// equal balls the nearest center decides: one square root a voxel, and the same bits, because it is monotone. Expects
-// balls, ball, begin, end, x, y, z, band, slack; returns.
+// The whole loop is C++, so that eight lanes stay in registers; warp's own vectors go through memory at each step.
+// Among balls of equal radius the nearest center decides: this takes one square root per voxel and gives the same
+// bits, because the square root is monotone. Expects balls, ball, begin, end, x, y, z, band, slack; returns.
 double least[8];
 const double start = band + balls.radius.data[0];
 for (int k = 0; k < 8; ++k) least[k] = balls.uniform ? start * start : band;

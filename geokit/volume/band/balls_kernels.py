@@ -1,7 +1,7 @@
-"""Distance to the union of balls: balls sorted into buckets, and the minimum over the balls near each row of voxels.
+"""Distances to a union of balls, sorted into buckets: each row of voxels takes the minimum over the balls near it.
 
 Coordinates are index coordinates in float64. A bucket is a cube at least as wide as the farthest voxel that one of its
-balls may reach: what matters to a block inside a bucket lies in that bucket and the 26 around it, in nine runs along z.
+balls may reach. So the balls that matter to a block lie in its bucket and the 26 around it, in nine runs along z.
 """
 
 # mypy: ignore-errors
@@ -14,10 +14,10 @@ vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Runs of buckets around a block: three by three rows along z.
+# Runs of buckets around a block: 3 x 3 rows along z.
 RUNS = wp.constant(9)
-# A ball is left out of a tile where another is nearer to all of its voxels by more than this [voxels]: distances within
-# 2^21 tiles round by less than 1e-8, and a ball too many changes nothing.
+# A tile's list leaves out a ball if another is nearer to all of the tile's voxels by more than this [voxels]. Distances
+# within 2^21 tiles round by less than 1e-8; a ball too many changes nothing.
 SLACK = wp.constant(wp.float64(1.0e-8))
 
 BITS = wp.constant(wp.uint64(21))  # of each bucket coordinate in a key
@@ -32,9 +32,9 @@ INSIDE = wp.constant(2)
 class Balls:
     """Balls of similar size, sorted by bucket.
 
-    ``keys`` are those of the buckets that hold a ball, ascending; bucket ``b`` holds the balls from ``start[b]`` to
-    ``start[b + 1]``. ``lower`` is the first bucket and ``width`` a bucket's edge [voxels]. ``center`` and ``radius``
-    hold the balls of all sizes; ``uniform`` is not 0 where all radii are equal.
+    ``keys`` are the ascending keys of the buckets that hold a ball; bucket ``b`` holds the balls ``start[b]`` to
+    ``start[b + 1] - 1``. ``lower`` is the first bucket and ``width`` a bucket's edge [voxels]. ``center`` and
+    ``radius`` hold the balls of all sizes; ``uniform`` is not 0 if all radii are equal.
     """
 
     center: wp.array(dtype=wp.vec3d)
@@ -56,7 +56,7 @@ def floor_divide(a: int, b: int) -> int:
 
 @wp.func
 def first_bucket(balls: Balls, x: int, y: int, z: int) -> int:
-    """First bucket whose key is at least that of (x, y, z), or the number of buckets; warp's own search has no such."""
+    """First bucket whose key is not below that of (x, y, z), else the bucket count; warp has no such lower bound."""
     key = wp.int64((((wp.uint64(x) << BITS) | wp.uint64(y)) << BITS) | wp.uint64(z))
     low = int(0)
     high = balls.keys.shape[0]
@@ -71,7 +71,7 @@ def first_bucket(balls: Balls, x: int, y: int, z: int) -> int:
 
 @wp.func
 def run_of(balls: Balls, corner: wp.vec3i, n: int) -> wp.vec2i:
-    """First and last-but-one ball of run ``n`` around the bucket of a block."""
+    """First ball of run ``n`` around the bucket of a block, and one past its last ball."""
     x = floor_divide(corner[0], balls.width) - balls.lower[0] + n // 3 - 1
     y = floor_divide(corner[1], balls.width) - balls.lower[1] + n % 3 - 1
     z = floor_divide(corner[2], balls.width) - balls.lower[2]
@@ -122,7 +122,7 @@ def state_kernel(
     band: wp.float64,
     out_state: wp.array(dtype=wp.int32),
 ):
-    """Whether all voxels of a block (at most a bucket) are away from the balls, some near, or all deep inside one."""
+    """State of a block (at most a bucket): all voxels away from the balls, some near, or all deep inside a ball."""
     i = first + wp.tid()
     low = first_voxel(corners[i])
     high = last_voxel(corners[i], size)
@@ -143,7 +143,7 @@ def state_kernel(
 
 @wp.kernel
 def bound_kernel(first: int, balls: Balls, corners: wp.array(dtype=wp.vec3i), out_bound: wp.array(dtype=wp.float64)):
-    """A distance that no voxel of a tile exceeds; the smaller of this and what there was."""
+    """Lowers ``out_bound`` to a distance that no voxel of a tile exceeds."""
     i = first + wp.tid()
     low = first_voxel(corners[i])
     high = last_voxel(corners[i], 8)
@@ -157,7 +157,7 @@ def bound_kernel(first: int, balls: Balls, corners: wp.array(dtype=wp.vec3i), ou
 
 @wp.func
 def may_matter(balls: Balls, b: int, low: wp.vec3d, high: wp.vec3d, bound: wp.float64) -> bool:
-    """Whether a ball may be the nearest one to a voxel of a tile."""
+    """Whether a ball may be the nearest to some voxel of a tile."""
     return nearest_to(balls.center[b], low, high) - balls.radius[b] <= bound + SLACK
 
 
@@ -170,7 +170,7 @@ def count_kernel(
     band: wp.float64,
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Adds the number of balls that may matter to each tile; nothing matters to a tile deep inside."""
+    """Adds the number of balls that may matter to each tile; tiles deep inside need none."""
     i = first + wp.tid()
     if bound[i] <= -band:
         return
@@ -195,7 +195,7 @@ def fill_kernel(
     out_place: wp.array(dtype=wp.int32),
     out_ball: wp.array(dtype=wp.int32),
 ):
-    """Lists the balls that count_kernel counted, from ``out_place`` on, which moves to the end."""
+    """Lists the balls that count_kernel counted, from ``out_place`` on, and advances it to the end of the list."""
     i = first + wp.tid()
     if bound[i] <= -band:
         return
@@ -216,7 +216,7 @@ def least_distances(
     balls: Balls, ball: wp.array(dtype=wp.int32), begin: int, end: int, x: wp.float64, y: wp.float64, z: wp.float64,
     band: wp.float64, slack: wp.float64,
 ) -> vec8d:  # fmt: skip
-    """Least distance to listed balls of eight voxels in a row, or the band."""
+    """Least distance of eight voxels in a row to listed balls, at most the band."""
     ...
 
 
@@ -230,7 +230,7 @@ def distance_kernel(
     band: wp.float64,
     out_distance: wp.array2d(dtype=vec8d),
 ):
-    """Row ``r`` of eight voxels, 64 rows to a tile: the least distance to the balls of the tile's list, or the band."""
+    """Least distances of a row of eight voxels to the balls in its tile's list, at most the band; 64 rows to a tile."""
     item = first + wp.tid()
     i = item // 64
     row = item % 64

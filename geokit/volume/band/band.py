@@ -1,4 +1,4 @@
-"""The voxels of a band around a surface, from its distances to the leaves of a grid, on the surface's device."""
+"""Builds the band of voxels around a surface: distances, signs, active voxels, leaves; on the surface's device."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 __all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
 
-# Threads of a launch are counted in 31 bits; a launch for this many voxels is as long as any need be.
+# A launch counts its threads in 31 bits; longer launches would gain nothing.
 VOXELS_AT_A_TIME = 1 << 28
-# Slots of a tile's nearest triangles, their numbers, and the leaf that these become.
+# Bytes per tile of the nearest triangles' slots, of their numbers, and of the leaf that holds these.
 SLOT_BYTES = 3 * 2144
-# Where the band is so narrow that a voxel on the surface may be next to one on the band's edge, tiles without an active
-# voxel are kept: their neighbours' faces would not show on which side they are.
+# In narrower bands a voxel on the surface may be next to one on the band's edge. Tiles without an active voxel are then
+# kept, because the faces of their neighbors would not show which side they are on.
 SAFE_HALF_WIDTH = 1.001
 
 
 @dataclass(frozen=True)
 class BandShape:
-    """Which voxels a band holds, and what it says of them.
+    """Widths, offset and sign method of a band.
 
     Attributes:
         exterior: Background, and the width outside [world].
         interior: Width inside [world].
-        offset: What is taken off the distances [world]: half the thickness of a shell.
-        method: How inside is told from outside, or "none" for unsigned distances.
+        offset: Half the thickness of a shell [world]; it is subtracted from the distances.
+        method: Sign method, or "none" for unsigned distances.
     """
 
     exterior: float
@@ -56,16 +56,15 @@ class BandShape:
 
     @property
     def hollow(self) -> float:
-        """Distance [world] of the nearest active voxels: those of a thick shell stay away from the surface itself."""
+        """Least distance [world] of an active voxel; above 0 for thick shells, whose band stays off the surface."""
         return max(0.0, self.offset - self.interior)
 
 
 @dataclass(frozen=True)
 class Band:
-    """A band's voxels, before they are a grid: leaves, distances of all tiles, and bits (L, 8) of the leaves' voxels.
+    """A band before it becomes a grid: leaves, distances of all tiles, and bit masks (L, 8) of the leaves' voxels.
 
-    ``inside`` is empty where the distances are values as they are. ``slots`` are those of the nearest triangles,
-    (T, 512), where they were asked for, else empty.
+    ``inside`` is empty for unsigned distances. ``slots`` (T, 512) are the slots of the nearest triangles, or empty.
     """
 
     lattice: Lattice
@@ -87,8 +86,12 @@ class Band:
 
 
 def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -> Band:
-    """Distances, signs and active voxels of a band.
+    """Compute distances, signs and active voxels of a band.
 
+    Args:
+        lattice: The voxels.
+        shape: Widths, offset and sign method.
+        with_slots: Keep the slots of the nearest triangles.
     Raises:
         DeviceMemoryError: The band needs more memory than there is.
     """
@@ -114,10 +117,10 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     inside = wp.empty((0, 0), dtype=wp.uint64, device=device)
     has_negative = host_flags(1, device)
     if shape.method != "none":
-        # Which of the voxels count is not known before their signs are: those within the wider side may.
+        # Which voxels are active depends on their signs; until then, all within the wider width may be.
         wide = replace(shape, exterior=shape.reach, interior=shape.reach)
         closed = lattice.surface.is_closed
-        # No value is negative yet: this raises no flag.
+        # No value is negative yet, so this does not raise the flag.
         may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, has_negative)[0]
         inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, may_count, shape.method)
     active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
@@ -131,7 +134,7 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
 
 
 def build_band(band: Band, head: GridHead) -> BuiltGrid:
-    """The band as a grid of floats."""
+    """Build the band as a grid of floats."""
     import warp as wp
 
     from geokit.volume.band.band_kernels import leaf_values_kernel
@@ -147,7 +150,7 @@ def build_band(band: Band, head: GridHead) -> BuiltGrid:
 
 
 def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
-    """The nearest triangle at each active voxel as a grid of int32; the band must have been made with its slots."""
+    """Build an int32 grid of the nearest triangle at each active voxel; the band needs its slots."""
     import warp as wp
 
     from geokit.volume.band.band_kernels import triangle_values_kernel
@@ -207,7 +210,7 @@ def _bits(
     inside: "wp.array",
     has_negative: HostArray,
 ) -> list["wp.array"]:
-    """Bits of the active voxels and of those with negative values, and whether there are any of these."""
+    """Bit masks of the active voxels and of those with negative values; ``has_negative`` is raised if there are any."""
     import warp as wp
 
     from geokit.volume.band.band_kernels import bits_kernel
@@ -220,7 +223,7 @@ def _bits(
 
 
 def _kept(leaves: Leaves, chosen: "wp.array", bits: list["wp.array"]) -> tuple[Leaves, list["wp.array"]]:
-    """The leaves that are chosen, and their rows of the bits."""
+    """The chosen leaves, and their rows of the bit masks."""
     import warp as wp
 
     from geokit.volume.band.band_kernels import keep_bits_kernel, keep_rows_kernel

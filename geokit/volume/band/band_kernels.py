@@ -1,4 +1,4 @@
-"""A narrow band's voxels: which of them are active, and their values in the leaves of a grid."""
+"""Kernels that find a narrow band's active voxels and write their values into the leaves of a grid."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -17,7 +17,7 @@ def near_rows_kernel(
     highest: wp.float32,
     out_near: wp.array(dtype=int),
 ):
-    """1 for tiles with a distance between two others."""
+    """1 for tiles with a distance between ``lowest`` and ``highest``."""
     i = first + wp.tid()
     near = int(0)
     voxel = int(0)
@@ -34,7 +34,7 @@ def set_rows_kernel(
     bits: wp.array2d(dtype=wp.uint64),
     out_near: wp.array(dtype=int),
 ):
-    """1 for leaves with a bit that is set."""
+    """1 for leaves with a set bit."""
     i = first + wp.tid()
     some = wp.uint64(0)
     for x in range(8):
@@ -44,7 +44,7 @@ def set_rows_kernel(
 
 @wp.kernel
 def any_bits_kernel(first: int, bits: wp.array2d(dtype=wp.uint64), out_some: wp.array(dtype=int)):
-    """Raises ``out_some`` where a bit is set."""
+    """Raises ``out_some`` if any bit is set."""
     i = first + wp.tid()
     for x in range(8):
         if bits[i, x] != wp.uint64(0):
@@ -107,9 +107,9 @@ def bits_kernel(
     out_negative: wp.array2d(dtype=wp.uint64),
     out_some: wp.array(dtype=int),
 ):
-    """Bits of the active voxels of a plane, and of those with a negative value; ``inside`` may be empty.
+    """Bit masks of a plane's active voxels and of those with a negative value; ``inside`` may be empty.
 
-    Where there is such a value, ``out_some`` is raised.
+    A negative value raises ``out_some``.
     """
     i = first + wp.tid()
     plane_bits(i >> 3, i & 7, rows, distance, inside, exterior, interior, out_active, out_negative)
@@ -142,7 +142,7 @@ def leaf_values_kernel(
     interior: wp.float32,
     out_buffer: wp.array(dtype=wp.uint8),
 ):
-    """Values and mask of a plane, written into the leaf."""
+    """Writes the values and the mask of a plane into the leaf."""
     i = first + wp.tid()
     plane_values(i >> 3, i & 7, begin, rows, distance, inside, exterior, interior, out_buffer)
 
@@ -156,7 +156,7 @@ def triangle_values_kernel(
     slot_triangle: wp.array(dtype=int),
     out_values: wp.array(dtype=int),
 ):
-    """Triangle of each voxel of a plane, -1 where it is not active; values count from the leaf's own row."""
+    """Writes the triangle of each voxel of a plane, -1 for inactive ones; outputs are indexed by leaf, not by tile."""
     i = first + wp.tid()
     leaf = i >> 3
     x = i & 7

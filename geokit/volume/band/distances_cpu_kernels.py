@@ -1,4 +1,4 @@
-"""Unsigned distances of a whole tile on the CPU: one walk of the tree for 512 voxels, then short lists of triangles.
+"""Unsigned distances of a tile's 512 voxels on the CPU: one tree walk per tile, then short lists of triangles.
 
 Tiles whose list of triangles overflows are searched voxel by voxel.
 """
@@ -19,14 +19,14 @@ from geokit.mesh.bvh.closest_on_triangle_kernels import (
 from geokit.mesh.bvh.nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED, nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
-# Unfused, the float64 distances have the bits of every other search; float32 is fused where the text says so.
+# Unfused, float64 distances have the bits of every other search; float32 is fused where the C++ text says so.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Blocks of a tile's list; tiles that more reach are searched voxel by voxel. Half and twice as many were slower.
+# Most blocks in a tile's list; tiles with more are searched voxel by voxel. Half and twice as many were slower.
 LIST = 256
-# Half the diagonal of the eight voxel centers of a brick, and of two such halves, rounded up [voxels].
+# Half the diagonal of the cube of a brick's eight voxel centers, rounded up [voxels].
 BRICK_RADIUS = np.float32(0.8660255)
-# Next to the distance of a neighbor: the next search must not lose its answer to rounding.
+# Factor on the step to a neighbor, so that the next search does not lose its answer to rounding.
 STEP = np.float32(1.00001)
 
 
@@ -57,7 +57,7 @@ def tile_distances(
     out_distance: wp.array2d(dtype=wp.float32),
     out_slot: wp.array2d(dtype=int),
 ) -> int:
-    """Distances less ``offset`` of 512 voxels, none over ``reach``; 1 where it must be done one by one."""
+    """Writes 512 distances minus ``offset``, cut off at ``reach``; returns 1 if the tile needs a search per voxel."""
     ...
 
 
@@ -73,7 +73,7 @@ def tile_distance_kernel(
     out_distance: wp.array2d(dtype=wp.float32),
     out_slot: wp.array2d(dtype=int),
 ):
-    """Unsigned distances of a tile's voxels, and the slots of their triangles where there is room for them."""
+    """Unsigned distances of a tile's voxels, and the slots of their triangles if ``out_slot`` has room for them."""
     i = first + wp.tid()
     voxel = tiles[i] * 8
     if tile_distances(tree, voxel, translation, voxel_size, reach, offset, i, out_distance, out_slot) != 0:
@@ -95,5 +95,5 @@ def tile_distance_kernel(
             out_distance[i, n] = wp.float32(wp.min(distance, reach) - offset)
             if out_slot.shape[0] > 0:
                 out_slot[i, n] = slot
-            # A little more than one voxel: the next search must not lose its answer to rounding.
+            # A little more than one voxel, so that the next search does not lose its answer to rounding.
             bound = wp.min(reach, distance + wp.float64(1.000001) * voxel_size)

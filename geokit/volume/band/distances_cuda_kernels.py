@@ -1,4 +1,4 @@
-"""Unsigned distances of a band's voxels on CUDA: a thread each, bounded by the triangle nearest to its brick."""
+"""Unsigned distances of a band's voxels on CUDA: one thread per voxel, bounded by its brick's nearest triangle."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -8,10 +8,10 @@ from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, off
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
-# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles resolve alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Half the diagonal of the 4^3 voxel centers of a brick, rounded up [voxels].
+# Half the diagonal of the cube of a brick's 4^3 voxel centers, rounded up [voxels].
 BRICK_RADIUS = wp.constant(wp.float64(2.5980763))
 
 
@@ -33,7 +33,7 @@ def brick_kernel(
     reach: wp.float64,
     out_slot: wp.array(dtype=int),
 ):
-    """The slot nearest to the center of each of a tile's eight bricks of 4^3 voxels; -1 where none of them is near."""
+    """The slot nearest to the center of each of a tile's eight bricks of 4^3 voxels; -1 if none is near."""
     i = first + wp.tid()
     tile = tiles[i >> 3] * 2 + wp.vec3i((i >> 2) & 1, (i >> 1) & 1, i & 1)
     half = wp.float64(1.5)
@@ -57,13 +57,13 @@ def voxel_kernel(
     out_distance: wp.array2d(dtype=wp.float32),
     out_slot: wp.array2d(dtype=int),
 ):
-    """Distance of a voxel less ``offset``, none over ``reach``; its brick's triangle bounds the search.
+    """Distance of a voxel minus ``offset``, cut off at ``reach``; its brick's triangle bounds the search.
 
-    ``start`` is the tile of the first item: all voxels of a band may be more than a launch can count.
+    ``start`` is the tile of the first item, because a band may have more voxels than a launch can count.
     """
     i = first + wp.tid()
     row = start + (i >> 9)
-    # By bricks, so that neighboring threads walk the same nodes.
+    # Threads run brick by brick, so that neighboring threads walk the same nodes.
     brick = (i >> 6) & 7
     x = 4 * (brick >> 2) + ((i >> 4) & 3)
     y = 4 * ((brick >> 1) & 1) + ((i >> 2) & 3)
@@ -75,7 +75,7 @@ def voxel_kernel(
         tile = tiles[row]
         index = wp.vec3d(wp.float64(8 * tile[0] + x), wp.float64(8 * tile[1] + y), wp.float64(8 * tile[2] + z))
         p = index * voxel_size + translation
-        # The brick's triangle is found again where it is the nearest: its own distance is not beyond the radius.
+        # The radius includes the brick's triangle, so the search finds it again if it is the nearest.
         radius = wp.min(reach, distance_from_slot(tree, slot, p) * wp.float64(1.000000000001))
         slot = nearest_slot(tree, p, radius * radius, slot)
         if slot >= 0:

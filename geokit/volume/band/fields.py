@@ -1,4 +1,4 @@
-"""What every builder of narrow bands shares: the prepared surface, half widths, grid heads, metadata."""
+"""Steps that all builders of narrow bands share: the prepared surface, half widths, grid heads, metadata."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["band_metadata", "grid_head", "half_widths", "in_float32", "resolve_s
 def resolve_surface(
     mesh: TriangleMesh | Surface, sign: str, thickness: float | None, device: Any
 ) -> tuple[Surface, str, float]:
-    """The surface, how its signs are told (or "none"), and half the thickness of a shell."""
+    """The prepared surface, its sign method (or "none"), and half the thickness of a shell."""
     from geokit.mesh._surface import Surface
 
     if sign not in SIGNS:
@@ -65,7 +65,7 @@ def grid_head(shape: BandShape, lattice: Lattice, name: str) -> Any:
 
 
 def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
-    """Metadata of the fields that are made from a band; may warn of the pieces of the mesh that it lost."""
+    """Metadata of the fields that are built from a band; ``warn`` warns of mesh components that the band has lost."""
     surface, method = band.lattice.surface, band.shape.method
     reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
     metadata: dict[str, Any] = {
@@ -100,10 +100,7 @@ SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
 
 
 def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
-    """Connected piece of each face, counted in the order of their first faces, and how many there are.
-
-    Looked up where the mesh is known.
-    """
+    """Connected component of each face, numbered in the order of their first faces, and their count; cached."""
 
     def find() -> tuple[NDArray[np.int32], int]:
         from geokit.mesh.topology.audit import face_parts
@@ -118,11 +115,11 @@ def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
 
 
 def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
-    """Metadata of where a field is from."""
+    """Metadata of a field's origin."""
     mesh = surface.mesh
     return provenance(mesh.name, hash_of(mesh), lattice.voxel_size)
 
 
 def hash_of(mesh: TriangleMesh) -> str:
-    # Hashing takes as long as a small band: once for each mesh.
+    # Hashing takes as long as building a small band, so each mesh is hashed once.
     return mesh._cache.find("content hash", lambda: content_hash(mesh.vertices, mesh.faces))

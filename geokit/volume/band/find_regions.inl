@@ -1,4 +1,4 @@
-// The farthest voxel of each region of unknown voxels in a leaf, that of the farthest first.
+// Finds the farthest voxel of each region of unknown voxels in a leaf; farthest voxels come first.
 //
 // Expects flood_leaf.inl; leaf, rows, distance, all_links, known_bits, least, reach, out_seed; REGIONS.
 const unsigned long long* known = (const unsigned long long*)known_bits.data + 8ll * leaf;
@@ -12,7 +12,7 @@ for (int n = 0; n < REGIONS; ++n) {
     for (int x = 0; x < 8; ++x)
         for (int b = 0; open[x] && b < 64; ++b)
             if (open[x] >> b & 1) {
-                // A search from a voxel whose distance is cut off is wide: such a voxel only if there is no other.
+                // A search from a voxel with a cut-off distance is wide, so it is chosen only if there is no other.
                 const float here = d[64 * x + b] < reach ? d[64 * x + b] : least;
                 if (!(here >= largest) || (farthest >= 0 && here == largest)) continue;
                 largest = here;

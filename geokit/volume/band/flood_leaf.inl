@@ -1,7 +1,7 @@
-// Flood over the bits of a leaf: word x, bit 8 y + z.
+// Flood fill over the bit mask of a leaf: word x, bit 8 y + z.
 //
-// Expects nothing. Defines flood(links, open, seed, region): fills region (8 words) with what a flood from voxel `seed`
-// reaches through links (24 words) among the voxels of `open`.
+// Expects nothing. Defines flood(links, open, seed, region), which sets the bits of region (8 words) that a flood from
+// voxel `seed` reaches through links (24 words) among the voxels of `open`.
 auto flood = [](const unsigned long long* links, const unsigned long long* open, int seed,
                 unsigned long long* region) {
     for (int x = 0; x < 8; ++x) region[x] = 0;

@@ -1,4 +1,4 @@
-"""Which of a band's voxels lie inside: tested at each voxel, by pseudonormal or by winding number."""
+"""Tests which voxels of a band lie inside, by pseudonormal or by winding number."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -11,12 +11,12 @@ from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside
 from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, pseudonormal
 from geokit.volume.band.signs_kernels import set_in_row, unset_in_row, voxel_position
 
-# Unfused, a GPU gives the same bits as a CPU, and ties between triangles fall alike.
+# Unfused, a GPU gives the same bits as a CPU, and ties between triangles resolve alike.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# A tile's center is at most 6.07 voxels farther from the surface than the band reaches, and so are its voxels from it.
+# A tile's center is at most 6.07 voxels beyond the band's reach, and its voxels at most 6.07 voxels from the center.
 WITHIN_TILE = wp.constant(wp.float64(12.2))
-# The radius of a search for what is known to be at that distance, which float32 has rounded.
+# Factor on a known distance, which float32 has rounded, to get a search radius.
 ROUNDED = wp.constant(wp.float64(1.000001))
 
 
@@ -27,7 +27,7 @@ class BandVoxels:
     # Coordinates of all tiles, and the tile of each leaf.
     tiles: wp.array(dtype=wp.vec3i)
     rows: wp.array(dtype=int)
-    # Position of index 0 and edge length [world].
+    # Position of index 0, and the voxels' edge length [world].
     translation: wp.vec3d
     voxel_size: wp.float64
     # Unsigned distances of the tiles' voxels, cut off at ``reach`` [world].
@@ -42,7 +42,7 @@ def position_of(voxels: BandVoxels, row: int, voxel: int) -> wp.vec3d:
 
 @wp.func
 def search_radius(voxels: BandVoxels, row: int, voxel: int) -> wp.float64:
-    """A radius that surely holds the nearest triangle of a voxel, whose distance is cut off at ``reach``."""
+    """A radius that contains the nearest triangle of a voxel, also if its distance is cut off at ``reach``."""
     distance = voxels.distance[row, voxel]
     radius = wp.float64(distance) * ROUNDED
     if distance >= wp.float32(voxels.reach):
@@ -57,7 +57,7 @@ def is_inside_by_pseudonormal(
     p: wp.vec3d,
     radius: wp.float64,
 ) -> wp.bool:
-    """Whether p lies behind the nearest face, edge or vertex within the radius, as its pseudonormal has it."""
+    """Whether p lies behind the nearest face, edge or vertex within the radius, by its pseudonormal."""
     slot = nearest_slot(tree, p, radius * radius, -1)
     behind = bool(False)
     if slot >= 0:
@@ -80,7 +80,7 @@ def regions_by_pseudonormal_kernel(
     tables: Pseudonormals,
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Tests by pseudonormal the voxel of each region, where there is one."""
+    """Tests the voxel of each region, if there is one, by pseudonormal."""
     i = first + wp.tid()
     seed = seeds[i]
     if seed >= 0:
@@ -100,7 +100,7 @@ def voxels_by_pseudonormal_kernel(
     tables: Pseudonormals,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Tests by pseudonormal the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests the voxels of unknown side in ``span`` rows of eight by pseudonormal."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)
@@ -128,7 +128,7 @@ def regions_by_winding_kernel(
     empty: wp.float64,
     out_inside: wp.array(dtype=wp.bool),
 ):
-    """Tests by winding number the voxel of each region, where there is one."""
+    """Tests the voxel of each region, if there is one, by winding number."""
     i = first + wp.tid()
     if seeds[i] >= 0:
         p = position_of(voxels, voxels.rows[i / regions], seeds[i])
@@ -146,7 +146,7 @@ def voxels_by_winding_kernel(
     empty: wp.float64,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Tests by winding number the voxels of ``span`` rows of eight whose sides are not known."""
+    """Tests the voxels of unknown side in ``span`` rows of eight by winding number."""
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)

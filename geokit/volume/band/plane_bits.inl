@@ -1,4 +1,4 @@
-// Bits of a plane's active voxels and of those with a negative value.
+// Bit masks of a plane's active voxels and of those with a negative value.
 //
 // Expects plane_values.inl; out_active, out_negative.
 unsigned long long active = 0, negative = 0;

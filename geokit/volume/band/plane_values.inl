@@ -1,4 +1,4 @@
-// Values of a plane of 64 voxels, from distances and the bits of those that are negative.
+// Values of a plane of 64 voxels, from distances and the bit mask of the negative ones.
 //
 // Expects leaf, x, rows, distance, inside (may be empty), exterior, interior. Defines d, within and values.
 const float* d = distance.data + 512ll * rows.data[leaf] + 64 * x;

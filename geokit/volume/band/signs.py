@@ -1,4 +1,4 @@
-"""Signs of a band's voxels: the surface decides a few, the others follow from their distances."""
+"""Signs of a band's voxels: a few are tested against the surface, the others follow from their distances."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 __all__ = ["inside_bits"]
 
-# The distances of two neighbors on either side of a wall that is square to them add up to a voxel exactly; rounded to
-# float32 they may add up to a little more, and a flood must not pass there.
+# The distances of two neighbors on either side of a wall perpendicular to their link add up to exactly one voxel.
+# Rounded to float32 they may add up to a little more, and a flood must not pass there.
 FLOOD_MARGIN = 1.00001
-# Rounds over the diagonal neighbors of voxels that have no link along an axis. They decide a third of what is left; on
-# a GPU all threads wait for the leaf with the most of them, and testing each voxel is quicker.
+# Rounds over the diagonal neighbors of voxels without a link along an axis. They decide a third of the rest. On a GPU
+# all threads wait for the leaf with the most such voxels, and testing each voxel is faster.
 ROUNDS_CPU, ROUNDS_CUDA = 2, 0
-# Rows of eight voxels that a thread looks at; on a GPU a thread for each is more than twice as quick.
+# Rows of eight voxels per thread; on a GPU one row per thread is more than twice as fast.
 ROWS_CPU, ROWS_CUDA = 8, 1
 
 
 def inside_bits(
     lattice: Lattice, tiles: "wp.array", rows: "wp.array", distance: "wp.array", active: "wp.array", method: str
 ) -> "wp.array":
-    """For each leaf eight words whose bits say which of its voxels lie inside.
+    """Bit masks (L, 8) of the voxels that lie inside.
 
-    Where the surface is closed, one voxel is tested for each of a leaf's regions that the surface separates, and those
-    that are too near to it to belong to one. The sign of an open surface changes in free space too: there every active
-    voxel is tested.
+    For a closed surface, one voxel is tested for each region of a leaf that the surface separates, and each voxel that
+    is too near to the surface to belong to a region. For an open surface the sign also changes in free space, so every
+    active voxel is tested.
 
     Args:
         lattice: The voxels.
@@ -42,7 +42,7 @@ def inside_bits(
         rows: Tile of each leaf, (L,).
         distance: Unsigned distances of the tiles' voxels (T, 512), cut off at the lattice's reach.
         active: Bits of the leaves' voxels that may be active (L, 8).
-        method: How the surface tells inside from outside, as ``Surface.contains`` takes it.
+        method: Sign method, as ``Surface.contains`` takes it.
     Source:
         Flooding: OpenVDB's meshToVolume. Differs: links between voxels come from exact distances, as bits.
     """
@@ -71,7 +71,7 @@ def inside_bits(
 
 @dataclass(frozen=True)
 class _SurfaceSigns:
-    """Signs from the surface itself; ``where`` are tiles, rows, translation and voxel size as kernels take them."""
+    """Inside tests against the surface; ``where`` are tiles, rows, translation and voxel size as kernels take them."""
 
     lattice: Lattice
     where: list[Any]
@@ -79,7 +79,7 @@ class _SurfaceSigns:
     method: str
 
     def regions(self, seeds: Any) -> "wp.array":
-        """For each region whether its voxel lies inside; anything where it has none."""
+        """Whether the voxel of each region lies inside; undefined for regions without a voxel."""
         import warp as wp
 
         from geokit.volume.band import inside_kernels, signs_kernels
@@ -101,7 +101,7 @@ class _SurfaceSigns:
         return answers
 
     def others(self, known: "wp.array", inside: "wp.array") -> None:
-        """Sets the bits of the voxels inside among those that are not known."""
+        """Test the voxels that are not known, and set the bits of those inside."""
         import warp as wp
 
         from geokit.volume.band import inside_kernels, signs_kernels
@@ -122,7 +122,7 @@ class _SurfaceSigns:
         launcher.launch(kernel, 64 * count // span, inputs, [inside], device)
 
     def listed(self, bits: "wp.array", known: "wp.array", inside: "wp.array") -> None:
-        """The same for the voxels whose ``bits`` are set, all of which are listed and tested in one call."""
+        """Test the voxels whose ``bits`` are set, as one list in one call, and mark them as known."""
         import warp as wp
 
         from geokit.volume.band import signs_kernels as kernels

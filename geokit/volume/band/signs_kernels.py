@@ -1,7 +1,8 @@
-"""Which voxels of a leaf lie inside: a few of them are tested, and their answers spread over bits.
+"""Finds which voxels of a leaf lie inside: a few are tested, and flood fills spread the answers over bit masks.
 
-A leaf's voxels are 512 bits, eight words of 64: word ``x``, bit ``8 y + z``. Two neighbors whose distances add up to
-more than their spacing cannot have the surface between them; such links are bits too, and a flood is shifts and ands.
+The bit mask of a leaf has eight words of 64 bits: word ``x``, bit ``8 y + z``. Two neighbors are linked if their
+distances add up to more than their spacing, because the surface cannot lie between them. Links are bit masks too, so a
+flood fill is made of shifts and ands.
 """
 
 # mypy: ignore-errors
@@ -12,9 +13,9 @@ from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Regions of a leaf that are tested at their farthest voxel; a surface seldom leaves more.
+# Most regions of a leaf that are tested at their farthest voxel; a surface rarely separates more.
 REGIONS = 4
-# Share of the spacing that a region's farthest voxel must have: what is nearer is left to its diagonal neighbors.
+# Least distance, as a share of the spacing, of a region's farthest voxel; diagonal neighbors decide nearer voxels.
 LEAST_SHARE = 0.3
 
 
@@ -37,7 +38,7 @@ def links_kernel(
     spacing: float,
     out_links: wp.array2d(dtype=wp.uint64),
 ):
-    """For each plane of a leaf: links to the next voxel along z, along y, and to the next plane."""
+    """Links of each plane of a leaf to the next voxel along z, along y, and to the next plane."""
     i = first + wp.tid()
     write_links(i >> 3, i & 7, rows, distance, spacing, out_links)
 
@@ -66,9 +67,9 @@ def regions_kernel(
     reach: float,
     out_seed: wp.array(dtype=int),
 ):
-    """The farthest voxel within reach of each region of a leaf, that of the farthest first; -1 where there is none.
+    """The farthest voxel within reach of each region of a leaf, farthest first; -1 if there is none.
 
-    Voxels nearer to the surface than ``least`` start no region; any does for a region that lies beyond reach.
+    Voxels nearer to the surface than ``least`` start no region. A region beyond reach starts at any of its voxels.
     """
     find_regions(first + wp.tid(), rows, distance, links, known, least, reach, out_seed)
 
@@ -101,7 +102,7 @@ def spread_kernel(
     out_known: wp.array2d(dtype=wp.uint64),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Spreads the answers over their regions, then, in rounds, to voxels that only a diagonal neighbor decides."""
+    """Spreads the answers over their regions, then in rounds to voxels that only a diagonal neighbor decides."""
     leaf = first + wp.tid()
     spread(leaf, rows, distance, links, seeds, answers, spacing, rounds, out_known, out_inside)
 
@@ -119,7 +120,7 @@ def voxel_position(tile: wp.vec3i, voxel: int, translation: wp.vec3d, voxel_size
 
 @wp.kernel
 def seed_bits_kernel(first: int, regions: int, seeds: wp.array(dtype=int), out_bits: wp.array2d(dtype=wp.uint64)):
-    """Bits of the voxels that the regions of a leaf start from."""
+    """Bit masks of the voxels from which the regions of a leaf start."""
     leaf = first + wp.tid()
     for n in range(regions):
         seed = seeds[regions * leaf + n]
@@ -155,7 +156,7 @@ def count_bits_kernel(first: int, bits: wp.array2d(dtype=wp.uint64), out_count: 
 
 @wp.func_native("return ~((const unsigned char*)bits.data)[64ll * leaf + row] & 0xff;")
 def unset_in_row(bits: wp.array2d(dtype=wp.uint64), leaf: int, row: int) -> int:
-    """Bits of the eight voxels in a row of a leaf, ``8 x + y``, that are not set: a byte of a word."""
+    """Inverted bits of the eight voxels in row ``8 x + y`` of a leaf: a byte of a word."""
     ...
 
 

@@ -1,4 +1,4 @@
-// Spreads the answers at the regions' voxels over their regions, then, in rounds, to voxels that only a diagonal
+// Spreads the answers at the regions' voxels over their regions, then in rounds to voxels that only a diagonal
 // neighbor decides.
 //
 // Expects flood_leaf.inl; leaf, rows, distance, all_links, seeds, answers, spacing, rounds, out_known, out_inside;
@@ -20,7 +20,7 @@ for (int n = 0; n < REGIONS; ++n) {
         if (within) inside[x] |= region[x];
     }
 }
-// Diagonal neighbors are farther apart, and one of them lies nearly straight away from the surface.
+// Diagonal neighbors are farther apart, and one of them lies nearly along the surface normal.
 const float edge = spacing * 1.41421356f, corner = spacing * 1.73205081f;
 for (int round = 0; round < rounds; ++round)
     for (int x = 0; x < 8; ++x)

@@ -1,4 +1,4 @@
-"""Pieces of a mesh that a band has lost: walls so thin that no voxel centre lies within them."""
+"""Finds connected components of a mesh that a band has lost: walls so thin that no voxel center lies inside them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 __all__ = ["lost_components"]
 
-# Leaves whose voxels' nearest triangles are looked up at a time: what that takes does not grow with the band.
+# Leaves whose nearest triangles are looked up at a time, so that memory does not grow with the band.
 LEAVES_AT_A_TIME = 1024
 
 
 def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> list[int]:
-    """Pieces of a mesh of which no face is the nearest to a negative voxel.
+    """Connected components of a mesh without a face that is the nearest to some negative voxel.
 
     Args:
         band: The band.
-        pieces: Piece of each face, (F,), counted from 0 in the order of their first faces.
-        piece_count: How many there are.
+        pieces: Connected component of each face, (F,), numbered from 0 in the order of their first faces.
+        piece_count: Number of connected components.
     """
     import warp as wp
 
@@ -39,7 +39,7 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
     found = np.zeros(piece_count, np.bool_)
     both = wp.empty((count, 8), dtype=wp.uint64, device=device)
     launcher.launch(kernels.common_bits_kernel, count, [band.active, band.negative], [both], device)
-    # Where the band ends one voxel within, the only negative voxels of a piece may be those beyond its end.
+    # If the band ends one voxel inside, a component's only negative voxels may lie beyond the band's end.
     for bits in (both, band.negative):
         _mark(band, bits, pieces, found)
         if found.all():
@@ -48,7 +48,7 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
 
 
 def _mark(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArray[np.bool_]) -> None:
-    """Sets ``found`` for the pieces that are nearest to a voxel whose bit is set."""
+    """Set ``found`` for the components that are nearest to a voxel whose bit is set."""
     import warp as wp
 
     from geokit.volume.band import signs_kernels as kernels

@@ -1,12 +1,12 @@
-// Unsigned distances of a whole tile on the CPU: one walk of the tree for 512 voxels, then short lists of triangles.
+// Unsigned distances of a tile's 512 voxels on the CPU: one tree walk per tile, then short lists of triangles.
 //
-// The walk collects the blocks of eight triangles within reach of the tile. Bricks of 2^3 voxels keep those that can be
-// nearest to one of their voxels, and each voxel tests the few that its neighbor's distance leaves possible. As in the
-// search for single points float32 only selects: what its rounding leaves possible is evaluated in float64.
+// The walk collects the blocks of eight triangles within reach of the tile. Each brick of 2^3 voxels keeps the blocks
+// that can be nearest to one of its voxels, and each voxel tests the few that its neighbor's distance leaves possible.
+// As in the search for single points, float32 only selects candidates; float64 evaluates them.
 //
 // Expects core/simd.inl and closest_on_triangle.inl; tree, voxel, translation, voxel_size, reach, offset, row,
 // out_distance, out_slot; FAR, DISTANCE_ERROR, UNBOUNDED, STACK, PLANE_ROWS, LIST, BRICK_RADIUS, STEP. Returns 0, or 1
-// where the tile must be searched voxel by voxel; CUDA has kernels of its own.
+// if the tile must be searched voxel by voxel. CUDA has its own kernels.
 #if defined(__CUDA_ARCH__)
 return 0;
 #else
@@ -18,7 +18,7 @@ for (int k = 0; k < 3; ++k) {
     const double low = (base[k] - tree.origin[k]) / tree.scale, high = low + 7.0 * voxel_size / tree.scale;
     size = wp::max(size, wp::max(low < 0.0 ? -low : low, high < 0.0 ? -high : high));
 }
-// Voxels as large as the mesh: float32 would leave everything possible, and squares may overflow.
+// With voxels as large as the mesh, float32 would exclude nothing and squares might overflow.
 if (!(size <= FAR)) return 1;
 const float h = (float)(voxel_size / tree.scale);
 const float slack = 2.f * DISTANCE_ERROR * ((float)size + 1.f);
@@ -66,11 +66,11 @@ const float wide = (float)(reach - offset);
 for (int i = 0; i < 512; ++i) out[i] = wide;
 if (out_winner) for (int i = 0; i < 512; ++i) out_winner[i] = -1;
 if (count == 0) return 0;
-// The last eight are filled up with boxes that nothing reaches.
+// The last group of eight is padded with boxes that nothing reaches.
 for (int i = count; i < ((count + 7) & ~7); ++i)
     for (int k = 0; k < 6; ++k) list[k][i] = k < 3 ? 1e18f : -1e18f;
 
-// Squared distances, in the frame of a triangle, of points from the triangle; either may be eight.
+// Squared distances of points from a triangle in its frame: eight points, or eight triangles.
 auto distance_in_plane = [&](v8 x, v8 y, v8 z, v8 length, v8 cx, v8 cy, v8 along_ac, v8 along_bc) {
     #pragma clang fp contract(fast)
     const v8 ex = x - __builtin_elementwise_min(__builtin_elementwise_max(x, zero), length);
@@ -85,7 +85,7 @@ auto distance_in_plane = [&](v8 x, v8 y, v8 z, v8 length, v8 cx, v8 cy, v8 along
     const i8 inside = (y > zero) & (cy * x > cx * y) & (bcx * y > cy * bx);
     return (v8)((inside ? zero : flat) + z * z);
 };
-// One point and the eight triangles of a block.
+// Squared distances of one point from the eight triangles of a block.
 auto from_block = [&](int block, float X, float Y, float Z) {
     #pragma clang fp contract(fast)
     const v8* r = (const v8*)(tree.leaves.data + PLANE_ROWS * 8ll * block);
@@ -93,7 +93,7 @@ auto from_block = [&](int block, float X, float Y, float Z) {
     return distance_in_plane(ax * r[3] + ay * r[4] + az * r[5], ax * r[6] + ay * r[7] + az * r[8],
                              ax * r[9] + ay * r[10] + az * r[11], r[12], r[13], r[14], r[15], r[16]);
 };
-// Eight points and the triangle in a slot.
+// Squared distances of eight points from the triangle in a slot.
 auto from_slot = [&](int slot, v8 X, v8 Y, v8 Z) {
     #pragma clang fp contract(fast)
     const float* r = tree.leaves.data + PLANE_ROWS * 8ll * (slot >> 3) + (slot & 7);
@@ -102,16 +102,16 @@ auto from_slot = [&](int slot, v8 X, v8 Y, v8 Z) {
                              ax * r[72] + ay * r[80] + az * r[88], r[96] + zero, r[104] + zero, r[112] + zero,
                              r[120] + zero, r[128] + zero);
 };
-alignas(32) float squared[8 * LIST];  // of the brick's center from the triangles of the blocks near it
+alignas(32) float squared[8 * LIST];  // squared distances of the brick's center from the triangles of near blocks
 int near[LIST], slots[8 * LIST];
 v8 found[8 * LIST];
 const v8 step_x = {0.f, 0.f, 0.f, 0.f, h, h, h, h}, step_y = {0.f, 0.f, h, h, 0.f, 0.f, h, h};
 const v8 step_z = {0.f, h, 0.f, h, 0.f, h, 0.f, h};
 int seed = -1;
-float from_last = (float)UNBOUNDED;  // what the last brick's distance leaves possible
+float from_last = (float)UNBOUNDED;  // upper bound from the last brick's distance
 const float farthest = band + BRICK_RADIUS * h + slack;
 for (int n = 0; n < 64; ++n) {
-    // Back and forth, so that each brick is next to the one before it.
+    // Bricks run back and forth, so that each is adjacent to the one before it.
     const int i = n >> 4, j = i & 1 ? 3 - ((n >> 2) & 3) : (n >> 2) & 3, k = (n >> 2) & 1 ? 3 - (n & 3) : n & 3;
     const float x0 = low[0] + 2.f * i * h, y0 = low[1] + 2.f * j * h, z0 = low[2] + 2.f * k * h;
     const float X = x0 + 0.5f * h, Y = y0 + 0.5f * h, Z = z0 + 0.5f * h;
@@ -120,7 +120,7 @@ for (int n = 0; n < 64; ++n) {
         const float d = __builtin_sqrtf(__builtin_reduce_min(from_block(seed, X, Y, Z))) + slack;
         most = d < most ? d : most;
     }
-    // Anything nearer to the center than this can be the nearest of one of the eight voxels.
+    // Triangles nearer to the center than this can be nearest to one of the eight voxels.
     float around = most + 2.f * BRICK_RADIUS * h;
     around = around < farthest ? around : farthest;
     around *= around;
@@ -138,7 +138,7 @@ for (int n = 0; n < 64; ++n) {
     }
     const float center = __builtin_sqrtf(__builtin_reduce_min(least));
     if (!(center <= farthest)) {
-        // None of its voxels is in the band; the next brick is two voxels on, and knows nothing.
+        // No voxel of this brick is in the band, so it gives no bound for the next brick.
         from_last = UNBOUNDED;
         seed = -1;
         continue;
@@ -185,7 +185,7 @@ for (int n = 0; n < 64; ++n) {
             double v, w;
             const double d2 = closest_on_triangle(p - a, b - a, c - a, v, w);
             if (d2 > exact[lane]) continue;
-            // Ties go to the lowest triangle: the answer must not depend on the order of the walk.
+            // Ties go to the lowest triangle, so that answers do not depend on the order of the walk.
             if (d2 == exact[lane] && winner[lane] >= 0 && triangle > numbers[winner[lane]]) continue;
             exact[lane] = d2;
             winner[lane] = slot;

@@ -1,4 +1,4 @@
-"""The tiles of 8^3 voxels that a band around a surface may touch, in the order of a grid's leaves."""
+"""Finds the tiles of 8^3 voxels that a band around a surface may touch, in the order of a grid's leaves."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ if TYPE_CHECKING:
 
 __all__ = ["TILE_VOXELS", "WORKING_BYTES", "Lattice", "Tiles", "near_tiles"]
 
-# Beyond this index a float32 coordinate, as warp's own volume functions use, resolves less than 1/16 voxel.
+# Beyond this index the float32 coordinates of warp's own volume functions are coarser than 1/16 voxel.
 LARGEST_CENTERED_INDEX = 1 << 20
-# Tiles along an axis: as many as 2^12 upper nodes of 512 tiles hold wherever the first starts; a key has 12 bits.
+# Most tiles along an axis: they fit into 2^12 upper nodes of 512 tiles wherever the first starts. A key has 12 bits for
+# an upper node's coordinate.
 MOST_TILES = (1 << 21) - 1024
 # Voxels along an edge of a tile.
 TILE_VOXELS = 8
-# Cells that the search starts from: few enough to be tested in no time. A GPU takes 220 us for the 30,000 tiles of a
-# box at 256^3, and took 590 for a fifth as many cells and then the halves of those that are near.
+# Most cells from which the search starts; testing so few is cheap. A GPU takes 220 us for the 30,000 tiles of a box at
+# 256^3; starting from a fifth as many cells, with one more halving, took 590.
 START_CELLS_CPU, START_CELLS_CUDA = 1 << 13, 1 << 16
 # A leaf of a float grid in NanoVDB: 512 values, a mask and extrema.
 LEAF_BYTES = 2144
-# Beside its leaf a tile costs its distances, and the bits and links of its signs, while it is made.
+# Bytes of a tile besides its leaf while the band is built: distances, and bit masks and links of the signs.
 WORKING_BYTES = 512 * 4 + 512
-# warp counts the bytes of an array in 31 bits, and a volume is one array.
+# A volume is one array, and warp counts an array's bytes in 31 bits.
 LARGEST_GRID = (1 << 31) - (1 << 20)
 
 
 class Tiles(NamedTuple):
-    """coordinates (T,) of vec3i in units of tiles and keys (T,) of int64, ascending; ``axes`` as of ``Leaves``."""
+    """Coordinates (T,) of vec3i in units of tiles, and ascending keys (T,) of int64; ``axes`` as in ``Leaves``."""
 
     coordinates: "wp.array"
     keys: "wp.array"
@@ -46,13 +47,13 @@ class Tiles(NamedTuple):
 
 
 class Lattice:
-    """The voxels of a band: where they are, and how far the band reaches.
+    """The lattice of a band's voxels, and the reach of the band.
 
     Args:
-        surface: The surface that the band is around.
+        surface: The surface of the band.
         voxel_size: Edge length of a voxel [world].
-        reach: Distance [world] of the farthest voxels of the band from the surface.
-        hollow: Distance [world] of the nearest, for bands that do not begin at the surface.
+        reach: Distance [world] of the band's farthest voxels from the surface.
+        hollow: Distance [world] of the band's nearest voxels, for bands that do not begin at the surface.
         translation: Position of index 0 [world], a whole multiple of 8 voxels along each axis; None for the origin
             wherever indices stay small.
     Attributes:
@@ -86,14 +87,14 @@ class Lattice:
         return [wp.vec3d(*self.translation.tolist()), wp.float64(self.voxel_size)]
 
     def box(self, voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """First and last tile that the band can touch, in units of tiles of such voxels."""
+        """First and last tile that the band can touch, in units of tiles with voxels of this size."""
         bounds = self.surface.bounds
         with np.errstate(over="ignore", invalid="ignore"):
             index = (bounds - self.translation + [[-self.reach], [self.reach]]) / voxel_size
             return np.floor(index[0] / 8.0), np.floor(index[1] / 8.0)
 
     def area(self) -> float:
-        """Area of the surface, in squares of its frame's scale; looked up where the mesh is a known one."""
+        """Area of the surface, in squares of its frame's scale; cached per mesh."""
         return self.surface.mesh._cache.find("area in its frame", self._measured_area)
 
     def _measured_area(self) -> float:
@@ -109,8 +110,8 @@ class Lattice:
 
     @cached_property
     def free(self) -> float:
-        """Bytes that a band may take, as they were when first asked for."""
-        # The host has to hold what the device holds once it is asked for.
+        """Bytes that a band may take, measured at the first access."""
+        # A later download of the grid needs as much memory on the host as on the device.
         return float(
             min(
                 available_memory.available(self.device),
@@ -120,10 +121,10 @@ class Lattice:
         )
 
     def require_memory(self, need: float) -> None:
-        """Raises DeviceMemoryError where ``need`` bytes are not there, and says which voxel size would fit."""
+        """Raise DeviceMemoryError if ``need`` bytes are not free; the message says which voxel size would fit."""
         have = self.free
         if need > have:
-            # Tiles cover a surface: their number goes with the square of the resolution.
+            # Tiles cover a surface, so their number grows with the square of the resolution.
             enough = self.voxel_size * math.sqrt(need / max(have, 1.0)) * 1.05
             raise DeviceMemoryError(
                 f"voxel_size: {self.voxel_size:g} needs about {need / 2**20:.0f} MiB of the {have / 2**20:.0f} MiB "
@@ -132,14 +133,14 @@ class Lattice:
 
 
 def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
-    """Tiles whose voxel centres may lie within reach of the surface: all of those, and few others.
+    """All tiles with voxel centers within reach of the surface, and few others.
 
     Args:
         lattice: The voxels.
-        more_bytes: What a tile will take beside its leaf and what making that takes.
+        more_bytes: Bytes that a tile will take besides its leaf and the building of that.
 
     Raises:
-        DeviceMemoryError: There are more of them than there is memory for.
+        DeviceMemoryError: The tiles need more memory than there is.
     """
     import warp as wp
 
@@ -169,7 +170,7 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
         cells, count, span = halves, 8 * near_count, span // 2
     lattice.require_memory(near_count * float(LEAF_BYTES + WORKING_BYTES + more_bytes))
     first, last = low >> 9, high >> 9
-    # Twice as long as the tiles: the sort needs the other half.
+    # The arrays are twice as long as the tiles, because the sort needs the other half.
     keys = wp.empty(2 * near_count, dtype=wp.int64, device=device)
     rows = wp.empty(2 * near_count, dtype=wp.int32, device=device)
     inputs = [cells, near, ends, wp.vec3i(*first), wp.vec3i(*last)]
@@ -178,7 +179,7 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
         wp.utils.radix_sort_pairs(keys, rows, near_count, end_bit=63)
     tiles = wp.empty(near_count, dtype=wp.vec3i, device=device)
     launcher.launch(kernels.gather_tiles_kernel, near_count, [cells, rows], [tiles], device)
-    # NanoVDB's keys have negative coordinates last, and so has tile_keys_kernel.
+    # NanoVDB's keys sort negative coordinates last, and so does tile_keys_kernel.
     lines = [np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
     axes = tuple(np.concatenate([line[line >= 0], line[line < 0]]) for line in lines)
     return Tiles(tiles, keys[:near_count], axes)
@@ -187,7 +188,7 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
 def _checked_box(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     size, scale = lattice.voxel_size, lattice.surface._frame.scale
     low, high = lattice.box(size)
-    # A surface meets a tile for each 8 x 8 voxels of its area; what lies double may count four times.
+    # A surface meets a tile for each 8 x 8 voxels of its area; overlapping faces may count four times.
     least = lattice.area() / 256.0 * LEAF_BYTES
     if not (high - low).max() < MOST_TILES:
         enough = max(2.0 * scale / (8.0 * MOST_TILES), scale * math.sqrt(least / max(lattice.free, 1.0)))
@@ -195,14 +196,14 @@ def _checked_box(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]
             f"voxel_size: {size:g} makes the mesh {2.0 * scale / size:.3g} voxels across, more than can be counted; "
             f"use at least {1.05 * enough:.2g}"
         )
-    # ... and no more than there are in the box.
+    # There are no more tiles than the box has.
     most = float(np.prod(high - low + 1.0)) * LEAF_BYTES
     lattice.require_memory(min(least * (scale / size) ** 2, most))
     return low.astype(np.int64), high.astype(np.int64)
 
 
 def _translation(bounds: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """Position of index 0: the origin, or the multiple of eight voxels nearest to a mesh that is far from it."""
+    """Position of index 0: the origin; for meshes far from it, the multiple of 8 voxels nearest to their middle."""
     if float(np.abs(bounds).max()) / voxel_size < LARGEST_CENTERED_INDEX:
         return np.zeros(3)
     tile = 8.0 * voxel_size

@@ -1,4 +1,4 @@
-"""The 8^3 tiles near a surface, found by halving cells that the surface is near."""
+"""Finds the 8^3 tiles near a surface by halving the cells near it."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -34,9 +34,9 @@ def near_cells_kernel(
     hollow: wp.float64,
     out_near: wp.array(dtype=int),
 ):
-    """1 where the sphere around a cell's voxel centers comes within ``reach`` of the surface; ``span`` in voxels.
+    """1 for cells of ``span`` voxels whose bounding sphere of voxel centers comes within ``reach`` of the surface.
 
-    Not so where all of the sphere lies nearer to the surface than ``hollow``.
+    0 if the whole sphere lies nearer to the surface than ``hollow``.
     """
     i = first + wp.tid()
     half = wp.float64(0.5) * wp.float64(span - 1)
@@ -66,7 +66,7 @@ def halve_kernel(
     ends: wp.array(dtype=int),
     out_cells: wp.array(dtype=wp.vec3i),
 ):
-    """The eight halves of each cell that is near."""
+    """The eight halves of each near cell."""
     i = first + wp.tid()
     if near[i] != 0:
         for k in range(8):
@@ -93,10 +93,10 @@ def tile_keys_kernel(
     out_key: wp.array(dtype=wp.int64),
     out_row: wp.array(dtype=int),
 ):
-    """For the tiles that are near: where they stand in a grid's order, and their row.
+    """Sort key in a grid's order, and row, of each near tile.
 
-    ``low`` and ``high`` are the first and last upper node. A key is 36 bits of upper node, 15 of the lower node in it
-    and 12 of the leaf in that.
+    ``low`` and ``high`` are the first and last upper node. A key has 36 bits for the upper node, 15 for the lower node
+    in it and 12 for the leaf in that.
     """
     i = first + wp.tid()
     if near[i] != 0:

@@ -1,5 +1,5 @@
-// Links of a plane of 64 voxels to the next ones along z, along y and in the next plane: bits, set where the distances
-// of both add up to more than their spacing, so that the surface cannot lie between them.
+// Links of a plane of 64 voxels to the next ones along z, along y and in the next plane. The bit of a link is set if
+// the distances of both voxels add up to more than their spacing, so that the surface cannot lie between them.
 //
 // Expects core/simd.inl; leaf, x, rows, distance, spacing, out_links.
 const float* d = distance.data + 512ll * rows.data[leaf] + 64 * x;

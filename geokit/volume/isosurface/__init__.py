@@ -1,1 +1,1 @@
-"""From a volume to a mesh: crossed cells, surface nets, marching cubes, dual contouring."""
+"""Isosurfaces: which mesh represents the places where a volume takes a value?"""

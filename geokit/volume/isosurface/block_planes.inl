@@ -1,11 +1,11 @@
-// Planes of 64 cells as words of bits: which of their corners are inside and which are active.
+// Bit masks of planes of 64 cells: which of their corners are inside and which are active.
 //
 // Expects cells; on a CPU also core/simd.inl. Defines u64, count_bits, first_bit, inside_plane, active_plane, corners
 // and case_of.
 
 // A leaf's mask of active voxels follows its box and flags, whatever the type.
 constexpr int LEAF_MASK = 16;
-// Bits of a word are counted and found as the device can.
+// Population count and lowest set bit of a word, with the device's own instructions.
 typedef unsigned long long u64;
 #ifdef __CUDA_ARCH__
 auto count_bits = [](u64 w) { return __popcll(w); };
@@ -14,17 +14,18 @@ auto first_bit = [](u64 w) { return __ffsll((long long)w) - 1; };
 auto count_bits = [](u64 w) { return __builtin_popcountll(w); };
 auto first_bit = [](u64 w) { return __builtin_ctzll(w); };
 #endif
-// Plane x of the voxels of a block or tile.
+// Plane x of the voxels of a block or tile: which are inside.
 auto inside_plane = [&](int ref, int x) -> u64 {
     if (ref >= 0) return cells.sides.data[8ll * ref + x];
     return (-1 - ref) & 1 ? ~0ull : 0ull;
 };
 auto active_plane = [&](int ref, int x) -> u64 {
     if (ref < 0) return (-1 - ref) & 2 ? ~0ull : 0ull;
-    if (ref >= cells.leaf_count) return cells.rim_active.data[ref - cells.leaf_count] ? ~0ull : 0ull;
+    if (ref >= cells.leaf_count) return cells.border_active.data[ref - cells.leaf_count] ? ~0ull : 0ull;
     return *(const u64*)(cells.volume + cells.leaf_offset.data[ref] + LEAF_MASK + 8 * x);
 };
-// Voxels (x, y, z), (x, y, z + 1), (x, y + 1, z) and (x, y + 1, z + 1) of the 64 cells of plane x, x up to 8.
+// Bit masks of the voxels (x, y, z), (x, y, z + 1), (x, y + 1, z) and (x, y + 1, z + 1) of the 64 cells of plane x; x
+// may be 8.
 auto corners = [&](const int* refs, int x, auto plane, u64* out) {
     const int* column = refs + (x == 8 ? 4 : 0);
     x &= 7;
@@ -37,7 +38,7 @@ auto corners = [&](const int* refs, int x, auto plane, u64* out) {
     out[2] = beside;
     out[3] = ((beside >> 1) & inner) | ((both << 7) & ~inner);
 };
-// The corners of one cell that are inside, as bits.
+// Bit mask of the inside corners of one cell.
 auto case_of = [&](const u64* inside, int bit) -> int {
     #ifdef __CUDA_ARCH__
     int code = 0;

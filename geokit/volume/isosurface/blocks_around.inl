@@ -1,12 +1,12 @@
-// The 27 blocks around a block: numbers of leaves, or tiles as negative numbers.
+// The 27 blocks around a block: leaf numbers, or tiles as negative numbers.
 //
 // Expects leaf_index.inl, cells, tree, lower, slot. Defines u64, look_around(refs), which writes the eight blocks above
-// if refs is not null, and is_rim.
+// if refs is not null, and is_border.
 
-// A lower node's masks: of active tiles after its box and flags, of children after that.
+// Offsets of a lower node's masks: active tiles after its box and flags, then children.
 constexpr int LOWER_MASK = 32, LOWER_CHILDREN = 544;
 typedef unsigned long long u64;
-// Of the 27 blocks around: tiles inside and outside. Block (dx, dy, dz) is number 13 + 9 dx + 3 dy + dz.
+// Bit masks of the 27 blocks: tiles inside and tiles outside. Block (dx, dy, dz) is bit 13 + 9 dx + 3 dy + dz.
 unsigned in_tiles = 0u, out_tiles = 0u;
 auto look_around = [&](int* refs) {
     const int place[3] = { slot >> 8, slot >> 4 & 15, slot & 15 };
@@ -33,10 +33,10 @@ auto look_around = [&](int* refs) {
         if (above) refs[4 * dx + 2 * dy + dz] = ref;
     }
 };
-// Whether the block 13 - 9 ex - 3 ey - ez is a tile of which some cell may be crossed. Such a cell has two corners
-// that differ, so that among the 8 blocks that it may reach, tiles differ from each other or from voxels of a leaf;
-// each leaf looks at its own voxels only.
-auto is_rim = [&](int e, bool some_in, bool some_out) -> bool {
+// Whether the block 13 - 9 ex - 3 ey - ez is a tile that may have crossed cells. Two corners of a crossed cell differ.
+// So among the 8 blocks that it may reach, tiles differ from each other or from voxels of a leaf. Each leaf tests its
+// own voxels only.
+auto is_border = [&](int e, bool some_in, bool some_out) -> bool {
     const int block = 13 - 9 * (e >> 2) - 3 * (e >> 1 & 1) - (e & 1);
     // The block itself and the seven above it.
     const unsigned reached = 0x361bu << block;

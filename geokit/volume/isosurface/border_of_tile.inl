@@ -1,8 +1,8 @@
-// An active tile and those below it: which of them may have crossed cells.
+// Finds which of an active tile and the tiles below it may have crossed cells.
 //
-// Expects blocks_around.inl. Returns them as bits by direction.
+// Expects blocks_around.inl. Returns a bit mask by direction.
 
 look_around((int*)0);
-int rims = 0;
-for (int e = 0; e < 8; ++e) if (is_rim(e, false, false)) rims |= 1 << e;
-return rims;
+int below = 0;
+for (int e = 0; e < 8; ++e) if (is_border(e, false, false)) below |= 1 << e;
+return below;

@@ -1,4 +1,4 @@
-// The case of a cell: which of its corners are inside.
+// The case of a cell: the bit mask of its inside corners.
 //
 // Expects sheet_cases.inl, cells, plane, bit. Returns it.
 

@@ -1,7 +1,7 @@
-"""The cells of a sparse volume that an isosurface crosses, found from its leaves and from tiles beside them.
+"""Finds the cells of a sparse volume that an isosurface crosses, in its leaves and in the tiles beside them.
 
-A cell counts where the interpolant of order 1 takes the value in it and one of its eight voxels is active. No voxel
-outside the leaves is made: a tile is looked at where it differs from what is next to it.
+A cell counts if the trilinear interpolant takes the isovalue in it and one of its eight voxels is active. Tiles are not
+expanded into voxels: a tile is only examined where it differs from its neighbors.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from geokit.core.pinned import host_flags
 from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume.isosurface.nodes import Topology, topology_of
-from geokit.volume.isosurface.tile_border_cells import add_rims, rim_origins
+from geokit.volume.isosurface.tile_border_cells import add_border_blocks, border_origins
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["CrossedCells", "crossed_cells"]
 
-# Offset of the voxels in a leaf of floats.
+# Byte offset of the voxels in a leaf of floats.
 FLOAT_TABLE = 96
-# Memory of a block while its cells are found: planes, neighbours, places.
+# Bytes of a block while its cells are found: planes, neighbors, places.
 BLOCK_BYTES = 160
-# Float32 copy of a leaf of another type.
+# Bytes of the float32 copy of a leaf of another type.
 DECODED_BYTES = 2048
 
 
 @dataclass(frozen=True)
 class CrossedCells:
-    """What the extraction kernels need to know.
+    """Inputs of the kernels that extract a mesh.
 
     Attributes:
         cells: The kernels' :class:`Cells`; it keeps its arrays alive.
-        count: Blocks that have crossed cells: the first of ``cells.crossed``.
-        device: Where the arrays are.
+        count: Number of blocks with crossed cells, which come first in ``cells.crossed``.
+        device: Device of the arrays.
         tree: The kernels' :class:`Tree`.
-        keep: What else must outlive the kernels.
+        keep: Other objects that must outlive the kernels.
     """
 
     cells: Any
@@ -78,8 +78,8 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     cells.leaf_count = leaves
     cells.leaf_offset, cells.origin = topology.on(device)[:2]
     lowers = len(topology.lower.offset)
-    # In one allocation: to make an array takes a GPU's host as long as a launch.
-    sides, refs, rims, tile_inside, around, *lists = Scratch(
+    # One allocation for all, because creating an array costs the host as much as a GPU launch.
+    sides, refs, below, tile_inside, around, *lists = Scratch(
         device,
         ((8 * leaves,), wp.uint64),
         ((8 * leaves,), wp.int32),
@@ -93,11 +93,11 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     tree = _tree(cells, topology, isovalue, device, tile_inside.warp, around.warp)
     some = host_flags(1, device)
     mixed, place, crossed, slot = lists
-    launch_even(kernels.link_kernel, leaves, [cells, tree], [rims, some, mixed], device, least=GRAIN)
-    # Few level sets have rims: without them nothing is waited for until the crossed blocks are counted.
+    launch_even(kernels.link_kernel, leaves, [cells, tree], [below, some, mixed], device, least=GRAIN)
+    # Few level sets have border blocks. Without them the first wait is for the count of crossed blocks.
     found = [] if topology.has_tiles else fill_offsets([mixed], [place])
     if not found or some.numpy()[0]:
-        add_rims(cells, tree, rim_origins(cells, tree, rims, topology, isovalue, device), isovalue)
+        add_border_blocks(cells, tree, border_origins(cells, tree, below, topology, isovalue, device), isovalue)
         mixed, place, crossed, slot = Scratch(device, *_lists(len(cells.origin))).arrays
         launch_even(kernels.mixed_kernel, len(mixed), [cells], [mixed], device, least=GRAIN)
         found = fill_offsets([mixed], [place])
@@ -107,14 +107,14 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
 
 
 def _lists(blocks: int) -> list[tuple[tuple[int, ...], Any]]:
-    """Of arrays about blocks: whether each has crossed cells, how many such are before, their list, places in it."""
+    """Shapes of four arrays about blocks: has crossed cells, prefix sum of that, list of such blocks, place in it."""
     import warp as wp
 
     return [((blocks,), wp.int32)] * 4
 
 
 def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) -> Any:
-    """Fills in ``cells.sides``, and where float32 values are found; returns what must be kept."""
+    """Fill in ``cells.sides`` and the location of float32 values; return an array that must be kept alive."""
     import warp as wp
 
     from geokit.volume.isosurface import cells_kernels as kernels
@@ -126,7 +126,7 @@ def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) ->
         cells.values = wp.uint64(int(cells.volume) + first_leaf + FLOAT_TABLE)
         cells.stride = wp.uint64(topology.layout.leaf_size)
         cells.isovalue = wp.float64(isovalue)
-        # Below the isovalue are the floats below the first one that is not.
+        # The smallest float32 that is not below the isovalue: comparing with it needs no float64.
         with np.errstate(over="ignore"):
             limit = np.float32(isovalue)
         if float(limit) < isovalue:
@@ -138,7 +138,7 @@ def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) ->
         cells.stride = wp.uint64(DECODED_BYTES)
         cells.isovalue = wp.float64(0.0)
         limit = np.float32(0.0)
-    # A GPU reads rows of eight side by side, a CPU a leaf at a time.
+    # On a GPU a thread reads a row of eight voxels, on a CPU a whole leaf.
     if device.is_cuda:
         launch_even(kernels.row_sides_kernel, 64 * count, [cells, wp.float32(limit)], [], device)
     else:
@@ -149,7 +149,7 @@ def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) ->
 def _tree(
     cells: Any, topology: Topology, isovalue: float, device: Any, tile_inside: "wp.array", around: "wp.array"
 ) -> Any:
-    """The kernels' struct of nodes, and what it is to hold of the tiles in and beside them."""
+    """The kernels' struct of lower nodes, with ``tile_inside`` and ``around`` filled in."""
     import warp as wp
 
     from geokit.volume.isosurface import cells_kernels as kernels

@@ -1,8 +1,8 @@
-"""Which voxels lie inside an isosurface, which cells it crosses, and where these find their neighbors.
+"""Finds the voxels inside an isosurface, the cells that it crosses, and the neighbors of their blocks.
 
-A cell has its number from its lowest voxel and belongs to the block of 8^3 cells that starts where the leaf of that
-voxel does. Signs travel as bits: plane x of a block is a word of 64 voxels whose bit ``8 y + z`` says "inside", so that
-shifted words compare the voxels of 64 cells at once. Only functions that read values depend on their type.
+A cell has the number of its lowest voxel and belongs to the block of 8^3 cells that starts at that voxel's leaf. Signs
+are bit masks: plane x of a block is a word of 64 voxels whose bit ``8 y + z`` means "inside", so shifted words compare
+the voxels of 64 cells at once. Only functions that read values depend on their type.
 """
 
 # mypy: ignore-errors
@@ -14,46 +14,46 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Words of a plane's record: cells with at least 1, 2, 3 and 4 sheets of the surface.
+# Words of a plane's record: bit masks of the cells with at least 1, 2, 3 and 4 sheets of the surface.
 RECORD = 4
-# A reference to a leaf that does not exist: -1 - (inside + 2 * active).
+# A reference to a tile instead of a leaf is -1 - (inside + 2 * active).
 INSIDE_TILE, ACTIVE_TILE = wp.constant(1), wp.constant(2)
 
-# Files of C++ for the planes of a block, and for the blocks around one.
+# C++ files for the planes of a block, and for the blocks around one.
 PLANES = ("core/simd.inl", "volume/isosurface/block_planes.inl")
 AROUND = ("volume/isosurface/leaf_index.inl", "volume/isosurface/blocks_around.inl")
 
 
 @wp.struct
 class Cells:
-    """The blocks that a surface may cross: the leaves, then blocks of tiles beside them ("rims")."""
+    """The blocks that a surface may cross: the leaves, then blocks of tiles beside them ("border blocks")."""
 
     volume: wp.uint64  # address of the grid
     values: wp.uint64  # address of the first leaf's values, float32
     stride: wp.uint64  # bytes from a leaf's values to the next one's
-    isovalue: wp.float64  # the float32 values are compared with it
+    isovalue: wp.float64  # in the units of the float32 values
     leaf_count: int
-    leaf_offset: wp.array(dtype=wp.uint64)  # of each leaf from the grid's start
+    leaf_offset: wp.array(dtype=wp.uint64)  # bytes from the grid's start to each leaf
     origin: wp.array(dtype=wp.vec3i)  # first voxel of each block
-    sides: wp.array(dtype=wp.uint64)  # 8 planes a block: inside voxels
-    rim_active: wp.array(dtype=wp.uint8)  # of each rim
-    refs: wp.array(dtype=int)  # 8 a block: the blocks at + (dx, dy, dz), number 4 dx + 2 dy + dz; tiles negative
+    sides: wp.array(dtype=wp.uint64)  # 8 planes per block: bit masks of the inside voxels
+    border_active: wp.array(dtype=wp.uint8)  # whether each border block is active
+    refs: wp.array(dtype=int)  # 8 per block: the blocks at + (dx, dy, dz), number 4 dx + 2 dy + dz; tiles negative
     crossed: wp.array(dtype=int)  # blocks with crossed cells
-    slot: wp.array(dtype=int)  # of each block in `crossed`, or -1
+    slot: wp.array(dtype=int)  # place of each block in `crossed`, or -1
 
 
 @wp.struct
 class Tree:
-    """Lower nodes and their neighbors, for walks from leaf to leaf without the root."""
+    """Lower nodes and their neighbors, for steps from leaf to leaf without the root."""
 
-    begin: wp.uint64  # of the lower nodes from the grid's start
+    begin: wp.uint64  # bytes from the grid's start to the lower nodes
     size: wp.uint64  # bytes of a lower node
-    table: wp.uint64  # of the slots from a lower node
+    table: wp.uint64  # bytes from a lower node to its slots
     leaf_begin: wp.uint64
-    leaf_size: wp.uint64  # 0 where leaves differ in size
-    tile_inside: wp.array(dtype=wp.uint64)  # 64 words a lower node: tiles that lie inside
-    around: wp.array(dtype=int)  # 27 a lower node: lower nodes, tiles negative
-    leaf_lower: wp.array(dtype=int)  # of each leaf
+    leaf_size: wp.uint64  # 0 if leaves differ in size
+    tile_inside: wp.array(dtype=wp.uint64)  # 64 words per lower node: bit mask of the tiles inside
+    around: wp.array(dtype=int)  # 27 per lower node: lower nodes, tiles negative
+    leaf_lower: wp.array(dtype=int)  # lower node of each leaf, and the leaf's slot in it
     leaf_slot: wp.array(dtype=int)
 
 
@@ -77,13 +77,13 @@ _IS_ACTIVE_SNIPPET = """
 
 @wp.func_native(cpp("core/simd.inl", "volume/isosurface/leaf_sides.inl"))
 def leaf_sides(cells: Cells, leaf: int, limit: wp.float32):
-    """The eight planes of a leaf: voxels below the limit."""
+    """Writes the eight planes of a leaf: bit masks of the voxels below the limit."""
     ...
 
 
 @wp.func_native(_ROW_SIDES_SNIPPET)
 def row_sides(cells: Cells, row: int, limit: wp.float32):
-    """Eight voxels of a leaf: a byte of a plane."""
+    """Writes a row of eight voxels of a leaf: a byte of a plane."""
     ...
 
 
@@ -100,13 +100,13 @@ def is_active(volume: wp.uint64, grid_type: int, i: int, j: int, k: int) -> bool
     + cpp(*AROUND, "volume/isosurface/link_leaf.inl")
 )
 def link_leaf(cells: Cells, tree: Tree, leaf: int) -> int:
-    """Finds the blocks above a leaf; returns the tiles below it that may have crossed cells, as bits by direction."""
+    """Finds the blocks above a leaf; returns the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
 @wp.func_native(cpp("volume/isosurface/leaf_index.inl") + "return leaf_index(node & ~1ull);\n")
 def leaf_at(cells: Cells, tree: Tree, node: wp.uint64) -> int:
-    """The number of a leaf that node_of has found."""
+    """The number of a leaf, from its node as node_of returns it."""
     ...
 
 
@@ -124,7 +124,7 @@ def value_at(volume: wp.uint64, i: int, j: int, k: int) -> wp.float64:
 
 @wp.func
 def tile_ref(volume: wp.uint64, isovalue: wp.float64, i: int, j: int, k: int) -> int:
-    """The reference to a tile, by its value and state."""
+    """The reference to a tile, from its value and active state."""
     code = 0
     if value_at(volume, i, j, k) < isovalue:
         code += INSIDE_TILE
@@ -145,7 +145,7 @@ def row_sides_kernel(first: int, cells: Cells, limit: wp.float32):
 
 @wp.kernel
 def decode_kernel(first: int, cells: Cells, isovalue: wp.float64, out_value: wp.array(dtype=wp.float32)):
-    """Rows of eight voxels of any type, minus the isovalue, and which of them are inside."""
+    """Decodes rows of eight voxels of any type minus the isovalue, and finds which of them are inside."""
     row = first + wp.tid()
     leaf = row / 64
     volume = cells.volume
@@ -168,7 +168,7 @@ def tile_sides_kernel(
     at = tree.begin + tree.size * wp.uint64(word / 64) + tree.table + wp.uint64((word % 64) * 512)
     bits = wp.uint64(0)
     for n in range(64):
-        # The bits of slots that lead to a leaf are never read.
+        # Bits of slots with a leaf are set as well, but never read.
         if read_voxel(volume, kind, at + wp.uint64(8 * n), 0, 0, 0, wp.float64(0.0)) < isovalue:
             bits = bits | (wp.uint64(1) << wp.uint64(n))
     out_inside[word] = bits
@@ -201,18 +201,18 @@ def link_kernel(
     first: int,
     cells: Cells,
     tree: Tree,
-    out_rims: wp.array(dtype=wp.uint8),
+    out_below: wp.array(dtype=wp.uint8),
     out_some: wp.array(dtype=int),
     out_mixed: wp.array(dtype=int),
 ):
-    """Blocks above each leaf, and the tiles below it that may have crossed cells; whether any leaf has some.
+    """Finds the blocks above each leaf, the tiles below it that may have crossed cells, and whether there are any.
 
-    Without these, out_mixed is as of mixed_kernel.
+    If there are none, out_mixed equals that of mixed_kernel.
     """
     leaf = first + wp.tid()
-    rims = link_leaf(cells, tree, leaf)
-    out_rims[leaf] = wp.uint8(rims)
-    if rims != 0:
+    below = link_leaf(cells, tree, leaf)
+    out_below[leaf] = wp.uint8(below)
+    if below != 0:
         out_some[0] = 1
     out_mixed[leaf] = int(is_mixed(cells, leaf))
 
@@ -248,7 +248,7 @@ def totals_kernel(
     more_starts: wp.array(dtype=int),
     out_totals: wp.array(dtype=int),
 ):
-    """Sums of all counts, from where the last one starts; of one kind or of two."""
+    """Totals of one or two arrays of counts, from their prefix sums: the last start plus the last count."""
     kind = first + wp.tid()
     last = counts.shape[0] - 1
     if kind == 0:

@@ -1,4 +1,4 @@
-"""Vertices of an isosurface that no face uses, taken out."""
+"""Removes the vertices of an isosurface that no face uses."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def mark_used_kernel(first: int, faces: wp.array(dtype=int), out_used: wp.array(dtype=int)):
-    """1 at each vertex that a corner of a face is at; zero before."""
+    """Sets 1 at each vertex that a face uses; the array must be zero before."""
     out_used[faces[first + wp.tid()]] = 1
 
 
@@ -21,7 +21,7 @@ def keep_used_kernel(
     place: wp.array(dtype=int),
     out_vertices: wp.array(dtype=wp.vec3d),
 ):
-    """The used vertices, each at its place: how many used ones are before it."""
+    """Moves each used vertex to its place, which is the number of used vertices before it."""
     vertex = first + wp.tid()
     if used[vertex] != 0:
         out_vertices[place[vertex]] = vertices[vertex]

@@ -1,6 +1,6 @@
-// Vertices, triangles and a flag of a plane; writes which of its edges are crossed.
+// Counts the vertices and triangles of a plane, and writes bit masks of its crossed edges.
 //
-// Expects cube_planes.inl, start, edges, plane, records. Returns these as bits.
+// Expects cube_planes.inl, start, edges, plane, records. Returns the counts and a flag, packed into one word.
 
 u64* record = records.data + 3ll * plane;
 int vertices = 0, triangles = 0;

@@ -1,6 +1,7 @@
-// Vertices, quads and flags of a plane; writes which of its cells have how many sheets.
+// Counts the vertices and quads of a plane, and writes bit masks of its cells by number of sheets.
 //
-// Expects sheet_cases.inl, cells, plane, records, problems, RECORD, QUADS_SHIFT. Returns these as bits.
+// Expects sheet_cases.inl, cells, plane, records, problems, RECORD, QUADS_SHIFT. Returns the counts and flags, packed
+// into one word.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 u64* record = records.data + (long long)RECORD * plane;

@@ -1,7 +1,7 @@
-// A plane of 64 cells: the sides of their corners, and which of their edges have an active end.
+// A plane of 64 cells: which of their corners are inside, and which of their edges have an active end.
 //
 // Expects block_planes.inl, cells, plane. Defines block, x, refs, c, a, any, all, dead and is_whole(edges, bit):
-// whether the three edges of a triangle have active ends.
+// whether all three edges of a triangle have an active end.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 const int* refs = cells.refs.data + 8ll * block;

@@ -6,7 +6,7 @@ constexpr float least_place = (float)END, most_place = 1.f - least_place;
 // The crossing of the edge along an axis from a cell's lowest corner, whose ends have the values f and g.
 auto point_on = [&](const wp::vec_t<3, int>& first, int x, int bit, int axis, float f, float g) {
     const float t = f / (f - g);
-    // Written so that NaN gives a number too.
+    // The comparisons turn NaN into a number.
     const float end = t > least_place ? t : least_place, inner = end < most_place ? end : most_place;
     double index[3] = { (double)(first[0] + x), (double)(first[1] + (bit >> 3)), (double)(first[2] + (bit & 7)) };
     index[axis] += (double)inner;

@@ -1,4 +1,4 @@
-// Moves the vertices of a plane's cells to where the planes through the crossings of their edges meet.
+// Moves the vertices of a plane's cells to the intersection of the tangent planes at the crossings of their edges.
 //
 // Expects sheet_cases.inl, cells, plane, records, base, leaf, tile, linear, offset, vertex and the constants of
 // dual_contouring_kernels.
@@ -7,7 +7,7 @@ const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 const u64* record = records.data + (long long)RECORD * plane;
 if (!record[0]) return;
 const wp::vec_t<3, int>& first = cells.origin.data[block];
-// A voxel of this block or of those around it, relative to the isovalue.
+// Reads a voxel of this block or of those around it, relative to the isovalue.
 const float* near[27];
 for (int n = 0; n < 27; ++n) {
     const int at = leaf.data[27ll * (plane >> 3) + n];
@@ -19,7 +19,7 @@ auto value = [&](int i, int j, int k) -> double {
     return (double)near[n][64 * (i & 7) + 8 * (j & 7) + (k & 7)] - cells.isovalue;
 };
 auto size = [](double v) { return v < 0.0 ? -v : v; };
-// The derivative at the middle of five values: from the side that is straighter, to second order.
+// The derivative at the middle of five values, to second order, from the side on which they are straighter.
 auto slope = [&](double a, double b, double c, double d, double e) {
     const double lower = c - 2.0 * b + a, upper = e - 2.0 * d + c;
     return size(lower) < size(upper) ? c - b + 0.5 * lower : d - c - 0.5 * upper;
@@ -51,17 +51,17 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
             if (!((code >> n ^ code >> m) & 1) || (int)(word >> 2 * edge & 3u) != loop) continue;
             find_slopes(n);
             find_slopes(m);
-            // Where the planes of both ends are crossed, from the lower end on.
+            // Crossings of the edge with the planes of both ends, from the lower end on.
             const double s = g[n][axis], r = g[m][axis];
             const double t = -f[n] / s, u = 1.0 - f[m] / r;
             const bool has_t = t >= 0.0 && t <= 1.0, has_u = u >= 0.0 && u <= 1.0;
-            // The greater of two planes is a body's outward edge: the surface is where the body is first left.
+            // The maximum of two planes is a convex edge of the body: the surface is where the body is first left.
             const bool is_convex = f[m] - f[n] - s + f[n] - f[m] + r > 0.0;
             const bool from_below = (code >> n & 1) != 0;
             bool lower = has_t && (!has_u || (is_convex == from_below ? t <= u : t >= u));
             double place = lower ? t : u;
             if (!has_t && !has_u) {
-                // Neither is: as in surface nets, with the plane of the nearer end.
+                // Neither crossing fits: the one of surface nets, with the plane of the nearer end.
                 place = f[n] / (f[n] - f[m]);
                 lower = place < 0.5;
             }
@@ -93,8 +93,8 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
         double place[3] = { mean[0], mean[1], mean[2] }, share = 0.0;
         for (int k = 0; k < 3; ++k) share += middle[k] * middle[k] / count;
         if (matrix[0][0] + matrix[1][1] + matrix[2][2] - share < FLAT * share) {
-            // Normals are so much alike that there is one direction only to solve for: that of their sum, after a
-            // step of the power method.
+            // Normals are so similar that only one direction can be solved for: that of their sum, after one step of
+            // the power method.
             double ray[3], stretch = 0.0, along = 0.0;
             for (int k = 0; k < 3; ++k) {
                 ray[k] = matrix[k][0] * middle[0] + matrix[k][1] * middle[1] + matrix[k][2] * middle[2];
@@ -137,7 +137,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
                 for (int k = 0; k < 3; ++k) place[k] += turn[k][e] * along / matrix[e][e];
             }
         }
-        // Where the planes meet outside the cell, the nearest place in it may be worse than where they began.
+        // If the planes meet outside the cell, the nearest place in the cell may be worse than the start.
         double moved = 0.0, unmoved = 0.0;
         for (int k = 0; k < 3; ++k) place[k] = place[k] > 0.0 ? (place[k] < 1.0 ? place[k] : 1.0) : 0.0;
         for (int e = 0; e < count; ++e) {
@@ -160,8 +160,8 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
         double index[3];
         for (int k = 0; k < 3; ++k) {
             if (is_far || unmoved < moved) place[k] = mean[k];
-            // At its border, vertices of other cells and of other sheets of this one are kept off. Written so that
-            // NaN gives a number too.
+            // A margin at the cell's border keeps vertices of other cells and of other sheets apart. The comparisons
+            // turn NaN into a number.
             const double least = END * (1 + loop), low = place[k] > least ? place[k] : least;
             index[k] = (double)at[k] + (low < 1.0 - least ? low : 1.0 - least);
         }

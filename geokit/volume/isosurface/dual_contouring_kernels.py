@@ -1,8 +1,8 @@
-"""Moves the vertices of surface nets to where the planes through the crossings of their cell meet.
+"""Moves the vertices of surface nets to the intersection of the tangent planes at the crossings in their cell.
 
-A voxel's plane is where its first-order Taylor expansion takes the isovalue; for a distance field that is the plane
-through its closest point. Differences are taken on the side on which the field is straighter: next to an edge of the
-surface, the other side belongs to another face.
+A voxel's plane is the set where its first-order Taylor expansion takes the isovalue; for a distance field it is the
+plane through the voxel's closest point. Differences are taken on the side on which the field is straighter, because
+next to an edge of the surface the other side belongs to another face.
 """
 
 # mypy: ignore-errors
@@ -19,16 +19,15 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # Blocks around a block.
 AROUND = wp.constant(27)
-# A vertex is not moved in directions in which the squared normals sum up to less than this share of those in the
-# strongest direction: the two faces of an edge of 160 degrees give 0.03, a smooth surface with a radius of 10 voxels
-# gives 0.003.
+# A vertex does not move in directions whose eigenvalue (sum of squared normals) is below this share of the largest. The
+# two faces of an edge of 160 degrees give 0.03, a smooth surface with a radius of 10 voxels gives 0.003.
 FLAT = 0.02
-# Sweeps of Jacobi's method: each squares the off-diagonal rest; after four, a 3 x 3 matrix is done to 1e-15.
+# Sweeps of Jacobi's method: each squares the off-diagonal rest; four bring a 3 x 3 matrix to 1e-15.
 SWEEPS = 4
-# Where the interpolant puts the surface more than this many voxels away from the place where the planes meet, they are
-# not to be trusted: it rounds off a cube's edges by up to 0.5 voxel, its corners by up to 0.6.
+# The planes are not trusted if the interpolant puts the surface more than this many voxels away from their
+# intersection: the interpolant rounds off a cube's edges by up to 0.5 voxel, its corners by up to 0.6.
 FAR = 0.7
-# A gradient shorter than this times the values it comes from has no direction.
+# A gradient shorter than this times the values that it is computed from has no direction.
 NO_SLOPE = 1.0e-6
 
 
@@ -57,7 +56,7 @@ def sharpen_plane(
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
 ):
-    """The vertices of a plane's cells."""
+    """Moves the vertices of a plane's cells."""
     ...
 
 
@@ -70,7 +69,7 @@ def around_kernel(
     out_leaf: wp.array(dtype=int),
     out_tile: wp.array(dtype=wp.float64),
 ):
-    """The 27 blocks around each crossed block: numbers of leaves, or -1 and the tile's value less the isovalue."""
+    """The 27 blocks around each crossed block: leaf numbers, or -1 and the tile's value minus the isovalue."""
     item = first + wp.tid()
     side = item % AROUND
     corner = cells.origin[cells.crossed[item / AROUND]]

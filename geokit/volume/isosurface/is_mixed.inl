@@ -10,7 +10,7 @@ for (int x = 0; x < 8; ++x) {
     all &= word;
 }
 if (any && ~all) return true;
-// All voxels of the block are alike: the voxels above it decide.
+// All voxels of the block are on the same side, so the voxels above it decide.
 for (int x = 7; x < 9; ++x) {
     corners(refs, x, inside_plane, side);
     for (int c = 0; c < 4; ++c) { any |= side[c]; all &= side[c]; }

@@ -1,4 +1,4 @@
-"""Launches, offsets and memory of the steps that make a mesh of an isosurface."""
+"""Launches, prefix sums and memory checks that all isosurface methods share."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ __all__ = ["GRAIN", "PLANES", "fill_offsets", "launch_even", "launch_planes", "r
 PLANES = 8
 # Vertices and faces are numbered by int32.
 LARGEST = 2**31 - 1
-# So many planes have fewer: a plane has at most 320 faces (64 cells of 5).
+# Up to this many planes cannot exceed it: a plane has at most 320 faces (64 cells of 5).
 SAFE_PLANES = LARGEST // 320
-# Slices of a launch per thread: a slice costs 60 us, and the work of these kernels is spread evenly.
+# Slices of a launch per thread; few, because a slice costs 60 us and the work of these kernels is even.
 SLICES = 3
-# Fewest blocks worth a slice.
+# Fewest blocks per slice.
 GRAIN = 32
-# So much there is, or nothing else would run: to ask takes as long as two kernels of a small surface.
-UNASKED_BYTES = 1 << 24
+# Needs up to this many bytes are not checked: the query of free memory takes as long as two kernels of a small surface.
+UNCHECKED_BYTES = 1 << 24
 
 
 def launch_planes(kernel: Any, planes: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
-    """Launch a kernel whose items are planes, of eight to a block."""
+    """Launch a kernel whose items are planes, eight to a block."""
     span = 1 if device.is_cuda else PLANES
     launch_even(kernel, planes // span, [span, *inputs], outputs, device, least=GRAIN)
 
@@ -45,15 +45,15 @@ def launch_even(
 
 
 def fill_offsets(counts: Sequence[ScratchArray], starts: Sequence[ScratchArray]) -> list[int]:
-    """Where each item's results start, and how many there are in all, of one kind of results or of two.
+    """Fill ``starts`` with the prefix sums of ``counts``, for one or two kinds of results.
 
     Args:
-        counts: For each kind the results of each item, int32; as many items of either, of one device.
-        starts: For each kind what is filled in, int32, as long.
+        counts: For each kind, the number of results of each item, int32; equal lengths, on one device.
+        starts: For each kind, the output, int32, of the same length.
     Returns:
-        Number of results of each kind.
+        Total number of results of each kind.
     Raises:
-        DeviceMemoryError: More than int32 can number.
+        DeviceMemoryError: A total exceeds int32.
     """
     import warp as wp
 
@@ -75,11 +75,11 @@ def fill_offsets(counts: Sequence[ScratchArray], starts: Sequence[ScratchArray])
 
 
 def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.array"]:
-    """Without the vertices that no face uses: those of edges between voxels that are not active.
+    """Remove the vertices that no face uses: those of edges between inactive voxels.
 
     Args:
         vertices: (V,) of vec3d.
-        faces: Their numbers, (3 F,) of int32.
+        faces: Vertex numbers, (3 F,) of int32.
     Raises:
         DeviceMemoryError: There is not enough memory.
     """
@@ -102,7 +102,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
 
 
 def require_memory(need: int, device: Any) -> None:
-    if need <= UNASKED_BYTES:
+    if need <= UNCHECKED_BYTES:
         return
     have = min(available_memory.available(device), available_memory.available_host())
     if need > have:

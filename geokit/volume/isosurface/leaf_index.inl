@@ -1,6 +1,6 @@
-// The number of a leaf.
+// The number of a leaf, from its byte offset.
 //
-// Expects cells, tree. Defines leaf_index(offset), by the offset from the grid's start.
+// Expects cells, tree. Defines leaf_index(offset), with the offset from the grid's start.
 
 auto leaf_index = [&](unsigned long long offset) -> int {
     if (tree.leaf_size) return (int)((unsigned)((offset - tree.leaf_begin) >> 5) / (unsigned)(tree.leaf_size >> 5));

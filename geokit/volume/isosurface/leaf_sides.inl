@@ -1,4 +1,4 @@
-// The eight planes of a leaf: which of its voxels are below the limit.
+// Writes the eight planes of a leaf: bit masks of the voxels below the limit.
 //
 // Expects cells, leaf, limit; on a CPU also core/simd.inl.
 

@@ -1,6 +1,6 @@
-// The lower node at a voxel: its number; or the address of the tile that stands for it, as -1 - address.
+// The number of the lower node at a voxel, or -1 - address of the tile in its place.
 //
-// Expects volume, grid_type, tree, i, j, k. Returns one of these.
+// Expects volume, grid_type, tree, i, j, k. Returns the long long.
 
 const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
 const pnanovdb_coord_t ijk = { i, j, k };

@@ -21,13 +21,13 @@ __all__ = ["marching_cubes"]
 def marching_cubes(
     volume: SparseVolume, isovalue: float, device: Any, *, turned: bool
 ) -> tuple["wp.array", "wp.array"]:
-    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
+    """Vertices [world], (V,) of vec3d, and triangle corners, (3 F,) of int32, of an isosurface by marching cubes.
 
     Args:
         volume: A scalar grid.
         isovalue: Value of the surface.
         device: A warp device.
-        turned: Faces that turn to decreasing values instead of increasing ones, in index space.
+        turned: Faces point towards decreasing values instead of increasing ones, in index space.
 
     Returns:
         Vertices and triangles in the order of leaves and voxels; on the device.
@@ -37,7 +37,7 @@ def marching_cubes(
 
     Source:
         Lorensen and Cline, Marching Cubes (1987). Differs: inside corners at the ends of a face's diagonal are cut off
-        one by one, on both sides of the face, and no triangle has a diagonal in a face: edges have two faces.
+        separately, on both sides of the face, and no triangle edge is a diagonal of a face, so each edge has two faces.
     """
     import warp as wp
 
@@ -52,7 +52,7 @@ def marching_cubes(
     outputs = [records, vertices, triangles, flag]
     launch_planes(kernels.count_kernel, planes, [found.cells, start, edges], outputs, device)
     vertex_count, triangle_count = fill_offsets([vertices, triangles], [base, first_triangle])
-    has_dead = flag.numpy()[0]  # before there is more to wait for
+    has_dead = flag.numpy()[0]  # read before more launches are queued
     require_memory(24 * vertex_count + 12 * triangle_count, device)
     transform = volume.info.transform
     linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
@@ -67,7 +67,7 @@ def marching_cubes(
 
 @functools.lru_cache(maxsize=16)
 def _tables(device: str) -> tuple["wp.array", "wp.array"]:
-    """The triangles of all cases on a device: where those of each start, and the edges of their corners."""
+    """Triangle tables of all cases on a device: the first triangle of each case, and the edges of the corners."""
     import warp as wp
 
     start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())

@@ -4,13 +4,13 @@ Corners are numbered ``4 dx + 2 dy + dz``; bit c of a case says that corner c is
 ``2 dy + dz``, those along y ``4 + 2 dx + dz``, those along z ``8 + 2 dx + dy``.
 
 The rule: on each face of a cell, the surface cuts off the inside corners. Two inside corners at the ends of a face's
-diagonal are cut off one by one, so that a face looks the same from both of its cells. Crossings of edges, joined by the
-cuts of the faces, form closed loops: each is one sheet of the surface in the cell.
+diagonal are cut off separately, so that a face looks the same from both of its cells. The cuts of the faces join the
+crossings of edges into closed loops. Each loop is one sheet of the surface in the cell.
 
 Source:
     Lorensen and Cline, Marching Cubes (1987), for the cells; Nielson, Dual Marching Cubes (2004), for a vertex per
-    loop; Wenger, Isosurfaces (2013), for what is done where two cells each have one loop through both cuts of the face
-    between them. Differs: no table is copied, loops and triangles follow from the rule.
+    loop; Wenger, Isosurfaces (2013), for faces where both cells have one loop through both cuts. Differs: no table is
+    copied; loops and triangles follow from the rule.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Loop = tuple[int, ...]
 
 
 def _face_corners(face: int) -> tuple[int, ...]:
-    """Corners of a face in the order in which they follow each other, counter-clockwise seen from outside the cell."""
+    """Corners of a face in counter-clockwise order, seen from outside the cell."""
     axis, side = FACES[face]
     u, v = [(axis + 1) % 3, (axis + 2) % 3]
     ring = [(0, 0), (1, 0), (1, 1), (0, 1)]
@@ -52,31 +52,31 @@ def _face_corners(face: int) -> tuple[int, ...]:
 
 @functools.cache
 def _cuts(case: int, face: int, joined: bool) -> tuple[tuple[int, int], ...]:
-    """Directed cuts of a face, from crossing to crossing: seen from outside the cell, the inside lies to their right.
+    """Directed cuts of a face, from crossing to crossing; seen from outside the cell, the inside lies to their right.
 
-    On a face with both ends of a diagonal inside, there are two: around each inside corner, or, where ``joined``,
-    around each outside corner.
+    A face with both ends of a diagonal inside has two cuts: around each inside corner or, if ``joined``, around each
+    outside corner.
     """
     ring = _face_corners(face)
     inside = [bool(case >> corner & 1) for corner in ring]
     edge_of = {frozenset(ends): number for number, ends in enumerate(EDGES)}
     edges = [edge_of[frozenset((ring[n], ring[(n + 1) % 4]))] for n in range(4)]
-    # Going around counter-clockwise, the surface is entered at some edges and left at others.
+    # Counter-clockwise around the face, the inside is entered at some edges and left at others.
     entered = [n for n in range(4) if not inside[n] and inside[(n + 1) % 4]]
     left = [n for n in range(4) if inside[n] and not inside[(n + 1) % 4]]
     if len(entered) < 2:
         return tuple((edges[a], edges[b]) for a, b in zip(entered, left, strict=True))
-    # An inside corner lies between the edge where it is entered and the next one; an outside corner the other way.
+    # An inside corner lies between the edge that enters it and the next edge, an outside corner before the edge.
     step = -1 if joined else 1
     return tuple((edges[a], edges[(a + step) % 4]) for a in entered)
 
 
 def loops_of(case: int, joined_face: int = -1) -> tuple[Loop, ...]:
-    """The loops of a case, each the numbers of its edges in turn, from its lowest edge; in the order of these.
+    """The loops of a case, sorted by their lowest edge; a loop lists its edges in turn, from the lowest.
 
     Args:
-        case: Inside corners as bits.
-        joined_face: A face on which the inside corners of a diagonal are joined instead of being cut off one by one.
+        case: Bit mask of the inside corners.
+        joined_face: A face on which the inside corners of a diagonal are joined instead of being cut off separately.
 
     Returns:
         Loops whose triangles' normals, by the right-hand rule, point outside.
@@ -93,9 +93,9 @@ def loops_of(case: int, joined_face: int = -1) -> tuple[Loop, ...]:
 
 
 def problem_face(case: int) -> int:
-    """The face with two cuts that belong to one loop, -1 for none: there is never more than one.
+    """The face whose two cuts belong to one loop, -1 for none; there is never more than one.
 
-    Where both cells at such a face have one loop through both cuts, a vertex per loop would give an edge with four
+    If both cells at such a face have one loop through both cuts, one vertex per loop would give an edge with four
     faces. Joining the inside corners on that face splits both loops.
     """
     loops = loops_of(case)
@@ -114,7 +114,7 @@ def loop_table() -> NDArray[np.uint32]:
     """A word for each case and, from 256 on, for each case with its problem face joined; shape (512,).
 
     Bits ``2 e`` and ``2 e + 1`` are the loop of edge e, bits 24 to 26 the number of loops, bits 27 to 29 the problem
-    face + 1, or 0; those of joined cases have no problem face any more.
+    face + 1, or 0. Joined cases have no problem face.
     """
     words = np.zeros(512, np.uint32)
     for case in range(256):
@@ -131,10 +131,10 @@ def loop_table() -> NDArray[np.uint32]:
 
 @functools.lru_cache(maxsize=1)
 def sum_table() -> NDArray[np.uint32]:
-    """What the crossed edges of each case have in common; shape (256,).
+    """Counts and bit mask of the crossed edges of each case; shape (256,).
 
-    Four bits each: how many of them run at x = 1, at y = 1, at z = 1 (along the other axes), and their number; from bit
-    16 on, the crossed edges.
+    Four bits each: the number of crossed edges at x = 1, at y = 1 and at z = 1 (along the other axes), and of all
+    crossed edges. From bit 16 on, the bit mask of the crossed edges.
     """
     words = np.zeros(256, np.uint32)
     for case in range(256):
@@ -151,7 +151,7 @@ def _faces_of_edge(edge: int) -> frozenset[int]:
 
 
 def _fan(loop: Loop) -> list[tuple[int, int, int]]:
-    """Triangles of a loop about one of its crossings, none with a diagonal in a face of the cell.
+    """Triangle fan of a loop about one of its crossings, without a diagonal in a face of the cell.
 
     The cell beyond that face might have the same diagonal, which would give an edge with four faces.
     """

@@ -1,9 +1,9 @@
 """Marching cubes: a vertex on each crossed edge of the grid, and the triangles of each cell's case between them.
 
-An item is ``span`` planes of 64 cells of the blocks that the surface crosses: on a GPU one, on a CPU, where an item has
-its price, a block of eight. A cell owns the edges that start at its lowest
-corner: all vertices of its triangles belong to cells of its own block or above. Edges without an active voxel at either
-end have no vertex, and triangles that would need it are left out.
+An item is ``span`` planes of 64 cells in the crossed blocks: one plane on a GPU; a block of eight planes on a CPU,
+where each item has a cost. A cell owns the edges that start at its lowest corner, so all vertices of its triangles
+belong to cells of its own block or of blocks above. Edges without an active voxel at either end have no vertex, and
+triangles that would need it are left out.
 """
 
 # mypy: ignore-errors
@@ -17,12 +17,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # Words of a plane's record: crossed edges along x, y and z.
 RECORD = wp.constant(3)
-# Crossings keep this far away from the ends of their edge [voxels]: a voxel that has the isovalue itself would give
-# vertices at one place, and triangles without area. Well below what a float32 voxel resolves, and still distinct in
-# float64 at index 2^30.
+# Least distance [voxels] of a crossing from the ends of its edge. Without it, a voxel equal to the isovalue would give
+# coincident vertices and triangles without area. It is well below the resolution of a float32 voxel, and still distinct
+# in float64 at index 2^30.
 END = 1.0e-6
 
-# Files of C++ for a plane of cells, and for the crossing of an edge.
+# C++ files for a plane of cells, and for the crossing of an edge.
 PLANE = (*PLANES, "volume/isosurface/cube_planes.inl")
 VERTEX = (*PLANES, "volume/isosurface/cube_vertex.inl")
 TRIANGLES_SHIFT = wp.constant(16)
@@ -38,7 +38,7 @@ def count_plane(
     plane: int,
     records: wp.array(dtype=wp.uint64),
 ) -> int:
-    """Vertices, triangles and a flag of a plane; writes which of its edges are crossed."""
+    """Counts the vertices and triangles of a plane, with a flag; writes bit masks of its crossed edges."""
     ...
 
 
@@ -52,7 +52,7 @@ def place_vertices(
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
 ) -> bool:
-    """The vertices of a plane's edges; False where some are left because an end lies in a tile."""
+    """Places the vertices of a plane's edges; returns False if some are left because an end lies in a tile."""
     ...
 
 
@@ -70,7 +70,7 @@ def place_vertex(
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
 ):
-    """The vertex of one edge whose ends' values are given, relative to the isovalue."""
+    """Places the vertex of one edge from the values at its ends, relative to the isovalue."""
     ...
 
 
@@ -86,7 +86,7 @@ def place_triangles(
     turned: int,
     faces: wp.array(dtype=int),
 ):
-    """The triangles of a plane's cells."""
+    """Places the triangles of a plane's cells."""
     ...
 
 
@@ -106,7 +106,7 @@ def count_kernel(
         found = count_plane(cells, start, edges, plane, records)
         out_vertices[plane] = found & COUNT_MASK
         out_triangles[plane] = (found >> TRIANGLES_SHIFT) & COUNT_MASK
-        # All threads that write here write the same.
+        # All threads that write here write the same value.
         if (found & HAS_DEAD) != 0:
             out_flag[0] = 1
 

@@ -1,12 +1,12 @@
-// The vertices of one cell: the mean of the crossings of its edges, for each sheet.
+// The vertices of one cell: for each sheet, the mean of the crossings of its edges.
 //
 // Expects sheet_cases.inl, linear, offset, END; on a CPU also core/simd.inl. Defines place.
 //
-// Sums are made in the same order with vectors and without, so that a CPU and a GPU give the same bits.
+// SIMD and scalar sums run in the same order, so that a CPU and a GPU give the same bits.
 
 constexpr float least_place = (float)END, most_place = 1.f - least_place;
 auto clamped = [](float t) -> float {
-    // Written so that NaN gives a number too.
+    // The comparisons turn NaN into a number.
     const float end = t > least_place ? t : least_place;
     return end < most_place ? end : most_place;
 };
@@ -18,8 +18,8 @@ auto to_world = [&](const int* at, const float* local, wp::vec_t<3, double>& out
             + linear.data[row][2] * index[2] + offset[row];
     }
 };
-// Puts the vertices of a cell, whose corners have the values f relative to the isovalue. `sums` packs the crossed
-// edges and the sums of their constant coordinates: x, y, z and their number, four bits each, then the edges.
+// Places the vertices of a cell whose corners have the values f relative to the isovalue. `sums` is a word of
+// sum_table: sums of the crossed edges' constant coordinates x, y, z and their number, four bits each, then the edges.
 auto place = [&](unsigned word, unsigned sums, const float* f, const int* at, wp::vec_t<3, double>* out) {
     #ifndef __CUDA_ARCH__
     if (loop_count(word) == 1) {

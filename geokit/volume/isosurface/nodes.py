@@ -1,4 +1,4 @@
-"""The lower nodes and leaves of a NanoVDB buffer: where they are and what they stand for."""
+"""Lists the lower nodes, leaves and active tiles of a NanoVDB buffer, with their offsets and origins."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ __all__ = ["Nodes", "Topology", "place_of", "topology_of"]
 
 class Nodes(NamedTuple):
     origin: NDArray[np.int32]  # (N, 3)
-    offset: NDArray[np.int64]  # (N,) from the grid's start
-    parent: NDArray[np.int64]  # (N,) numbers of nodes
-    slot: NDArray[np.int64]  # (N,) in the parent
+    offset: NDArray[np.int64]  # (N,) bytes from the grid's start
+    parent: NDArray[np.int64]  # (N,) numbers of the parent nodes
+    slot: NDArray[np.int64]  # (N,) slots in the parents
 
 
 @dataclass(eq=False)
 class Topology:
-    """What does not depend on the isovalue; kept as long as its volume, since it takes as long as finding the cells.
+    """Nodes of a grid, independent of the isovalue; cached per volume, because they take as long as finding the cells.
 
     Attributes:
         is_float: Whether the grid's values are float32.
-        layout: Where things are in nodes of the grid's type.
-        begins: Where leaves, lower nodes, upper nodes and root begin, from the grid's start.
+        layout: Layout of nodes of the grid's type.
+        begins: Byte offsets of leaves, lower nodes, upper nodes and root from the grid's start.
         lower: Lower nodes in the order of their addresses.
         leaves: Leaves in the order of their addresses.
-        active_node: Lower nodes that the active tiles of 8^3 voxels are in, shape (A,) int32.
-        active_slot: Their slots there, shape (A,) int32.
+        active_node: Lower nodes of the active tiles of 8^3 voxels, shape (A,) int32.
+        active_slot: Slots of these tiles in them, shape (A,) int32.
         large_borders: First voxels of the blocks of 8^3 voxels at the borders of larger active tiles, shape (N, 3).
         arrays: By device: offsets and origins of the leaves, their lower nodes and slots, origins of the lower nodes.
     """
@@ -75,7 +75,7 @@ class Topology:
 
 
 def topology_of(volume: SparseVolume) -> Topology:
-    """The nodes of a volume's tree, found once."""
+    """The nodes of a volume's tree, cached per volume."""
     return volume._cache.find("topology", lambda: _find_topology(above_leaves(volume)))
 
 
@@ -107,7 +107,7 @@ def _large_borders(
 
 
 def _border(size: int) -> NDArray[np.int32]:
-    """Places (N, 3) on the faces of a cube of ``size`` blocks along each edge."""
+    """Places (N, 3) on the faces of a cube with ``size`` blocks along each edge."""
     a, b = (part.ravel() for part in np.meshgrid(*2 * [np.arange(size, dtype=np.int32)], indexing="ij"))
     ends = [np.full(len(a), end, np.int32) for end in (0, size - 1)]
     faces = [np.stack(order, axis=1) for end in ends for order in ((end, a, b), (a, end, b), (a, b, end))]
@@ -130,7 +130,7 @@ def _root_children(table: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def _root_places(table: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """First voxels (N, 3) of the root's entries: a key holds the upper 20 bits of each coordinate, x in front."""
+    """First voxels (N, 3) of the root's entries. A key holds the upper 20 bits of each coordinate, x highest."""
     keys = table[:, :8].copy().view("<u8")[:, 0]
     places = np.stack([keys >> np.uint64(42), keys >> np.uint64(21), keys], axis=1) & np.uint64(0xFFFFF)
     return (places << np.uint64(12)).astype(np.uint32).view(np.int32)
@@ -151,7 +151,7 @@ def _children(
 
 
 def _masks(buffer: NDArray[np.uint8], nodes: Nodes, slots: int, size: int) -> list[NDArray[np.uint8]]:
-    """Bits of the active slots and of the children of nodes that follow each other, shape (N, slots / 8) each."""
+    """Bit masks of the active slots and of the children of contiguous nodes, shape (N, slots / 8) each."""
     count = len(nodes.offset)
     if not count:
         return [np.empty((0, slots // 8), np.uint8)] * 2
@@ -160,8 +160,8 @@ def _masks(buffer: NDArray[np.uint8], nodes: Nodes, slots: int, size: int) -> li
 
 
 def _bits(masks: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and numbers of the bits that are set, row by row."""
-    # Most bytes of the masks are zero: only the others are taken apart.
+    """Rows and numbers of the set bits, row by row."""
+    # Most bytes of the masks are zero; only the others are unpacked.
     row, byte = np.nonzero(masks)
     part, bit = np.nonzero(np.unpackbits(masks[row, byte][:, None], axis=1, bitorder="little"))
     return row[part], 8 * byte[part] + bit

@@ -1,8 +1,8 @@
-// The triangles of a plane's cells.
+// Places the triangles of a plane's cells.
 //
 // Expects cube_planes.inl, cells, start, edges, records, base, first_triangle, turned, faces.
 
-// Planes x and x + 1 of this block and of those beside and above it: 4 for x + 1, 2 and 1 for the block's y and z.
+// Planes x and x + 1 of this block and of those above it: index 4 for x + 1, 2 and 1 for the next block along y and z.
 const u64* record_of[8];
 int base_of[8];
 for (int n = 0; n < 8; ++n) {

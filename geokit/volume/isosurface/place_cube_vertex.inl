@@ -1,4 +1,4 @@
-// The vertex of one edge whose ends' values are given, relative to the isovalue.
+// Places the vertex of one edge from the values at its ends, relative to the isovalue.
 //
 // Expects block_planes.inl, cube_vertex.inl, cells, plane, bit, axis, low, high, records, base, vertex.
 

@@ -1,12 +1,12 @@
-// The vertices of a plane's edges.
+// Places the vertices of a plane's edges.
 //
-// Expects block_planes.inl, cube_vertex.inl, cells, plane, records, base, vertex. Returns false where some are left
+// Expects block_planes.inl, cube_vertex.inl, cells, plane, records, base, vertex. Returns false if some are left
 // because an end lies in a tile.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 const u64* record = records.data + 3ll * plane;
 const wp::vec_t<3, int>& first = cells.origin.data[block];
-// The leaf of the block, and those beyond its upper faces along x, y and z, where there are such.
+// The leaf of the block, and the leaves beyond its upper faces along x, y and z, if they exist.
 const float* leaf[4];
 for (int d = 0; d < 4; ++d) {
     const int ref = cells.refs.data[8ll * block + (d ? 4 >> (d - 1) : 0)];

@@ -1,4 +1,4 @@
-// Two triangles for each crossed edge that a plane's cells own, split along the shorter diagonal.
+// Places two triangles for each crossed edge that a plane's cells own; quads are split along the shorter diagonal.
 //
 // Expects sheet_cases.inl, cells, plane, records, base, first_quad, turned, vertex, faces, RECORD.
 
@@ -8,7 +8,7 @@ const int* refs = cells.refs.data + 8ll * block;
 u64 c[8], a[8];
 cell_corners(block, x, inside_plane, c);
 cell_corners(block, x, active_plane, a);
-// Planes x and x + 1 of this block and of those beside and above it: 4 for x + 1, 2 and 1 for the block's y and z.
+// Planes x and x + 1 of this block and of those above it: index 4 for x + 1, 2 and 1 for the next block along y and z.
 const u64* record_of[8];
 int plane_of[8];
 for (int n = 0; n < 8; ++n) {
@@ -17,7 +17,7 @@ for (int n = 0; n < 8; ++n) {
     plane_of[n] = 8 * slot + (i & 7);
     record_of[n] = records.data + (long long)RECORD * (slot < 0 ? 0 : plane_of[n]);
 }
-// The vertex of the sheet that crosses an edge of the cell (x + di, j, k), up to 8, of this block.
+// The vertex of the sheet that crosses an edge of the cell (x + di, j, k), counted from this block; indices up to 8.
 auto vertex_at = [&](int di, int j, int k, int edge) -> int {
     const int n = 4 * di + 2 * (j >> 3) + (k >> 3), p = plane_of[n], bit = (j & 7) << 3 | (k & 7);
     const u64* record = record_of[n];
@@ -44,7 +44,7 @@ for (u64 rest = crossed[0] | crossed[1] | crossed[2]; rest; rest &= rest - 1) {
     const int bit = (int)first_bit(rest), y = bit >> 3, z = bit & 7;
     for (int axis = 0; axis < 3; ++axis) {
         if (!(crossed[axis] >> bit & 1)) continue;
-        // Counter-clockwise about the axis, seen from its upper end.
+        // Corners run counter-clockwise about the axis, seen from its upper end.
         int q[4];
         q[0] = vertex_at(0, y, z, 3 + 4 * axis);
         if (axis == 0) {

@@ -1,4 +1,4 @@
-// The vertices of one cell whose corners' values are given, relative to the isovalue.
+// Places the vertices of one cell from the values at its corners, relative to the isovalue.
 //
 // Expects net_vertex.inl, cells, sums, plane, bit, value, records, base, vertex, RECORD.
 

@@ -1,7 +1,7 @@
-// The vertices of a plane's cells.
+// Places the vertices of a plane's cells.
 //
-// Expects net_vertex.inl, cells, sums, plane, records, base, vertex, RECORD. Returns the cells that are left because a
-// corner lies in a tile.
+// Expects net_vertex.inl, cells, sums, plane, records, base, vertex, RECORD. Returns a bit mask of the cells that are
+// left because a corner lies in a tile.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 const u64* record = records.data + (long long)RECORD * plane;
@@ -10,7 +10,7 @@ const int* refs = cells.refs.data + 8ll * block;
 const wp::vec_t<3, int>& first = cells.origin.data[block];
 u64 c[8], left = 0;
 cell_corners(block, x, inside_plane, c);
-// The leaf of each of the eight blocks, where there is one.
+// The leaf of each of the eight blocks, if it exists.
 const float* leaf[8];
 for (int d = 0; d < 8; ++d) {
     const bool is_leaf = refs[d] >= 0 && refs[d] < cells.leaf_count;

@@ -2,8 +2,8 @@
 //
 // Expects block_planes.inl, cells, table, flips. Defines word_of, loop_count and cell_corners.
 //
-// `table` has a word for each case, and one for each case with the face joined that the word names: two bits for the
-// loop of each edge, the number of loops, the problem face + 1.
+// `table` is loop_table: a word for each case, and one for each case with its problem face joined. A word has two bits
+// for the loop of each edge, the number of loops, and the problem face + 1.
 
 auto word_of = [&](int code, int plane, int bit) -> unsigned {
     return table.data[code + (int)(flips.data[plane] >> bit & 1ull) * 256];

@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 
 __all__ = ["surface_nets"]
 
-# Flags of the count: some cells may have to be joined, some vertices may be unused.
+# Flags of the count: some cells may need a joined face, some vertices may be unused.
 HAS_PROBLEM, HAS_DEAD = 0, 1
 
 
 def surface_nets(
     volume: SparseVolume, isovalue: float, device: Any, *, turned: bool, sharp: bool = False
 ) -> tuple["wp.array", "wp.array"]:
-    """Vertices [world], (V,) of vec3d, and corners of the triangles, (3 F,) of int32, of an isosurface.
+    """Vertices [world], (V,) of vec3d, and triangle corners, (3 F,) of int32, of an isosurface by surface nets.
 
     Args:
         volume: A scalar grid.
         isovalue: Value of the surface.
         device: A warp device.
-        turned: Faces that turn to decreasing values instead of increasing ones, in index space.
+        turned: Faces point towards decreasing values instead of increasing ones, in index space.
 
     Returns:
-        Vertices in the order of leaves and voxels, a pair of triangles for each crossed edge; on the device.
+        Vertices in the order of leaves and voxels, and two triangles for each crossed edge; on the device.
 
     Raises:
         DeviceMemoryError: There is not enough memory.
 
     Source:
         Gibson, Constrained Elastic Surface Nets (1998). Differs: vertices stay at the mean of the crossings, and a cell
-        has one for each sheet, so that edges have two faces.
+        has a vertex for each sheet, so that each edge has two faces.
     """
     import warp as wp
 
@@ -55,7 +55,7 @@ def surface_nets(
     flips, records, counts, starts, flags = _count(found, table, planes, isovalue)
     base, first_quad = starts
     vertex_count, quad_count = fill_offsets(counts, starts)
-    has_dead = flags.numpy()[HAS_DEAD]  # before there is more to wait for
+    has_dead = flags.numpy()[HAS_DEAD]  # read before more launches are queued
     require_memory(24 * (vertex_count + quad_count), device)
     shared = [found.cells, table, flips, records, base]
     transform = volume.info.transform
@@ -77,7 +77,7 @@ def surface_nets(
 
 @functools.lru_cache(maxsize=16)
 def _tables(device: str) -> tuple["wp.array", "wp.array"]:
-    """The loops of all cases, and what their edges add up to, on a device."""
+    """loop_table and sum_table on a device."""
     import warp as wp
 
     loops, sums = (wp.array(table, dtype=wp.uint32, device=device) for table in (loop_table(), sum_table()))
@@ -85,7 +85,7 @@ def _tables(device: str) -> tuple["wp.array", "wp.array"]:
 
 
 def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
-    """What stands in the 27 places around each crossed block."""
+    """Leaf or tile value in the 27 places around each crossed block."""
     import warp as wp
 
     from geokit.volume.isosurface import dual_contouring_kernels as kernels
@@ -101,7 +101,7 @@ def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
 def _count(
     found: CrossedCells, table: "wp.array", planes: int, isovalue: float
 ) -> tuple[ScratchArray, ScratchArray, list[ScratchArray], list[ScratchArray], HostArray]:
-    """Joined cells, records, the numbers of vertices and quads of each plane, room for their sums; flags of what is."""
+    """Joined cells, records, vertex and quad counts of each plane, arrays for their prefix sums, and flags."""
     import warp as wp
 
     from geokit.volume.isosurface import surface_nets_cases_kernels as kernels
@@ -112,7 +112,7 @@ def _count(
     flags = host_flags(2, device)
     outputs = [flips, records, problems, *sums[:2], flags]
     launch_planes(kernels.count_kernel, planes, [found.cells, table], outputs, device)
-    if _asks_for_problems(device) or flags.numpy()[HAS_PROBLEM]:
+    if _searches_without_flag(device) or flags.numpy()[HAS_PROBLEM]:
         inputs = [found.cells, table, problems, wp.float64(isovalue)]
         launch_planes(kernels.flips_kernel, planes, inputs, [flips], device)
         inputs = [found.cells, table, flips, problems]
@@ -120,6 +120,6 @@ def _count(
     return flips, records, sums[:2], sums[2:], flags
 
 
-def _asks_for_problems(device: "wp.Device") -> bool:
-    """Whether to look for cells to be joined takes less than to wait for the flag that says that there are some."""
+def _searches_without_flag(device: "wp.Device") -> bool:
+    """Whether searching for cells with a joined face is cheaper than waiting for the flag that they exist."""
     return bool(device.is_cuda)

@@ -1,8 +1,8 @@
-"""How many sheets of an isosurface are in each cell, and which edges of the grid they cross.
+"""Counts the sheets of an isosurface in each cell, and finds the edges of the grid that they cross.
 
-Where a face has inside corners at the ends of a diagonal, and each of its two cells one sheet through both cuts of the
-face, a vertex per sheet would give an edge with four faces. There the inside corners are joined on that face, in both
-cells: each then has one sheet more.
+A face may have inside corners at the ends of a diagonal, with one sheet through both of its cuts in each of its two
+cells. One vertex per sheet would then give an edge with four faces. So the inside corners are joined on that face, in
+both cells, and each cell has one sheet more.
 """
 
 # mypy: ignore-errors
@@ -14,12 +14,12 @@ from geokit.volume.isosurface.cells_kernels import PLANES, RECORD, Cells, value_
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Fields of a plane's count.
+# Bit fields of a plane's count.
 QUADS_SHIFT = 16
 HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
 COUNT_MASK = wp.constant(0xFFF)
 
-# Files of C++ for the sheets in a cell.
+# C++ files for the sheets in a cell.
 CASES = (*PLANES, "volume/isosurface/sheet_cases.inl")
 
 
@@ -32,7 +32,7 @@ def count_plane(
     records: wp.array(dtype=wp.uint64),
     problems: wp.array(dtype=wp.uint64),
 ) -> int:
-    """Vertices, quads and flags of a plane; writes which of its cells have how many sheets."""
+    """Counts the vertices and quads of a plane, with flags; writes bit masks of its cells by number of sheets."""
     ...
 
 
@@ -57,13 +57,13 @@ def count_kernel(
     out_quads: wp.array(dtype=int),
     out_flags: wp.array(dtype=int),
 ):
-    """Sheets and quads of planes of which no cell has a joined face."""
+    """Counts sheets and quads of planes, as if no cell had a joined face."""
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         out_flips[plane] = wp.uint64(0)
         found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
         out_vertices[plane] = found & COUNT_MASK
         out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
-        # All threads that write here write the same.
+        # All threads that write here write the same value.
         if (found & HAS_PROBLEM) != 0:
             out_flags[0] = 1
         if (found & HAS_DEAD) != 0:
@@ -81,7 +81,7 @@ def count_joined_kernel(
     out_records: wp.array(dtype=wp.uint64),
     out_vertices: wp.array(dtype=int),
 ):
-    """As count_kernel, for planes of which some cells have a joined face: these have one more sheet."""
+    """Corrects the counts of planes with joined faces: each joined cell has one more sheet."""
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         if flips[plane] != wp.uint64(0):
             found = count_plane(cells, table, flips, plane, out_records, problems)
@@ -107,7 +107,7 @@ def flips_kernel(
     isovalue: wp.float64,
     out_flips: wp.array(dtype=wp.uint64),
 ):
-    """Cells that have one loop through both cuts of a face, as the cell beyond that face has."""
+    """Bit masks of the cells with one loop through both cuts of a face, if the cell beyond that face has one too."""
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         problem = problems[plane]
         flips = wp.uint64(0)
@@ -120,7 +120,7 @@ def flips_kernel(
                     at = corner + wp.vec3i(plane % 8, bit / 8, bit % 8)
                     at[face / 2] = at[face / 2] + step
                     beyond = case_of_values(cells.volume, isovalue, at[0], at[1], at[2])
-                    # The same face has the other side there.
+                    # In the cell beyond, the same face has the opposite side.
                     if int(table[beyond] >> wp.uint32(27)) - 1 == face - step:
                         flips = flips | (wp.uint64(1) << wp.uint64(bit))
         out_flips[plane] = flips

@@ -1,9 +1,9 @@
 """Surface nets: a vertex for each sheet of the surface in a cell, a quad for each crossed edge of the grid.
 
-An item is ``span`` planes of 64 cells of the blocks that the surface crosses: on a GPU one, on a CPU, where an item has
-its price, a block of eight. A cell's first vertex has the number of crossed cells
-before it in its plane, plus the further sheets of these; a quad belongs to the cell whose upper corner (1, 1, 1) its
-edge ends at, so that its four cells lie in the cell's own block or above.
+An item is ``span`` planes of 64 cells in the crossed blocks: one plane on a GPU; a block of eight planes on a CPU,
+where each item has a cost. The number of a cell's first vertex is the number of sheets before it in its plane. A quad
+belongs to the cell whose upper corner (1, 1, 1) is the end of its edge, so that its four cells lie in the cell's own
+block or in blocks above.
 """
 
 # mypy: ignore-errors
@@ -18,12 +18,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
-# Crossings keep this far away from the ends of their edge [voxels]: a voxel that has the isovalue itself would give
-# vertices at one place, and triangles without area. Well below what a float32 voxel resolves, and still distinct in
-# float64 at index 2^30.
+# Least distance [voxels] of a crossing from the ends of its edge. Without it, a voxel equal to the isovalue would give
+# coincident vertices and triangles without area. It is well below the resolution of a float32 voxel, and still distinct
+# in float64 at index 2^30.
 END = 1.0e-6
 
-# Files of C++ for the vertices of a cell.
+# C++ files for the vertices of a cell.
 VERTEX = (*CASES, "volume/isosurface/net_vertex.inl")
 
 
@@ -40,7 +40,7 @@ def place_vertices(
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
 ) -> wp.uint64:
-    """The vertices of a plane's cells; returns the cells that are left because a corner lies in a tile."""
+    """Places the vertices of a plane's cells; returns a bit mask of those left because a corner lies in a tile."""
     ...
 
 
@@ -59,7 +59,7 @@ def place_vertex(
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
 ):
-    """The vertices of one cell whose corners' values are given, relative to the isovalue."""
+    """Places the vertices of one cell from the values at its corners, relative to the isovalue."""
     ...
 
 
@@ -76,7 +76,7 @@ def place_quads(
     vertex: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=int),
 ):
-    """Two triangles for each crossed edge that a plane's cells own, split along the shorter diagonal."""
+    """Places two triangles for each crossed edge that a plane's cells own; quads are split at the shorter diagonal."""
     ...
 
 

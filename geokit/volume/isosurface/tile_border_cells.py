@@ -1,4 +1,4 @@
-"""Rims: blocks of tiles beside the leaves, or beside other tiles, of which an isosurface crosses some cells."""
+"""Finds border blocks: blocks of tiles, beside leaves or other tiles, with cells that an isosurface crosses."""
 
 from __future__ import annotations
 
@@ -13,70 +13,70 @@ from geokit.volume.isosurface.nodes import Topology, place_of
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["add_rims", "rim_origins"]
+__all__ = ["add_border_blocks", "border_origins"]
 
-# Eight steps to the block that is below a block, or above it: 4 dx + 2 dy + dz.
+# Steps (dx, dy, dz) from a block to the eight blocks above it (or below, when subtracted), number 4 dx + 2 dy + dz.
 STEPS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1).astype(np.int32)
 
 
-def rim_origins(
-    cells: Any, tree: Any, leaf_rims: "wp.array", topology: Topology, isovalue: float, device: "wp.Device"
+def border_origins(
+    cells: Any, tree: Any, leaf_below: "wp.array", topology: Topology, isovalue: float, device: "wp.Device"
 ) -> NDArray[np.int32]:
     """First voxels of the blocks of tiles that may have crossed cells, sorted, shape (R, 3).
 
     Args:
         cells: The kernels' struct of blocks.
         tree: The kernels' struct of nodes.
-        leaf_rims: What link_kernel found below each leaf.
+        leaf_below: Bit masks by direction from link_kernel, of the tiles below each leaf.
         topology: The nodes of the volume.
         isovalue: Value of the surface.
-        device: Where the arrays are.
+        device: Device of the arrays.
     """
     import warp as wp
 
     from geokit.volume.isosurface import tile_border_cells_kernels as kernels
 
-    found = [_below(topology.leaves.origin, leaf_rims.numpy())]
+    found = [_below(topology.leaves.origin, leaf_below.numpy())]
     node, slot, large = topology.active_node, topology.active_slot, topology.large_borders
     if len(node):
-        rims = wp.empty(len(node), dtype=wp.uint8, device=device)
+        below = wp.empty(len(node), dtype=wp.uint8, device=device)
         where = [wp.array(part, dtype=wp.int32, device=device) for part in (node, slot)]
-        launch_even(kernels.tile_rims_kernel, len(node), [cells, tree, *where], [rims], device)
-        found.append(_below(topology.lower.origin[node] + 8 * place_of(slot, 4), rims.numpy()))
+        launch_even(kernels.tile_border_kernel, len(node), [cells, tree, *where], [below], device)
+        found.append(_below(topology.lower.origin[node] + 8 * place_of(slot, 4), below.numpy()))
     if len(large):
-        rims = wp.empty(len(large), dtype=wp.uint8, device=device)
+        below = wp.empty(len(large), dtype=wp.uint8, device=device)
         inputs = [cells.volume, wp.float64(isovalue), wp.array(large, dtype=wp.vec3i, device=device)]
-        launch_even(kernels.large_tile_rims_kernel, len(large), inputs, [rims], device)
-        found.append(_below(large, rims.numpy()))
+        launch_even(kernels.large_tile_border_kernel, len(large), inputs, [below], device)
+        found.append(_below(large, below.numpy()))
     origins = np.concatenate(found)
     return np.unique(origins, axis=0) if len(origins) else origins
 
 
-def _below(origins: NDArray[np.int32], rims: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """First voxels of the blocks that bits name, by their steps below each of the origins."""
-    rows = np.flatnonzero(rims)
-    bits = np.unpackbits(rims[rows, None], axis=1, bitorder="little")
+def _below(origins: NDArray[np.int32], below: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """First voxels of the blocks below each origin whose bits are set, by direction."""
+    rows = np.flatnonzero(below)
+    bits = np.unpackbits(below[rows, None], axis=1, bitorder="little")
     row, step = np.nonzero(bits)
     return np.asarray(origins[rows[row]] - 8 * STEPS[step])
 
 
-def add_rims(cells: Any, tree: Any, origins: NDArray[np.int32], isovalue: float) -> None:
+def add_border_blocks(cells: Any, tree: Any, origins: NDArray[np.int32], isovalue: float) -> None:
     import warp as wp
 
     from geokit.volume.isosurface import tile_border_cells_kernels as kernels
 
     device = cells.origin.device
-    count, rims = cells.leaf_count, len(origins)
-    if not rims:
+    count, blocks = cells.leaf_count, len(origins)
+    if not blocks:
         return
-    cells.rim_active = wp.empty(rims, dtype=wp.uint8, device=device)
+    cells.border_active = wp.empty(blocks, dtype=wp.uint8, device=device)
     cells.origin = wp.array(np.concatenate([cells.origin.numpy(), origins]), dtype=wp.vec3i, device=device)
     for name in ("sides", "refs"):
         few = getattr(cells, name)
-        more = wp.empty(8 * (count + rims), dtype=few.dtype, device=device)
+        more = wp.empty(8 * (count + blocks), dtype=few.dtype, device=device)
         if count:
             wp.copy(more, few, count=8 * count)
         setattr(cells, name, more)
-    inputs = [cells, tree, wp.float64(isovalue), rims]
-    launch_even(kernels.rim_kernel, rims, inputs, [cells.sides, cells.rim_active, cells.refs], device)
-    launch_even(kernels.leaf_rims_kernel, 8 * count, [cells, rims], [cells.refs], device)
+    inputs = [cells, tree, wp.float64(isovalue), blocks]
+    launch_even(kernels.border_block_kernel, blocks, inputs, [cells.sides, cells.border_active, cells.refs], device)
+    launch_even(kernels.link_border_blocks_kernel, 8 * count, [cells, blocks], [cells.refs], device)

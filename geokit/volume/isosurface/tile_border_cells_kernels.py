@@ -1,4 +1,4 @@
-"""Rims: blocks of tiles beside the leaves, or beside other tiles, of which an isosurface crosses some cells."""
+"""Kernels that find border blocks: blocks of tiles, beside leaves or other tiles, with crossed cells."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -21,43 +21,43 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 
 @wp.func_native(cpp(*AROUND, "volume/isosurface/border_of_tile.inl"))
-def tile_rims(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
-    """As link_leaf, for the slot of an active tile: itself and the tiles below it that may have crossed cells."""
+def tile_border(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
+    """The active tile in a slot and the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
 @wp.func_native(cpp("volume/isosurface/find_border_block.inl"))
-def find_rim(cells: Cells, rim_count: int, i: int, j: int, k: int) -> int:
-    """The rim that starts at a voxel, -1 for none."""
+def find_border_block(cells: Cells, border_count: int, i: int, j: int, k: int) -> int:
+    """The border block that starts at a voxel, -1 for none."""
     ...
 
 
 @wp.kernel
-def tile_rims_kernel(
+def tile_border_kernel(
     first: int,
     cells: Cells,
     tree: Tree,
     lower: wp.array(dtype=int),
     slot: wp.array(dtype=int),
-    out_rims: wp.array(dtype=wp.uint8),
+    out_below: wp.array(dtype=wp.uint8),
 ):
     tile = first + wp.tid()
-    out_rims[tile] = wp.uint8(tile_rims(cells, tree, lower[tile], slot[tile]))
+    out_below[tile] = wp.uint8(tile_border(cells, tree, lower[tile], slot[tile]))
 
 
 @wp.kernel
-def large_tile_rims_kernel(
+def large_tile_border_kernel(
     first: int,
     volume: wp.uint64,
     isovalue: wp.float64,
     origin: wp.array(dtype=wp.vec3i),
-    out_rims: wp.array(dtype=wp.uint8),
+    out_below: wp.array(dtype=wp.uint8),
 ):
-    """As tile_rims_kernel, for blocks of tiles that are larger than a block."""
+    """Does the same as tile_border_kernel, for blocks in tiles larger than a block."""
     item = first + wp.tid()
     corner = origin[item]
     kind = grid_type_of(volume)
-    rims = int(0)
+    below = int(0)
     for e in range(8):
         low = corner - 8 * wp.vec3i(e / 4, (e / 2) % 2, e % 2)
         some_in = int(0)
@@ -72,24 +72,24 @@ def large_tile_rims_kernel(
             else:
                 some_out = 1
         if some_in + some_out == 2:
-            rims = rims | (1 << e)
-    out_rims[item] = wp.uint8(rims)
+            below = below | (1 << e)
+    out_below[item] = wp.uint8(below)
 
 
 @wp.kernel
-def rim_kernel(
+def border_block_kernel(
     first: int,
     cells: Cells,
     tree: Tree,
     isovalue: wp.float64,
-    rim_count: int,
+    border_count: int,
     out_sides: wp.array(dtype=wp.uint64),
     out_active: wp.array(dtype=wp.uint8),
     out_refs: wp.array(dtype=int),
 ):
-    """Planes, state and upper neighbors of a block of tiles."""
-    rim = first + wp.tid()
-    block = cells.leaf_count + rim
+    """Writes planes, active state and upper neighbors of a border block."""
+    border = first + wp.tid()
+    block = cells.leaf_count + border
     corner = cells.origin[block]
     volume = cells.volume
     kind = grid_type_of(volume)
@@ -99,7 +99,7 @@ def rim_kernel(
         word = ~word
     for x in range(8):
         out_sides[8 * block + x] = word
-    out_active[rim] = wp.uint8(code / ACTIVE_TILE)
+    out_active[border] = wp.uint8(code / ACTIVE_TILE)
     for d in range(8):
         at = corner + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
         node = node_of(volume, kind, at[0], at[1], at[2])
@@ -107,19 +107,19 @@ def rim_kernel(
         if is_leaf(node):
             ref = leaf_at(cells, tree, node)
         else:
-            ref = find_rim(cells, rim_count, at[0], at[1], at[2])
+            ref = find_border_block(cells, border_count, at[0], at[1], at[2])
             if ref < 0:
                 ref = tile_ref(volume, isovalue, at[0], at[1], at[2])
         out_refs[8 * block + d] = ref
 
 
 @wp.kernel
-def leaf_rims_kernel(first: int, cells: Cells, rim_count: int, out_refs: wp.array(dtype=int)):
-    """Where a block above a leaf is a rim, its number."""
+def link_border_blocks_kernel(first: int, cells: Cells, border_count: int, out_refs: wp.array(dtype=int)):
+    """Replaces references to tiles above a leaf by the number of the border block there, if there is one."""
     item = first + wp.tid()
     if out_refs[item] < 0:
         d = item % 8
         at = cells.origin[item / 8] + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
-        rim = find_rim(cells, rim_count, at[0], at[1], at[2])
-        if rim >= 0:
-            out_refs[item] = rim
+        border = find_border_block(cells, border_count, at[0], at[1], at[2])
+        if border >= 0:
+            out_refs[item] = border

@@ -1,4 +1,4 @@
-"""Growing and shrinking the active voxels of a grid, whole voxels at a time."""
+"""Dilates and erodes the active voxels of a grid by whole voxels."""
 
 from __future__ import annotations
 
@@ -22,24 +22,29 @@ if TYPE_CHECKING:
 __all__ = ["NEIGHBORS", "changed_topology"]
 
 NEIGHBORS = ("faces", "edges", "vertices")
-# Voxels that leaves grow by before room for more is made: no farther than the leaves beside them.
+# Voxels of dilation before leaves are added: it must not reach beyond the adjacent leaves.
 STAGE = 8
-# Most voxels at a time: beyond this a grid should have larger voxels.
+# Most voxels per call; beyond this a grid should have larger voxels.
 MOST_VOXELS = 1024
-# Leaves from the origin on along an axis.
+# Most leaves from the origin along an axis.
 FARTHEST_TILE = 1 << 28
-# Fewest planes worth a thread.
+# Fewest planes per thread.
 GRAIN = 64
 
 
 def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: str, device: Any) -> SparseVolume:
-    """The volume after growing by positive, and shrinking by negative numbers of voxels, one after the other.
+    """The volume after dilations (positive steps) and erosions (negative steps) of its active voxels, in turn.
 
-    Voxels that become active keep the value that they had, those that become inactive get the background.
+    Voxels that become active keep their value. Voxels that become inactive get the background.
 
+    Args:
+        volume: A grid of any type that holds values.
+        steps: Voxels of each dilation (positive) or erosion (negative).
+        neighbors: "faces", "edges" or "vertices".
+        device: Where to compute; None for the first GPU, else the CPU.
     Raises:
-        InputError: Unknown neighbours, or voxels too many.
-        UnsupportedGridError: A grid that holds no values of its own.
+        InputError: ``neighbors`` is unknown, or a step has too many voxels.
+        UnsupportedGridError: The grid holds no values of its own.
         DeviceMemoryError: The result needs more memory than there is.
     """
     require_volume(volume, "volume", VALUE_TYPES)
@@ -47,7 +52,7 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
         raise InputError(f"neighbors: {neighbors!r} is not one of {', '.join(NEIGHBORS)}")
     source = dequantized(volume)
     target = launcher.resolve_device(device)
-    source.on(target)  # looks at the grid before anything of it is believed
+    source.on(target)  # checks the grid before its contents are used
     tree = voxelized_tree(tree_of(source), volume.info.name)
     leaves = LinkedLeaves.bare(source, Leaves(tree.origins, tree.masks), target)
     words = leaves.active
@@ -58,9 +63,9 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
 
 
 def _with_masks(tree: TypedTree, origins: NDArray[np.int32], masks: NDArray[np.uint8]) -> TypedTree:
-    """The tree with other active voxels; its own leaves come first, those added have the values of its tiles.
+    """The tree with other active voxels. Its own leaves come first; added leaves have the values of its tiles.
 
-    What is turned off becomes background; what was inactive and stays so is as it was.
+    Voxels that become inactive get the background; voxels that stay inactive keep their value.
     """
     count = len(tree.origins)
     values = np.empty((len(origins), *tree.values.shape[1:]), tree.values.dtype)
@@ -71,7 +76,8 @@ def _with_masks(tree: TypedTree, origins: NDArray[np.int32], masks: NDArray[np.u
     part = values[rows]
     part[bits_of(off[rows])] = tree.background
     values[rows] = part
-    # Added leaves without an active voxel are the tiles in whose place they are; others go where all is background.
+    # Added leaves without an active voxel equal the tiles in their place, so they are dropped. Leaves of the tree
+    # without an active voxel are dropped if all their values are background.
     kept = np.asarray(masks.any(axis=1))
     empty = np.flatnonzero(~kept[:count])
     if tree.layout.name != "mask":
@@ -95,7 +101,7 @@ def _grown(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str) 
             wanted &= (AROUND[:, axis] >= 0) | (box[:, 0, axis, None] < stage)
             wanted &= (AROUND[:, axis] <= 0) | (box[:, 1, axis, None] + stage > 7)
         tiles = leaves.around(*np.nonzero(wanted))
-        # Indices end with int32.
+        # Voxel indices must fit into int32.
         leaves.add(tiles[((tiles >= -FARTHEST_TILE) & (tiles < FARTHEST_TILE)).all(axis=1)])
         words = _stepped(leaves, leaves.extended(words, 8, 0), stage, neighbors, False)
     return words

@@ -1,7 +1,7 @@
-"""Distances beyond the voxels where they are known, each from the nearest feature (``features_kernels``).
+"""Feature transform: extends distances beyond known voxels, from the nearest feature (``features_kernels``).
 
-Every voxel takes the feature whose foot is nearest among those of its 26 neighbors on its own side, round by round,
-until none changes; its distance is that from the feature's piece of surface.
+In rounds, every voxel takes the feature with the nearest foot among those of its 26 neighbors on its own side, until no
+voxel changes. Its distance is that to the feature's piece of surface.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 @wp.kernel
 def reached_box_kernel(first: int, reached: wp.array(dtype=wp.uint64), out_box: wp.array2d(dtype=int)):
-    """First and last voxel of a leaf among those whose bits are set, 8 and -1 where there is none."""
+    """Bounding box of a leaf's set bits: first and last voxel; 8 and -1 if no bit is set."""
     t = first + wp.tid()
     lowest = wp.vec3i(8, 8, 8)
     highest = wp.vec3i(-1, -1, -1)
@@ -40,7 +40,7 @@ def has_changed_kernel(
     changed: wp.array(dtype=wp.uint64),
     out_has_changed: wp.array(dtype=wp.uint8),
 ):
-    """Which leaves have changed voxels."""
+    """1 for leaves with changed voxels."""
     t = first + wp.tid()
     some = wp.uint64(0)
     for x in range(8):
@@ -64,9 +64,9 @@ def nearest_of(
     j: wp.float64,
     k: wp.float64,
 ) -> int:
-    """The feature of the shortest way to voxel (x, y, z) of row t, which is (i, j, k), and the first of several.
+    """The feature with the nearest foot to voxel (x, y, z) of row t, which is (i, j, k); the first of equal ones.
 
-    Of its own and those of its changed neighbors on its side; none that is not nearer than ``reach``.
+    Candidates are its own feature and those of its changed neighbors on its side, if nearer than ``reach``.
     """
     ...
 
@@ -87,10 +87,10 @@ def spread_kernel(
     out_next: wp.array(dtype=int),
     out_changed: wp.array(dtype=wp.uint64),
 ):
-    """One round for the voxels of a plane: the feature of shortest way among the neighbors', the first of several.
+    """One round for the voxels of a plane: each takes the feature with the nearest foot, the first of equal ones.
 
-    Only neighbors that changed in the last round can have a nearer one. Where a voxel changes its bit is set and its
-    new feature stands in ``out_next``.
+    Only neighbors that changed in the last round can have a nearer one. If a voxel changes, its bit is set and
+    ``out_next`` holds its new feature.
     """
     i = first + wp.tid()
     t = i >> 3
@@ -129,7 +129,7 @@ def take_kernel(
     out_nearest: wp.array(dtype=int),
     out_reached: wp.array(dtype=wp.uint64),
 ):
-    """The end of a round: voxels that change take their new features."""
+    """End of a round: voxels that change take their new features."""
     i = first + wp.tid()
     word = changed[i]
     if word != wp.uint64(0):
@@ -141,9 +141,9 @@ def take_kernel(
 
 @wp.func
 def distance_from(features: Features, name: int, voxel: wp.vec3i) -> wp.float64:
-    """Distance of a voxel [voxels] from the piece of surface that a feature stands for.
+    """Distance [voxels] of a voxel from the piece of surface that a feature represents.
 
-    The level set of the feature's voxel is taken for a piece of a sphere of the normal curvature towards the voxel.
+    The level set at the feature's voxel is approximated by a sphere with its normal curvature towards the voxel.
     """
     f = name >> 1
     step = voxel - features.voxel[f]
@@ -185,7 +185,7 @@ def fill_kernel(
     out_active: wp.array(dtype=wp.uint64),
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """Values of a plane: held values, else distances, where they are below the background."""
+    """Values and active voxels of a plane: held values, else distances if they are below the background."""
     i = first + wp.tid()
     active = wp.uint64(0)
     negative = wp.uint64(0)
@@ -205,7 +205,7 @@ def fill_kernel(
             value = distance
             if bit_of(inside, at):
                 value = -distance
-        # As it is stored: rounding may lift a value to the background.
+        # The stored value decides, because rounding may lift a value to the background.
         stored = out_value.dtype(value)
         if wp.abs(wp.float64(stored)) < background:
             active = active | bit
@@ -225,7 +225,7 @@ FILL = {kind: wp.overload(fill_kernel, {"out_value": wp.array(dtype=kind)}) for 
 
 @wp.kernel
 def reached_kernel(first: int, nearest: wp.array(dtype=int), out_reached: wp.array(dtype=wp.uint64)):
-    """Bits of the voxels that have a feature."""
+    """Bit masks of the voxels that have a feature."""
     i = first + wp.tid()
     word = wp.uint64(0)
     for n in range(64):

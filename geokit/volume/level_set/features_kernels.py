@@ -1,9 +1,9 @@
-"""Features: voxels of known distance that stand for the piece of surface next to them.
+"""Features: voxels of known distance that represent the piece of surface next to them.
 
-A **feature** is such a voxel with the direction and the curvature of the field there. Its foot is the point of the
-surface that they lead to: three coordinates [voxels], and by how much the way there counts more than its length, which
-is 0 where the direction is well known. ``leaf_neighbors_kernels`` defines rows, elements and bits. Feature f is called
-``2 f + side`` in the arrays of elements, side being 1 inside, and -1 stands for none.
+A **feature** is a voxel with the direction and the curvature of the field there. Its foot is its foot point on the
+surface: three coordinates [voxels] and a penalty, which is added to lengths and is 0 where the direction is well known.
+``leaf_neighbors_kernels`` defines rows, elements and bits. Arrays of elements hold ``2 f + side`` for feature f, where
+side is 1 inside, and -1 for no feature.
 """
 
 # mypy: ignore-errors
@@ -15,16 +15,16 @@ from geokit.volume.level_set.mask_dilation_kernels import cube_around
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Share of the upwind slope below which the central one tells that surfaces from two directions meet: 1 where the field
-# is smooth, 0.71 or less where the directions differ by 90 degrees.
+# If the central slope is below this share of the upwind slope, fronts from two directions meet. The share is 1 where
+# the field is smooth, 0.71 or less where the directions differ by 90 degrees.
 KINK = wp.constant(wp.float64(0.8))
-# Added to the length of the way to a foot [voxels] where neighbors are known on one side only: a feature with a better
-# direction that lies to the side of the way by a voxel gives a better distance.
+# Penalty [voxels] of a foot whose direction comes from neighbors on one side only. A feature with a better direction
+# gives a better distance, even if it lies a voxel to the side.
 ONE_SIDED = wp.constant(wp.float64(0.2))
-# The same where no direction is known: distances from there are right straight on and too long to the sides.
+# Penalty [voxels] where no direction is known: distances are right straight ahead and too long to the sides.
 LAST_RESORT = wp.constant(wp.float64(1.5))
 
-# Of the sums of squares of neighbors' steps, which are 1 and more.
+# Tikhonov term of the fit; the sums of squares of neighbors' steps are 1 and more.
 RIDGE = wp.constant(wp.float64(1e-3))
 
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
@@ -33,7 +33,7 @@ vec6f = wp.types.vector(length=6, dtype=wp.float32)
 
 @wp.struct
 class Features:
-    """Lengths in voxels. The distance grows along ``normal`` on either side of the surface."""
+    """Features as arrays; lengths in voxels. The distance grows along ``normal`` on either side of the surface."""
 
     voxel: wp.array(dtype=wp.vec3i)
     # Zero where no foot was found.
@@ -54,7 +54,7 @@ def enclosed_kernel(
     out_inner: wp.array(dtype=wp.uint64),
     out_outer: wp.array(dtype=wp.uint64),
 ):
-    """Held voxels whose neighbors are all active, for central differences there: all, and those of each side."""
+    """Held voxels whose neighbors are all active, as central differences need: all of them, and those on each side."""
     i = first + wp.tid()
     word = held[i]
     if word != wp.uint64(0):
@@ -72,7 +72,7 @@ def border_kernel(
     beside: wp.array2d(dtype=int),
     out_border: wp.array(dtype=wp.uint64),
 ):
-    """Held voxels that are not enclosed, or next to one that is not: the last layers of a band."""
+    """Held voxels that are not enclosed or are adjacent to such a voxel: the outer layers of a band."""
     i = first + wp.tid()
     word = held[i]
     if word != wp.uint64(0):
@@ -92,7 +92,7 @@ def chosen_kernel(
     out_chosen: wp.array(dtype=wp.uint64),
     out_count: wp.array(dtype=int),
 ):
-    """Which voxels become features: enclosed ones, and any other without one among its neighbors on its side."""
+    """Voxels that become features: enclosed ones, and others without an enclosed neighbor on their side."""
     i = first + wp.tid()
     word = border[i]
     if word != wp.uint64(0):
@@ -124,7 +124,7 @@ def outward(
     k: int,
     side: wp.float64,
 ) -> wp.float64:
-    """The field (i, j, k) voxels from voxel c of row t, positive away from the surface; infinite where not known."""
+    """The field (i, j, k) voxels from voxel c of row t, positive away from the surface; infinite if unknown."""
     at = place(beside, t, c[0] + i, c[1] + j, c[2] + k)
     value = wp.float64(wp.inf)
     if bit_of(active, at):
@@ -134,7 +134,7 @@ def outward(
 
 @wp.struct
 class Derivatives:
-    """Of the field, positive away from the surface, at a voxel."""
+    """Derivatives at a voxel of the field that is positive away from the surface."""
 
     gradient: wp.vec3d
     # Second derivatives xx, yy, zz, xy, xz, yz.
@@ -162,7 +162,7 @@ def central_derivatives(
     c: wp.vec3i,
     side: wp.float64,
 ) -> Derivatives:
-    """From the differences of neighbors, all of which are active."""
+    """Derivatives by central differences; all neighbors must be active."""
     h = outward(values, active, beside, t, c, 0, 0, 0, side)
     x0 = outward(values, active, beside, t, c, -1, 0, 0, side)
     x1 = outward(values, active, beside, t, c, 1, 0, 0, side)
@@ -208,12 +208,12 @@ def fitted_derivatives(
     c: wp.vec3i,
     side: wp.float64,
 ) -> Derivatives:
-    """Least squares over the neighbors that are active: a gradient, then a gradient and one curvature across it."""
+    """Derivatives by least squares over active neighbors: a gradient, then a gradient and one curvature across it."""
     h = outward(values, active, beside, t, c, 0, 0, 0, side)
     across = wp.vec3d()
     g = wp.vec4d()
     for round in range(2):
-        # A direction in which nothing is known gets no slope, and without a first direction there is no curvature.
+        # Directions without data get no slope, and without a first direction there is no curvature.
         system = RIDGE * wp.identity(4, dtype=wp.float64)
         right = wp.vec4d()
         for n in range(27):
@@ -248,7 +248,7 @@ def is_smooth(
     side: wp.float64,
     slope: wp.float64,
 ) -> bool:
-    """Whether a voxel's slope is as large as that towards the surface: the surface is one there, not several."""
+    """Whether a voxel's slope is as large as the upwind slope, so that fronts from one direction only reach it."""
     h = outward(values, active, beside, t, c, 0, 0, 0, side)
     up = wp.float64(0.0)
     for e in range(3):
@@ -278,7 +278,7 @@ def features_kernel(
     feet: wp.array(dtype=wp.vec4d),
     out_nearest: wp.array(dtype=int),
 ):
-    """The features of a plane, and their names at their own voxels."""
+    """Writes the features of a plane, and their names at their own voxels."""
     i = first + wp.tid()
     f = int(0)
     if i > 0:
@@ -341,10 +341,10 @@ def straighten_kernel(
     features: Features,
     feet: wp.array(dtype=wp.vec4d),
 ):
-    """Directions of the distance instead of those of a field whose slope changes.
+    """Corrects the directions of features for a field whose slope changes.
 
-    The field is a distance times the slope, so its gradient is the slope times the distance's direction, and the
-    distance times the change of the slope; ``rise`` is that divided by the slope.
+    The field is the distance times the slope. So its gradient is the slope times the distance's direction, plus the
+    distance times the gradient of the slope; ``rise`` is the latter gradient divided by the slope.
     """
     i = first + wp.tid()
     f = int(0)

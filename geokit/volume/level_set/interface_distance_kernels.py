@@ -1,4 +1,4 @@
-"""Distances at the corners of the cells that a surface crosses, which leave the surface where it is."""
+"""Distances at the corners of crossed cells, chosen so that the surface does not move."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -10,8 +10,8 @@ from geokit.volume.level_set.mask_dilation_kernels import corners_in_plane
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# A slope that is 1 up to the error of differences on a sphere of five voxels' radius: the values are distances already
-# and keep their bits.
+# Slopes this close to 1 mean that the values are distances already, and they keep their bits. It is the error of
+# differences on a sphere of five voxels' radius.
 UNIT_SLOPE = wp.constant(wp.float64(0.01))
 # A corner of a crossed cell is no farther from the surface than a cell's diagonal.
 FARTHEST_FOOT = wp.constant(wp.float64(1.8))
@@ -23,7 +23,7 @@ def slope_near(
 ) -> wp.vec4d:
     """Slope of the field at ``point`` and its gradient, from the crossed cells around the voxel (x, y, z) of row t.
 
-    The point is counted from the voxel.
+    ``point`` is relative to the voxel.
     """
     ...
 
@@ -40,13 +40,13 @@ def cell_slopes_kernel(
     out_slopes: wp.array(dtype=wp.float32),
     out_crossed: wp.array(dtype=wp.uint64),
 ):
-    """Slopes in the cells that start at the voxels of a plane, or -1 where the surface does not cross them."""
+    """Slopes in the cells that start at the voxels of a plane; -1 for cells that the surface does not cross."""
     i = first + wp.tid()
     t = i >> 3
     x = i & 7
     outer = background - isovalue
     inner = -background - isovalue
-    # Most leaves are crossed nowhere near most of their planes.
+    # In most leaves, most planes are far from the surface; these end here.
     here = inside[i]
     crossed = wp.uint64(0)
     plain = here == wp.uint64(0) or here == ~wp.uint64(0)
@@ -96,7 +96,7 @@ def seeds_kernel(
     out_held: wp.array(dtype=wp.uint64),
     out_rise: wp.array(dtype=wp.vec3f),
 ):
-    """Distances of the active corners of crossed cells in a plane, and which voxels they are.
+    """Distances of the active corners of crossed cells in a plane, and the bit mask of these voxels.
 
     Both ends of an edge across the surface are divided by the slope at about the same point, so the crossing stays.
     """
@@ -106,7 +106,7 @@ def seeds_kernel(
     outer = background - isovalue
     inner = -background - isovalue
     held = wp.uint64(0)
-    # Inactive values are the background: no distances, where the band is narrower than a cell.
+    # In bands narrower than a cell, some corners are inactive: they hold the background, which is no distance.
     word = active[i]
     if word != wp.uint64(0):
         word = word & (corners_in_plane(crossed, beside, t, x) | corners_in_plane(crossed, beside, t, x - 1))

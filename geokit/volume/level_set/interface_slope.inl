@@ -1,18 +1,17 @@
-// Slope of the field at a point of the surface and its gradient: of a linear fit to the crossed cells within two voxels
-// if their slopes fit one, else their upper quartile.
+// Slope of the field at a point of the surface, and its gradient. They come from a linear fit to the slopes of crossed
+// cells within two voxels; if these do not fit a linear function, the slope is their upper quartile.
 //
 // Expects slopes, beside, t, x, y, z, point. Returns the slope and the three components of its gradient.
 //
-// In C++ for an array of the thread's own, which the quartile needs.
-//   0.05: variance of the cells' positions [voxels^2] that is as good as none; along a surface it is about 1. Crossed
-//     cells of a flat surface lie in a plane: this keeps the system regular.
-//   0.02: share of the slope by which slopes scatter around a linear function where the field is smooth; at edges it is
-//     0.1.
+// It is C++ because the quartile needs a local array.
+//   0.05: variance of the cells' positions [voxels^2] that counts as none; along a surface it is about 1. Crossed cells
+//     of a flat surface lie in a plane, and this keeps the system regular.
+//   0.02: relative scatter of slopes around a linear function where the field is smooth; at edges it is 0.1.
 //   0.75: where faces meet in an edge, cells on the edge have smaller slopes than the faces'; they are a minority.
 
 const int* const rows = beside.data + 27 * t;
 double slope[64];
-// Sums over the cells: positions are counted from the voxel, so that nothing is lost in their squares.
+// Sums over the cells. Positions are relative to the voxel, so that their squares lose no digits.
 double sum[3] = {0.0, 0.0, 0.0}, m[3][3] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
 double along[3] = {0.0, 0.0, 0.0}, mean = 0.0, square = 0.0;
 int count = 0;

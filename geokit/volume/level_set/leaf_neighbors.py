@@ -1,4 +1,4 @@
-"""The leaves of a level set as rows that know their neighbours, on a device; rows can be added."""
+"""The leaves of a level set as rows with links to their neighbors, on a device; rows can be added."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["LinkedLeaves"]
 
-# Bits of a leaf's coordinate in the keys by which neighbours are found.
+# Bits of a leaf's coordinate in the keys that find neighbors.
 KEY_BITS = 21
-# Elements are counted in int32.
+# Most leaves: elements are numbered by int32.
 MOST_LEAVES = (1 << 31) // 512 - 1
-# Of a row while distances are made: its value, distance, slope and result, its feature twice, its bits, and the grid.
+# Bytes of a row while distances are computed: value, distance, slope, result, its feature twice, bits, and the grid.
 BYTES_PER_ROW = 512 * (8 + 8 + 4 + 4 + 2 * 4) + 8 * 64 + 2144
 # All 27 places around a leaf, itself in the middle.
 AROUND = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=1) - 1
@@ -32,17 +32,17 @@ class LinkedLeaves:
     """Rows of leaves.
 
     Args:
-        volume: Level set of float or double values, or quantised ones.
-        isovalue: What is taken off its values [world]: the surface is where they are 0 then.
-        device: Where to keep them.
+        volume: Level set of float, double or quantized values.
+        isovalue: Value of the surface [world]; it is subtracted from the values.
+        device: Device of the rows.
 
     Attributes:
         tiles: Coordinates in units of leaves, (T, 3) int32.
-        on_device: The same on the device, (T,) of vec3i.
-        beside: Row of each of the 27 places around a leaf, or OUTSIDE or INSIDE where there is none, (T, 27).
-        inside: Bits of the voxels whose value is negative, (8 T,) of uint64.
-        values: Of the first rows, (512 R,) of float64: those that were there before any was added.
-        active: Bits of the active voxels of the same rows, (8 R,) of uint64.
+        on_device: ``tiles`` on the device, (T,) of vec3i.
+        beside: Row of each of the 27 places around a leaf, or OUTSIDE or INSIDE if it has no row, (T, 27).
+        inside: Bit masks of the voxels with a negative value, (8 T,) of uint64.
+        values: Values of the first R rows, which the volume had before any was added, (512 R,) of float64.
+        active: Bit masks of the active voxels of the same rows, (8 R,) of uint64.
     """
 
     tiles: NDArray[np.int32]
@@ -65,7 +65,7 @@ class LinkedLeaves:
         launcher.launch(kernels.open_sides_kernel, 27 * count, [inside, self.beside], [open_sides], device)
         row, side = np.nonzero(open_sides.numpy().reshape(-1, 27))
         if len(row):
-            # The surface runs along the border of a leaf to a tile: what is there counts like voxels of a leaf.
+            # Where the surface runs along the border between a leaf and a tile, the tile gets a row of its own.
             self.tiles = np.concatenate(
                 [self.tiles, np.unique(self.tiles[row] + AROUND[side], axis=0).astype(np.int32)]
             )
@@ -78,7 +78,7 @@ class LinkedLeaves:
 
     @classmethod
     def bare(cls, volume: SparseVolume, leaves: Leaves, device: "wp.Device") -> LinkedLeaves:
-        """Rows of leaves on the lattice of a grid of any type, without values; nothing lies inside."""
+        """Rows without values for leaves of a grid of any type; no voxel counts as inside."""
         import warp as wp
 
         made = cls.__new__(cls)
@@ -99,7 +99,7 @@ class LinkedLeaves:
         self._link()
 
     def add(self, tiles: NDArray[np.int32]) -> None:
-        """Rows for more leaves, none of them there yet; they take the side of the tiles in their places."""
+        """Add rows for new leaves; they take the side of the tiles in their places."""
         import warp as wp
 
         from geokit.volume.level_set.leaf_neighbors_kernels import tile_side_kernel
@@ -116,7 +116,7 @@ class LinkedLeaves:
         self.inside = inside
 
     def extended(self, array: "wp.array", per_row: int, fill: int) -> "wp.array":
-        """The array of ``per_row`` elements a row, with rows of ``fill`` for those that it does not have yet."""
+        """The array, with ``per_row`` elements per row, extended by ``fill`` to all rows."""
         import warp as wp
 
         wanted = per_row * len(self.tiles)
@@ -127,7 +127,7 @@ class LinkedLeaves:
         return longer
 
     def around(self, rows: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Coordinates of neighbours that have no row yet, each once; ``sides`` number them from 0 to 26."""
+        """Unique coordinates of the neighbors of ``rows`` that have no row yet; ``sides`` number them from 0 to 26."""
         beside = self.beside.numpy()
         missing = beside[rows, sides] < 0
         wanted = self.tiles[rows[missing]] + AROUND[sides[missing]]

@@ -1,7 +1,7 @@
-"""Leaves of a volume that know their 26 neighbors, and reading voxels across their borders.
+"""Links each leaf of a volume to its 26 neighbors, and reads voxels across leaf borders.
 
 A volume's leaves are rows: voxel (x, y, z) of row t is element ``512 t + 64 x + 8 y + z`` of an array of values, and
-bit ``8 y + z`` of word ``8 t + x`` of an array of bits.
+bit ``8 y + z`` of word ``8 t + x`` of an array of bit masks.
 """
 
 # mypy: ignore-errors
@@ -12,14 +12,14 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Entries in the table of neighbors for a leaf that does not exist.
+# Entries in the table of neighbors where there is no leaf.
 OUTSIDE = wp.constant(-1)
 INSIDE = wp.constant(-2)
 
 
 @wp.func
 def place(beside: wp.array2d(dtype=int), t: int, x: int, y: int, z: int) -> int:
-    """Element of the voxel (x, y, z), counted from row t, with coordinates from -8 to 15; OUTSIDE or INSIDE if none."""
+    """Element of voxel (x, y, z) relative to row t, coordinates -8 to 15; OUTSIDE or INSIDE if there is no leaf."""
     at = t
     if ((x | y | z) & ~7) != 0:
         at = beside[t, (x >> 3) * 9 + (y >> 3) * 3 + (z >> 3) + 13]
@@ -50,7 +50,7 @@ def value_at(
 
 @wp.func
 def bit_of(words: wp.array(dtype=wp.uint64), at: int) -> bool:
-    """The bit of an element; false where there is none."""
+    """The bit of an element; False if there is no element."""
     found = bool(False)
     if at >= 0:
         found = ((words[at >> 6] >> wp.uint64(at & 63)) & wp.uint64(1)) != wp.uint64(0)
@@ -76,7 +76,7 @@ def link_kernel(
     isovalue: wp.float64,
     out_beside: wp.array2d(dtype=int),
 ):
-    """Row of each neighbor, or on which side of the surface the tile in its place is."""
+    """Row of each neighbor, or OUTSIDE or INSIDE for a tile in its place."""
     i = first + wp.tid()
     t = i / 27
     n = i % 27
@@ -101,7 +101,7 @@ def read_rows_kernel(
     out_values: wp.array(dtype=wp.float64),
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """Values less the isovalue, and which of them are negative; a plane of a leaf for each item."""
+    """Values minus the isovalue, and bit masks of the negative ones; an item is a plane of a leaf."""
     i = first + wp.tid()
     c = tiles[i >> 3]
     x = 8 * c[0] + (i & 7)
@@ -125,7 +125,7 @@ def tile_side_kernel(
     isovalue: wp.float64,
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """All bits of rows that stand in the place of tiles, from row ``start`` on."""
+    """Sets or clears all inside bits of the rows from ``start`` on, which replace tiles."""
     t = start + first + wp.tid()
     word = wp.uint64(0)
     if tile_is_inside(volume, tiles[t], isovalue):
@@ -138,7 +138,7 @@ def tile_side_kernel(
 def touches_other_side(
     inside: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=int), t: int, n: int, is_inside: bool
 ) -> bool:
-    """Whether a voxel of row t next to neighbor n is on the other side than ``is_inside`` says."""
+    """Whether a voxel of row t next to neighbor n is not on the side ``is_inside``."""
     a = n / 9 - 1
     b = n / 3 % 3 - 1
     c = n % 3 - 1
@@ -158,7 +158,7 @@ def open_sides_kernel(
     beside: wp.array2d(dtype=int),
     out_open: wp.array(dtype=wp.uint8),
 ):
-    """Whether the surface runs between a leaf and a neighbor that is not there."""
+    """Whether the surface runs between a leaf and a tile beside it."""
     i = first + wp.tid()
     t = i / 27
     n = i % 27
@@ -171,7 +171,7 @@ def open_sides_kernel(
 def differ_across(
     inside: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=int), t: int, axis: int, step: int
 ) -> bool:
-    """Whether voxels that face each other across a border of row t are on different sides; not where none is there."""
+    """Whether voxels that face each other across a border of row t are on different sides; False without a neighbor."""
     found = bool(False)
     for n in range(64):
         u = n >> 3
@@ -200,9 +200,9 @@ def needed_rows_kernel(
     beside: wp.array2d(dtype=int),
     out_needed: wp.array(dtype=wp.uint8),
 ):
-    """Which leaves a grid needs: those with active voxels, and those that the surface runs through or along.
+    """Marks the leaves that a grid needs: those with active voxels, and those that the surface runs through or along.
 
-    From the latter alone shows on which side their neighbors are.
+    Only the latter show which side their neighbors are on.
     """
     t = first + wp.tid()
     some = wp.uint64(0)

@@ -1,8 +1,8 @@
-"""Dilation of bit masks: which voxels of a plane of a leaf, 64 bits of one word, have set neighbors.
+"""Dilates bit masks: finds the voxels with set neighbors in a plane of a leaf, 64 bits of one word.
 
 Rows, words and bits are those of ``leaf_neighbors_kernels``: bit ``8 y + z`` of word ``8 t + x``. A step along z is a
-shift by one, along y by eight, along x to another word; bits shifted in at a leaf's border come from the leaf
-beside it.
+shift by one, along y a shift by eight, along x a step to another word. Bits shifted in at a leaf's border come from the
+adjacent leaf.
 """
 
 # mypy: ignore-errors
@@ -11,7 +11,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# The bits of a plane with z = 0, and those with z = 7.
+# Bit masks of the voxels with z = 0 and with z = 7 in a plane.
 FIRST_Z = wp.constant(wp.uint64(0x0101010101010101))
 LAST_Z = wp.constant(wp.uint64(0x8080808080808080))
 
@@ -20,7 +20,7 @@ LAST_Z = wp.constant(wp.uint64(0x8080808080808080))
 def word_of(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, side: int, x: int
 ) -> wp.uint64:
-    """Word x of the leaf on a side of row t, with the bits of ``flip`` turned; 0 before that where no leaf is."""
+    """Word x of the leaf on a side of row t (0 without a leaf), with the bits of ``flip`` inverted."""
     word = wp.uint64(0)
     row = beside[t, side]
     if row >= 0:
@@ -30,7 +30,7 @@ def word_of(
 
 @wp.func
 def along_z(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
-    """Bits that are set or have a neighbor along z that is."""
+    """Bits that are set or have a set neighbor along z."""
     one = wp.uint64(1)
     seven = wp.uint64(7)
     up = ((word << one) & ~FIRST_Z) | ((below >> seven) & FIRST_Z)
@@ -49,7 +49,7 @@ def along_y(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
 def square_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x, counted from row t, from -1 to 8, that are set or have a neighbor within the plane that is."""
+    """Bits of plane x, -1 to 8 relative to row t, that are set or have a set neighbor within the plane."""
     side = 9 * (x >> 3) + 13
     at = x & 7
     below = along_z(
@@ -74,7 +74,7 @@ def square_around(
 def cube_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 26 neighbors set."""
+    """Bits of plane x of row t that are set or have a set neighbor among their 26."""
     return (
         square_around(words, flip, beside, t, x - 1)
         | square_around(words, flip, beside, t, x)
@@ -84,9 +84,9 @@ def cube_around(
 
 @wp.func
 def corners_in_plane(cells: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=int), t: int, x: int) -> wp.uint64:
-    """Bits of the voxels at the corners of cells, within the plane x, from -1 to 7, in which the cells begin.
+    """Bits of the voxels in plane x, -1 to 7, that are corners of cells which start in this plane.
 
-    The cell of a bit has its corners there and one further along y and z.
+    The cell of a bit has its corners at that voxel and one further along y and z.
     """
     side = 9 * (x >> 3) + 13
     at = x & 7
@@ -109,7 +109,7 @@ def corners_in_plane(cells: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=
 def cross_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x, counted from row t, that are set or have a neighbor across an edge within the plane that is."""
+    """Bits of plane x, relative to row t, that are set or have one of their 4 neighbors along y or z set."""
     side = 9 * (x >> 3) + 13
     at = x & 7
     here = word_of(words, flip, beside, t, side, at)
@@ -123,7 +123,7 @@ def cross_around(
 def faces_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 6 neighbors across a face set."""
+    """Bits of plane x of row t that are set or have a set neighbor among their 6 across a face."""
     below = word_of(words, flip, beside, t, 9 * ((x - 1) >> 3) + 13, (x - 1) & 7)
     above = word_of(words, flip, beside, t, 9 * ((x + 1) >> 3) + 13, (x + 1) & 7)
     return below | above | cross_around(words, flip, beside, t, x)
@@ -133,7 +133,7 @@ def faces_around(
 def edges_around(
     words: wp.array(dtype=wp.uint64), flip: wp.uint64, beside: wp.array2d(dtype=int), t: int, x: int
 ) -> wp.uint64:
-    """Bits of plane x of row t that are set or have one of their 18 neighbors across a face or an edge set."""
+    """Bits of plane x of row t that are set or have a set neighbor among their 18 across a face or an edge."""
     return (
         cross_around(words, flip, beside, t, x - 1)
         | square_around(words, flip, beside, t, x)
@@ -141,7 +141,7 @@ def edges_around(
     )
 
 
-# With a ``flip`` of zeros a step of growing, with one of ones a step of shrinking: growing the voxels that are not set.
+# With ``flip`` all zeros these are steps of dilation; with all ones steps of erosion, a dilation of the unset voxels.
 
 
 @wp.kernel

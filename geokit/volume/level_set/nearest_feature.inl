@@ -1,9 +1,9 @@
-// The feature of the shortest way to voxel (x, y, z) of row t, which is (i, j, k), and the first of several.
+// The feature with the nearest foot to voxel (x, y, z) of row t, which is (i, j, k); the first of equal ones.
 //
 // Expects nearest, changed, beside, feet, reach, inner, t, x, y, z, i, j, k. Returns the feature.
 //
-// In C++, because the same with warp's own indexing takes twice as long. The row of a voxel is in the table of
-// neighbors at 9 (x >> 3) + 3 (y >> 3) + (z >> 3) + 13. Ways are compared by their squares, rounded to float32.
+// It is C++ because warp's own indexing takes twice as long. The row of a voxel is in the table of neighbors at
+// 9 (x >> 3) + 3 (y >> 3) + (z >> 3) + 13. Lengths are compared by their squares, rounded to float32.
 
 const auto square = [](float way) { return way * way; };
 const int* const rows = beside.data + 27 * t;
@@ -17,13 +17,13 @@ const auto length_of = [=](int name) {
 };
 int best = nearest.data[(t << 9) + (x << 6) + (y << 3) + z], last = best;
 float shortest = best < 0 ? square(reach) : length_of(best);
-// Within three voxels of the surface a second look changes nothing that matters (docs/design/operations.md).
+// Within three voxels of the surface a second search changes nothing relevant (docs/design/operations.md).
 if (best >= 0 && shortest < 9.0f) return best;
 for (int u = x - 1; u <= x + 1; ++u)
     for (int v = y - 1; v <= y + 1; ++v) {
         const int side = 9 * (u >> 3) + 3 * (v >> 3) + 13, line = 8 * (v & 7);
         const int middle = rows[side];
-        // Three voxels along z: whether each has changed.
+        // One bit for each of three voxels along z: whether it has changed.
         unsigned three = middle < 0 ? 0u : (unsigned)(bits[8 * middle + (u & 7)] >> line & 255ull) << 1;
         const int below = rows[side - 1], above = rows[side + 1];
         if (z == 0 && below >= 0) three |= (unsigned)(bits[8 * below + (u & 7)] >> (line + 7) & 1ull);

@@ -1,4 +1,4 @@
-"""What operations on level sets check, and how they give their operands one lattice and one band."""
+"""Checks of level-set operands, and bands of equal width for them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from geokit.volume.tree.leaves import require_volume, uniform_voxel_size
 
 __all__ = ["half_width_of", "require_level_set", "with_band"]
 
-# Bands that differ by less are the same: a background is a float32 product of voxel size and half width.
+# Bands whose widths differ by less count as equal: a background is a float32 product of voxel size and half width.
 BAND_TOLERANCE = 1e-5
 
 
 def require_level_set(volume: Any, name: str) -> float:
-    """Voxel size of a float or double level set with cubic voxels.
+    """Check for a level set with cubic voxels, and return its voxel size.
 
     Raises:
-        InputError: It is no SparseVolume, no level set, its background is not positive, or its voxels are no cubes.
+        InputError: It is no SparseVolume or no level set, its background is not positive, or its voxels are not cubes.
         UnsupportedGridError: Its values are not real numbers.
     """
     require_volume(volume, name, ("float", "double"))

@@ -1,4 +1,4 @@
-"""Signed distances in a band around a level set's surface, from the voxels next to the surface or from a held band."""
+"""Redistancing: signed distances in a band around a level set's surface, from crossed cells or from a kept band."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 __all__ = ["redistance"]
 
-# Voxels by which a band grows before room for more leaves is made: with one more for rounding, no farther than the
-# leaves next to those that it has reached.
+# Voxels by which a band grows before leaves are added. With one more for rounding it must not grow beyond the leaves
+# adjacent to those that it has reached.
 STAGE = 7.0
-# A way to a foot is longer than the distance to the surface between the feet, and counts more where the foot is less
-# certain (ONE_SIDED), by less than this in all.
+# The length to the nearest foot, with its penalty (ONE_SIDED), exceeds the distance to the surface between feet by less
+# than this.
 WAY_MARGIN = 0.5
-# Fewest planes of a leaf worth a thread.
+# Fewest planes of leaves per thread.
 GRAIN = 64
 
 
@@ -48,9 +48,9 @@ def redistance(
     """Signed distances from a level set's surface, in a band of another width.
 
     Args:
-        volume: Float, double or quantised level set on cubic voxels.
+        volume: Float, double or quantized level set on cubic voxels.
         voxel_size: Edge of a voxel [world].
-        half_width: Of the new band [voxels].
+        half_width: Half width of the new band [voxels].
         isovalue: Value of the surface [voxels]; 0 with ``keeps_band``.
         keeps_band: Active voxels keep their values; only voxels beyond them are computed.
         device: Where to compute; None for the first GPU, else the CPU.
@@ -58,7 +58,7 @@ def redistance(
         Level set of float or double values.
     Raises:
         DeviceMemoryError: The band needs more memory than there is.
-        InputError: Leaves too far apart.
+        InputError: The leaves are too far apart.
     """
     found = launcher.resolve_device(device)
     leaves = LinkedLeaves(volume, isovalue * voxel_size, found)
@@ -76,7 +76,7 @@ def redistance(
 
 
 class _Band:
-    """Held voxels and what they reach."""
+    """A band that grows from its held voxels, whose distances are known."""
 
     feet: "wp.array"
 
@@ -92,15 +92,15 @@ class _Band:
         self.known = leaves.values
         self.held = leaves.active
         self.features = Features()
-        # Of the slope, where distances are values divided by it.
+        # Relative gradient of the slope; None if values are not divided by a slope.
         self.rise: wp.array | None = None
         self.nearest: wp.array = wp.full(512 * self.rows, -1, dtype=wp.int32, device=self.device)
 
     def hold_active(self) -> None:
-        """Every active voxel is held, as it is."""
+        """Hold every active voxel with its value."""
 
     def hold_seeds(self) -> None:
-        """Corners of crossed cells are held, with values divided by the slope."""
+        """Hold the corners of crossed cells, with their values divided by the slope."""
         import warp as wp
 
         from geokit.volume.level_set import interface_distance_kernels as kernels
@@ -118,7 +118,7 @@ class _Band:
         self._launch(kernels.seeds_kernel, inputs, [self.known, self.held, self.rise])
 
     def spread(self, start: float, end: float, *, only_border: bool) -> None:
-        """Give voxels up to ``end`` [voxels] from the surface their nearest feature; ``start`` is where those are."""
+        """Give voxels up to ``end`` [voxels] from the surface their nearest feature; held voxels end at ``start``."""
         enclosed, chosen = self._choose(only_border)
         still = self._still(enclosed, chosen)
         at = start
@@ -160,7 +160,7 @@ class _Band:
         return enclosed, chosen
 
     def _still(self, enclosed: "wp.array", chosen: "wp.array") -> "wp.array":
-        """Voxels that keep the feature they have, or none: features, and what lies behind them."""
+        """Bit masks of the voxels that keep their feature or have none: features, and the voxels behind them."""
         from geokit.volume.level_set.features_kernels import still_kernel
 
         still = self._words()
@@ -168,7 +168,7 @@ class _Band:
         return still
 
     def _grow(self, reach: int) -> None:
-        """Room for all voxels within ``reach`` [voxels] of one that has a feature."""
+        """Add leaves for all voxels within ``reach`` [voxels] of a voxel with a feature."""
         import warp as wp
 
         from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
@@ -185,7 +185,7 @@ class _Band:
         self.leaves.add(self.leaves.around(*np.nonzero(wanted)))
 
     def _reached(self) -> "wp.array":
-        """Bits of the voxels that have a feature."""
+        """Bit masks of the voxels that have a feature."""
         import warp as wp
 
         from geokit.volume.level_set.feature_transform_kernels import reached_kernel
@@ -196,7 +196,7 @@ class _Band:
         return reached
 
     def _settle(self, still: "wp.array", reach: float) -> None:
-        """Rounds until no voxel finds a nearer feature."""
+        """Run rounds until no voxel finds a nearer feature."""
         import warp as wp
 
         from geokit.volume.level_set import feature_transform_kernels as kernels
@@ -255,7 +255,7 @@ class _Band:
         return wp.empty(8 * self.rows, dtype=wp.uint64, device=self.device)
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
-        """For each plane of the rows that were there before any was added."""
+        """Launch a kernel for each plane of the rows that the volume had before any was added."""
         launcher.launch(kernel, 8 * self.rows, inputs, outputs, self.device, grain=GRAIN)
 
 
@@ -308,7 +308,7 @@ def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
         return volume_from_buffer(grid.host, like)
     info = info_of(grid.head, byte_count=len(grid.buffer))
     metadata = dict(like.info.metadata)
-    # result_of does the same for grids on the host.
+    # volume_from_buffer does the same for grids on the host.
     metadata.pop("geokit:value_type", None)
     if info.grid_type != like.info.grid_type:
         metadata.pop("class", None)

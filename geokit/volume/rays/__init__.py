@@ -1,1 +1,1 @@
-"""Rays through volumes: traversal of cells, first crossings, integrals along rays."""
+"""Rays: where does a ray first cross an isovalue of a volume, and what are the integrals along it?"""

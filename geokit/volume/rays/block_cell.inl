@@ -1,6 +1,6 @@
-// The cell (x, y, z) of a block, which may hold a crossing, from ta to the next border.
+// Visits the cell (x, y, z) of a block, which may hold a crossing, from ta to the next border.
 //
-// Expects the names of traverse_blocks.inl; lx, ly, lz, the block's first cell; next, where the border is.
+// Expects the names of traverse_blocks.inl; lx, ly, lz, the block's first cell; next, the ray parameter of the border.
     bx = lx + x;
     by = ly + y;
     bz = lz + z;

@@ -1,4 +1,4 @@
-// From cell to cell of a block; which border is next is a branch.
+// Steps from cell to cell of a block, with a branch on the axis of the next border.
 //
 // Expects the names of traverse_blocks.inl.
     const int lx = bx & ~7, ly = by & ~7, lz = bz & ~7;

@@ -1,4 +1,4 @@
-"""Which blocks of a volume may hold a crossing of an isovalue, found once and kept."""
+"""Finds the blocks of a volume that may hold a crossing of an isovalue, once, and caches them."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 __all__ = ["CrossingBlocks", "crossing_blocks", "known_blocks"]
 
-# To look at a block takes about as long as a fourth of a ray: fewer rays than that go without.
+# Testing a block takes about a fourth of the time of a ray. With fewer rays the search does not pay.
 BLOCKS_PER_RAY = 4
-# Blocks that are looked at, at most: twelve bytes for each of them, 192 MiB. Wider grids go without.
+# Most blocks that are tested: twelve bytes each, 192 MiB. Wider grids are traversed without this table.
 MOST_BLOCKS = 1 << 24
-# Isovalues that are remembered for each volume and device.
+# Results that are kept for each volume, by device and isovalue.
 REMEMBERED = 4
-# Rows of blocks worth a slice of a launch, to look at and to spread distances over.
+# Fewest rows of blocks per slice of a launch: for testing blocks, and for spreading distances.
 GRAIN = 4
 LINE_GRAIN = 128
 
 
 class CrossingBlocks(NamedTuple):
-    """Where an isovalue may be crossed: see crossing_blocks_kernels."""
+    """Blocks that may hold a crossing of an isovalue, as described in crossing_blocks_kernels."""
 
     reach: "wp.array"
     numbers: "wp.array"
@@ -47,10 +47,10 @@ def crossing_blocks(
         volume: A grid of one component.
         levels: The voxel type's numbers below and above the isovalue: two wp.float32 for a float grid, else two
             wp.float64.
-        ray_count: How many rays there are; for few of them nothing is looked for.
-        device: Where the rays are.
+        ray_count: Number of rays in this call.
+        device: Device of the rays.
     Returns:
-        The blocks; None where to find them would take longer than the rays without them, or too much memory.
+        The blocks; None if finding them would take longer than casting the rays without them, or too much memory.
     """
     remembered = known_blocks(volume)
     key = (device.alias, *(float(level) for level in levels))
@@ -59,7 +59,7 @@ def crossing_blocks(
         if box is None:
             return None
         anchor = anchor_of(box)
-        # Cells reach one voxel down from the first; a rim around them ends the walk.
+        # Cells start one voxel below the first voxel; a border of one block ends the walk.
         first = (box[0] - 1 - anchor) // LEAF_SPAN - 1
         count = (box[1] - anchor) // LEAF_SPAN + 2 - first
         total = math.prod(count.tolist())

@@ -1,16 +1,16 @@
-"""Which blocks of 8^3 cells may hold a crossing of an isovalue, and which of their cells.
+"""Finds the blocks of 8^3 cells that may hold a crossing of an isovalue ("busy blocks"), and their busy cells.
 
-Of a level set a ray then touches 128 bytes for each block near the surface, in place of the two kilobytes of a leaf and
-those of its neighbors, and the tree not at all.
+With these tables a ray reads 128 bytes for each block near a level set's surface, instead of the two kilobytes of a
+leaf and those of its neighbors, and never walks the tree.
 
-- reach: for each block of the box around what is stored, x slowest, and for a rim of one block around it, how many
-  blocks ahead the nearest is that may hold a crossing (the largest of the three coordinates' differences); 0 for such a
-  block itself, -1 in the rim. Eight times: ahead of rays of each octant, 4, 2 and 1 for backwards along x, y and z. One
-  byte each: rays look at nothing else on most of their way.
-- numbers: which one of `blocks` a block is.
-- first_block, block_count: the first block, relative to the anchor voxel, in blocks, and how many there are.
-- blocks: BLOCK_WORDS words for each busy block: for each x the bits 8 y + z of the cells that may hold a crossing, then
-  the leaves, marked by their lowest bit, or tiles of the block and of the seven beside it, z fastest.
+- reach: the distance [blocks] to the nearest busy block ahead (Chebyshev distance), one byte per block of the box
+  around the stored voxels, x slowest; 0 for a busy block. A border of one block around the box holds -1. There are
+  eight copies, one for each octant of ray directions: 4, 2 and 1 are added for backwards along x, y and z. Rays read
+  nothing else on most of their way.
+- numbers: the row of a block in `blocks`.
+- first_block, block_count: the first block, relative to the anchor voxel, and the number of blocks along each axis.
+- blocks: BLOCK_WORDS words for each busy block: for each x the bits 8 y + z of the busy cells, then the nodes of the
+  block and of the seven beside it, z fastest: leaves, with their lowest bit set, or tiles.
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # Words of a busy block.
 BLOCK_WORDS = 16
-# Distances [blocks] are not told apart beyond this: the first steps gain the most.
+# Largest distance [blocks] that is stored; the gain is in the first steps.
 FARTHEST = wp.constant(32)
 
 
@@ -42,8 +42,8 @@ def _write(is_float: int) -> str:
     )
 
 
-# One overload for float grids and one for all other types, chosen by the type of ``below`` and ``above``: the numbers
-# of the voxel type below and above the isovalue.
+# Overloads: float grids or all other types, by the type of ``below`` and ``above``, which are the voxel type's numbers
+# below and above the isovalue.
 @wp.func_native(_mark(1))
 def mark_row(
     row: int,
@@ -141,7 +141,7 @@ def write_blocks_kernel(
     )
 
 
-# By whether the grid is one of floats.
+# Keys: whether the grid holds floats.
 MARK_BLOCKS = {
     True: wp.overload(mark_blocks_kernel, {"below": wp.float32, "above": wp.float32}),
     False: wp.overload(mark_blocks_kernel, {"below": wp.float64, "above": wp.float64}),
@@ -161,9 +161,9 @@ def spread_distance_kernel(
     distance: wp.array(dtype=wp.int8),
     out_distance: wp.array(dtype=wp.int8),
 ):
-    """Distances by one more axis: its blocks are ``stride`` numbers apart, ``count`` of them in a line.
+    """Extends distances along one more axis, whose lines have ``count`` blocks that are ``stride`` elements apart.
 
-    Each ``total`` of them become twice as many: those forwards along the axis, and those backwards.
+    Each part of ``total`` distances becomes two: one for rays forwards along the axis, one for rays backwards.
     """
     k = first + wp.tid()
     part = k // total
@@ -209,5 +209,5 @@ def spread_lines_kernel(
     distance: wp.array(dtype=wp.int8),
     out_distance: wp.array(dtype=wp.int8),
 ):
-    """As spread_distance_kernel; an item is a line of ``length`` blocks along z."""
+    """Does the same as spread_distance_kernel; an item is a line of ``length`` blocks along z."""
     spread_line(first + wp.tid(), total, stride, count, length, distance, out_distance)

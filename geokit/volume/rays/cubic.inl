@@ -1,8 +1,8 @@
 // The interpolant along a ray in a cell, as a cubic of s, which is 0 at ta and 1 at tb.
 //
 // Expects the names of traverse.inl, and VOXEL(n), a voxel of the cell as double. Defines the coefficients p0 to p3;
-// where the ray enters the cell (ex, ey, ez) and how far it moves in it (gx, gy, gz); the interpolant's coefficients
-// kx to kxyz.
+// the ray's position (ex, ey, ez) on entering the cell and its displacement (gx, gy, gz) in it; the interpolant's
+// coefficients kx to kxyz.
     const double ex = (qx - (double)bx) + ta * dx, ey = (qy - (double)by) + ta * dy, ez = (qz - (double)bz) + ta * dz;
     const double gx = (tb - ta) * dx, gy = (tb - ta) * dy, gz = (tb - ta) * dz;
     const double low = VOXEL(0), kx = VOXEL(4) - low, ky = VOXEL(2) - low, kz = VOXEL(1) - low;

@@ -1,4 +1,4 @@
-// The integral of the trilinear interpolant along a ray, its length counted in units of toward.
+// The integral of the trilinear interpolant along a ray, with lengths in units of toward.
 //
 // Expects field, a RayField; the names of ray_box.inl. Returns the double.
 #include "volume/rays/ray_field.inl"

@@ -1,4 +1,4 @@
-// Adds the integral of the interpolant in a cell to the depth: hook ON_CELL of traverse.inl.
+// Adds the integral of the interpolant in a cell to the depth; hook ON_CELL of traverse.inl.
 //
 // Expects the names of traverse.inl, and depth.
 #define VOXEL(n) (double)c[n]

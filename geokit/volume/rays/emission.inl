@@ -1,5 +1,5 @@
-// Optical depth along a ray, `scale` times the integral of the density; and the integral of the emission that reaches
-// the ray's start.
+// Optical depth along a ray, which is `scale` times the integral of the density, and the integral of the emission that
+// reaches the ray's start.
 //
 // Expects field, a RayField of the density around both grids; emission_volume, a grid with the same transform; scale;
 // the names of ray_box.inl; the constants OPAQUE, STEP_DEPTH and SHORTEST_STEP. Returns both as a wp::vec_t of two
@@ -9,7 +9,7 @@
     const unsigned long long volume = emission_volume;
 #include "volume/nanovdb/cached_accessor.inl"
     (void)background;
-    // The names of the emission's grid get another ending: the density's take theirs.
+    // Names of the emission's grid get the suffix _e, because the density's grid reuses the plain names below.
     typedef real real_e;
     typedef address address_e;
     auto& find_e = find;
@@ -22,7 +22,7 @@
     double ta = 0.0, tb = 0.0;
     int unseen = -1, ignored_e;
     double depth = 0.0, light = 0.0;
-    // Emission e0 to e3 and density p0 to p3 as cubics of s, which is 0 and 1 at the ends of a stretch.
+    // Adds a stretch of the ray: emission e0 to e3 and density p0 to p3 are cubics of s, which is 0 and 1 at its ends.
     auto add = [&](double span, double p0, double p1, double p2, double p3, double e0, double e1, double e2,
                    double e3) {
         const double to_depth = scale * span;
@@ -51,12 +51,12 @@
             from += step;
             step *= 2.0;
             before = after;
-            // A depth of NaN would never end.
+            // With a depth of NaN the loop would never end.
             dark = !(after == after);
         }
         depth += all;
     };
-    // The way through a region where the density is constant.
+    // Crosses a region of constant density.
     auto cross_region = [&](double even) {
         const double end = tb, began = ta;
         const int kept_x = bx, kept_y = by, kept_z = bz;

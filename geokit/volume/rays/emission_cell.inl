@@ -1,4 +1,4 @@
-// Adds the depth and the emission of a cell: hook ON_CELL of traverse.inl.
+// Adds the depth and the emission of a cell; hook ON_CELL of traverse.inl.
 //
 // Expects the names of traverse.inl and emission.inl.
 #define VOXEL(n) (double)c[n]

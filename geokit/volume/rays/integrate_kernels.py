@@ -1,6 +1,6 @@
 """Optical depth and emission along rays: integrals of the trilinear interpolant, cell by cell.
 
-Along a ray the interpolant of a cell is a cubic, whose integral is a polynomial too.
+Along a ray the interpolant of a cell is a cubic, so its integral is a polynomial.
 """
 
 from typing import Any
@@ -14,10 +14,10 @@ from geokit.volume.rays.raycast_kernels import RayField, index_ray, is_usable
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Optical depth of a step of the emission's quadrature, at most. Six Gauss points are then off by 1e-12 of a cubic times
-# e^-x where x is a quartic; four were off by 1e-7 in rough fields.
+# Largest optical depth of a step of the emission's quadrature. The integrand is a cubic times e^-x, where x is a
+# quartic; six Gauss points are then off by 1e-12, and four were off by 1e-7 in rough fields.
 STEP_DEPTH = 0.5
-# The shortest step, as a share of a cell: where one is so dense that this is too long, nothing comes out of it anyway.
+# The shortest step, as a share of a cell. Where the density needs a shorter one, no light leaves the cell anyway.
 SHORTEST_STEP = 1e-12
 # e^-x is zero in float64 beyond this.
 OPAQUE = 746.0
@@ -28,12 +28,12 @@ def _depth(is_float: int) -> str:
     return cpp("volume/rays/depth.inl", defines=defines)
 
 
-# One overload for float grids and one for all other types, chosen by the type of the last argument.
+# Overloads: float grids or all other types, by the type of the last argument.
 @wp.func_native(_depth(1))
 def optical_depth(
     field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: wp.float32
 ) -> wp.float64:
-    """Integral of the values along a ray, its length counted in units of ``toward``."""
+    """Integral of the values along a ray, with lengths in units of ``toward``."""
     ...
 
 
@@ -61,7 +61,7 @@ def depth_and_emission(
     t_first: wp.float64,
     t_last: wp.float64,
 ) -> wp.vec2d:
-    """Optical depth, ``scale`` times the integral of the values; and the integral of the emission that is left."""
+    """Optical depth, ``scale`` times the integral of the values, and the integral of the attenuated emission."""
     ...
 
 
@@ -81,7 +81,7 @@ def depth_kernel(
 ):
     i = first + wp.tid()
     if not is_usable(origins[i], directions[i]):
-        # The host refuses the whole batch and names the first bad row.
+        # The host then refuses the whole batch and names the first bad row.
         out_bad[0] = 1
         return
     start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
@@ -90,7 +90,7 @@ def depth_kernel(
     out_emission[i] = wp.float64(0.0)
 
 
-# By the type of ``family``, whose value does not count.
+# Keys: the type of ``family``, whose value is not read.
 DEPTH = {kind: wp.overload(depth_kernel, {"family": kind}) for kind in (wp.float32, wp.float64)}
 
 

@@ -1,4 +1,4 @@
-// The parts of a RayField, by their names.
+// The members of a RayField as local names.
 //
 // Expects field. Defines volume, anchor, lower, upper, reach, numbers, first_block, block_count and blocks.
     const unsigned long long volume = field.volume;

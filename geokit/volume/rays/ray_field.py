@@ -1,4 +1,4 @@
-"""A grid as rays see it: beside its buffer the box outside of which all is background, and an anchor."""
+"""Prepares a grid for ray kernels: its buffer, the box outside of which all is background, and an anchor voxel."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 __all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "read_rays", "refuse_bad_rays", "stored_box"]
 
-# Voxels this near the ends of int32 count as background: borders of blocks must be int32 numbers too.
+# Voxels this near the ends of int32 count as background, because borders of blocks must be int32 numbers too.
 OUTERMOST_VOXEL = 2**31 - 16
-# Edges of what hangs below an entry of the root, and of a leaf.
+# Edges [voxels] of a root entry's region and of a leaf.
 ROOT_SPAN = 4096
 LEAF_SPAN = 8
-# Nodes whose slots are looked at together: 64 upper nodes are 16 MiB of them.
+# Nodes whose slots are scanned together; the slots of 64 upper nodes take 16 MiB.
 NODES_AT_A_TIME = 64
 
 
 def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) -> Any:
-    """The kernels' RayField of a grid.
+    """The RayField of a grid, as kernels take it.
 
     Args:
         volume: A grid of one component.
-        device: Where the kernels run.
-        others: Grids with the same transform that are walked with it: the box is that around all of them.
+        device: Device of the kernels.
+        others: Grids with the same transform that are traversed together with it; the box encloses all of them.
     Returns:
         A RayField.
     Raises:
@@ -60,10 +60,10 @@ def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) 
     else:
         box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
         anchor = anchor_of(box)
-        # Cells see their lowest voxel and the next: the first that is not background reaches one cell down.
+        # A cell reads its lowest voxel and the next, so the first stored voxel also belongs to the cell below.
         lower, upper = box[0] - 1.0 - anchor, box[1] + 1.0 - anchor
     linear = volume.info.transform[:3, :3]
-    # One rounding: what the product and the translation have in common cancels in the wider type.
+    # One rounding only: the common part of product and translation cancels in the wider type.
     corner = np.asarray(linear, np.longdouble) @ anchor.astype(np.longdouble) + volume.info.transform[:3, 3]
     field.corner = wp.vec3d(*map(float, corner))
     field.to_index = wp.mat33d(*np.linalg.inv(linear).ravel().tolist())
@@ -76,12 +76,12 @@ def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) 
 
 
 def read_rays(origins: Any, directions: Any, device: "wp.Device") -> tuple[user_arrays.Batch, user_arrays.Batch]:
-    """Origins and directions as batches of equal length; their rows are left to the kernel to check.
+    """Origins and directions as batches of equal length. The kernel checks their rows.
 
     Args:
         origins: Shape (N, 3).
         directions: Shape (N, 3).
-        device: Where the kernels run.
+        device: Device of the kernels.
     Returns:
         Both batches.
     Raises:
@@ -95,7 +95,7 @@ def read_rays(origins: Any, directions: Any, device: "wp.Device") -> tuple[user_
 
 
 def refuse_bad_rays(rays: user_arrays.Batch, heading: user_arrays.Batch) -> None:
-    """Name the first row that a kernel found unusable.
+    """Raise for the first row that a kernel found unusable.
 
     Raises:
         InputError: A row is not finite, or a direction is zero.
@@ -108,9 +108,10 @@ def refuse_bad_rays(rays: user_arrays.Batch, heading: user_arrays.Batch) -> None
 
 
 def stored_box(volume: SparseVolume) -> NDArray[np.int64] | None:
-    """First and last voxel of what is not a tile of the background, shape (2, 3); None where nothing is.
+    """First and last voxel (2, 3) of the box around everything but background tiles; None for an empty grid.
 
-    Wider than the active voxels: inactive values count for the interpolant as well. Looked up once for each volume.
+    The box may be wider than the active voxels, because the interpolant also reads inactive values. It is cached per
+    volume.
     """
 
     def find() -> NDArray[np.int64] | None:
@@ -129,7 +130,7 @@ def _find_box(buffer: NDArray[np.uint8]) -> NDArray[np.int64] | None:
     layout = layout_of(int(grid_header(buffer)["grid_type"]), "volume")
     tree = tree_header(buffer)
     root, upper, lower = (TREE_OFFSET + int(tree["node_offset"][level]) for level in (3, 2, 1))
-    # Compared as bits: NaN equals itself, and -0.0 is kept apart from 0.0 for nothing.
+    # Compared as bits, so that NaN equals itself; that -0.0 then differs from 0.0 does no harm.
     bits = np.dtype(f"<u{layout.background.itemsize}")
     background = buffer[root + layout.root_background :][: bits.itemsize].view(bits)[0]
 
@@ -139,7 +140,7 @@ def _find_box(buffer: NDArray[np.uint8]) -> NDArray[np.int64] | None:
     child = table[:, 8:16].copy().view("<i8")[:, 0]
     at = -(-20 // layout.align) * layout.align
     tile = np.ascontiguousarray(table[:, at : at + bits.itemsize]).view(bits)[:, 0]
-    # A key has 20 bits of each coordinate, z lowest; the shift to the left gives them their sign.
+    # A key has 20 bits of each coordinate, z lowest; the left shift puts their sign bit in place.
     parts = np.stack([key >> np.uint64(42), key >> np.uint64(21), key], axis=1).astype(np.uint32)
     origins = (parts << np.uint32(12)).view(np.int32).astype(np.int64)
     boxes = [np.stack([origins, origins + ROOT_SPAN - 1], axis=1)[(child == 0) & (tile != background)]]
@@ -181,7 +182,7 @@ def _slots(
     layout: GridLayout,
     background: Any,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
-    """Of ``count`` nodes: slots of tiles other than the background, those of children, and the children's offsets."""
+    """For ``count`` nodes: slots of tiles other than background, slots of children, and the children's offsets."""
     mask = np.ndarray((count, slots // 8), np.uint8, buffer, start + 32 + slots // 8, (size, 1))
     found = np.unpackbits(mask, axis=1, bitorder="little").view(np.bool_)
     values = np.ndarray((count, slots), background.dtype, buffer, start + table, (size, layout.table_stride))
@@ -190,7 +191,7 @@ def _slots(
 
 
 def _boxes_of(origins: NDArray[np.int64], used: NDArray[np.bool_], span: int) -> NDArray[np.int64]:
-    """First and last voxel of the used slots (N, W, W, W) of nodes, shape (N, 2, 3), without nodes that have none."""
+    """First and last voxel (N, 2, 3) of the used slots (N, W, W, W) of nodes; nodes without used slots are left out."""
     some = used.any(axis=(1, 2, 3))
     used, origins = used[some], origins[some]
     lines: list[NDArray[np.bool_]] = [np.asarray(used.any(axis=axes)) for axes in ((2, 3), (1, 3), (1, 2))]

@@ -1,10 +1,10 @@
-// What rays of a packet do alike, side by side: their way into index space and into the box, and the jumps to the
-// first block that may hold a crossing.
+// The steps that all rays of a packet take alike, in SIMD: into index space, into the box, and the jumps to the first
+// block that may hold a crossing.
 //
 // Expects the types of core/simd.inl; field, a RayField; start, stop, origins, directions, t_min, max_distance; the
-// constants G (rays of a packet), SHORTEST_DIRECTION and BLOCK_WORDS. Defines rays, an array for each number of a
-// ray; found, the cells in which a root is bracketed, none so far; count; origins (ox, oy, oz) and directions (rx,
-// ry, rz); m00 to m22. Returns 1 where a ray is not usable. RAY_*(X) and BRACKET(X) list the names.
+// constants G (rays of a packet), SHORTEST_DIRECTION and BLOCK_WORDS. Defines rays, a struct of arrays; found, the
+// list of cells in which a root is bracketed, still empty; count; origins (ox, oy, oz) and directions (rx, ry, rz);
+// m00 to m22. Returns 1 if a ray is not usable. RAY_*(X) and BRACKET(X) list the names.
 //
 // Loops whose reads are scattered are not vectorized: see trilinear_cells.inl.
 #define RAY_REALS(X) \
@@ -32,7 +32,7 @@
 #undef INTS
     found.count = 0;
 
-    // The rays from `start` on, each with index_ray's operations. Lanes without a ray repeat the first.
+    // The rays from `start` on, by the operations of index_ray. Lanes without a ray repeat the first ray.
     const double lower[3] = {field.lower[0], field.lower[1], field.lower[2]};
     const double upper[3] = {field.upper[0], field.upper[1], field.upper[2]};
     const double cx = field.corner[0], cy = field.corner[1], cz = field.corner[2];
@@ -80,9 +80,9 @@
     for (int q = 0; q < G; ++q) bad |= useless[q];
     if (bad) return 1;
 
-    // The jumps of traverse_blocks.inl, four rays at a time, until each is in a block that may hold a crossing
-    // (`clear` is 0), or through (-1). Vectors of eight would be wider than the registers in which processors run at
-    // full speed.
+    // The jumps of traverse_blocks.inl, four rays at a time, until each ray is in a block that may hold a crossing
+    // (`clear` is 0) or has left the box (-1). Vectors of eight would be wider than the registers at which processors
+    // run at full speed.
     typedef decltype(d4() < d4()) l4;
     auto narrow = [](l4 mask) { return __builtin_convertvector(mask, i4); };
     auto real = [](i4 number) { return __builtin_convertvector(number, d4); };
@@ -96,7 +96,7 @@
         const d4 qx = reals(rays.qx), qy = reals(rays.qy), qz = reals(rays.qz);
         const d4 dx = reals(rays.dx), dy = reals(rays.dy), dz = reals(rays.dz);
         const d4 ix = reals(rays.ix), iy = reals(rays.iy), iz = reals(rays.iz), last = reals(rays.last);
-        // -1 where the ray goes backwards.
+        // -1 for a ray that goes backwards along the axis.
         const i4 back_x = ints(rays.fx) - 1, back_y = ints(rays.fy) - 1, back_z = ints(rays.fz) - 1;
         const i4 octant = (back_x * -4 + back_y * -2 - back_z) * of_octant;
         i4 bx = ints(rays.bx), by = ints(rays.by), bz = ints(rays.bz), alive = -ints(rays.crosses);

@@ -1,7 +1,7 @@
-// The steps of raycast_cell.inl to the root, eight cells side by side; the last ones repeat the first.
+// The root iteration of raycast_cell.inl for eight cells at a time; spare lanes repeat the first cell.
 //
-// Expects the names of ray_packet_cpu.inl; the constants ROUNDS and RESOLUTION; hit, sx, sy and sz, whose entries for
-// the rays of the cells it sets.
+// Expects the names of ray_packet_cpu.inl; the constants ROUNDS and RESOLUTION; hit, sx, sy and sz, whose entries it
+// sets for the rays of the cells.
     for (int n = found.count; n < ((found.count + 7) & ~7); ++n) {
         found.row[n] = found.row[0];
 #define REPEAT(name) found.name[n] = found.name[0];

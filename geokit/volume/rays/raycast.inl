@@ -1,7 +1,8 @@
 // The first crossing of the trilinear interpolant with an isovalue along a ray.
 //
 // Expects field, a RayField; the names of ray_box.inl, raycast_start.inl and raycast_cell.inl. Returns a wp::vec_t of
-// four doubles: where, in units of toward, infinite for nowhere, and the interpolant's slopes there by index.
+// four doubles: the ray parameter of the crossing in units of toward, infinite for none, and the interpolant's
+// gradient there in index space.
 #include "volume/rays/ray_field.inl"
 #include "volume/nanovdb/cached_accessor.inl"
 #include "volume/rays/ray_box.inl"

@@ -1,9 +1,9 @@
-// The first crossing of the isovalue in a cell, if there is one: hook ON_CELL of traverse.inl. Between the roots of
-// its derivative the cubic is monotone, so a change of sign there brackets exactly one root.
+// Finds the first crossing of the isovalue in a cell; hook ON_CELL of traverse.inl. Between the roots of its
+// derivative the cubic is monotone, so a change of sign there brackets exactly one root.
 //
 // Expects the names of traverse.inl and raycast_start.inl; isovalue; the constants ROUNDS and RESOLUTION; the macros
-// FLOAT_GRID and SIDE_BY_SIDE: 1 where the steps to the root are those of ray_roots_cpu.inl, if no value or slope of
-// the cubic overflows (LARGEST_SUM). Ends the walk by a goto to `done`.
+// FLOAT_GRID and SIDE_BY_SIDE: 1 if ray_roots_cpu.inl iterates to the root, provided that no value or slope of the
+// cubic overflows (LARGEST_SUM). Ends the walk by a goto to `done`.
         if (unseen >= 0) side = c[unseen] > (real)below ? 1 : -1;
         bool over = !mixed, under = !mixed;
         for (int m = 0; m < 8; ++m) {
@@ -15,8 +15,8 @@
 #if FLOAT_GRID
 #define VOXEL(n) (double)c[n]
 #else
-            // Numbers whose squares double cannot hold would hide where the cubic turns: a cell of such is scaled by
-            // a power of two, which rounds nothing. Squares of float32 numbers are far from there.
+            // If squares overflow or underflow in double, the cubic's turning points are lost. Such cells are scaled
+            // by a power of two, which rounds nothing. Squares of float32 numbers are far from these limits.
             double unit = 1.0;
             {
                 double most = wp::abs(isovalue);
@@ -39,10 +39,10 @@
             if (now != 0 || (p0 == 0.0 || first * side < 0)) {
                 root = 0.0;
             } else {
-                // Where the derivative (3 p3, 2 p2, p1) vanishes, by the formula that does not cancel.
+                // Roots of the derivative (3 p3, 2 p2, p1), by the formula without cancellation.
                 double ends[3] = {1.0, 1.0, 1.0};
                 const double square = p2 * p2 - 3.0 * p3 * p1;
-                // Most cells are seen at once to be monotone along the ray.
+                // This test shows most cells to be monotone along the ray.
                 if (square > 0.0 && 2.0 * wp::abs(p2) + 3.0 * wp::abs(p3) >= wp::abs(p1)) {
                     const double w = -(p2 + (p2 < 0.0 ? -wp::sqrt(square) : wp::sqrt(square)));
                     double one = w / (3.0 * p3), two = p1 / w;
@@ -68,7 +68,7 @@
                             return wp::vec_t<4, double>();
                         }
 #endif
-                        // Newton, kept between the ends of the bracket.
+                        // Newton's method, kept between the ends of the bracket.
                         double s = lo + (hi - lo) * (at_lo / (at_lo - at_hi)), left_end = lo, right_end = hi;
                         double moved = hi - lo;
                         for (int round = 0; round < ROUNDS; ++round) {
@@ -78,7 +78,7 @@
                             else right_end = s;
                             const double rise = (3.0 * p3 * s + 2.0 * p2) * s + p1;
                             double better = s - v / rise;
-                            // Beside multiple roots Newton's steps hardly shrink: halving is quicker there.
+                            // Near multiple roots Newton's steps hardly shrink, and bisection is faster.
                             if (!(better >= left_end && better <= right_end && wp::abs(better - s) <= 0.5 * moved))
                                 better = 0.5 * (left_end + right_end);
                             moved = wp::abs(better - s);

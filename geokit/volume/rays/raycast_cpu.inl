@@ -1,16 +1,16 @@
-// The first crossings of a packet of rays on a CPU. What all rays do alike is vector arithmetic: their way into the
-// box, the jumps to the first block that may hold a crossing, the last steps to the root in a cell, and the world's
-// point and normal. In between each ray goes its own way. All operations are those of raycast.inl and write_hit, so
-// answers are equal to the last bit.
+// The first crossings of a packet of rays on a CPU. Vector arithmetic takes the steps that all rays share: into the
+// box, the jumps to the first block that may hold a crossing, the root iteration in a cell, and the world point and
+// normal. The walk in between is scalar. All operations are those of raycast.inl and write_hit, so answers agree to
+// the last bit.
 //
 // Expects the names of ray_packet_cpu.inl and ray_roots_cpu.inl; isovalue, below, above; out_t, out_points,
 // out_normals.
-// Returns 0, or 1 where a ray is not usable; then nothing is written.
+// Returns 0, or 1 if a ray is not usable; then nothing is written.
 #if defined(__CUDA_ARCH__)
     return 0;
 #else
 #include "volume/rays/ray_packet_cpu.inl"
-    // A function of its own, so that the walk has all registers.
+    // A separate function, so that the walk has all registers.
     auto walk = [](const auto& field, const Rays& rays, Brackets& found, int q, double isovalue, double below,
                    double above) __attribute__((noinline)) -> wp::vec_t<4, double> {
 #include "volume/rays/ray_field.inl"
@@ -49,7 +49,7 @@
         hit[q] = met[0]; sx[q] = met[1]; sy[q] = met[2]; sz[q] = met[3];
     }
 #include "volume/rays/ray_roots_cpu.inl"
-    // write_hit's operations.
+    // The operations of write_hit.
     for (int q = 0; q < G; ++q) {
         const bool none = hit[q] == (double)INFINITY;
         const double t = hit[q] / rays.scale[q], nan = (double)NAN;

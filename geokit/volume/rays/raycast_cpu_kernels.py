@@ -1,4 +1,4 @@
-"""As raycast_kernels, on a CPU and by blocks: a thread works on a packet of rays side by side, see raycast_cpu.inl."""
+"""First crossings along rays on a CPU, through crossing blocks: a thread casts a packet of rays (raycast_cpu.inl)."""
 
 from typing import Any
 
@@ -12,9 +12,9 @@ from geokit.volume.rays.raycast_kernels import MOST_ITERATIONS, RESOLUTION, SHOR
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Rays of a thread side by side: 8 are 5% slower, 32 no faster.
+# Rays in a packet: 8 are 5% slower, 32 no faster.
 PACKET = wp.constant(16)
-# Where a cubic's coefficients add up to less, no value or slope of it on [0, 1] overflows.
+# If a cubic's coefficients add up to less, no value or slope of it on [0, 1] overflows.
 LARGEST_SUM = 1e300
 
 
@@ -37,7 +37,7 @@ def _first_crossings(is_float: int) -> str:
     )
 
 
-# One overload for float grids and one for all other types, chosen by the type of ``below`` and ``above``.
+# Overloads: float grids or all other types, by the type of ``below`` and ``above``.
 @wp.func_native(_first_crossings(1))
 def first_crossings(
     start: int,
@@ -54,7 +54,7 @@ def first_crossings(
     out_points: wp.array(dtype=wp.vec3d),
     out_normals: wp.array(dtype=wp.vec3d),
 ) -> int:
-    """Hits of the rays ``start`` to ``stop``; 1, and nothing is written, where one of them is not usable."""
+    """Writes the hits of the rays ``start`` to ``stop``. Returns 1 and writes nothing if a ray is not usable."""
     ...
 
 
@@ -111,11 +111,11 @@ def raycast_packets_kernel(
         out_normals,
     )
     if bad != 0:
-        # The host refuses the whole batch and names the first bad row.
+        # The host then refuses the whole batch and names the first bad row.
         out_bad[0] = 1
 
 
-# By whether the grid is one of floats.
+# Keys: whether the grid holds floats.
 RAYCAST_PACKETS = {
     True: wp.overload(raycast_packets_kernel, {"below": wp.float32, "above": wp.float32}),
     False: wp.overload(raycast_packets_kernel, {"below": wp.float64, "above": wp.float64}),

@@ -1,5 +1,5 @@
-// The end of a search for a crossing, where the box or the ray ends, and the label `done`. Returns where the ray
-// meets the isovalue, infinite for nowhere, and the slope there.
+// The end of a search for a crossing, at the end of the box or of the ray, and the label `done`. Returns the ray
+// parameter of the crossing, infinite for none, and the gradient there.
 //
 // Expects the names of raycast_start.inl.
     if (left) {

@@ -1,6 +1,6 @@
-"""The first crossing of the trilinear interpolant with an isovalue along each ray.
+"""Finds the first crossing of the trilinear interpolant with an isovalue along each ray.
 
-In a cell the interpolant is a cubic along the ray, see raycast_cell.inl.
+In a cell the interpolant is a cubic along the ray; see raycast_cell.inl.
 """
 
 from typing import Any
@@ -12,10 +12,10 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS
 
-# Equal bits on every device; loops as they stand compile in a tenth of the time.
+# Unfused operations give equal bits on every device. Loops that are not unrolled compile in a tenth of the time.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Of a thread on a GPU; see docs/design/launches-and-memory.md.
+# Registers per thread on a GPU; see docs/design/launches-and-memory.md.
 REGISTERS = 96
 
 # Directions shorter than this would lose digits as denormal numbers.
@@ -28,17 +28,17 @@ RESOLUTION = 4.5e-16
 
 @wp.struct
 class RayField:
-    """A grid as rays see it."""
+    """A grid prepared for ray kernels."""
 
     volume: wp.uint64
     # World to index, relative to the anchor voxel: to_index * (point - corner).
     corner: wp.vec3d
     to_index: wp.mat33d
     anchor: wp.vec3i
-    # Outside of this box all is background, index space relative to the anchor.
+    # All is background outside this box; index space relative to the anchor.
     lower: wp.vec3d
     upper: wp.vec3d
-    # What can be crossed without a look at voxels, see crossing_blocks_kernels; empty where that is not known.
+    # Tables of blocks without crossings, see crossing_blocks_kernels; empty if they were not built.
     reach: wp.array(dtype=wp.int8)
     numbers: wp.array(dtype=int)
     first_block: wp.vec3i
@@ -61,7 +61,7 @@ def _first_crossing(is_float: int) -> str:
     )
 
 
-# One overload for float grids and one for all other types, chosen by the type of the last two arguments.
+# Overloads: float grids or all other types, by the type of the last two arguments.
 @wp.func_native(_first_crossing(1))
 def first_crossing(
     field: RayField,
@@ -73,9 +73,9 @@ def first_crossing(
     below: wp.float32,
     above: wp.float32,
 ) -> wp.vec4d:
-    """Where a ray first meets the isovalue, infinite where it does not, and the interpolant's slopes there by index.
+    """Ray parameter of the first crossing, infinite for none, and the interpolant's gradient there in index space.
 
-    ``below`` and ``above`` are the isovalue, or the voxel type's numbers next to it where it is not one of them.
+    ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it.
     """
     ...
 
@@ -95,7 +95,7 @@ def first_crossing(  # noqa: F811
 
 @wp.func
 def is_usable(origin: wp.vec3d, direction: wp.vec3d) -> bool:
-    """Whether a ray is finite and has a direction."""
+    """Whether a ray is finite and its direction is not zero."""
     largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
     none = (origin - origin) + (direction - direction)
     return largest >= SHORTEST_DIRECTION and none[0] + none[1] + none[2] == wp.float64(0.0)
@@ -103,7 +103,7 @@ def is_usable(origin: wp.vec3d, direction: wp.vec3d) -> bool:
 
 @wp.func
 def index_ray(field: RayField, origin: wp.vec3d, direction: wp.vec3d, t_min: wp.float64, max_distance: wp.float64):
-    """Start and direction in index space, the latter's largest component 1; its first and last t; units of t."""
+    """Start, direction (largest component 1), first and last t in index space, and the factor from world t to it."""
     largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
     unit = direction / largest
     toward = field.to_index * unit
@@ -158,7 +158,7 @@ def raycast_kernel(
     origin = origins[i]
     direction = directions[i]
     if not is_usable(origin, direction):
-        # The host refuses the whole batch and names the first bad row.
+        # The host then refuses the whole batch and names the first bad row.
         out_bad[0] = 1
         return
     start, toward, t_first, t_last, scale = index_ray(field, origin, direction, t_min, max_distance)
@@ -166,7 +166,7 @@ def raycast_kernel(
     write_hit(i, found, scale, field.to_index, origin, direction, out_t, out_points, out_normals)
 
 
-# By whether the grid is one of floats.
+# Keys: whether the grid holds floats.
 RAYCAST = {
     True: wp.overload(raycast_kernel, {"below": wp.float32, "above": wp.float32}),
     False: wp.overload(raycast_kernel, {"below": wp.float64, "above": wp.float64}),

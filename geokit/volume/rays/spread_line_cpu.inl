@@ -1,5 +1,5 @@
-// A line of blocks along z of those that spread_distance_kernel writes: byte by byte, which a CPU vectorizes.
-// Read as unsigned bytes, the rim counts as far away.
+// A line of blocks along z of spread_distance_kernel, in a loop over bytes that compilers vectorize. Read as unsigned
+// bytes, the border's -1 counts as far away.
 //
 // Expects line, total, stride, count, length, distance, out_distance; the constant FARTHEST.
     typedef unsigned char byte;

@@ -1,16 +1,15 @@
 // A walk along a ray through the cells of a NanoVDB grid, which crosses constant regions in one step.
 //
-// A cell is the cube between eight voxel centers, named by its lowest voxel; the cells of an aligned block of 8^3
+// A cell is the cube between eight voxel centers, named by its lowest voxel. The cells of an aligned block of 8^3
 // need the voxels of up to eight blocks.
 //
-// Expects the names of cached_accessor.inl, ray_box.inl and ray_steps.inl; ta, where the walk begins, tb and unseen.
+// Expects the names of cached_accessor.inl, ray_box.inl and ray_steps.inl; ta, the start of the walk, tb and unseen.
 // Hooks:
-// - SAME: whether blocks of the values `value` and `other`, side by side, can be crossed in one step.
-// - ON_REGION: the interpolant has the value `value`, up to SAME, between ta and tb.
-// - ON_CELL, a file: the ray is between ta and tb in the cell (bx, by, bz), whose voxels are c[0] to c[7], k fastest;
-//   `mixed` where these are known not to be all above or all below the isovalue. `unseen` is -1, or the number of a
-//   voxel of the face through which the ray came out of blocks or cells that it crossed without looking at their
-//   voxels.
+// - SAME: whether adjacent blocks of the values `value` and `other` can be crossed in one step.
+// - ON_REGION: called where the interpolant has the value `value`, up to SAME, between ta and tb.
+// - ON_CELL, a file: the ray is between ta and tb in the cell (bx, by, bz), whose voxels are c[0] to c[7], k fastest.
+//   `mixed` is set if these are known not to be all above or all below the isovalue. `unseen` is -1; or, if the ray
+//   comes from blocks or cells whose voxels it did not read, the number of a voxel of the face where it left them.
 // The hooks may end the walk by a goto.
     while (crosses && ta <= last) {
         const int gi = (int)((unsigned)bx + (unsigned)anchor[0]), gj = (int)((unsigned)by + (unsigned)anchor[1]),
@@ -20,7 +19,7 @@
         if (node == 0) node = leaf_or_tile((gi >> 3 & 15) << 8 | (gj >> 3 & 15) << 4 | (gk >> 3 & 15));
         const bool in_leaf = node & 1;
         real value = (real)0;
-        // First cell, and number of cells along each edge, of the region that this step crosses.
+        // First cell of the region that this step crosses; `cells` is its number of cells along each edge.
         int lx = bx - ((int)((unsigned)bx + (unsigned)anchor[0]) & (size - 1)),
             ly = by - ((int)((unsigned)by + (unsigned)anchor[1]) & (size - 1)),
             lz = bz - ((int)((unsigned)bz + (unsigned)anchor[2]) & (size - 1));
@@ -40,7 +39,7 @@
             const double ahead = wp::max(ta, along_x ? tx : along_y ? ty : tz);
             bool alike = true;
             if (cells == 8) {
-                // Which neighbors the ray comes to see within this block.
+                // Neighbors whose voxels the ray's cells read within this block.
                 const double end = wp::min(ahead, last);
                 const int seen = (qx + (fx ? end : ta) * dx > (double)(lx + 7) ? 1 : 0)
                                | (qy + (fy ? end : ta) * dy > (double)(ly + 7) ? 2 : 0)

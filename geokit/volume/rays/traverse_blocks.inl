@@ -1,11 +1,11 @@
-// The walk of traverse.inl by the blocks and cells that crossing_blocks_kernels found, where it found any; then
-// `crosses` becomes false.
+// The walk of traverse.inl through the tables of crossing_blocks_kernels, if there are any; it then sets `crosses` to
+// false.
 //
 // Expects the names of traverse.inl, reach, numbers, first_block, block_count and blocks (see
-// crossing_blocks_kernels); the constant BLOCK_WORDS; the macro SIDE_BY_SIDE: 1 where `known` is what
-// ray_packet_cpu.inl found for the first block.
-// Hooks: BLOCK_CELLS, a file, goes through the cells of a block that may hold a crossing; ON_UNSEEN runs where blocks
-// or cells were crossed without looking at their voxels.
+// crossing_blocks_kernels); the constant BLOCK_WORDS; the macro SIDE_BY_SIDE: 1 if ray_packet_cpu.inl has set `known`
+// to the distance of the first block.
+// Hooks: BLOCK_CELLS, a file, steps through the cells of a block that may hold a crossing; ON_UNSEEN runs after blocks
+// or cells were crossed without reading their voxels.
     if (reach.shape[0] != 0) {
         // The distances ahead, for rays of this octant.
         const signed char* const ahead = (const signed char*)reach.data
@@ -15,7 +15,7 @@
                 return (((bx >> 3) - first_block[0]) * block_count[1] + ((by >> 3) - first_block[1])) * block_count[2]
                      + ((bz >> 3) - first_block[2]);
             };
-            // How many blocks ahead hold no crossing.
+            // Distance [blocks] to the nearest busy block ahead.
 #if SIDE_BY_SIDE
             int clear = known;
             known = 1;
@@ -26,8 +26,8 @@
             bool along_x = false, along_y = false;
             if (clear > 0) {
                 do {
-                    // No block fewer than this number of blocks ahead holds a crossing: leave the cube that they
-                    // make.
+                    // No block nearer than this distance holds a crossing, so the ray jumps out of the cube of these
+                    // blocks.
                     const int span = 8 * clear, beyond = span - 8;
                     const int lx = (bx & ~7) - (fx ? 0 : beyond), ly = (by & ~7) - (fy ? 0 : beyond),
                               lz = (bz & ~7) - (fz ? 0 : beyond);

@@ -1,1 +1,1 @@
-"""Values and derivatives of volumes at points: nearest, trilinear, quadratic, cubic, staggered."""
+"""Sampling: which value and which derivatives does a volume have at a point?"""

@@ -1,4 +1,4 @@
-"""Whether voxels are active, in grids of any type."""
+"""Tests whether the voxels nearest to points are active, in grids of any type."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func_native(cpp("volume/sampling/is_active.inl"))
 def is_active(volume: wp.uint64, i: int, j: int, k: int) -> bool:
-    """Whether a voxel, or the tile that stands for it, is active."""
+    """Whether a voxel, or the tile that covers it, is active."""
     ...
 
 

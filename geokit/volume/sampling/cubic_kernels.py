@@ -4,6 +4,6 @@ from geokit.volume.sampling.smooth_kernels import gradient_overloads, kernels_of
 from geokit.volume.sampling.stencil_kernels import Cubic
 
 sample_cubic_kernel, gradient_cubic_kernel, hessian_cubic_kernel = kernels_of(Cubic, __name__)
-# By the number of a value's components.
+# Keys: components of a value.
 SAMPLE_CUBIC = sample_overloads(sample_cubic_kernel)
 GRADIENT_CUBIC = gradient_overloads(gradient_cubic_kernel)

@@ -1,4 +1,4 @@
-"""Curvatures of a level set from the gradient and the Hessian of its field."""
+"""Computes the curvatures of a level set from the gradient and the Hessian of its field."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def tangent_to(normal: wp.vec3d) -> wp.vec3d:
-    """A unit vector at right angles to a unit vector, away from its smallest component's axis."""
+    """A unit vector perpendicular to a unit vector; the axis of the smallest component is crossed with it."""
     x = wp.abs(normal[0])
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])
@@ -32,14 +32,14 @@ def curvature_kernel(
 ):
     i = first + wp.tid()
     half = wp.float64(0.5)
-    # Divided by its largest component first, so that no square overflows or vanishes.
+    # Division by the largest component keeps squares from overflow and underflow.
     g = gradient[i]
     largest = wp.max(wp.abs(g[0]), wp.max(wp.abs(g[1]), wp.abs(g[2])))
     length = wp.length(g / largest) * largest
     normal = wp.normalize(g / largest)
     u = tangent_to(normal)
     v = wp.cross(normal, u)
-    # The shape operator in the tangent plane: its eigenvalues do not suffer from the cancellation in mean^2 - gaussian.
+    # Eigenvalues of the shape operator in the tangent plane avoid the cancellation in mean^2 - gaussian.
     h = hessian[i]
     a = wp.dot(u, h * u) / length
     b = wp.dot(u, h * v) / length

@@ -1,8 +1,8 @@
-"""Second-order central differences at the active voxels of leaves, taken to world space by the inverse transform.
+"""Second-order central differences at the active voxels of leaves, in world space.
 
-A thread is a voxel. Differences run along the index axes in float64; ``to_index`` is the inverse of the transform's
-linear part, so that derivative c in the world is the sum over the axes a of ``difference[a] * to_index[a, c]``: right
-for rotated, sheared and non-uniform voxels. Voxels that are not active are left as they are.
+Each thread handles one voxel. Differences run along the index axes in float64. ``to_index`` is the inverse of the
+transform's linear part: world derivative c is the sum over the axes a of ``difference[a] * to_index[a, c]``. This
+holds for rotated, sheared and non-uniform voxels. Outputs of inactive voxels are not written.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ def voxel_of(origin: wp.vec3i, n: int) -> wp.vec3i:
 
 @wp.func
 def value_at(volume: wp.uint64, kind: int, leaf: wp.uint64, origin: wp.vec3i, v: wp.vec3i, family: Any):
-    """The value of a voxel; the walk down the tree is saved where it is in the leaf at ``origin``."""
+    """The value of a voxel. Voxels of the leaf at ``origin`` need no walk down the tree."""
     node = leaf
     if (v[0] & ~7) != origin[0] or (v[1] & ~7) != origin[1] or (v[2] & ~7) != origin[2]:
         node = node_of(volume, kind, v[0], v[1], v[2])
@@ -44,7 +44,7 @@ def axis_step(axis: int) -> wp.vec3i:
 
 @wp.func
 def central(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, zero: Any):
-    """Half the difference of the voxels on both sides along an index axis."""
+    """Half the difference between the next and the previous voxel along an index axis."""
     kind = grid_type_of(volume)
     leaf = node_of(volume, kind, origin[0], origin[1], origin[2])
     step = axis_step(axis)
@@ -55,7 +55,7 @@ def central(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, zero: A
 
 @wp.func
 def forward(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, zero: Any):
-    """The next voxel along an index axis less this one: a face's far side less its near side in staggered grids."""
+    """The next voxel along an index axis minus this one. In staggered grids: the far face minus the near face."""
     kind = grid_type_of(volume)
     leaf = node_of(volume, kind, origin[0], origin[1], origin[2])
     above = value_at(volume, kind, leaf, origin, v + axis_step(axis), zero)
@@ -149,7 +149,7 @@ def curl_kernel(
 
 @wp.func
 def second_difference(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, a: int, b: int) -> wp.float64:
-    """Along an index axis twice, or along two."""
+    """The second derivative along index axes a and b; mixed where they differ."""
     kind = grid_type_of(volume)
     leaf = node_of(volume, kind, origin[0], origin[1], origin[2])
     zero = wp.float64(0.0)
@@ -178,7 +178,7 @@ def laplacian_kernel(
     metric: wp.mat33d,
     out_laplacian: wp.array(dtype=wp.float64),
 ):
-    """``metric`` is ``to_index @ to_index.T``: zero beside the diagonal where the voxels' axes are orthogonal."""
+    """``metric`` is ``to_index @ to_index.T``. It is diagonal where the voxels' axes are orthogonal."""
     i = first + wp.tid()
     leaf = i >> 9
     if not is_set(masks, leaf, i & 511):

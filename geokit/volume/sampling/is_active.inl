@@ -1,5 +1,5 @@
-// Whether a voxel, or the tile that stands for it, is active. Warp has no built-in for it. PNanoVDB, which warp
-// compiles into its kernels, looks at the value masks of leaves and tiles and at the state of the root's tiles.
+// Whether a voxel, or the tile that covers it, is active. Warp has no built-in for this. PNanoVDB, which warp
+// compiles into its kernels, reads the value masks of leaves and tiles and the state of the root's tiles.
 //
 // Expects volume, i, j, k. Returns the bool.
     const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);

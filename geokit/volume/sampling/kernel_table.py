@@ -1,4 +1,7 @@
-"""The kernel of each kind of query of a volume. Importing this compiles nothing: kernels are compiled by module."""
+"""Table of the kernels for each kind of volume query.
+
+Importing it compiles nothing: warp compiles a module of kernels at its first launch.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ _OF_ONE_ORDER = {
     ("hessian", 2): {1: quadratic.hessian_quadratic_kernel},
     ("hessian", 3): {1: cubic.hessian_cubic_kernel},
 }
-# By (what, order, components, staggered).
+# Keys: (what, order, components, staggered).
 _KERNELS: dict[tuple[str, int, int, bool], Any] = {
     (what, order, components, False): kernel
     for (what, order), kernels in _OF_ONE_ORDER.items()
@@ -41,8 +44,8 @@ def query_kernel(what: str, order: int, components: int, is_staggered: bool) -> 
 
     Args:
         what: "sample", "gradient" or "hessian".
-        order: Of the interpolant.
-        components: Numbers of a voxel.
+        order: Order of the interpolant.
+        components: Components of a voxel.
         is_staggered: Whether each component lies on a face of its voxel.
     """
     return _KERNELS[what, order, components, is_staggered], [order] if is_staggered else []

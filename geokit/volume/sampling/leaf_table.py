@@ -1,4 +1,4 @@
-"""The table of a float grid's leaves on a device, made after enough queries and kept with the volume."""
+"""Builds the leaf table of a float grid on a device, after enough queries, and keeps it with the volume."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 
 __all__ = ["leaf_table"]
 
-# An entry takes a quarter of the time of a query through the tree, and the table saves half of that: it is worth making
-# once it has at most so many entries for each query so far.
+# Filling an entry takes a quarter of the time of a query through the tree, and the table saves half of a query's time.
+# So the table pays once it has at most this many entries per query so far.
 ENTRIES_PER_QUERY = 2
-# Bytes of a lower node without the eighth of a leaf that it has at least: how many a grid of a size can hold.
+# Fewest bytes of a lower node with its leaves: bounds how many lower nodes a grid of a given size can hold.
 LOWER_NODE = 1 << 15
-# Places of 128^3 voxels in the box: 4 MiB. Grids that lie scattered over a larger one are searched through their tree.
+# Most places of 128^3 voxels in the box: 4 MiB of entries. Grids scattered over a larger box are queried by tree walks.
 LARGEST_BOX = 1 << 20
-# Bytes of a grid whose tiles 31 bits can tell apart.
+# Bytes of a grid: an entry addresses a tile's value by 31 bits, in units of four bytes.
 LARGEST_GRID = 1 << 33
 SPAN = 128
-# A leaf's bytes divided by 32: entries of neighboring leaves differ by it.
+# A leaf's bytes divided by 32: the entries of consecutive leaves differ by it.
 LEAF_ENTRIES = 67
-# Of a GPU's free memory, what the pairs of a volume may take: they are two and a half times its leaves.
+# Share of a GPU's free memory that the pairs of a volume may take. Pairs take two and a half times the leaves' memory.
 PAIRS_SHARE = 0.25
 
 
 def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
-    """The LeafTable of a volume, or None where there is none or ``count`` queries are too few to make it.
+    """The LeafTable of a volume; None if the grid has none, or if it does not pay yet.
 
     Args:
-        volume: A grid; of any type but "float" there is no table.
-        device: Where its table is wanted.
-        count: Number of queries that are waiting.
+        volume: A grid. Only "float" grids have tables.
+        device: Device of the table.
+        count: Number of queries in this call.
     """
     key = f"leaf table {device.alias}"
     if key in volume._uploads:
@@ -46,7 +46,7 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
     if box is None:
         return None
     volume.on(device)  # checks the grid before its contents are used
-    # Many small calls count as much as a large one.
+    # Queries add up over calls, so many small calls count like one large call.
     asked = f"queries on {device.alias}"
     volume._uploads[asked] = volume._uploads.get(asked, 0) + count
     if volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
@@ -56,17 +56,17 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
 
 
 def _box(volume: SparseVolume) -> tuple[np.ndarray, np.ndarray] | None:
-    """First voxel, and size in places, of a box around the active voxels."""
+    """First voxel and size, in steps of 128 voxels, of a box around the active voxels; None if no table can hold it."""
     info = volume.info
     if info.grid_type != "float" or info.index_bounds is None or info.byte_count > LARGEST_GRID:
         return None
     first = info.index_bounds[0] // SPAN
     last = info.index_bounds[1] // SPAN
-    # Queries lie around a body too: empty places cost an entry each.
+    # Queries also lie around a body; an empty place costs one entry only.
     margin = 1 + (last - first + 1) // 2
     first, last = first - margin, last + margin
     size = last - first + 1
-    # Index arithmetic in kernels is int32, and a cell's far corner one beyond the box.
+    # Kernels compute indices in int32, and a cell's far corner may lie one voxel beyond the box.
     limits = np.iinfo(np.int32)
     if size.prod(dtype=np.float64) > LARGEST_BOX or (first * SPAN < limits.min).any():
         return None
@@ -76,7 +76,7 @@ def _box(volume: SparseVolume) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _most_entries(volume: SparseVolume, first: np.ndarray, size: np.ndarray) -> int:
-    """Entries of the table, if there are as many lower nodes as the active box and the bytes have room for."""
+    """Upper bound of the table's entries, from the most lower nodes that the active box and the grid's bytes allow."""
     bounds = volume.info.index_bounds
     assert bounds is not None
     active = int((bounds[1] // SPAN - bounds[0] // SPAN + 1).prod())
@@ -113,10 +113,10 @@ def _make(volume: SparseVolume, device: "wp.Device", lower: np.ndarray, size: np
 
 
 def add_pairs(table: Any, places: "wp.array", memory: int) -> None:
-    """Give a table its ``pairs``, unless they need more than ``memory`` bytes.
+    """Add ``pairs`` to a table, unless they need more than ``memory`` bytes.
 
-    A GPU is as quick as the 32-byte sectors of the cells come: of a leaf as it is a cell touches four and a half, of
-    pairs two and a half.
+    Sampling on a GPU is bound by the 32-byte sectors that a cell touches: four and a half in a leaf, two and a half in
+    the pairs.
     """
     import warp as wp
 

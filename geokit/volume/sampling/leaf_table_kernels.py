@@ -1,10 +1,10 @@
-"""A short cut to the leaves of a float grid: a 32-bit entry for each place of a leaf, instead of a walk down the tree.
+"""A table that finds the leaves of a float grid without a walk down the tree: one 32-bit entry per 8^3 voxels.
 
-NanoVDB finds a voxel through the root's table and two nodes with a mask and a table of 64 bits each, of 302 and 35 kB.
-Here a dense table over the box of the active voxels has a number for each 128^3 voxels, and where there are leaves a
-block of 16^3 entries: 16 kB that stay in the cache. The voxels themselves stay in the grid's own buffer.
+NanoVDB finds a voxel through the root's table and two nodes, each with a mask and a 64-bit table, of 302 and 35 kB.
+This table is dense over a box around the active voxels. It holds one number for each 128^3 voxels, and a block of 16^3
+entries where there are leaves: 16 kB that stay in the cache. The voxels themselves stay in the grid's own buffer.
 
-An entry is the byte at which a leaf starts divided by 32; or, for a tile, ~(the byte of its value divided by 4).
+The entry of a leaf is its byte offset divided by 32. The entry of a tile is ~(byte offset of its value / 4).
 """
 
 # mypy: ignore-errors
@@ -23,10 +23,10 @@ PAIRS = wp.constant(648)
 
 @wp.struct
 class LeafTable:
-    """Where the leaves of a float grid are.
+    """Locations of the leaves of a float grid.
 
-    ``top`` has for each 128^3 voxels of the box the first of their entries in ``slots``; or, where they are one tile,
-    its entry, which is negative.
+    ``top`` has one number for each 128^3 voxels of the box: the first of their entries in ``slots``, or the entry of
+    the single tile that covers them, which is negative.
     """
 
     # Address of the grid.
@@ -37,21 +37,21 @@ class LeafTable:
     # z fastest.
     top: wp.array(dtype=int)
     slots: wp.array(dtype=int)
-    # The leaves once more, on a GPU that has the memory, for cells that begin in them: (9, 8, 9) pairs of a voxel and
-    # the next along y. The entry of the first; an entry is 67 more for each leaf.
+    # A second copy of the leaves, on GPUs with enough memory: (9, 8, 9) pairs of a voxel and the next along y, for the
+    # cells that begin in a leaf. ``first_leaf`` is the entry of the first leaf; entries grow by 67 per leaf.
     pairs: wp.array(dtype=wp.float32)
     first_leaf: int
 
 
 @wp.func_native(cpp("volume/sampling/level_of.inl"))
 def level_of(volume: wp.uint64, i: int, j: int, k: int) -> int:
-    """Where the value of a voxel is: 0 a leaf, 1 a lower node, 2 an upper node, 3 and more the root."""
+    """The tree level that holds the value of a voxel: 0 leaf, 1 lower node, 2 upper node, 3 and more the root."""
     ...
 
 
 @wp.func
 def corner_of(t: int, lower: wp.vec3i, size: wp.vec3i) -> wp.vec3i:
-    """First voxel of place number t of the box."""
+    """First voxel of place t of the box."""
     z = t % size[2]
     y = t / size[2] % size[1]
     x = t / (size[2] * size[1])
@@ -65,7 +65,7 @@ def tile_entry(node: wp.uint64) -> int:
 
 @wp.kernel
 def fill_top_kernel(first: int, volume: wp.uint64, lower: wp.vec3i, size: wp.vec3i, out_top: wp.array(dtype=int)):
-    """Entries of places that are one tile, and 0 for those that hold leaves."""
+    """Writes the entry of each place that is one tile, and 0 for places that hold leaves."""
     t = first + wp.tid()
     c = corner_of(t, lower, size)
     entry = int(0)
@@ -95,7 +95,7 @@ def fill_slots_kernel(
 
 @wp.func_native(cpp("volume/sampling/table_voxel.inl"))
 def table_voxel(table: LeafTable, i: int, j: int, k: int) -> wp.float32:
-    """The voxel (i, j, k), which lies in the box."""
+    """The value of voxel (i, j, k), which must lie in the box."""
     ...
 
 

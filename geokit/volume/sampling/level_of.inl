@@ -1,4 +1,5 @@
-// Where the value of a voxel of a float grid is: 0 a leaf, 1 a lower node, 2 an upper node, 3 and more the root.
+// The tree level that holds the value of a voxel of a float grid: 0 leaf, 1 lower node, 2 upper node, 3 and more the
+// root.
 //
 // Expects volume, i, j, k. Returns the int.
     const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);

@@ -1,4 +1,4 @@
-// The entries of a matrix as numbers of their own.
+// The entries of a matrix as separate variables.
 //
 // Expects to_index. Defines m00 to m22.
     const double m00 = to_index.data[0][0], m01 = to_index.data[0][1], m02 = to_index.data[0][2];

@@ -1,4 +1,4 @@
-"""Nearest voxels of int64 grids: samples are float64, which rounds what is beyond 2^53."""
+"""Reads the nearest voxels of int64 grids as int64, because float64 samples round integers beyond 2^53."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.

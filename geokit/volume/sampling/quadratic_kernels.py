@@ -4,6 +4,6 @@ from geokit.volume.sampling.smooth_kernels import gradient_overloads, kernels_of
 from geokit.volume.sampling.stencil_kernels import Quadratic
 
 sample_quadratic_kernel, gradient_quadratic_kernel, hessian_quadratic_kernel = kernels_of(Quadratic, __name__)
-# By the number of a value's components.
+# Keys: components of a value.
 SAMPLE_QUADRATIC = sample_overloads(sample_quadratic_kernel)
 GRADIENT_QUADRATIC = gradient_overloads(gradient_quadratic_kernel)

@@ -1,4 +1,4 @@
-"""The leaves of a volume on other voxels: which there may be, and what they hold."""
+"""Resampling of leaves under another transform: which leaves the result may need, and their values."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from geokit.volume.nanovdb.layout import LEAF_VOXELS
 
 __all__ = ["filled_leaves", "target_leaves", "way_between"]
 
-# Leaves whose points are made, sampled and stored at a time: a quarter of a million points, 13 MB with their values.
+# Leaves that are sampled at a time: a quarter of a million points, 13 MB with their values.
 LEAVES_AT_A_TIME = 512
-# Voxel indices are int32; this much is left free for stencils at both ends.
+# Voxel indices are int32; the margin leaves room for stencils at both ends.
 LARGEST_INDEX = 2**31 - 64
 REMEDY = "use larger voxels or a nearer origin"
 
@@ -25,15 +25,16 @@ REMEDY = "use larger voxels or a nearer origin"
 def way_between(
     source: NDArray[np.float64], target: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Matrix (3, 3) and shift (3,) that take indices under one transform to those under another.
+    """Matrix (3, 3) and shift (3,) that map indices under ``source`` to indices under ``target``.
 
-    Exact but for one rounding of each number, so that half a voxel is half a voxel.
+    Each number is exact up to one rounding, so half a voxel stays exactly half a voxel.
 
     Raises:
         InputError: A number exceeds float64.
     """
     to, of = ([[Fraction(n) for n in row] for row in matrix[:3].tolist()] for matrix in (target, source))
-    # The target's axes, and beside them what they have to make up: the source's axes, and the way between origins.
+    # Gauss-Jordan elimination in fractions: the target's axes, then the right-hand sides, which are the source's axes
+    # and the vector between the origins.
     rows = [t[:3] + o[:3] + [o[3] - t[3]] for t, o in zip(to, of, strict=True)]
     for k in range(3):
         pivot = next(row for row in rows[k:] if row[k])
@@ -51,13 +52,15 @@ def way_between(
 def target_leaves(
     origins: NDArray[np.int32], source: NDArray[np.float64], target: NDArray[np.float64], bytes_per_leaf: int
 ) -> NDArray[np.int32]:
-    """First voxels of the leaves that may hold a voxel whose nearest voxel of the source lies in one of its leaves.
+    """First voxels (N, 3) of the result's leaves that may overlap a leaf of the source.
+
+    A leaf counts if the source voxel nearest to one of its voxels may lie in a leaf of the source.
 
     Args:
         origins: First voxels of the source's leaves, (L, 3).
-        source: Its transform.
-        target: The transform of the result.
-        bytes_per_leaf: What a leaf takes while the result is made.
+        source: Transform of the source.
+        target: Transform of the result.
+        bytes_per_leaf: Memory per leaf while the result is built.
     Raises:
         InputError: Indices of the result exceed int32.
         DeviceMemoryError: The leaves take more memory than there is.
@@ -65,14 +68,14 @@ def target_leaves(
     if not len(origins):
         return np.empty((0, 3), np.int32)
     linear, shift = way_between(source, target)
-    centre = (origins.astype(np.float64) + 3.5) @ linear.T + shift
-    # Half the extent of a leaf with half a voxel around its centres, and a little for rounding.
+    center = (origins.astype(np.float64) + 3.5) @ linear.T + shift
+    # Half the extent of a leaf, with half a voxel around its voxel centers and a margin for rounding.
     reach = 4.0 * np.abs(linear).sum(axis=1) * (1.0 + 1e-9) + 1e-6
-    lowest, highest = np.floor((centre - reach) / 8.0), np.floor((centre + reach) / 8.0)
+    lowest, highest = np.floor((center - reach) / 8.0), np.floor((center + reach) / 8.0)
     if max(-lowest.min(), highest.max()) * 8.0 > LARGEST_INDEX:
         raise InputError(f"transform: voxel indices of the result exceed int32; {REMEDY}")
     size = highest - lowest + 1.0
-    # In floats: voxels that are far too small make more leaves than integers can count.
+    # In floats, because tiny voxels give more leaves than int64 can count.
     need, have = float(size.prod(axis=1).sum()) * bytes_per_leaf, available_memory.available_host()
     if need > have:
         raise DeviceMemoryError(
@@ -93,18 +96,18 @@ def filled_leaves(
     kind: np.dtype[Any],
     read: Callable[[NDArray[np.int64]], tuple[NDArray[Any], NDArray[np.bool_]]],
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[Any]]:
-    """Origins, masks (L, 64) and values (L, 512) or (L, 512, C) of those leaves that have an active voxel.
+    """Origins, masks (L, 64) and values (L, 512) or (L, 512, C) of the leaves that have an active voxel.
 
     Args:
         origins: First voxels of leaves.
         kind: Type of a value, with its shape for vectors.
-        read: Gives values (N,) or (N, C) and states (N,) of voxels (N, 3).
+        read: Returns values (N,) or (N, C) and active states (N,) of voxels (N, 3).
     """
     origins = origins.copy()
     values = np.empty((len(origins), LEAF_VOXELS), kind)
     masks = np.empty((len(origins), LEAF_VOXELS // 8), np.uint8)
     offsets = np.stack(np.unravel_index(np.arange(LEAF_VOXELS), (8, 8, 8)), axis=1)
-    # Leaves without an active voxel are written over by the next: room that is never touched is no memory.
+    # The next leaves overwrite those without an active voxel. Pages that are never touched take no memory.
     filled = 0
     for first in range(0, len(origins), LEAVES_AT_A_TIME):
         rows = slice(first, first + LEAVES_AT_A_TIME)

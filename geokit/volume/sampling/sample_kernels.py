@@ -1,7 +1,7 @@
-"""Values and gradients of a sparse volume at world points: the nearest voxel and the trilinear interpolant.
+"""Values and gradients of a sparse volume at world points, by the nearest voxel and the trilinear interpolant.
 
-Index coordinates, weights and sums are float64; the voxel's integer coordinates are split off before weights are
-formed, so that accuracy does not depend on where in index space a grid lies.
+Index coordinates, weights and sums are float64. The voxel's integer coordinates are subtracted before weights are
+formed, so accuracy does not depend on where a grid lies in index space.
 """
 
 from typing import Any
@@ -14,8 +14,8 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read
 
 wp.set_module_options({"enable_backward": False})
 
-# Voxels exist where every coordinate is an int32. Two less at the upper end: a cell reads one voxel further, and
-# rounding to the nearest adds a half.
+# Voxel coordinates are int32. The upper end is two less, because a cell reads one voxel further and rounding to the
+# nearest voxel adds a half.
 LOWEST_INDEX = wp.constant(wp.float64(-2147483647.0))
 HIGHEST_INDEX = wp.constant(wp.float64(2147483645.0))
 
@@ -35,20 +35,20 @@ def has_voxels(u: wp.vec3d) -> bool:
 
 @wp.func
 def nearest_voxel(u: wp.vec3d) -> wp.vec3i:
-    """The voxel whose centre is nearest; halves go up."""
+    """The voxel with the nearest center; halves round up."""
     half = wp.float64(0.5)
     return wp.vec3i(int(wp.floor(u[0] + half)), int(wp.floor(u[1] + half)), int(wp.floor(u[2] + half)))
 
 
 @wp.func
 def mix(a: Any, b: Any, t: wp.float64):
-    # This form gives a back exactly where a == b: a constant region has no rounding noise.
+    # This form returns exactly a where a == b, so constant regions have no rounding noise.
     return a + (b - a) * t
 
 
 @wp.func
 def trilinear(c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, c110: Any, c111: Any, f: wp.vec3d):
-    """The interpolant of a cell at fractions f; trilinear_sums.inl has the same sums for float grids with a table."""
+    """The trilinear interpolant of a cell at fractions f, with the same sums as trilinear_sums.inl."""
     low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
     high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
     return mix(low, high, f[0])
@@ -83,7 +83,7 @@ def linear_value(volume: wp.uint64, u: wp.vec3d, background: Any):
 
 @wp.func
 def central_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
-    """Half the difference of the voxels on both sides of the nearest one, along each index axis."""
+    """Central differences at the nearest voxel along each index axis."""
     if not has_voxels(u):
         return zero, zero, zero
     v = nearest_voxel(u)
@@ -100,13 +100,13 @@ def central_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
 
 @wp.func
 def linear_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
-    """Derivatives of the trilinear interpolant along each index axis; on a cell's border those of the cell above."""
+    """Derivatives of the trilinear interpolant along each index axis. On a border, the upper cell counts."""
     if not has_voxels(u):
         return zero, zero, zero
     base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
     f = u - base
     c000, c001, c010, c011, c100, c101, c110, c111 = read_cell(volume, int(base[0]), int(base[1]), int(base[2]), zero)
-    # Subtracted before they are averaged: a large common value must not eat the digits of a small slope.
+    # Differences come before averages, so that a large common value does not cancel the digits of a small slope.
     return (
         mix(mix(c100 - c000, c101 - c001, f[2]), mix(c110 - c010, c111 - c011, f[2]), f[1]),
         mix(mix(c010 - c000, c011 - c001, f[2]), mix(c110 - c100, c111 - c101, f[2]), f[0]),
@@ -116,7 +116,7 @@ def linear_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
 
 @wp.func
 def world_derivative(along_i: Any, along_j: Any, along_k: Any, to_index: wp.mat33d, axis: int):
-    """One world derivative from those along the index axes: a row of the inverse transpose of the transform."""
+    """One world derivative from those along the index axes, by a row of the transform's inverse transpose."""
     return along_i * to_index[0, axis] + along_j * to_index[1, axis] + along_k * to_index[2, axis]
 
 
@@ -197,7 +197,7 @@ def gradient_linear_kernel(
         store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
 
 
-# By the number of a value's components.
+# Keys: components of a value.
 SAMPLE_NEAREST = {
     1: wp.overload(sample_nearest_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
     3: wp.overload(sample_nearest_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),

@@ -34,11 +34,11 @@ def smooth_gradient(volume: wp.uint64, u: wp.vec3d, basis: Any, zero: Any):
 
 
 def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
-    """Kernels of an interpolant: of values, of gradients, and of both derivatives of scalar grids.
+    """Three kernels of an interpolant: values, gradients, and gradients with Hessians of scalar grids.
 
     Args:
         basis: Quadratic or Cubic.
-        name: Module that they belong to: an interpolant that is not used is not compiled.
+        name: Warp module of the kernels. Each interpolant has its own, so that an unused one is not compiled.
     """
     module = wp.get_module(name)
     wp.set_module_options({"enable_backward": False, "max_unroll": 1}, module=module)
@@ -93,14 +93,14 @@ def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
             )
         out_gradient[i] = wp.transpose(to_index) * gradient
         world = wp.transpose(to_index) * second * to_index
-        # Rounding must not make it unsymmetric.
+        # Averaging with the transpose removes the asymmetry that rounding leaves.
         out_hessian[i] = (world + wp.transpose(world)) * wp.float64(0.5)
 
     return sample_kernel, gradient_kernel, hessian_kernel
 
 
 def sample_overloads(kernel: Any) -> dict[int, Any]:
-    """By the number of a value's components."""
+    """Overloads of a kernel, keyed by the components of a value."""
     return {
         1: wp.overload(kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
         3: wp.overload(kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
@@ -109,7 +109,7 @@ def sample_overloads(kernel: Any) -> dict[int, Any]:
 
 
 def gradient_overloads(kernel: Any) -> dict[int, Any]:
-    """By the number of a value's components."""
+    """Overloads of a kernel, keyed by the components of a value."""
     return {
         1: wp.overload(kernel, {"zero": wp.float64}),
         3: wp.overload(kernel, {"zero": wp.vec3d}),

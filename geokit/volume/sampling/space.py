@@ -1,4 +1,4 @@
-"""The spaces that query points can be in."""
+"""World and index space of query points, and the map between them."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ SPACES = ("world", "index")
 
 
 def require_space(space: str) -> None:
-    """Refuse what is not the name of a space.
+    """Check the name of a space.
 
     Raises:
-        InputError: It is not.
+        InputError: ``space`` is neither "world" nor "index".
     """
     if space not in SPACES:
         raise InputError(f"space: {space!r} is not known; use one of {', '.join(map(repr, SPACES))}")
 
 
 def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any]:
-    """Origin (vec3d) and matrix (mat33d): a point of ``space`` has index coordinates ``matrix * (point - origin)``."""
+    """Origin (vec3d) and matrix (mat33d) of the map to index coordinates, ``matrix * (point - origin)``."""
     import warp as wp
 
     if space == "index":
@@ -41,7 +41,7 @@ def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any
 
 
 def query_inputs(volume: SparseVolume, points: "wp.array", space: str = "world") -> list[Any]:
-    """The first inputs of volume kernels: the grid's handle, the points, and world_to_index."""
+    """The first inputs of volume kernels: the grid's handle, the points, origin and matrix of world_to_index."""
     import warp as wp
 
     return [wp.uint64(volume.id(points.device)), points, *world_to_index(volume, space)]

@@ -1,7 +1,7 @@
-"""Values and gradients of staggered vector grids: each component of a voxel lies on one of the voxel's faces.
+"""Values and gradients of staggered vector grids, whose components lie on the faces of voxels.
 
-Component c of voxel ijk is the field's at ``ijk - e_c / 2``, the center of the face towards smaller indices: it is
-sampled half a voxel further along axis c than the point is.
+Component c of voxel ijk is the field's value at ``ijk - e_c / 2``, the center of the face towards smaller indices. So
+component c is sampled half a voxel beyond the point along axis c.
 
 Source:
     OpenVDB (Museth 2013), StaggeredPointSampler, StaggeredBoxSampler and StaggeredQuadraticSampler.
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def at_face(u: wp.vec3d, axis: int) -> wp.vec3d:
-    """Index coordinates at which a component is sampled as if it were stored at voxel centers."""
+    """Index coordinates at which a component is sampled as if it lay at voxel centers."""
     moved = u
     moved[axis] = u[axis] + wp.float64(0.5)
     return moved

@@ -1,6 +1,6 @@
-// Weighted sums over the count^3 voxels of a float grid from (i, j, k) on. Most grids hold floats: with the reading
-// of a float inside the loops, and one accessor whose cached nodes serve all look-ups of a stencil, these take half
-// of the time that rows of any type take.
+// Weighted sums over the count^3 voxels of a float grid from (i, j, k) on. Most grids hold floats. Floats are read
+// inside the loops, through one accessor whose cached nodes serve the whole stencil: this takes half the time of the
+// rows of any type.
 //
 // Expects volume, i, j, k; the constant count (3 or 4); x, y, z: for each axis rows of the weights and of their
 // derivatives; the macro DERIVATIVES: 0 for the value, 1 for its derivatives along i, j and k, 2 for these and then
@@ -9,7 +9,7 @@
     pnanovdb_readaccessor_t accessor;
     pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
     struct Node { unsigned long long begin, step; };
-    // Where the first voxel of a leaf is, and how far apart voxels are: those of a tile are all in one place.
+    // Offset of a leaf's first voxel, and the step between voxels: 0 for a tile, whose voxels share one value.
     auto node_of = [&](int a, int b, int c) -> Node {
         const pnanovdb_coord_t ijk = { a, b, c };
         unsigned level;
@@ -24,8 +24,8 @@
     };
     const int cut_j = wp::min(count, 8 - (j & 7)), cut_k = wp::min(count, 8 - (k & 7));
     const unsigned own = (unsigned)(((i + 1) & 7) << 6 | ((j + 1) & 7) << 3 | ((k + 1) & 7));
-    // Sums of differences from the voxel at the lower corner of the point's cell.
-    const double centre = voxel(node_of(i + 1, j + 1, k + 1), own);
+    // Sums run over differences from the voxel at the lower corner of the point's cell.
+    const double center = voxel(node_of(i + 1, j + 1, k + 1), own);
 #if DERIVATIVES == 0
     double sums = {};
 #elif DERIVATIVES == 1
@@ -44,7 +44,7 @@
         for (int q = 0; q < count; ++q) {
             const Node near = q < cut_j ? n00 : n10, far = q < cut_j ? n01 : n11;
             const unsigned n = (unsigned)(((i + p) & 7) << 6 | ((j + q) & 7) << 3);
-            // Of a row along k: by the weights and their derivatives.
+            // Sums of a row along k, by the weights and their derivatives.
             double r0 = 0.0;
 #if DERIVATIVES >= 1
             double r1 = 0.0;
@@ -53,7 +53,7 @@
             double r2 = 0.0;
 #endif
             for (int s = 0; s < count; ++s) {
-                const double value = voxel(s < cut_k ? near : far, n + (unsigned)((k + s) & 7)) - centre;
+                const double value = voxel(s < cut_k ? near : far, n + (unsigned)((k + s) & 7)) - center;
                 r0 += z.data[0][s] * value;
 #if DERIVATIVES >= 1
                 r1 += z.data[1][s] * value;
@@ -90,7 +90,7 @@
         }
     }
 #if DERIVATIVES == 0
-    return centre + sums;
+    return center + sums;
 #else
     return sums;
 #endif

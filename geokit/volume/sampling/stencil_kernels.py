@@ -1,11 +1,11 @@
-"""Sums over the 3^3 or 4^3 voxels around a point, weighted along each index axis: interpolants and their derivatives.
+"""Interpolants of order 2 and 3 and their derivatives: weighted sums over the 3^3 or 4^3 voxels around a point.
 
-Every sum runs over differences from the voxel whose center is at the lower corner of the point's cell: where all voxels
-are equal a value is that value and a derivative 0 exactly, whatever the weights round to, and a large common value
-does not eat the digits of a small slope.
+Every sum runs over differences from the voxel at the lower corner of the point's cell. Where all voxels are equal, the
+value is exactly that value and derivatives are exactly 0, however the weights round. A large common value does not
+cancel the digits of a small slope.
 
-The stencil touches at most two nodes along each axis. Each is looked up once, as in read_voxel_kernels, and voxels are
-read by rows along the last axis, so that the choice by grid type is made once for a row.
+The stencil touches at most two nodes along each axis. Each is looked up once, as in read_voxel_kernels. Voxels are read
+by rows along the last axis, so the branch on the grid type runs once per row.
 """
 
 from typing import Any
@@ -23,8 +23,8 @@ mat34d = wp.types.matrix(shape=(3, 4), dtype=wp.float64)
 vec9d = wp.types.vector(length=9, dtype=wp.float64)
 
 
-# The two interpolants are told apart by type, so that the number of voxels is a constant of the kernels: as an argument
-# it makes samples take several times as long.
+# The interpolant is chosen by type, so that the number of voxels is a constant of the kernels. As an argument it makes
+# samples take several times as long.
 @wp.struct
 class Quadratic:
     """The triquadratic interpolant (order 2): parabolas through the voxels -1, 0 and 1 along each index axis."""
@@ -103,9 +103,9 @@ def read_row(
     k: int,
     cut: int,
     count: int,
-    centre: wp.float64,
+    center: wp.float64,
 ) -> wp.vec4d:
-    """Differences of up to four voxels along the last axis from a value, by the nodes that node_of found for them."""
+    """Differences of up to four voxels along the last axis from ``center``; near and far are nodes from node_of."""
     ...
 
 
@@ -120,7 +120,7 @@ def read_row(  # noqa: F811
     k: int,
     cut: int,
     count: int,
-    centre: wp.vec3d,
+    center: wp.vec3d,
 ) -> mat34d: ...
 
 
@@ -135,7 +135,7 @@ def read_row(  # noqa: F811
     k: int,
     cut: int,
     count: int,
-    centre: wp.vec4d,
+    center: wp.vec4d,
 ) -> wp.mat44d: ...
 
 
@@ -156,7 +156,7 @@ def along(row: wp.mat44d, weights: wp.vec4d):  # noqa: F811
 
 @wp.func
 def slab_nodes(volume: wp.uint64, kind: int, x: int, j: int, k: int, cut_j: int, cut_k: int, count: int):
-    """The nodes of the stencil's voxels with first index x: below and above the border along j, each along k."""
+    """The four nodes of the stencil's voxels with first index x, below and above the leaf borders along j and k."""
     n00 = node_of(volume, kind, x, j, k)
     n01 = n00
     n10 = n00
@@ -173,7 +173,7 @@ def slab_nodes(volume: wp.uint64, kind: int, x: int, j: int, k: int, cut_j: int,
 
 @wp.func
 def nodes_of_row(n00: wp.uint64, n01: wp.uint64, n10: wp.uint64, n11: wp.uint64, beyond: bool):
-    """Of a slab's four nodes the two that a row lies in, by whether it is beyond the border along j."""
+    """The two of a slab's four nodes that a row lies in; ``beyond`` says whether it is past the border along j."""
     if beyond:
         return n10, n11
     return n00, n01
@@ -186,13 +186,13 @@ def voxel_at(volume: wp.uint64, kind: int, i: int, j: int, k: int, family: Any):
 
 @wp.func
 def voxels_to_border(first: int, count: int) -> int:
-    """How many of ``count`` voxels from ``first`` on lie before the next border of leaves, at most all."""
+    """Number of the ``count`` voxels from ``first`` on that lie before the next leaf border."""
     return wp.min(count, 8 - (first & 7))
 
 
 @wp.func
 def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any):
-    """stencil_value of a grid of any type."""
+    """stencil_value for grids of any type."""
     kind = grid_type_of(volume)
     count = voxels_of(basis)
     i = int(base[0]) - 1
@@ -200,7 +200,7 @@ def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     total = zero
     z0 = z[0]
     n00 = wp.uint64(0)
@@ -212,16 +212,16 @@ def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             total += along(row, z0) * (x[0, a] * y[0, b])
-    return centre + total
+    return center + total
 
 
 @wp.func
 def gradient_by_rows(
     volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any
 ):
-    """stencil_gradient of a grid of any type."""
+    """stencil_gradient for grids of any type."""
     kind = grid_type_of(volume)
     count = voxels_of(basis)
     i = int(base[0]) - 1
@@ -229,7 +229,7 @@ def gradient_by_rows(
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     along_i = zero
     along_j = zero
     along_k = zero
@@ -242,7 +242,7 @@ def gradient_by_rows(
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             value = along(row, z[0])
             along_i += value * (x[1, a] * y[0, b])
             along_j += value * (x[0, a] * y[1, b])
@@ -252,7 +252,7 @@ def gradient_by_rows(
 
 @wp.func
 def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
-    """stencil_hessian of a grid of any scalar type."""
+    """stencil_hessian for grids of any scalar type."""
     zero = wp.float64(0.0)
     kind = grid_type_of(volume)
     count = voxels_of(basis)
@@ -261,7 +261,7 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
     k = int(base[2]) - 1
     cut_j = voxels_to_border(j, count)
     cut_k = voxels_to_border(k, count)
-    centre = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
+    center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     slope = wp.vec3d()
     straight = wp.vec3d()
     mixed = wp.vec3d()
@@ -274,7 +274,7 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
             n00, n01, n10, n11 = slab_nodes(volume, kind, i + a, j, k, cut_j, cut_k, count)
         for b in range(count):
             near, far = nodes_of_row(n00, n01, n10, n11, b >= cut_j)
-            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, centre)
+            row = read_row(volume, kind, near, far, i + a, j + b, k, cut_k, count, center)
             r0 = along(row, z[0])
             r1 = along(row, z[1])
             r2 = along(row, z[2])
@@ -300,7 +300,7 @@ def _float_sums(derivatives: int, voxels: int) -> str:
 def float_value(
     volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
 ) -> wp.float64:
-    """stencil_value of a float grid, from the voxel (i, j, k) on."""
+    """stencil_value for float grids; (i, j, k) is the first voxel of the stencil."""
     ...
 
 
@@ -314,7 +314,7 @@ def float_value(  # noqa: F811
 def float_gradient(
     volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
 ) -> wp.vec3d:
-    """stencil_gradient of a float grid."""
+    """stencil_gradient for float grids."""
     ...
 
 
@@ -328,7 +328,7 @@ def float_gradient(  # noqa: F811
 def float_hessian(
     volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
 ) -> vec9d:
-    """stencil_hessian of a float grid: first and second derivatives, those of the pairs (j, k), (i, k) and (i, j)."""
+    """stencil_hessian for float grids: first, second, and mixed derivatives of the pairs (j, k), (i, k), (i, j)."""
     ...
 
 
@@ -342,7 +342,7 @@ def float_hessian(  # noqa: F811
 def stencil_value(
     volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
 ):
-    """Weighted sum of the basis's voxels, from the one before ``base`` on along each axis.
+    """Weighted sum of the stencil's voxels, which start one voxel before ``base`` along each axis.
 
     The weights of each axis are the first row of its matrix and add up to 1.
     """
@@ -362,7 +362,7 @@ def stencil_value(  # noqa: F811
 def stencil_gradient(
     volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: wp.float64
 ):
-    """As stencil_value, its derivatives along each index axis; the second rows are the derivatives of the weights."""
+    """Derivatives of stencil_value along each index axis. The second rows are the derivatives of the weights."""
     if grid_type_of(volume) == FLOAT_TYPE:
         d = float_gradient(volume, int(base[0]) - 1, int(base[1]) - 1, int(base[2]) - 1, basis, x, y, z)
         return d[0], d[1], d[2]
@@ -378,7 +378,7 @@ def stencil_gradient(  # noqa: F811
 
 @wp.func
 def stencil_hessian(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d):
-    """First derivatives along the index axes, and the symmetric matrix of the second ones, of a scalar grid.
+    """Gradient and Hessian of a scalar grid along the index axes.
 
     The third rows are the second derivatives of the weights.
     """

@@ -1,20 +1,20 @@
 // Differences of the voxels (i, j, k) to (i, j, k + count - 1) from a value: a row of a stencil along the last axis.
 //
-// Expects volume, grid_type, i, j, k, count (4 at most), centre; near and far: the nodes of the first `cut` voxels
-// and of the others (the address of a leaf, marked by its lowest bit, or of a value); the macro COMPONENTS, 1, 3 or
-// 4. Returns a row of four doubles for each component, 0 beyond `count`; NaN where the grid's type has another number
-// of components.
+// Expects volume, grid_type, i, j, k, count (4 at most), center; near and far, the nodes of the first `cut` voxels
+// and of the others (the address of a leaf, with its lowest bit set, or of a tile's value); the macro COMPONENTS, 1,
+// 3 or 4. Returns a row of four doubles for each component, 0 beyond `count`; NaN where the grid's type has another
+// number of components.
 #include "volume/nanovdb/elements.inl"
 #if COMPONENTS == 1
     wp::vec_t<4, double> row;
 #define TYPES SCALAR_TYPES
-#define STORE_LEAF(NAME, kind) row[q] = (double)(LEAF_##kind(NAME, 0)) - centre;
-#define STORE_TILE(kind) row[q] = (double)(TILE_##kind(leaf.address, 0)) - centre;
+#define STORE_LEAF(NAME, kind) row[q] = (double)(LEAF_##kind(NAME, 0)) - center;
+#define STORE_TILE(kind) row[q] = (double)(TILE_##kind(leaf.address, 0)) - center;
 #define STORE_NAN row[q] = (double)NAN;
 #else
     wp::mat_t<COMPONENTS, 4, double> row;
-#define LEAF_PART(NAME, kind, e) row.data[e][q] = (double)(LEAF_##kind(NAME, e)) - centre[e];
-#define TILE_PART(kind, e) row.data[e][q] = (double)(TILE_##kind(leaf.address, e)) - centre[e];
+#define LEAF_PART(NAME, kind, e) row.data[e][q] = (double)(LEAF_##kind(NAME, e)) - center[e];
+#define TILE_PART(kind, e) row.data[e][q] = (double)(TILE_##kind(leaf.address, e)) - center[e];
 #if COMPONENTS == 3
 #define TYPES VECTOR3_TYPES
 #define STORE_LEAF(NAME, kind) LEAF_PART(NAME, kind, 0) LEAF_PART(NAME, kind, 1) LEAF_PART(NAME, kind, 2)
@@ -46,7 +46,7 @@
         const unsigned long long node = part ? far : near;
         const pnanovdb_leaf_handle_t leaf = { node & ~1ull };
         ijk.z = k + begin;
-        // Voxels of a row follow each other.
+        // Voxels of a row are contiguous.
         const unsigned first = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk)) - (unsigned)begin;
         if (node & 1u) {
             switch (grid_type) {

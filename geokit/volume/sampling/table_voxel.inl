@@ -1,4 +1,4 @@
-// The voxel (i, j, k) of a float grid, which lies in the box of the grid's LeafTable.
+// The value of voxel (i, j, k) of a float grid; the voxel must lie in the box of the grid's LeafTable.
 //
 // Expects table, i, j, k. Returns the float.
     const int x = i - table.lower[0], y = j - table.lower[1], z = k - table.lower[2];

@@ -1,31 +1,31 @@
-// The trilinear interpolant of a float grid, or its gradient, by the table of the grid's leaves: for one query, or on
-// a CPU for up to 64 of them side by side. Fields of one level (trilinear_table_kernels) and of many
-// (adaptive/sample_kernels) both use it, so their sums are the same to the last bit.
+// The trilinear interpolant of a float grid, or its gradient, through the grid's leaf table: for one query, or on a
+// CPU for up to 64 queries in SIMD. Fields of one level (trilinear_table_kernels) and of several
+// (adaptive/sample_kernels) share this text, so their sums agree to the last bit.
 //
 // Expects to_index and FIRST_TABLE, a macro for the LeafTable (of level 0); the macro GRADIENT, 0 or 1; and
 // - for one query: u, its index coordinates. Returns a double or a wp::vec_t of three; NaN beyond the table's box.
-// - for many: the macro REAL, the type of points and answers; start, stop, points, origin, out. Returns a bit for
-//   each query beyond the table's box, whose answer must be found in another way.
-// The hooks DESCENT and GROUP_DESCENT, of fields of many levels, go from the cell of level 0 to the cell that answers;
-// LEVEL_TABLE(level) is then the table of a level.
+// - for many: the macro REAL, the type of points and answers; start, stop, points, origin, out. Returns a bit mask of
+//   the queries beyond the table's box, which the caller must answer through the tree.
+// Fields of several levels define the hooks DESCENT and GROUP_DESCENT, which go from the cell of level 0 to the cell
+// that answers, and LEVEL_TABLE(level), the table of a level.
 //
-// Look-ups go by a query's index coordinates in the table's box. An entry of the table is at or above 0 for a leaf,
-// below 0 the complement of the place of a tile's value.
+// Look-ups use a query's index coordinates relative to the table's box. An entry >= 0 is a leaf; an entry < 0 is the
+// complement of the place of a tile's value.
 #define UPPER_OF(x, y, z) (((x) >> 7) * size_y + ((y) >> 7)) * size_z + ((z) >> 7)
 #define SLOT_OF(x, y, z) ((((x) >> 3) & 15) << 8 | (((y) >> 3) & 15) << 4 | (((z) >> 3) & 15))
-// The parts of a table that look-ups read.
+// Defines the members of a table that look-ups read.
 #define TREE_OF(table) \
     const int* const top = (table).top.data; \
     const int* const slots = (table).slots.data; \
     const int size_y = (table).size[1], size_z = (table).size[2];
-// Defines `entry` of a voxel.
+// Defines `entry`, the entry of a voxel.
 #define FIND_ENTRY(x, y, z) \
     const int start = top[UPPER_OF(x, y, z)]; \
     const int entry = start < 0 ? start : slots[start + SLOT_OF(x, y, z)];
 #if defined(REAL) && defined(__CUDA_ARCH__)
     return 0ull;
 #else
-    // The box of the table: its first voxel, and the last from which on there is no cell.
+    // The box of the table: its first voxel, and the lowest voxel of its last cell.
     const auto& coarsest = FIRST_TABLE;
     const int lower_x = coarsest.lower[0], lower_y = coarsest.lower[1], lower_z = coarsest.lower[2];
     const int last_x = coarsest.size[0] * 128 - 2, last_y = coarsest.size[1] * 128 - 2;
@@ -40,14 +40,14 @@
     const REAL* const rows = (const REAL*)points.data;
     const int count = stop - start < G ? stop - start : G;
     double u[G], v[G], w[G];
-    // Before loops whose reads are scattered: compilers make gather instructions of them, which take several times as
-    // long as the loads on processors whose microcode guards them (Intel's before 2023).
+    // Vectorization is off for loops with scattered reads: compilers emit gather instructions, which take several
+    // times as long as loads on processors with the microcode mitigation (Intel's before 2023).
     #pragma clang loop vectorize(disable)
     for (int q = 0; q < G; ++q) {
         const REAL* const p = rows + 3ll * (start + (q < count ? q : 0));
         u[q] = (double)p[0]; v[q] = (double)p[1]; w[q] = (double)p[2];
     }
-    // Voxels in the box, fractions (u, v, w), and whether they lie outside of the box.
+    // Voxels relative to the box, fractions (u, v, w), and whether the query lies outside the box.
     int at_x[G], at_y[G], at_z[G], outside[G];
     for (int q = 0; q < G; ++q) {
         const double x = u[q] - origin_x, y = v[q] - origin_y, z = w[q] - origin_z;
@@ -81,8 +81,8 @@
     const float* const voxels = (const float*)coarsest.grid;
 #define VOXELS voxels
 #endif
-    // How far the first voxel of each cell lies from `voxels`, and the next one along each axis from that. Where a
-    // cell crosses one border, the step along that axis is the jump from one leaf into the other.
+    // The place of each cell's first voxel relative to `voxels`, and the steps from it to the next voxel along each
+    // axis. Where a cell crosses one leaf border, the step along that axis jumps from one leaf into the other.
     long long at[G], step_x[G], step_y[G], step_z[G];
     int apart[G];
     for (int q = 0; q < G; ++q) {
@@ -116,7 +116,7 @@
             c += step_x[q];
             cell[4][q] = c[0]; cell[5][q] = c[z]; cell[6][q] = c[y]; cell[7][q] = c[y + z];
         } else {
-            // In three leaves or more.
+            // The cell crosses two borders or more, or one border beside a tile: each voxel has a look-up of its own.
 #ifdef GROUP_DESCENT
             TREE_OF(LEVEL_TABLE(level_of[q]))
 #endif
@@ -143,7 +143,7 @@
 #if !GRADIENT
         r[q] = value;
 #elif defined(GROUP_DESCENT)
-        // A level's voxels are smaller by a power of two, and its slopes by as much steeper in the units of level 0.
+        // A finer level's voxels are smaller by a power of two; its slopes are scaled to the units of level 0.
         const double s = (double)(1ll << level_of[q]);
         r0[q] = s * g0; r1[q] = s * g1; r2[q] = s * g2;
 #else
@@ -201,7 +201,7 @@
         c0 = (double)near_0.low; c1 = (double)near_1.low; c2 = (double)near_0.high; c3 = (double)near_1.high;
         c4 = (double)far_0.low; c5 = (double)far_1.low; c6 = (double)far_0.high; c7 = (double)far_1.high;
     } else {
-        // Of the leaves around a cell only those are looked up that it reaches into.
+        // Only the leaves that the cell reaches into are looked up.
         const bool next_x = (a & 7) == 7, next_y = (b & 7) == 7, next_z = (c & 7) == 7;
         const int e001 = next_z ? entry_of(a, b, c + 1) : e000;
         const int e010 = next_y ? entry_of(a, b + 1, c) : e000;

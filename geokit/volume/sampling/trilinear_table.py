@@ -1,4 +1,4 @@
-"""Many trilinear samples of a float grid, and gradients, through the table of its leaves."""
+"""Trilinear samples and gradients of a float grid at many points, through its leaf table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["gradient_linear", "sample_linear"]
 
-# Fewest groups of queries worth a thread of their own.
+# Fewest groups of queries per thread.
 GRAIN = 16
 
 
@@ -35,7 +35,7 @@ def sample_linear(volume: SparseVolume, points: Any, space: str, device: "wp.Dev
 
 
 def gradient_linear(volume: SparseVolume, points: Any, space: str, device: "wp.Device") -> Any:
-    """As :func:`sample_linear`, gradients (N, 3)."""
+    """Gradients (N, 3) [value / world]; arguments and None as for :func:`sample_linear`."""
     return _answer(volume, points, space, device, gradient=True)
 
 

@@ -1,11 +1,11 @@
-"""The trilinear interpolant of float grids, and its gradient, through a table of the leaves.
+"""The trilinear interpolant of float grids, and its gradient, through the leaf table.
 
-On a CPU a thread works on 64 queries side by side: their positions are vector arithmetic, and the voxels of all are
-prefetched before the first is needed. A cell lies in one leaf (two thirds of all) or in two (most others): its first
-and its last voxel say which. So two look-ups are enough, without a branch. The remaining twentieth looks up all eight
-voxels.
+On a CPU a thread handles 64 queries at a time. Their positions are computed by vector arithmetic, and the voxels of all
+of them are prefetched before the first is read. Two thirds of all cells lie in one leaf and most others in two; the
+leaves of a cell's first and last voxel tell which. So two look-ups are enough, without a branch. The remaining
+twentieth looks up all eight voxels.
 
-All sums are those of sample_kernels, in the same order: answers are equal to the last bit.
+All sums are those of sample_kernels, in the same order, so answers agree to the last bit.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ from geokit.volume.sampling.sample_kernels import linear_differences, linear_val
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-# Queries of a thread on a CPU: as many bits as the mask of those that the table does not answer.
+# Queries of a thread on a CPU: one for each bit of the mask of queries that the table does not answer.
 GROUP = wp.constant(64)
 
 
@@ -31,7 +31,7 @@ def _cells(gradient: int, real: str | None = None) -> str:
     return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
 
 
-# One overload for values and for gradients, and for points and answers of each precision.
+# Overloads: values or gradients, and points and answers of each precision.
 @wp.func_native(_cells(0, "double"))
 def interpolate_group(
     table: LeafTable,
@@ -42,7 +42,7 @@ def interpolate_group(
     to_index: wp.mat33d,
     out: wp.array(dtype=wp.float64),
 ) -> wp.uint64:
-    """Answers at the points ``start`` to ``stop``, 64 at most; a bit for each that the table does not answer."""
+    """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those the table does not answer."""
     ...
 
 
@@ -82,7 +82,7 @@ def interpolate_group(  # noqa: F811
 ) -> wp.uint64: ...
 
 
-# One overload for values and for gradients, chosen by the type of the last argument.
+# Overloads: values or gradients, by the type of the last argument.
 @wp.func_native(_cells(0))
 def interpolate_single(table: LeafTable, u: wp.vec3d, to_index: wp.mat33d, background: wp.float64) -> wp.float64:
     """The answer at index coordinates; NaN where the table does not answer."""
@@ -120,9 +120,9 @@ def is_unanswered(slope: wp.vec3d) -> bool:  # noqa: F811
     return wp.isnan(slope[0])
 
 
-# Kernels. On a CPU an item is a group of queries, on CUDA a query. Queries that the table does not answer go through
-# the tree; points that are not finite are among them, and make out_bad 1. ``background`` is the grid's, for values, and
-# a zero vector for gradients.
+# An item is a group of queries on a CPU, a single query on CUDA. Queries that the table does not answer go through the
+# tree. Non-finite points are among them and set out_bad to 1. ``background`` is the grid's background for values, and a
+# zero vector for gradients.
 @wp.kernel
 def interpolate_groups_kernel(
     first: int,
@@ -172,7 +172,7 @@ def interpolate_singles_kernel(
 
 
 def overloads(kernel: Any, background: Any, single: Any, double: Any) -> dict[bool, Any]:
-    """A kernel by whether points and answers are float32."""
+    """Overloads of a kernel, keyed by whether points and answers are float32."""
     return {
         is_single: wp.overload(
             kernel, {"points": wp.array(dtype=rows), "background": background, "out": wp.array(dtype=answers)}

@@ -1,1 +1,1 @@
-"""Distance fields that keep a tolerance with the least memory."""
+"""Tolerances: which settings keep a distance field within an error, with the least memory?"""

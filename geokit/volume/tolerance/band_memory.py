@@ -1,4 +1,4 @@
-"""Bytes of a narrow band before it is made: its nodes are counted, at least at a coarser size."""
+"""Predicts the bytes of a narrow band by counting its nodes, of fine bands at a coarser voxel size."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 
 __all__ = ["BandCounts", "BandMemory", "lattice_within"]
 
-# More tiles than these are not counted but foreseen: their number goes with the square of the resolution.
+# Most tiles that are counted. Above this the count is extrapolated with the square of the resolution.
 MOST_COUNTED = 60_000
-# Voxels along an axis of a lower and of an upper node, in units of a tile's.
+# Edges of a lower and of an upper node, in tiles.
 LOWER_TILES, UPPER_TILES = 16, 512
 
 
 @dataclass(frozen=True)
 class BandCounts:
-    """Nodes of a band, foreseen."""
+    """Predicted numbers of a band's nodes."""
 
     leaves: float
     lowers: float
     uppers: float
 
     def bytes_of(self, codec: str, bits: float = 0.0) -> float:
-        """Bytes of the grid in a codec; ``bits`` a voxel where leaves differ ("fpn")."""
+        """Bytes of the grid in a codec; ``bits`` is the mean per voxel for "fpn", whose leaves differ."""
         layout = LAYOUTS[codec]
         leaf = QUANTIZED_HEADER + bits * LEAF_VOXELS / 8.0 if codec == "fpn" else layout.leaf_size
         head = HEAD_SIZE + layout.root_size + self.uppers * layout.root_tile_size
@@ -40,7 +40,7 @@ class BandCounts:
 
     @property
     def working_bytes(self) -> float:
-        """Bytes that are needed while the band is made, as floats."""
+        """Bytes needed while the band is built as floats."""
         return self.bytes_of("float") + self.leaves * WORKING_BYTES
 
 
@@ -49,7 +49,7 @@ class BandMemory:
     """Counts the nodes of bands around one surface.
 
     Attributes:
-        surface: What the bands are around.
+        surface: Surface of the bands.
         offset: Distance [world] of the field's surface from the mesh.
     """
 
@@ -58,12 +58,12 @@ class BandMemory:
     _known: dict[tuple[float, float, float | None], int] = field(default_factory=dict)
 
     def counts(self, voxel_size: float, width: float) -> BandCounts:
-        """Nodes of a band of so many world units on either side of the field's surface."""
-        # A surface crosses about one and a half tiles for each square of a tile's side that it covers.
+        """Nodes of a band that extends ``width`` [world] to either side of the field's surface."""
+        # A surface crosses about one and a half tiles per area of a tile's face.
         expected = 1.5 * self._area / (TILE_VOXELS * voxel_size) ** 2
         coarser = max(1.0, expected / MOST_COUNTED) ** 0.5
         leaves = self._counted(voxel_size * coarser, width * coarser) * coarser * coarser
-        # A node is a tile of larger voxels.
+        # A node is counted as a tile of larger voxels.
         tile = TILE_VOXELS * voxel_size
         lowers = min(self._counted(voxel_size * LOWER_TILES, width, tile), leaves)
         uppers = min(self._counted(voxel_size * UPPER_TILES, width, tile), lowers)
@@ -85,10 +85,10 @@ class BandMemory:
 def lattice_within(
     surface: Surface, voxel_size: float, width: float, offset: float, *, tile: float | None = None
 ) -> Lattice:
-    """Voxels of a band of so many world units on either side, numbered so that it needs as few nodes as there can be.
+    """Lattice of a band that extends ``width`` [world] to either side, placed so that it needs the fewest nodes.
 
-    Index 0 is where the band begins, on a whole voxel: no node is shared with what lies before it. It is a multiple of
-    ``tile`` [world], of the voxels' own tiles where None.
+    Index 0 is where the band begins, so that no node reaches below it. It lies on a multiple of ``tile`` [world]; None
+    for the voxels' own tiles.
     """
     reach, tile = width + offset, tile or TILE_VOXELS * voxel_size
     start = np.floor((surface.bounds[0] - reach) / tile) * tile

@@ -1,4 +1,4 @@
-"""Fields that keep a tolerance: settings are tried, what was made is checked at new points, and refused if it fails."""
+"""Builds fields that keep a tolerance: each field is checked at new points and rejected if it misses the tolerance."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
 
 __all__ = ["Achieved", "Made", "checked_errors", "made_within"]
 
-# Points at which a field is checked; then so many of the worst, each moved about so often, by shares of a voxel.
+# Points at which a field is checked; then the WORST of them are moved MOVES times each, by the RADII [voxels].
 CHECKED, WORST, MOVES = 120_000, 2_000, 9
 RADII = (0.5, 0.25, 0.12, 0.06)
-# Of the worst points of each round, how many the search is told where a check has failed.
+# Worst points of each round that are passed to the search after a failed check.
 TOLD = 100
-# Seeds that the search does not use.
+# First random seed of checks; the search does not use these seeds.
 FIRST_SEED = 1_000_003
-# Times that another field is made because a check found an error that the search had not seen.
+# Most fields that are built because a check found an error that the search had not seen.
 TRIES = 10
 
 
 class Achieved(NamedTuple):
-    """Errors [world] at points that were not used to choose.
+    """Errors [world] at points that the search did not use.
 
     Attributes:
-        largest: The largest.
+        largest: The largest error.
         p999: The 99.9th percentile.
-        worst: Where the largest are [world], shape (N, 3).
+        worst: Points with the largest errors [world], shape (N, 3).
     """
 
     largest: float
@@ -44,7 +44,7 @@ class Achieved(NamedTuple):
 
 
 class Made(NamedTuple):
-    """A setting, the field made with it, and what the check of that found; None for both where it was too large."""
+    """A setting, its field, and the errors found by the check; the latter two are None if the field was too large."""
 
     setting: Setting
     volume: SparseVolume | None
@@ -52,14 +52,14 @@ class Made(NamedTuple):
 
 
 def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most_leaves: float = math.inf) -> Made:
-    """The field of least memory that keeps the tolerance where it is checked.
+    """Build the field of least memory that keeps the tolerance at all checked points.
 
     Args:
-        search: What is wanted.
-        make: Makes the field of a setting.
-        most_leaves: A field that is foreseen to have more leaves is not made, and its setting not checked.
+        search: The search for settings.
+        make: Builds the field of a setting.
+        most_leaves: Fields that are predicted to have more leaves are not built, and their settings not checked.
     Raises:
-        InputError, DeviceMemoryError: The tolerance cannot be kept; the message says which can.
+        InputError, DeviceMemoryError: The tolerance cannot be kept; the message says which one can.
     """
     best = math.inf
     for trial in range(TRIES):
@@ -78,7 +78,7 @@ def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most
 
 
 def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int) -> Achieved:
-    """Errors of a field at new points of its zone, and around the worst of them."""
+    """Errors of a field at new points of its zone, and at points around the worst of them."""
     points, exact = zone.draw(CHECKED, seed)
     errors = _errors(volume, points, exact, setting.option.order)
     largest = float(errors.max())
@@ -97,15 +97,15 @@ def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int
 
 
 def _refusal(search: Search, best: float) -> InputError | DeviceMemoryError:
-    """What to say where no setting keeps the tolerance.
+    """The error to raise if no setting keeps the tolerance.
 
     Args:
-        search: What was wanted.
-        best: Least error [world] of the fields that were made.
+        search: The search for settings.
+        best: Least error [world] of the fields that were built.
     """
     reachable = search.reachable()
     if reachable <= search.tolerance or best < reachable:
-        # What the search believes has been made and found wrong.
+        # The search's own estimate was built, and its check failed.
         reachable = best
     if not math.isfinite(reachable):
         return DeviceMemoryError(

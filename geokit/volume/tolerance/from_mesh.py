@@ -1,4 +1,4 @@
-"""Distance fields of meshes that keep a tolerance: what is asked, made into a search, and its outcome into a volume."""
+"""Distance fields of meshes within a tolerance: turns arguments into a search, and its result into a volume."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["make_setting", "tolerance_search", "within_tolerance"]
 
-# Voxels along the longest side of the band whose leaves are looked at: some hundred leaves to a thousand.
+# Voxels along the longest side of the band whose leaf ranges are measured: it has a few hundred to a thousand leaves.
 RANGED_VOXELS = 100.0
 
 
@@ -82,7 +82,7 @@ def tolerance_search(
     most_bytes = Lattice(surface, zone.longest, 0.0).free
 
     def leaf_ranges(width: float) -> NDArray[np.float64]:
-        # Leaves are alike at every size: those of a band of voxels this large show what they hold.
+        # Leaf ranges are similar at every voxel size, so those of one coarse band serve all sizes.
         size = zone.longest / RANGED_VOXELS
         reach = in_float32(width * size)
         lattice = lattice_within(surface, size, reach, offset)
@@ -97,7 +97,7 @@ def tolerance_search(
 
 
 def make_setting(search: Search, setting: Setting, name: str | None = None) -> SparseVolume:
-    """The field of a setting."""
+    """Build the field of a setting."""
     from geokit.volume._quantize import quantize
 
     surface, size = search.memory.surface, setting.voxel_size
@@ -106,7 +106,7 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
     lattice = lattice_within(surface, size, width, search.zone.offset)
     band = make_band(lattice, shape)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
-    # What is too thin for voxels to be inside may well be so between them: that the tolerance is kept is what counts.
+    # No warning about thin parts: no voxel may lie inside them, but the interpolant may still keep the tolerance.
     volume = volume_from_built(build_band(band, head), band_metadata(band, search.sign, warn=False))
     if setting.option.codec == "float":
         return volume
@@ -115,11 +115,11 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
 
 
 def within_tolerance(
-    mesh: TriangleMesh | Surface, tolerance: float, asked: dict[str, Any], sign: str, method: str, name: str | None
+    mesh: TriangleMesh | Surface, tolerance: float, options: dict[str, Any], sign: str, method: str, name: str | None
 ) -> SparseVolume:
     if method != "geokit":
         raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
-    search = tolerance_search(mesh, tolerance, sign=sign, **asked)
+    search = tolerance_search(mesh, tolerance, sign=sign, **options)
     setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, name))
     assert volume is not None
     assert achieved is not None

@@ -1,4 +1,4 @@
-"""How far an interpolant of exact voxels is from the field, for any voxel size, without a grid being made."""
+"""Errors of the interpolants of exact voxels at any voxel size, without building a grid."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.types import FIXED_BITS
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["REACH", "Stencils", "interpolation_errors", "quantisation_step", "stencils_of"]
+__all__ = ["REACH", "Stencils", "interpolation_errors", "quantization_step", "stencils_of"]
 
-# First voxel of an order's stencil along an axis, counted from the one below the point, and how many there are.
+# First voxel of an order's stencil along an axis, relative to the voxel below the point, and number of voxels.
 STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
-# Distance [voxels] from a point to the farthest voxel that its value is made of.
+# Distance [voxels] from a point to the farthest voxel of its stencil.
 REACH = {1: 3.0**0.5, 2: 2.0 * 3.0**0.5, 3: 2.0 * 3.0**0.5}
 
 
 class Stencils(NamedTuple):
-    """Voxels around points, each asked for once.
+    """Unique voxels around points.
 
     Attributes:
-        values: Exact distances at the voxels (V,), rounded to float32 as a grid does.
-        noise: What rounding to a code adds to each, in halves of a step, -1 to 1.
-        rows: Voxel of each place of each point's stencil, (N, 4, 4, 4) (2 along each axis where only order 1 is asked).
+        values: Exact distances at the voxels (V,), rounded to float32 as in a grid.
+        noise: Quantization error of each voxel, in halves of a step, -1 to 1.
+        rows: Voxel of each place of each point's stencil, (N, 4, 4, 4), or (N, 2, 2, 2) for order 1 only.
         first: Place of the voxel below the point within those rows.
-        fraction: Where the point lies between that voxel and the next, (N, 3).
+        fraction: Position of the point between that voxel and the next, (N, 3).
         exact: The field at the points (N,).
     """
 
@@ -45,14 +45,14 @@ def stencils_of(
     voxel_size: float,
     highest_order: int,
 ) -> Stencils:
-    """Exact distances at all voxels that the interpolants of points use, of a grid with a voxel at 0.
+    """Exact distances at all voxels that the interpolants at points use, for a grid with a voxel at 0.
 
     Args:
-        zone: What is right.
-        points: Where the interpolants will be asked for [world], shape (N, 3).
+        zone: The zone and its exact field.
+        points: Points of the interpolants [world], shape (N, 3).
         exact: The field there [world], shape (N,).
         voxel_size: Edge length of a voxel [world].
-        highest_order: 1, 2 or 3; lower ones use some of its voxels.
+        highest_order: 1, 2 or 3; lower orders use a part of its voxels.
     """
     begin, width = STENCILS[1] if highest_order == 1 else STENCILS[3]
     index = points / voxel_size
@@ -75,8 +75,8 @@ def interpolation_errors(stencils: Stencils, order: int, limit: float, step: flo
     Args:
         stencils: Voxels around the points.
         order: 1, 2 or 3.
-        limit: Width of the band [world]: values beyond are cut off.
-        step: Distance [world] between neighbouring codes of a quantised grid; 0 for floats.
+        limit: Width of the band [world]; values beyond it are cut off.
+        step: Distance [world] between adjacent codes of a quantized grid; 0 for floats.
     """
     begin, width = STENCILS[order]
     values = np.clip(stencils.values + stencils.noise * (0.5 * step), -limit, limit)
@@ -87,13 +87,13 @@ def interpolation_errors(stencils: Stencils, order: int, limit: float, step: flo
     return np.abs(corners - stencils.exact)
 
 
-def quantisation_step(codec: str, half_width: float, voxel_size: float) -> float:
-    """Largest distance [world] between neighbouring codes in a leaf of a codec of fixed width; 0 for floats."""
+def quantization_step(codec: str, half_width: float, voxel_size: float) -> float:
+    """Largest distance [world] between adjacent codes in a leaf of a codec of fixed width; 0 for floats."""
     return 2.0 * half_width * voxel_size / (2.0 ** FIXED_BITS[codec] - 1.0) if codec in FIXED_BITS else 0.0
 
 
 def _weights(order: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of the voxels of a stencil along an axis, as ``sample`` weighs them; shape (N, width)."""
+    """Weights of a stencil's voxels along an axis, as in ``sample``; shape (N, width)."""
     if order == 1:
         return np.stack([1.0 - t, t], axis=1)
     if order == 2:

@@ -1,8 +1,8 @@
-"""The setting of least memory whose interpolant stays within a tolerance: voxel size, half width, order and codec.
+"""Searches the setting of least memory within a tolerance: voxel size, half width, interpolation order and codec.
 
-Errors are measured, not derived: at points of the zone the interpolants of all orders are made from exact voxels, for
-voxel sizes from coarse to fine. The worst points of a size are taken along to the next, moved a little, so that edges
-and thin parts, which are few of the points and most of the error, are seen at every size.
+Errors are measured, not derived: the interpolants of all orders are evaluated from exact voxels at points of the zone,
+for voxel sizes from coarse to fine. The worst points of a size are moved a little and used again at the next size.
+Edges and thin parts have few of the points and most of the error; this way they are seen at every size.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.types import FIXED_BITS, QUANTIZED
 from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
-from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantisation_step, stencils_of
+from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantization_step, stencils_of
 from geokit.volume.tolerance.zone import Zone
 
 __all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "quickest"]
@@ -27,37 +27,38 @@ ORDERS = (1, 2, 3)
 CODECS = ("float", *reversed(list(FIXED_BITS)), *(name for name in QUANTIZED if name not in FIXED_BITS))
 # Bits of a leaf's voxels in "fpn".
 LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
-# What "fpn" may change of a voxel, as shares of the tolerance: more bits, or more voxels.
+# Largest change of a voxel by "fpn", as shares of the tolerance; a trade-off between more bits and more voxels.
 FPN_SHARES = (0.5, 0.3, 0.15)
-# Share of the tolerance that is aimed at, and what it is multiplied with whenever a field has missed the tolerance, but
-# for so many times: where a lattice suits a mesh by chance, the next best may be far.
+# AIM is the share of the tolerance that is aimed at. Each field that misses the tolerance multiplies it by CAUTION, but
+# the first FREE_MISSES do not: where a lattice suits a mesh by chance, the next best setting may be far off.
 AIM, CAUTION, FREE_MISSES = 0.99, 0.95, 6
-# Voxels that are asked for at a size: half a second of a CPU.
-VOXELS_ASKED = 500_000
-# The worst points of a size are one of so many, for each order; each is moved so often for the next size.
+# Voxels that are evaluated per size: half a second on a CPU.
+VOXELS_PER_SIZE = 500_000
+# For each order, one of TAKEN points counts as worst; each is moved MOVES times for the next size.
 TAKEN, MOVES = 25, 3
-# Looks at a size: at the points, then at so many around each of the worst.
+# Rounds per size: the first at the points, the others at AROUND new points around each of the worst.
 ROUNDS, AROUND = 3, 4
-# Voxels along the longest side where the search begins.
+# Voxels along the longest side at the start of the search.
 FIRST_RESOLUTION = 4.0
-# Voxel size against that of the step before: the first where the aim is near, the other where it is far.
+# Ratio of a voxel size to the one before: STEP near the aim, LONGEST_STEP far from it.
 STEP, LONGEST_STEP = 0.5**0.5, 0.2
-# Sizes that are looked at before the search gives up, from 4 voxels to a million.
+# Most sizes that are tried before the search gives up, from 4 voxels to a million.
 MOST_SIZES = 36
-# A voxel size this near to one that misses the aim is not worth another look: 7 % are 14 % of memory.
+# A voxel size this near to one that misses the aim is not refined further: 7 % are 14 % of memory.
 CLOSE = 0.93
-# More looks at sizes in between than these gain nothing, and a look that cannot save this share of memory is not taken.
+# Most refinements between known sizes; more gain nothing. One that cannot reduce memory to this share is skipped.
 MOST_LOOKS, WORTH = 12, 0.97
-# Of the best settings, how many are tried with coarser voxels: from these times the voxel size, in so many steps, to 1.
+# Number of best settings that are tried with coarser voxels, and the scan: from 1.35 to 1.0 times the voxel size, in 12
+# steps.
 SCANNED, SCAN = 2, (1.35, 1.0, 12)
-# Errors that fall by less than this over so much finer voxels will not fall.
+# If voxels finer by STUCK_OVER do not bring errors below this share, finer voxels will not either.
 STUCK, STUCK_OVER = 0.9, 1.9
-# Settings of one memory within this share are told apart by how quickly they are read.
+# Settings within this ratio of memory are ordered by how fast they are to read.
 SAME_MEMORY = 1.05
 
 
 class Option(NamedTuple):
-    """What can be chosen beside the voxel size; ``share`` is what "fpn" may change of a voxel, else 0."""
+    """Order and codec; ``share`` is the share of the tolerance by which "fpn" may change a voxel, else 0."""
 
     order: int
     codec: str
@@ -65,15 +66,15 @@ class Option(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """An option at the largest voxel size that keeps the tolerance, and what it costs.
+    """An option at the largest voxel size that keeps the tolerance, and its cost.
 
     Attributes:
         option: Order and codec.
         voxel_size: Edge length of a voxel [world].
         half_width: Width of the band on either side [voxels].
-        error: Largest error that was found [world].
-        counts: Nodes of the grid, foreseen.
-        bits: Bits of a voxel, for "fpn".
+        error: Largest error found [world].
+        counts: Predicted nodes of the grid.
+        bits: Mean bits per voxel, for "fpn".
     """
 
     option: Option
@@ -90,14 +91,14 @@ class Setting(NamedTuple):
 
 @dataclass
 class _Level:
-    """Errors at one voxel size: the largest by option."""
+    """Largest error of each option at one voxel size."""
 
     voxel_size: float
     errors: dict[Option, float]
 
 
 def options_of(orders: Sequence[int], codecs: Sequence[str]) -> list[Option]:
-    """All that can be chosen, the quickest to read first."""
+    """All options, the fastest to read first."""
     options = [Option(order, codec) for order in orders for codec in codecs if codec != "fpn"]
     if "fpn" in codecs:
         options += [Option(order, "fpn", share) for order in orders for share in FPN_SHARES]
@@ -106,20 +107,21 @@ def options_of(orders: Sequence[int], codecs: Sequence[str]) -> list[Option]:
 
 @dataclass
 class Search:
-    """Looks for the setting of least memory.
+    """Searches the setting of least memory.
 
     Attributes:
-        zone: What has to be right.
-        memory: Counts nodes.
+        zone: The zone in which the tolerance holds, with its exact field.
+        memory: Predicts the nodes of bands.
         tolerance: Largest error [world].
-        options: What may be chosen.
-        most_bytes: What may be taken while the grid is made.
-        leaf_ranges: Of a band of so many voxels on either side, what each of some leaves holds of the range of all.
-        half_width: Width of the band [voxels] where it was asked for.
-        sign: How inside was to be told from outside.
-        sign_method: How it is.
-        seed: Of the points.
-        levels: The voxel sizes that were looked at, the largest first.
+        options: The options to choose from.
+        most_bytes: Most memory while the grid is built.
+        leaf_ranges: Returns, for a half width in voxels, the value range of each of some leaves as a share of the
+            band's range.
+        half_width: Half width of the band [voxels], if the caller fixed it.
+        sign: Sign method from the caller.
+        sign_method: Sign method in use.
+        seed: Random seed of the points.
+        levels: The voxel sizes tried so far, the largest first.
         is_limited_by_memory: Whether finer voxels were left out because they do not fit.
     """
 
@@ -145,14 +147,14 @@ class Search:
         return self.half_width or max(1.0, REACH[option.order] + self.zone.within / voxel_size)
 
     def settings(self) -> list[Setting]:
-        """The options that keep the tolerance, each at its largest voxel size that is known, the least memory first.
+        """The options that keep the tolerance, each at its largest known voxel size, least memory first.
 
         Options that cannot compete are left out.
         """
         self._descend()
         for _ in range(MOST_LOOKS):
             found = sorted((s for o in self.options if (s := self._setting(o))), key=lambda s: s.byte_count)
-            # What might be smaller than the smallest, if the voxel size between what is known turns out to do.
+            # Options that might beat the smallest setting, if a voxel size between known ones keeps the tolerance.
             hopes = [
                 (hope, setting.option)
                 for setting in found
@@ -169,16 +171,16 @@ class Search:
 
     @property
     def aim(self) -> float:
-        """Error [world] that a setting may have here: other points than those of the search may be a little worse."""
+        """Largest error [world] of a setting in the search; below the tolerance, since other points may be worse."""
         return AIM * CAUTION ** max(0, self._missed - FREE_MISSES) * self.tolerance
 
     def correct(self, setting: Setting, error: float, worst: NDArray[np.float64]) -> None:
-        """Take note that a closer look at a setting found a larger error, and be more careful from now on.
+        """Record that a check of a setting found a larger error, and search more carefully from now on.
 
         Args:
-            setting: What was looked at.
+            setting: The checked setting.
             error: Its largest error [world].
-            worst: Where its errors are largest [world], shape (N, 3): all sizes are looked at there from now on.
+            worst: Points with its largest errors [world], shape (N, 3); all sizes are tested there from now on.
         """
         self._missed += 1
         self._told = np.concatenate([self._told, worst])
@@ -194,19 +196,19 @@ class Search:
             level.errors.update({o: max(level.errors[o], float(found[o].max(initial=0.0))) for o in options})
 
     def _scan(self, setting: Setting) -> None:
-        """Coarser voxels that a lattice may suit by chance: faces and edges that lie on it cost nothing."""
+        """Try coarser voxels, whose lattice may suit the mesh by chance: faces and edges on it have no error."""
         option, aim = setting.option, self.aim
         for size in setting.voxel_size * np.geomspace(*SCAN)[:-1]:
-            # Most sizes fail at the few points that failed before.
+            # Most sizes fail at the few points that failed before, so these are tested first.
             points, exact = self.zone.kept(self._worst[0])
             if float(self._errors(points, exact, size, [option])[option].max()) > aim:
                 continue
-            # What suits one codec may suit a smaller one.
+            # A size that suits one codec may suit a smaller one.
             if self._look(size, [o for o in self.options if o.order == option.order]).errors[option] <= aim:
                 return
 
     def reachable(self) -> float:
-        """Least tolerance that any option can keep with the memory there is [world]."""
+        """Least tolerance [world] that any option can keep in the available memory."""
         errors = [
             min(error for option, error in level.errors.items() if self.fits(option, level.voxel_size))
             for level in self.levels
@@ -216,14 +218,14 @@ class Search:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether finer voxels have stopped to help."""
+        """Whether finer voxels no longer reduce errors."""
         finest = self.levels[-1]
         coarser = [level for level in self.levels if level.voxel_size > STUCK_OVER * finest.voxel_size]
         shared = [option for option in finest.errors if coarser and option in coarser[-1].errors]
         return bool(shared) and all(finest.errors[o] > STUCK * coarser[-1].errors[o] for o in shared)
 
     def _descend(self) -> None:
-        """Finer and finer voxels, until the options that are left all keep the tolerance or cannot be the best."""
+        """Try finer and finer voxels until every option keeps the tolerance or cannot be the best."""
         size = self.zone.longest / FIRST_RESOLUTION
         if self.levels:
             size = STEP * self.levels[-1].voxel_size
@@ -241,14 +243,14 @@ class Search:
             errors = self._look(size, waiting).errors
             best = min([best, *(self._cost(o, size) for o in waiting if errors[o] <= self.aim)])
             waiting = [option for option in waiting if errors[option] > self.aim]
-            # No error falls with more than the cube of the voxel size.
+            # No error falls faster than the cube of the voxel size.
             excess = min((errors[option] for option in waiting), default=0.0) / self.aim
             size *= min(STEP, max(LONGEST_STEP, max(excess, 1.0) ** (-1.0 / 3.0)))
 
     def _look(self, voxel_size: float, options: list[Option]) -> _Level:
-        """Errors of options at a voxel size: at points of the zone, then around the worst of them."""
+        """Errors of options at a voxel size, at points of the zone and then around the worst of them."""
         orders = {option.order for option in options}
-        count = VOXELS_ASKED // (8 if orders == {1} else 64)
+        count = VOXELS_PER_SIZE // (8 if orders == {1} else 64)
         points, exact = self._points(voxel_size, count)
         errors = dict.fromkeys(options, 0.0)
         random = np.random.default_rng(len(self.levels))
@@ -256,7 +258,7 @@ class Search:
             found = self._errors(points, exact, voxel_size, options)
             errors = {option: max(errors[option], float(found[option].max())) for option in options}
             taken = min(count // (TAKEN * len(orders)), len(points))
-            # Of each order its first option, that of the least noise.
+            # The first option of each order has the least noise.
             firsts = {option.order: option for option in reversed(options)}
             worst = np.concatenate([np.argpartition(found[o], -taken)[-taken:] for o in firsts.values()])
             self._worst = (points[np.unique(worst)], voxel_size)
@@ -288,7 +290,7 @@ class Search:
         }
 
     def _points(self, voxel_size: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The worst of the size before, each with some around it, and new ones: about so many, and the field there."""
+        """About ``count`` points and the field there: the worst of the size before, points around them, new points."""
         seed = self.seed + 1000 * len(self.levels)
         worst, old_size = self._worst
         fresh, exact = self.zone.draw(count if len(worst) == 0 else count // 2, seed)
@@ -304,12 +306,12 @@ class Search:
     def _step(self, option: Option, voxel_size: float) -> float:
         if option.codec == "fpn":
             return 2.0 * option.share * self.tolerance
-        return quantisation_step(option.codec, self.width_of(option, voxel_size), voxel_size)
+        return quantization_step(option.codec, self.width_of(option, voxel_size), voxel_size)
 
     def _brackets(self, option: Option) -> tuple[_Level | None, _Level | None]:
         """The coarsest size that keeps the aim, and the next coarser one, which does not.
 
-        Errors do not grow with every step: a lattice may suit a flat face. What suits is as good as any.
+        Errors are not monotone in the voxel size, because a lattice may suit a flat face. Such a size counts too.
         """
         above = None
         for level in self.levels:
@@ -334,13 +336,13 @@ class Search:
         return above is None or below.voxel_size > CLOSE * above.voxel_size
 
     def _between(self, option: Option) -> float:
-        """Voxel size at which the error should be the one that is aimed at."""
+        """Voxel size at which the error is expected to equal the aim."""
         above, below = self._brackets(option)
         assert above is not None
         assert below is not None
         slope = math.log(above.errors[option] / max(below.errors[option], 1e-300))
         share = math.log(above.errors[option] / self.aim) / max(slope, 1e-12)
-        # Never beside an end: what is known there would be asked again.
+        # Keep away from both ends, where errors are known already.
         share = min(max(share, 0.15), 0.85)
         return float(above.voxel_size * (below.voxel_size / above.voxel_size) ** share)
 
@@ -349,11 +351,11 @@ class Search:
         return counts.bytes_of(option.codec, self._bits(option, voxel_size))
 
     def _bits(self, option: Option, voxel_size: float) -> float:
-        """Bits of a voxel in "fpn", in the mean over the leaves: what their ranges and the step make necessary."""
+        """Bits per voxel in "fpn", the mean over the leaves, from their ranges and the step."""
         if option.codec != "fpn":
             return 0.0
         width = self.width_of(option, voxel_size)
-        # Widths differ by the zone's share of a voxel; leaves are alike over that.
+        # Leaf ranges change little within a quarter of a voxel of width, so widths are rounded to share results.
         key = float(np.ceil(4.0 * width) / 4.0)
         if key not in self._shares:
             self._shares[key] = self.leaf_ranges(key)
@@ -361,13 +363,13 @@ class Search:
         return float(LEAF_BITS[np.searchsorted(2.0 ** LEAF_BITS[:-1] - 1.0, levels)].mean())
 
     def fits(self, option: Option, voxel_size: float) -> bool:
-        """Whether such a band can be made with the memory there is."""
+        """Whether such a band can be built in the available memory."""
         counts = self.memory.counts(voxel_size, self.width_of(option, voxel_size) * voxel_size)
         return counts.working_bytes <= self.most_bytes
 
 
 def quickest(settings: list[Setting]) -> Iterator[Setting]:
-    """The settings in the order in which they are to be tried: of equal memory the quickest to read first."""
+    """The settings in the order of trial; of about equal memory, the fastest to read first."""
     rest = sorted(settings, key=lambda setting: setting.byte_count)
     while rest:
         equal = [s for s in rest if s.byte_count <= SAME_MEMORY * rest[0].byte_count]

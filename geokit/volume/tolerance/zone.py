@@ -1,4 +1,4 @@
-"""Where a field that is made within a tolerance has to be right, and what is right there."""
+"""The zone in which a field must keep a tolerance, and the exact field there."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from geokit.errors import InputError
 
 __all__ = ["Zone", "checked_within"]
 
-# Share of the tolerance that a field of an open mesh keeps it within: beside its border the sign jumps, and the field
+# Width of the zone of an open mesh, as a share of the tolerance. Beside the mesh's border the sign jumps, and the field
 # is off by twice the distance there.
 OPEN_SHARE = 0.25
 
-# Draws before what was found is taken: of a shell little of a draw may lie in the zone.
+# Most draws of points; for a shell, only a small part of a draw may lie in the zone.
 DRAWS = 8
 
 
 @dataclass(frozen=True)
 class Zone:
-    """All points that are no farther than ``within`` from the surface of the field.
+    """All points no farther than ``within`` from the field's surface.
 
     Attributes:
         truth: The exact field at points (N, 3) [world], float64.
-        seeds: Gives so many points of the mesh's surface from a seed of random numbers.
+        seeds: Returns random points on the mesh's surface, from their number and a random seed.
         bounds: Box around the mesh [world], shape (2, 3).
-        within: How far from the field's surface the promise holds [world].
+        within: Distance [world] from the field's surface up to which the tolerance holds.
         offset: Distance [world] of the field's surface from the mesh: half the thickness of a shell, else 0.
     """
 
@@ -45,9 +45,9 @@ class Zone:
         return float((self.bounds[1] - self.bounds[0]).max()) + 2.0 * self.offset
 
     def draw(self, count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """About so many points of the zone, uniform along the surface, and the field there.
+        """About ``count`` points of the zone, uniform along the surface, and the field there.
 
-        The same for the same seed. Of a shell only the points that land in its zone are left.
+        The same seed gives the same points. For a shell only the points that land in its zone are kept.
         """
         random = np.random.default_rng(seed)
         found = []
@@ -62,28 +62,28 @@ class Zone:
     def moved(
         self, points: NDArray[np.float64], most: float, random: np.random.Generator, least: float = 0.0
     ) -> NDArray[np.float64]:
-        """Points, each moved in a random direction by ``least`` and up to ``most`` more [world]."""
+        """Points, each moved in a random direction by ``least`` to ``least + most`` [world]."""
         directions = random.normal(size=points.shape)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         moved = points + directions * (least + most * random.uniform(size=(len(points), 1)))
         return np.asarray(moved)
 
     def kept(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Those of the points that lie in the zone, and the field there."""
+        """The points that lie in the zone, and the field there."""
         exact = self.truth(points)
         inside = np.abs(exact) <= self.within
         return points[inside], exact[inside]
 
 
 def checked_within(within: float | None, tolerance: float, *, jumps: bool) -> float:
-    """How far from the surface a tolerance holds [world].
+    """Check ``within``, the distance [world] from the surface up to which a tolerance holds, or return its default.
 
     Args:
-        within: What was asked for; None for the default.
+        within: The caller's value; None for the default.
         tolerance: Largest error [world].
         jumps: The field is signed and its mesh is open.
     Raises:
-        InputError: It is no number, not finite, or negative.
+        InputError: ``within`` is not a number, not finite, or negative.
     """
     if within is None:
         return OPEN_SHARE * tolerance if jumps else tolerance

@@ -495,7 +495,7 @@ class TestRefusals:
 
     def test_memory(self, monkeypatch):
         monkeypatch.setattr("geokit.core.available_memory.available_host", lambda: 1000)
-        monkeypatch.setattr("geokit.volume.isosurface.launch.UNASKED_BYTES", 0)
+        monkeypatch.setattr("geokit.volume.isosurface.launch.UNCHECKED_BYTES", 0)
         with pytest.raises(DeviceMemoryError, match="larger voxels"):
             from_volume(_grid(_ball), device="cpu")
 

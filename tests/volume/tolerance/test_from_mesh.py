@@ -11,7 +11,7 @@ from geokit.volume import from_mesh, load, plan, save
 from geokit.volume.tolerance import checked_fields
 from geokit.volume.tolerance.checked_fields import checked_errors
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
-from geokit.volume.tolerance.interpolation_errors import interpolation_errors, quantisation_step, stencils_of
+from geokit.volume.tolerance.interpolation_errors import interpolation_errors, quantization_step, stencils_of
 from geokit.volume.tolerance.search import quickest
 from tests.support import mesh_catalog
 
@@ -85,7 +85,7 @@ def test_foreseen_errors_are_those_of_the_grid():
         setting = setting._replace(option=setting.option._replace(order=order, codec=codec, share=0.0))
         field = make_setting(search, setting)
         size, limit = setting.voxel_size, setting.half_width * setting.voxel_size
-        step = quantisation_step(codec, setting.half_width, size)
+        step = quantization_step(codec, setting.half_width, size)
         foreseen = interpolation_errors(stencils_of(search.zone, points, exact, size, 3), order, limit, step)
         errors = np.abs(field.sample(points, order=order) - exact)
         if codec == "float":
