@@ -6,9 +6,7 @@
 NUMBER* const place = values.data + at;
 NUMBER seen = *(volatile NUMBER*)place;
 #if defined(__CUDA_ARCH__)
-if (value < seen)
-    atomicMin((ATOMIC*)place, (ATOMIC)value);
+if (value < seen) atomicMin((ATOMIC*)place, (ATOMIC)value);
 #else
-while (value < seen && !__atomic_compare_exchange_n(place, &seen, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
-}
+while (value < seen && !__atomic_compare_exchange_n(place, &seen, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
 #endif

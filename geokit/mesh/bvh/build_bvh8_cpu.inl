@@ -5,15 +5,22 @@
 // BINS, WIDTH. Defines Range; empty(range), add(range, i), split(range, halve, left, right); open(range, halve, child),
 // which returns the number of children; write(node, child, count). Also defines data, HUGE_BOX, area and swap.
 #if !defined(__CUDA_ARCH__)
-struct Range { int begin, end; v4 lower, upper, low_center, high_center; };
+struct Range {
+    int begin, end;
+    v4 lower, upper, low_center, high_center;
+};
 v4* data = (v4*)references.data;
 const float HUGE_BOX = 3e38f;
 auto empty = [&](Range& r) {
-    r.lower = HUGE_BOX; r.upper = -HUGE_BOX; r.low_center = HUGE_BOX; r.high_center = -HUGE_BOX;
+    r.lower = HUGE_BOX;
+    r.upper = -HUGE_BOX;
+    r.low_center = HUGE_BOX;
+    r.high_center = -HUGE_BOX;
 };
 auto add = [&](Range& r, int i) {
     const v4 l = data[2 * i], u = data[2 * i + 1], c = l + u;
-    r.lower = __builtin_elementwise_min(r.lower, l); r.upper = __builtin_elementwise_max(r.upper, u);
+    r.lower = __builtin_elementwise_min(r.lower, l);
+    r.upper = __builtin_elementwise_max(r.upper, u);
     r.low_center = __builtin_elementwise_min(r.low_center, c);
     r.high_center = __builtin_elementwise_max(r.high_center, c);
 };
@@ -23,8 +30,10 @@ auto area = [](const v4& l, const v4& u) {
 };
 auto swap = [&](int i, int j) {
     const v4 l = data[2 * i], u = data[2 * i + 1];
-    data[2 * i] = data[2 * j]; data[2 * i + 1] = data[2 * j + 1];
-    data[2 * j] = l; data[2 * j + 1] = u;
+    data[2 * i] = data[2 * j];
+    data[2 * i + 1] = data[2 * j + 1];
+    data[2 * j] = l;
+    data[2 * j + 1] = u;
 };
 // Splits a range into two non-empty ones at the cheapest plane between bins; costs count blocks of a leaf.
 auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
@@ -39,7 +48,11 @@ auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
         v4 low[3][BINS], high[3][BINS];
         int filled[3][BINS];
         for (int k = 0; k < 3; ++k)
-            for (int b = 0; b < bins; ++b) { low[k][b] = HUGE_BOX; high[k][b] = -HUGE_BOX; filled[k][b] = 0; }
+            for (int b = 0; b < bins; ++b) {
+                low[k][b] = HUGE_BOX;
+                high[k][b] = -HUGE_BOX;
+                filled[k][b] = 0;
+            }
         for (int i = range.begin; i < range.end; ++i) {
             const v4 l = data[2 * i], u = data[2 * i + 1], at = (l + u - range.low_center) * factor;
             for (int k = 0; k < 3; ++k) {
@@ -56,28 +69,43 @@ auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
             v4 l = HUGE_BOX, u = -HUGE_BOX;
             int n = 0;
             for (int b = bins - 1; b > 0; --b) {
-                l = __builtin_elementwise_min(l, low[k][b]); u = __builtin_elementwise_max(u, high[k][b]);
+                l = __builtin_elementwise_min(l, low[k][b]);
+                u = __builtin_elementwise_max(u, high[k][b]);
                 n += filled[k][b];
                 cost[b] = n ? area(l, u) * ((n + 7) >> 3) : HUGE_BOX;
             }
-            l = HUGE_BOX; u = -HUGE_BOX; n = 0;
+            l = HUGE_BOX;
+            u = -HUGE_BOX;
+            n = 0;
             for (int b = 1; b < bins; ++b) {
-                l = __builtin_elementwise_min(l, low[k][b - 1]); u = __builtin_elementwise_max(u, high[k][b - 1]);
+                l = __builtin_elementwise_min(l, low[k][b - 1]);
+                u = __builtin_elementwise_max(u, high[k][b - 1]);
                 n += filled[k][b - 1];
                 if (n == 0 || cost[b] == HUGE_BOX) continue;
                 const float whole = cost[b] + area(l, u) * ((n + 7) >> 3);
-                if (whole < best) { best = whole; best_axis = k; best_bin = b; }
+                if (whole < best) {
+                    best = whole;
+                    best_axis = k;
+                    best_bin = b;
+                }
             }
         }
     }
-    empty(left); empty(right);
+    empty(left);
+    empty(right);
     int middle;
     if (best_axis >= 0) {
         int i = range.begin, j = range.end;
         while (i < j) {
             const v4 at = (data[2 * i] + data[2 * i + 1] - range.low_center) * factor;
-            if ((int)at[best_axis] < best_bin) { add(left, i); ++i; }
-            else { --j; swap(i, j); add(right, j); }
+            if ((int)at[best_axis] < best_bin) {
+                add(left, i);
+                ++i;
+            } else {
+                --j;
+                swap(i, j);
+                add(right, j);
+            }
         }
         middle = i;
     } else {
@@ -85,7 +113,10 @@ auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
         for (int i = range.begin; i < middle; ++i) add(left, i);
         for (int i = middle; i < range.end; ++i) add(right, i);
     }
-    left.begin = range.begin; left.end = middle; right.begin = middle; right.end = range.end;
+    left.begin = range.begin;
+    left.end = middle;
+    right.begin = middle;
+    right.end = range.end;
 };
 // Splits a range into the children of one node; returns their number.
 auto open = [&](const Range& range, bool halve, Range* child) {
@@ -97,7 +128,10 @@ auto open = [&](const Range& range, bool halve, Range* child) {
         for (int c = 0; c < count; ++c) {
             if (child[c].end - child[c].begin <= WIDTH) continue;
             const float a = area(child[c].lower, child[c].upper);
-            if (a > most || largest < 0) { most = a; largest = c; }
+            if (a > most || largest < 0) {
+                most = a;
+                largest = c;
+            }
         }
         if (largest < 0) break;
         const Range whole = child[largest];

@@ -7,7 +7,8 @@
 Range root;
 empty(root);
 for (int i = begin; i < end; ++i) add(root, i);
-root.begin = begin; root.end = end;
+root.begin = begin;
+root.end = end;
 int nodes = 0, leaves = 0;
 auto leaf = [&](const Range& r) {
     leaf_begin.data[begin + leaves] = r.begin;
@@ -18,7 +19,9 @@ if (end - begin <= WIDTH) leaf(root);
 else {
     Range waiting[STACK];
     int number[STACK], depth[STACK], height = 1;
-    waiting[0] = root; number[0] = nodes++; depth[0] = start_depth;
+    waiting[0] = root;
+    number[0] = nodes++;
+    depth[0] = start_depth;
     while (height > 0) {
         --height;
         const int node = number[height], level = depth[height];
@@ -30,7 +33,8 @@ else {
             int value = NO_CHILD;
             if (c < found && child[c].end - child[c].begin <= WIDTH) value = leaf(child[c]);
             else if (c < found) {
-                waiting[height] = child[c]; depth[height] = level + 1;
+                waiting[height] = child[c];
+                depth[height] = level + 1;
                 number[height++] = value = nodes++;
             }
             children.data[(node_base + node) * WIDTH + c] = value;

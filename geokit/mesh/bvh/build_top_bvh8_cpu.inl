@@ -7,7 +7,8 @@
 Range root;
 empty(root);
 for (int i = 0; i < count; ++i) add(root, i);
-root.begin = 0; root.end = count;
+root.begin = 0;
+root.end = count;
 Range* waiting = (Range*)scratch.data;
 int* depth = (int*)(waiting + capacity);
 int nodes = 1, subtrees = 0;

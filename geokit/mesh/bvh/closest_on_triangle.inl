@@ -18,12 +18,21 @@ auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, 
     const double on_ab = share(wp::dot(ap, ab), wp::dot(ab, ab));
     const double on_ac = share(wp::dot(ap, ac), wp::dot(ac, ac));
     const double on_bc = share(wp::dot(bp, bc), wp::dot(bc, bc));
-    v = on_ab; w = 0.0;
+    v = on_ab;
+    w = 0.0;
     double least = squared_at(ap, ab, ac, v, w);
     double squared = squared_at(ap, ab, ac, 0.0, on_ac);
-    if (squared < least) { least = squared; v = 0.0; w = on_ac; }
+    if (squared < least) {
+        least = squared;
+        v = 0.0;
+        w = on_ac;
+    }
     squared = squared_at(ap, ab, ac, 1.0 - on_bc, on_bc);
-    if (squared < least) { least = squared; v = 1.0 - on_bc; w = on_bc; }
+    if (squared < least) {
+        least = squared;
+        v = 1.0 - on_bc;
+        w = on_bc;
+    }
     // The interior, by cross products and one refinement step for the residual: the first solution of a thin system
     // has few correct digits, and its correction gives the rest.
     const point n = wp::cross(ab, ac);
@@ -37,7 +46,11 @@ auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, 
         }
         if (s >= 0.0 && t >= 0.0 && s + t <= 1.0) {
             squared = squared_at(ap, ab, ac, s, t);
-            if (squared < least) { least = squared; v = s; w = t; }
+            if (squared < least) {
+                least = squared;
+                v = s;
+                w = t;
+            }
         }
     }
     return least;
@@ -49,12 +62,28 @@ auto closest_on_triangle = [&](const point& ap, const point& ab, const point& ac
     const double d1 = wp::dot(ab, ap), d2 = wp::dot(ac, ap);
     const double d3 = d1 - bb, d4 = d2 - bc, d5 = d1 - bc, d6 = d2 - cc;
     const double vc = d1 * d4 - d3 * d2, vb = d5 * d2 - d1 * d6, va = d3 * d6 - d5 * d4;
-    if (d1 <= 0.0 && d2 <= 0.0) { v = 0.0; w = 0.0; }
-    else if (d3 >= 0.0 && d4 <= d3) { v = 1.0; w = 0.0; }
-    else if (d6 >= 0.0 && d5 <= d6) { v = 0.0; w = 1.0; }
-    else if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) { v = d1 / bb; w = 0.0; }
-    else if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) { v = 0.0; w = d2 / cc; }
-    else if (va <= 0.0 && d4 >= d3 && d5 >= d6) { w = (d4 - d3) / ((d4 - d3) + (d5 - d6)); v = 1.0 - w; }
-    else { const double whole = va + vb + vc; v = vb / whole; w = vc / whole; }
+    if (d1 <= 0.0 && d2 <= 0.0) {
+        v = 0.0;
+        w = 0.0;
+    } else if (d3 >= 0.0 && d4 <= d3) {
+        v = 1.0;
+        w = 0.0;
+    } else if (d6 >= 0.0 && d5 <= d6) {
+        v = 0.0;
+        w = 1.0;
+    } else if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
+        v = d1 / bb;
+        w = 0.0;
+    } else if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
+        v = 0.0;
+        w = d2 / cc;
+    } else if (va <= 0.0 && d4 >= d3 && d5 >= d6) {
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        v = 1.0 - w;
+    } else {
+        const double whole = va + vb + vc;
+        v = vb / whole;
+        w = vc / whole;
+    }
     return squared_at(ap, ab, ac, v, w);
 };

@@ -26,5 +26,4 @@ for (int i = 0; i < CANDIDATES; ++i) {
 const double none = (double)NAN;
 out_t.data[ray] = winner < 0 ? (double)INFINITY : best;
 out_triangle_id.data[ray] = winner < 0 ? -1 : tree.slot_triangle.data[winner];
-out_barycentric.data[ray] = winner < 0 ? point(none, none, none)
-                                       : point(1.0 - weight_b - weight_c, weight_b, weight_c);
+out_barycentric.data[ray] = winner < 0 ? point(none, none, none) : point(1.0 - weight_b - weight_c, weight_b, weight_c);

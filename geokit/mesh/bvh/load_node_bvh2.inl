@@ -11,7 +11,10 @@ auto load_node = [](const float* nodes, int node) {
     #if defined(__CUDA_ARCH__)
     const float4* from = (const float4*)(nodes + NODE_FLOATS * node);
     float4* to = (float4*)&n;
-    to[0] = __ldg(from); to[1] = __ldg(from + 1); to[2] = __ldg(from + 2); to[3] = __ldg(from + 3);
+    to[0] = __ldg(from);
+    to[1] = __ldg(from + 1);
+    to[2] = __ldg(from + 2);
+    to[3] = __ldg(from + 3);
     #else
     n = *(const Node*)(nodes + NODE_FLOATS * node);
     #endif

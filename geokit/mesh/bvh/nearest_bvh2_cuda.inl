@@ -53,7 +53,8 @@ if (size > FAR) {
             #endif
         }
         const double now = sqrt(exact) / tree.scale + padding;
-        do --depth; while (depth >= 0 && entry[depth] > now * now);
+        do --depth;
+        while (depth >= 0 && entry[depth] > now * now);
         if (depth < 0) break;
         node = stack[depth];
     }
@@ -107,7 +108,8 @@ auto test = [&](int slot) {
         int kept = 0;
         for (int i = 0; i < candidates; ++i)
             if (candidate_squared[i] <= reach) {
-                candidate[kept] = candidate[i]; candidate_squared[kept++] = candidate_squared[i];
+                candidate[kept] = candidate[i];
+                candidate_squared[kept++] = candidate_squared[i];
             }
         candidates = kept;
         if (candidates == CUDA_CANDIDATES) settle();
@@ -142,7 +144,8 @@ while (true) {
     #if defined(ANY_WITHIN)
     if (winner >= 0) return winner;
     #endif
-    do --depth; while (depth >= 0 && entry[depth] > reach);
+    do --depth;
+    while (depth >= 0 && entry[depth] > reach);
     if (depth < 0) break;
     node = stack[depth];
 }
@@ -150,7 +153,10 @@ if (winner < 0 && max_squared == (double)INFINITY) {
     // A single remaining candidate needs no float64 evaluation here; the caller computes its distance.
     int alone = -1, left = 0;
     for (int i = 0; i < candidates; ++i)
-        if (candidate_squared[i] <= reach) { alone = candidate[i]; ++left; }
+        if (candidate_squared[i] <= reach) {
+            alone = candidate[i];
+            ++left;
+        }
     if (left == 1) return alone;
 }
 settle();

@@ -39,7 +39,8 @@ if (size > FAR) {
         return reach * reach;
     };
     double reach = reach_of(exact);
-    stack[0] = 0; entry[0] = 0.0;
+    stack[0] = 0;
+    entry[0] = 0.0;
     while (height > 0) {
         --height;
         if (entry[height] > reach) continue;
@@ -51,8 +52,7 @@ if (size > FAR) {
             continue;
         }
         d8 side[6];
-        for (int k = 0; k < 6; ++k)
-            side[k] = __builtin_convertvector(*(const v8*)(boxes + 48 * node + 8 * k), d8);
+        for (int k = 0; k < 6; ++k) side[k] = __builtin_convertvector(*(const v8*)(boxes + 48 * node + 8 * k), d8);
         const d8 dx = __builtin_elementwise_max(__builtin_elementwise_max(side[0] - X, X - side[3]), zero);
         const d8 dy = __builtin_elementwise_max(__builtin_elementwise_max(side[1] - Y, Y - side[4]), zero);
         const d8 dz = __builtin_elementwise_max(__builtin_elementwise_max(side[2] - Z, Z - side[5]), zero);
@@ -62,8 +62,12 @@ if (size > FAR) {
             const double d = d2[j];
             if (!(d <= reach) || side[0][j] > side[3][j]) continue;
             int at = height++;
-            for (; at > base && entry[at - 1] < d; --at) { entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; }
-            entry[at] = d; stack[at] = children[8 * node + j];
+            for (; at > base && entry[at - 1] < d; --at) {
+                entry[at] = entry[at - 1];
+                stack[at] = stack[at - 1];
+            }
+            entry[at] = d;
+            stack[at] = children[8 * node + j];
         }
     }
     return winner;
@@ -71,136 +75,141 @@ if (size > FAR) {
 {
 // The rest only selects candidates: fused products round less, and are faster.
 #pragma clang fp contract(fast)
-// One instruction each; the built-ins take three, because they must prefer a number to NaN. These prefer the number
-// only if the NaN is the first operand, so callers put the operand that may be NaN first.
-auto larger = [](v8 a, v8 b) { return a > b ? a : b; };
-auto smaller = [](v8 a, v8 b) { return a < b ? a : b; };
-const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
-const v8 zero = 0.f, one = 1.f;
-const i8 number = {0, 1, 2, 3, 4, 5, 6, 7};
-// Squares are never negative or NaN: their bits sort as the floats do, and integer comparisons are faster.
-auto bits_of = [](v8 squares) { return __builtin_bit_cast(i8, squares); };
-auto least_of = [](i8 a) {
-    i4 low = __builtin_shufflevector(a, a, 0, 1, 2, 3), other = __builtin_shufflevector(a, a, 4, 5, 6, 7);
-    low = low < other ? low : other;
-    other = __builtin_shufflevector(low, low, 2, 3, 2, 3);
-    low = low < other ? low : other;
-    other = __builtin_shufflevector(low, low, 1, 1, 1, 1);
-    low = low < other ? low : other;
-    return (int)low[0];
-};
-const float slack = 2.f * DISTANCE_ERROR * ((float)size + 1.f);
-// Any triangle nearer than this, in float32, can be the nearest.
-auto widened = [&](float squared) {
-    const float reach = __builtin_sqrtf(squared) + slack;
-    return reach * reach;
-};
-const double radius = max_squared / (tree.scale * tree.scale);
-float reach = radius < UNBOUNDED ? widened((float)radius * 1.000001f) : (float)UNBOUNDED;
-float least = (float)UNBOUNDED;  // the smallest squared distance seen
-float entry[STACK];
-int candidate[CPU_CANDIDATES];
-float candidate_squared[CPU_CANDIDATES];
-int candidates = 0;
-auto settle = [&]() {
-    for (int i = 0; i < candidates; ++i)
-        if (candidate_squared[i] <= reach) evaluate(candidate[i]);
-    candidates = 0;
-};
-auto leaf = [&](int block) {
-    const v8* row = (const v8*)(leaves + PLANE_ROWS * 8 * block);
-    const v8 ax = X - row[0], ay = Y - row[1], az = Z - row[2];
-    const v8 x = ax * row[3] + ay * row[4] + az * row[5];
-    const v8 y = ax * row[6] + ay * row[7] + az * row[8];
-    const v8 z = ax * row[9] + ay * row[10] + az * row[11];
-    const v8 length = row[12], cx = row[13], cy = row[14];
-    // The three edges, then the interior; the edge from a to b is the x axis from 0 to length.
-    const v8 ex = x - smaller(larger(x, zero), length);
-    const v8 yy = y * y;
-    v8 flat = ex * ex + yy;
-    const v8 bx = x - length, bcx = cx - length;
-    const v8 s = smaller(larger((x * cx + y * cy) * row[15], zero), one);
-    const v8 sx = x - s * cx, sy = y - s * cy;
-    flat = smaller(sx * sx + sy * sy, flat);
-    const v8 t = smaller(larger((bx * bcx + y * cy) * row[16], zero), one);
-    const v8 tx = bx - t * bcx, ty = y - t * cy;
-    flat = smaller(tx * tx + ty * ty, flat);
-    const i8 inside = (y > zero) & (cy * x > cx * y) & (bcx * y > cy * bx);
-    const v8 d2 = (inside ? zero : flat) + z * z;
-    const unsigned hits = mask_of(d2 <= reach);
-    if (!hits) return;
-    const float nearest = __builtin_bit_cast(float, least_of(bits_of(d2)));
-    if (nearest < least) {
-        least = nearest;
-        const float narrower = widened(nearest);
-        reach = narrower < reach ? narrower : reach;
+    // One instruction each; the built-ins take three, because they must prefer a number to NaN. These prefer the number
+    // only if the NaN is the first operand, so callers put the operand that may be NaN first.
+    auto larger = [](v8 a, v8 b) { return a > b ? a : b; };
+    auto smaller = [](v8 a, v8 b) { return a < b ? a : b; };
+    const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
+    const v8 zero = 0.f, one = 1.f;
+    const i8 number = {0, 1, 2, 3, 4, 5, 6, 7};
+    // Squares are never negative or NaN: their bits sort as the floats do, and integer comparisons are faster.
+    auto bits_of = [](v8 squares) { return __builtin_bit_cast(i8, squares); };
+    auto least_of = [](i8 a) {
+        i4 low = __builtin_shufflevector(a, a, 0, 1, 2, 3), other = __builtin_shufflevector(a, a, 4, 5, 6, 7);
+        low = low < other ? low : other;
+        other = __builtin_shufflevector(low, low, 2, 3, 2, 3);
+        low = low < other ? low : other;
+        other = __builtin_shufflevector(low, low, 1, 1, 1, 1);
+        low = low < other ? low : other;
+        return (int)low[0];
+    };
+    const float slack = 2.f * DISTANCE_ERROR * ((float)size + 1.f);
+    // Any triangle nearer than this, in float32, can be the nearest.
+    auto widened = [&](float squared) {
+        const float reach = __builtin_sqrtf(squared) + slack;
+        return reach * reach;
+    };
+    const double radius = max_squared / (tree.scale * tree.scale);
+    float reach = radius < UNBOUNDED ? widened((float)radius * 1.000001f) : (float)UNBOUNDED;
+    float least = (float)UNBOUNDED;  // the smallest squared distance seen
+    float entry[STACK];
+    int candidate[CPU_CANDIDATES];
+    float candidate_squared[CPU_CANDIDATES];
+    int candidates = 0;
+    auto settle = [&]() {
+        for (int i = 0; i < candidates; ++i)
+            if (candidate_squared[i] <= reach) evaluate(candidate[i]);
+        candidates = 0;
+    };
+    auto leaf = [&](int block) {
+        const v8* row = (const v8*)(leaves + PLANE_ROWS * 8 * block);
+        const v8 ax = X - row[0], ay = Y - row[1], az = Z - row[2];
+        const v8 x = ax * row[3] + ay * row[4] + az * row[5];
+        const v8 y = ax * row[6] + ay * row[7] + az * row[8];
+        const v8 z = ax * row[9] + ay * row[10] + az * row[11];
+        const v8 length = row[12], cx = row[13], cy = row[14];
+        // The three edges, then the interior; the edge from a to b is the x axis from 0 to length.
+        const v8 ex = x - smaller(larger(x, zero), length);
+        const v8 yy = y * y;
+        v8 flat = ex * ex + yy;
+        const v8 bx = x - length, bcx = cx - length;
+        const v8 s = smaller(larger((x * cx + y * cy) * row[15], zero), one);
+        const v8 sx = x - s * cx, sy = y - s * cy;
+        flat = smaller(sx * sx + sy * sy, flat);
+        const v8 t = smaller(larger((bx * bcx + y * cy) * row[16], zero), one);
+        const v8 tx = bx - t * bcx, ty = y - t * cy;
+        flat = smaller(tx * tx + ty * ty, flat);
+        const i8 inside = (y > zero) & (cy * x > cx * y) & (bcx * y > cy * bx);
+        const v8 d2 = (inside ? zero : flat) + z * z;
+        const unsigned hits = mask_of(d2 <= reach);
+        if (!hits) return;
+        const float nearest = __builtin_bit_cast(float, least_of(bits_of(d2)));
+        if (nearest < least) {
+            least = nearest;
+            const float narrower = widened(nearest);
+            reach = narrower < reach ? narrower : reach;
+        }
+        const i8 possible = d2 <= reach;
+        if (candidates > CPU_CANDIDATES - 8) {
+            int kept = 0;
+            for (int i = 0; i < candidates; ++i)
+                if (candidate_squared[i] <= reach) {
+                    candidate[kept] = candidate[i];
+                    candidate_squared[kept++] = candidate_squared[i];
+                }
+            candidates = kept;
+            if (candidates > CPU_CANDIDATES - 8) settle();
+        }
+        float squared[8];
+        *(v8*)squared = d2;
+        for (unsigned mask = mask_of(possible); mask; mask &= mask - 1) {
+            const int j = __builtin_ctz(mask);
+            candidate[candidates] = 8 * block + j;
+            candidate_squared[candidates++] = squared[j];
+            // Prefetch for the float64 evaluation at the end.
+            const char* corners = (const char*)(tree.corners.data + 3 * (8 * block + j));
+            __builtin_prefetch(corners);
+            __builtin_prefetch(corners + 64);
+            __builtin_prefetch(tree.slot_triangle.data + 8 * block);
+        }
+    };
+    const int seed_block = seed >= 0 ? seed >> 3 : -1;
+    if (seed >= 0) leaf(seed_block);
+    int node = 0;
+    height = 0;
+    for (;;) {
+        if (node >= 0) {
+            const v8* side = (const v8*)(boxes + 48 * node);
+            const v8 dx = larger(larger(side[0] - X, X - side[3]), zero);
+            const v8 dy = larger(larger(side[1] - Y, Y - side[4]), zero);
+            const v8 dz = larger(larger(side[2] - Z, Z - side[5]), zero);
+            const v8 d2 = dx * dx + dy * dy + dz * dz;
+            unsigned mask = mask_of(d2 <= reach);
+            if (mask) {
+                // The nearest child is next; its number replaces the last bits of its distance. The others wait: sorting
+                // them costs more than their order saves.
+                const int first = least_of((bits_of(d2) & -8) | number) & 7;
+                const int* child = children + 8 * node;
+                float distance[8];
+                *(v8*)distance = d2;
+                for (mask &= ~(1u << first); mask; mask &= mask - 1) {
+                    const int j = __builtin_ctz(mask), next = child[j];
+                    entry[height] = distance[j];
+                    stack[height++] = next;
+                    // Prefetch a node, or that much of a leaf; the hardware prefetcher fetches the rest.
+                    const float* place = next < 0 ? leaves + PLANE_ROWS * 8 * (-1 - next) : boxes + 48 * next;
+                    for (int line = 0; line < 3; ++line) __builtin_prefetch(place + 16 * line);
+                    __builtin_prefetch(next < 0 ? (const void*)(place + 48) : children + 8 * next);
+                }
+                node = child[first];
+                continue;
+            }
+        } else if (-1 - node != seed_block) leaf(-1 - node);
+        while (height > 0 && entry[height - 1] > reach) --height;
+        if (height == 0) break;
+        node = stack[--height];
     }
-    const i8 possible = d2 <= reach;
-    if (candidates > CPU_CANDIDATES - 8) {
-        int kept = 0;
+    if (winner < 0 && max_squared == (double)INFINITY) {
+        // A single remaining candidate needs no float64 evaluation here; the caller computes its distance.
+        int alone = -1, left = 0;
         for (int i = 0; i < candidates; ++i)
             if (candidate_squared[i] <= reach) {
-                candidate[kept] = candidate[i]; candidate_squared[kept++] = candidate_squared[i];
+                alone = candidate[i];
+                ++left;
             }
-        candidates = kept;
-        if (candidates > CPU_CANDIDATES - 8) settle();
+        if (left == 1) return alone;
     }
-    float squared[8];
-    *(v8*)squared = d2;
-    for (unsigned mask = mask_of(possible); mask; mask &= mask - 1) {
-        const int j = __builtin_ctz(mask);
-        candidate[candidates] = 8 * block + j;
-        candidate_squared[candidates++] = squared[j];
-        // Prefetch for the float64 evaluation at the end.
-        const char* corners = (const char*)(tree.corners.data + 3 * (8 * block + j));
-        __builtin_prefetch(corners);
-        __builtin_prefetch(corners + 64);
-        __builtin_prefetch(tree.slot_triangle.data + 8 * block);
-    }
-};
-const int seed_block = seed >= 0 ? seed >> 3 : -1;
-if (seed >= 0) leaf(seed_block);
-int node = 0;
-height = 0;
-for (;;) {
-    if (node >= 0) {
-        const v8* side = (const v8*)(boxes + 48 * node);
-        const v8 dx = larger(larger(side[0] - X, X - side[3]), zero);
-        const v8 dy = larger(larger(side[1] - Y, Y - side[4]), zero);
-        const v8 dz = larger(larger(side[2] - Z, Z - side[5]), zero);
-        const v8 d2 = dx * dx + dy * dy + dz * dz;
-        unsigned mask = mask_of(d2 <= reach);
-        if (mask) {
-            // The nearest child is next; its number replaces the last bits of its distance. The others wait: sorting
-            // them costs more than their order saves.
-            const int first = least_of((bits_of(d2) & -8) | number) & 7;
-            const int* child = children + 8 * node;
-            float distance[8];
-            *(v8*)distance = d2;
-            for (mask &= ~(1u << first); mask; mask &= mask - 1) {
-                const int j = __builtin_ctz(mask), next = child[j];
-                entry[height] = distance[j]; stack[height++] = next;
-                // Prefetch a node, or that much of a leaf; the hardware prefetcher fetches the rest.
-                const float* place = next < 0 ? leaves + PLANE_ROWS * 8 * (-1 - next) : boxes + 48 * next;
-                for (int line = 0; line < 3; ++line) __builtin_prefetch(place + 16 * line);
-                __builtin_prefetch(next < 0 ? (const void*)(place + 48) : children + 8 * next);
-            }
-            node = child[first];
-            continue;
-        }
-    } else if (-1 - node != seed_block) leaf(-1 - node);
-    while (height > 0 && entry[height - 1] > reach) --height;
-    if (height == 0) break;
-    node = stack[--height];
-}
-if (winner < 0 && max_squared == (double)INFINITY) {
-    // A single remaining candidate needs no float64 evaluation here; the caller computes its distance.
-    int alone = -1, left = 0;
-    for (int i = 0; i < candidates; ++i)
-        if (candidate_squared[i] <= reach) { alone = candidate[i]; ++left; }
-    if (left == 1) return alone;
-}
-settle();
+    settle();
 }
 return winner;
 #endif

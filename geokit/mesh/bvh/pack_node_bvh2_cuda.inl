@@ -10,13 +10,16 @@ auto reference = [&](int child) {
 };
 if (node == *bvh.root) out_root.data[0] = reference(node);
 if (!kept.data[node]) return;
-const int child[2] = {(int)wp::bvh_load_node(bvh.node_lowers, node).i,
-                      (int)wp::bvh_load_node(bvh.node_uppers, node).i};
+const int child[2] = {(int)wp::bvh_load_node(bvh.node_lowers, node).i, (int)wp::bvh_load_node(bvh.node_uppers, node).i};
 float* row = out_nodes.data + NODE_FLOATS * (place.data[node] - 1);
 for (int k = 0; k < 2; ++k) {
     const wp::BVHPackedNodeHalf l = wp::bvh_load_node(bvh.node_lowers, child[k]);
     const wp::BVHPackedNodeHalf u = wp::bvh_load_node(bvh.node_uppers, child[k]);
-    row[6 * k] = l.x - padding; row[6 * k + 1] = l.y - padding; row[6 * k + 2] = l.z - padding;
-    row[6 * k + 3] = u.x + padding; row[6 * k + 4] = u.y + padding; row[6 * k + 5] = u.z + padding;
+    row[6 * k] = l.x - padding;
+    row[6 * k + 1] = l.y - padding;
+    row[6 * k + 2] = l.z - padding;
+    row[6 * k + 3] = u.x + padding;
+    row[6 * k + 4] = u.y + padding;
+    row[6 * k + 5] = u.z + padding;
     ((int*)row)[12 + k] = reference(child[k]);
 }

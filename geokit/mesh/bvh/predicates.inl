@@ -6,7 +6,10 @@
 // filter alone, 2 where it cannot decide. Exact unless a product underflows: coordinates of a scale near 1 with
 // differences above 1e-80 are safe. Also defines Sum, add, add_product, sign_of, split_difference, exact_orientation.
 // Sum is an exact sum: parts that do not overlap, smallest first; the last one has the sign of the sum.
-struct Sum { double part[PARTS]; int count; };
+struct Sum {
+    double part[PARTS];
+    int count;
+};
 auto add = [&](Sum& sum, double value) {
     if (value == 0.0) return;
     int kept = 0;
@@ -25,9 +28,7 @@ auto add_product = [&](Sum& sum, double x, double y) {
     add(sum, fused(x, y, -xy));
     add(sum, xy);
 };
-auto sign_of = [](const Sum& sum) {
-    return sum.count == 0 ? 0 : sum.part[sum.count - 1] > 0.0 ? 1 : -1;
-};
+auto sign_of = [](const Sum& sum) { return sum.count == 0 ? 0 : sum.part[sum.count - 1] > 0.0 ? 1 : -1; };
 // x - y as two parts.
 auto split_difference = [&](double x, double y, double* parts) {
     parts[0] = minus(x, y);

@@ -15,7 +15,9 @@ auto fabsf = [](float a) { return __builtin_fabsf(a); };
 auto sqrtf = [](float a) { return __builtin_sqrtf(a); };
 auto copysignf = [](float a, float b) { return __builtin_copysignf(a, b); };
 #endif
-struct alignas(16) Four { float x, y, z, w; };
+struct alignas(16) Four {
+    float x, y, z, w;
+};
 int found[CANDIDATES];
 found[0] = NO_CANDIDATE;
 auto search = [&]() {
@@ -26,7 +28,9 @@ auto search = [&]() {
         const double fx = (start[0] - tree.origin[0]) * local, fy = (start[1] - tree.origin[1]) * local,
                      fz = (start[2] - tree.origin[2]) * local;
         const double ax = direction[0] * shrink, ay = direction[1] * shrink, az = direction[2] * shrink;
-        tx = (float)ax; ty = (float)ay; tz = (float)az;
+        tx = (float)ax;
+        ty = (float)ay;
+        tz = (float)az;
         double enter = t_min * unit;
         const float far = fmaxf(fmaxf(fabsf((float)fx), fabsf((float)fy)), fabsf((float)fz));
         if (!(far < 1e30f && largest < 1e300)) {
@@ -39,7 +43,9 @@ auto search = [&]() {
             const float middle = -((float)fx * tx + (float)fy * ty + (float)fz * tz) / (length * length);
             enter = wp::max(enter, (double)(middle - (1.75f + 1e-5f * far) / length));
         }
-        sx = (float)(fx + enter * ax); sy = (float)(fy + enter * ay); sz = (float)(fz + enter * az);
+        sx = (float)(fx + enter * ax);
+        sy = (float)(fy + enter * ay);
+        sz = (float)(fz + enter * az);
         last = fminf((float)(t_max * unit - enter) * 1.000001f + PLANE_MARGIN, ENDLESS);
         if (last < 0.f) return;
         // The ray misses the ball around the cube, or is still so far from it that float32 has too few digits.
@@ -90,8 +96,7 @@ auto search = [&]() {
         const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
         if (!(y >= -PLANE_MARGIN && ca >= -margin && bc >= -margin)) return;
         const float farthest = (depth + PLANE_MARGIN) / down * 1.000001f;
-        if (y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN && farthest < last)
-            last = farthest;
+        if (y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN && farthest < last) last = farthest;
         if (count == CANDIDATES) prune();
         if (count == CANDIDATES) {
             full = true;

@@ -185,8 +185,8 @@ auto set_up = [&](int first, int count) {
     transpose(field, group.field[0], 16);
     transpose(field + 8, group.field[0] + 8, 16);
     const i8 axis = (z_is_y & 1) | (z_is_z & 2);
-    const v8 row[8] = {(v8)back[0], (v8)(back[1] + 8), (v8)(back[2] + 16), (v8)(24 - back[0]), (v8)(32 - back[1]),
-                       (v8)(40 - back[2]), (v8)axis, (v8)axis};
+    const v8 row[8] = {(v8)back[0],        (v8)(back[1] + 8),  (v8)(back[2] + 16), (v8)(24 - back[0]),
+                       (v8)(32 - back[1]), (v8)(40 - back[2]), (v8)axis,           (v8)axis};
     transpose(row, (float*)group.row[0], 8);
 };
 // Out of line, because the traversal needs the registers.

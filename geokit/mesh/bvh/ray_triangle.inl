@@ -20,8 +20,7 @@ auto pick = [&](const point& p, int k) { return k == 0 ? p[0] : k == 1 ? p[1] : 
 auto pick = [&](const point& p, int k) { return p[k]; };
 #endif
 auto hit_at_all = [&](const point& start, const point& direction, int slot, double& t, double& v, double& w) {
-    double size[3] = {direction[0] < 0 ? -direction[0] : direction[0],
-                      direction[1] < 0 ? -direction[1] : direction[1],
+    double size[3] = {direction[0] < 0 ? -direction[0] : direction[0], direction[1] < 0 ? -direction[1] : direction[1],
                       direction[2] < 0 ? -direction[2] : direction[2]};
     // The axis of the ray's largest component becomes z of a sheared frame in which the ray is the z axis.
     const int kz = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
@@ -65,7 +64,8 @@ auto hit_at_all = [&](const point& start, const point& direction, int slot, doub
     double whole = fa + fb + fc;
     if (whole == 0.0) {
         #if defined(CROSSINGS)
-        fa = fb = fc = 1.0; whole = 3.0;  // hit, at a place that rounding hides
+        fa = fb = fc = 1.0;
+        whole = 3.0;  // hit, at a place that rounding hides
         #else
         return false;  // seen edge-on: its neighbors take the ray
         #endif

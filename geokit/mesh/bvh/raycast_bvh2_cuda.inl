@@ -29,7 +29,11 @@ struct Ray {
     int id, winner, height, count;
 };
 Ray r;
-r.winner = -1; r.count = 0; r.weight_b = 0.0; r.weight_c = 0.0; r.height = 0;
+r.winner = -1;
+r.count = 0;
+r.weight_b = 0.0;
+r.weight_c = 0.0;
+r.height = 0;
 fetch(begin, r.id, r.start, r.direction, r.best);
 // The ray as from + s * along in local units with the largest component of along being 1: s = unit * t.
 const double largest = wp::max(wp::max(wp::abs(r.direction[0]), wp::abs(r.direction[1])), wp::abs(r.direction[2]));
@@ -38,9 +42,7 @@ const point from = (r.start - tree.origin) * local, along = r.direction * shrink
 r.unit = largest * local;
 r.enter = t_min * r.unit;
 // Finite, so that its product with a zero is zero.
-auto shorten = [](Ray& r) {
-    r.last = fminf((float)(r.best * r.unit - r.enter) * 1.000001f + PLANE_MARGIN, ENDLESS);
-};
+auto shorten = [](Ray& r) { r.last = fminf((float)(r.best * r.unit - r.enter) * 1.000001f + PLANE_MARGIN, ENDLESS); };
 auto reciprocal_of = [](double component) {
     return 1.f / copysignf(fmaxf(fabsf((float)component), LEAST_COMPONENT), (float)component);
 };
@@ -84,8 +86,7 @@ auto may_hit = [&](int slot) {
     const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
     const float x = ox * down + dx * depth, y = oy * down + dy * depth;
     const float longest = r3.x, cx = r3.y, cy = r3.z, margin = -PLANE_MARGIN * longest;
-    return y >= -PLANE_MARGIN && cy * x - cx * y >= margin
-           && (cx - longest) * y - cy * (x - longest * down) >= margin;
+    return y >= -PLANE_MARGIN && cy * x - cx * y >= margin && (cx - longest) * y - cy * (x - longest * down) >= margin;
 };
 int stack[64], node = tree.ray_children.data[0];
 float entry[64];
@@ -116,7 +117,8 @@ while (r.height >= 0) {
             }
         }
     }
-    do --r.height; while (r.height >= 0 && entry[r.height] > r.last);
+    do --r.height;
+    while (r.height >= 0 && entry[r.height] > r.last);
     if (r.height >= 0) node = stack[r.height];
 }
 finish(r);

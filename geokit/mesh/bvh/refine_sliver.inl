@@ -21,8 +21,7 @@ auto refine_sliver = [&](const point& start, const point& direction, int slot, d
     const int o = bc2 >= ca2 ? (bc2 >= ab2 ? 0 : 2) : (ca2 >= ab2 ? 1 : 2), i = (o + 1) % 3;
     const point edge = o == 0 ? bc : o == 1 ? ca : ab;
     const point e = o == 0 ? ab : o == 1 ? bc : ca, f = o == 0 ? -ca : o == 1 ? -ab : -bc;
-    const point normal(difference_of_products(e[1], f[2], e[2], f[1]),
-                       difference_of_products(e[2], f[0], e[0], f[2]),
+    const point normal(difference_of_products(e[1], f[2], e[2], f[1]), difference_of_products(e[2], f[0], e[0], f[2]),
                        difference_of_products(e[0], f[1], e[1], f[0]));
     const double length2 = wp::dot(edge, edge);
     if (length2 == 0.0) return;
@@ -30,10 +29,10 @@ auto refine_sliver = [&](const point& start, const point& direction, int slot, d
     const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
     const point last = first + edge;
     const int axis = wp::abs(direction[0]) >= wp::abs(direction[1])
-        ? (wp::abs(direction[0]) >= wp::abs(direction[2]) ? 0 : 2)
-        : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
-    const double step = pick(direction, axis), of_first = pick(first, axis) / step,
-                 of_last = pick(last, axis) / step, of_opposite = pick(opposite, axis) / step;
+                         ? (wp::abs(direction[0]) >= wp::abs(direction[2]) ? 0 : 2)
+                         : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
+    const double step = pick(direction, axis), of_first = pick(first, axis) / step, of_last = pick(last, axis) / step,
+                 of_opposite = pick(opposite, axis) / step;
     const double slope = wp::dot(normal, direction);
     if (slope != 0.0) {
         t = wp::dot(normal, opposite) / slope;

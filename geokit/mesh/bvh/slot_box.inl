@@ -3,7 +3,10 @@
 // Expects local_box.inl; tree, slot, out_boxes.
 float* row = out_boxes.data + 48 * (slot / 8) + slot % 8;
 if (tree.slot_triangle.data[slot] < 0) {
-    for (int k = 0; k < 3; ++k) { row[8 * k] = INFINITY; row[24 + 8 * k] = -INFINITY; }
+    for (int k = 0; k < 3; ++k) {
+        row[8 * k] = INFINITY;
+        row[24 + 8 * k] = -INFINITY;
+    }
     return;
 }
 double lower[3], upper[3];
@@ -14,4 +17,7 @@ for (int k = 0; k < 3; ++k) {
 }
 float low[3], high[3];
 local_box(tree, lower, upper, low, high);
-for (int k = 0; k < 3; ++k) { row[8 * k] = low[k]; row[24 + 8 * k] = high[k]; }
+for (int k = 0; k < 3; ++k) {
+    row[8 * k] = low[k];
+    row[24 + 8 * k] = high[k];
+}

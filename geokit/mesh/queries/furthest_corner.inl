@@ -47,7 +47,8 @@ while (height > 0) {
 #else
 int stack[STACK], height = 1;
 double entry[STACK];
-stack[0] = 0; entry[0] = INFINITY;
+stack[0] = 0;
+entry[0] = INFINITY;
 while (height > 0) {
     --height;
     if (entry[height] < best) continue;
@@ -63,7 +64,10 @@ while (height > 0) {
         const double reach = reach_of(box + j, box + 24 + j, 8);
         if (reach < best) continue;
         int at = height++;
-        for (; at > base && entry[at - 1] > reach; --at) { entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; }
+        for (; at > base && entry[at - 1] > reach; --at) {
+            entry[at] = entry[at - 1];
+            stack[at] = stack[at - 1];
+        }
         entry[at] = reach;
         stack[at] = tree.children.data[8 * node + j];
     }

@@ -16,6 +16,6 @@ auto finish = [&](const auto& r) {
     const bool missed = r.winner < 0;
     out_t.data[r.id] = missed ? (double)INFINITY : r.best;
     out_triangle_id.data[r.id] = missed ? -1 : tree.slot_triangle.data[r.winner];
-    out_barycentric.data[r.id] = missed ? point(none, none, none)
-                                        : point(1.0 - r.weight_b - r.weight_c, r.weight_b, r.weight_c);
+    out_barycentric.data[r.id] =
+        missed ? point(none, none, none) : point(1.0 - r.weight_b - r.weight_c, r.weight_b, r.weight_c);
 };

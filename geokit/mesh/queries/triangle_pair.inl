@@ -14,8 +14,10 @@ auto flat_segments_meet = [&](int k, const point& p, const point& q, const point
     if (pa * pb > 0 || ap * aq > 0) return false;
     if (pa != 0 || pb != 0 || ap != 0 || aq != 0) return true;
     for (int axis = 0; axis < 3; ++axis)
-        if (axis != k && (wp::max(p[axis], q[axis]) < wp::min(a[axis], b[axis])
-                          || wp::max(a[axis], b[axis]) < wp::min(p[axis], q[axis]))) return false;
+        if (axis != k
+            && (wp::max(p[axis], q[axis]) < wp::min(a[axis], b[axis])
+                || wp::max(a[axis], b[axis]) < wp::min(p[axis], q[axis])))
+            return false;
     return true;
 };
 auto segments_meet = [&](const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
@@ -42,7 +44,8 @@ auto segment_meets = [&](const point& p, const point& q, const point* t) OUT_OF_
         for (int end = 0; end < 2; ++end) {
             const point& x = end ? q : p;
             if (turn(k, t[0], t[1], x) * side >= 0 && turn(k, t[1], t[2], x) * side >= 0
-                && turn(k, t[2], t[0], x) * side >= 0) return true;
+                && turn(k, t[2], t[0], x) * side >= 0)
+                return true;
         }
         return flat_segments_meet(k, p, q, t[0], t[1]) || flat_segments_meet(k, p, q, t[1], t[2])
                || flat_segments_meet(k, p, q, t[2], t[0]);
@@ -87,8 +90,10 @@ auto apart = [&](const point& axis, const point* t, const point* u, double size)
     double above = -INFINITY, below = INFINITY, other_above = -INFINITY, other_below = INFINITY;
     for (int k = 0; k < 3; ++k) {
         const double x = wp::dot(axis, t[k]), y = wp::dot(axis, u[k]);
-        above = wp::max(above, x); below = wp::min(below, x);
-        other_above = wp::max(other_above, y); other_below = wp::min(other_below, y);
+        above = wp::max(above, x);
+        below = wp::min(below, x);
+        other_above = wp::max(other_above, y);
+        other_below = wp::min(other_below, y);
     }
     const double gap = PAIR_GAP_ERROR * (wp::abs(axis[0]) + wp::abs(axis[1]) + wp::abs(axis[2])) * size;
     return other_below - above > gap || below - other_above > gap;
@@ -147,7 +152,10 @@ auto meet_beyond_shared = [&](const point* t, const point* u) {
     int t_shares = 0, u_shares = 0;  // bits of the corners that the other one has too
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j)
-            if (same(t[i], u[j])) { t_shares |= 1 << i; u_shares |= 1 << j; }
+            if (same(t[i], u[j])) {
+                t_shares |= 1 << i;
+                u_shares |= 1 << j;
+            }
     if (t_shares == 0) return triangles_meet(t, u);
     if (t_shares == 7 || u_shares == 7) return t_shares == u_shares;
     // The shared corners first; a corner that occurs twice in a triangle without area counts once.
@@ -157,15 +165,24 @@ auto meet_beyond_shared = [&](const point* t, const point* u) {
         if (!(t_shares & 1 << i)) continue;
         bool twice = false;
         for (int k = 0; k < shared; ++k) twice = twice || same(a[k], t[i]);
-        if (!twice) { a[shared] = t[i]; b[shared++] = t[i]; }
+        if (!twice) {
+            a[shared] = t[i];
+            b[shared++] = t[i];
+        }
     }
     of_t = of_u = shared;
     for (int i = 0; i < 3; ++i) {
         if (!(t_shares & 1 << i) && of_t < 3) a[of_t++] = t[i];
         if (!(u_shares & 1 << i) && of_u < 3) b[of_u++] = u[i];
     }
-    while (of_t < 3) { a[of_t] = a[of_t - 1]; ++of_t; }
-    while (of_u < 3) { b[of_u] = b[of_u - 1]; ++of_u; }
+    while (of_t < 3) {
+        a[of_t] = a[of_t - 1];
+        ++of_t;
+    }
+    while (of_u < 3) {
+        b[of_u] = b[of_u - 1];
+        ++of_u;
+    }
     if (shared == 1) return !surely_split_at_vertex(a, b) && meet_beyond_vertex(a, b);
     return !surely_split_at_edge(a, b) && meet_beyond_edge(a, b);
 };

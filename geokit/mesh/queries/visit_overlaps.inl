@@ -7,14 +7,17 @@ typedef wp::vec_t<3, wp::float64> point;
 const point box_lower = lower.data[item], box_upper = upper.data[item];
 double corner_low[3], corner_high[3];
 float low[3], high[3];
-for (int k = 0; k < 3; ++k) { corner_low[k] = box_lower[k]; corner_high[k] = box_upper[k]; }
+for (int k = 0; k < 3; ++k) {
+    corner_low[k] = box_lower[k];
+    corner_high[k] = box_upper[k];
+}
 local_box(tree, corner_low, corner_high, low, high);
 auto meets = [&](int slot) {
     const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
                 c = tree.corners.data[3 * slot + 2];
     for (int k = 0; k < 3; ++k)
-        if (wp::max(wp::max(a[k], b[k]), c[k]) < box_lower[k]
-            || wp::min(wp::min(a[k], b[k]), c[k]) > box_upper[k]) return false;
+        if (wp::max(wp::max(a[k], b[k]), c[k]) < box_lower[k] || wp::min(wp::min(a[k], b[k]), c[k]) > box_upper[k])
+            return false;
     // Relative to a corner of the triangle: the differences are exact to their last bit.
     const point ab = b - a, ac = c - a, lo = box_lower - a, hi = box_upper - a;
     const double x = wp::max(wp::abs(lo[0]), wp::abs(hi[0])), y = wp::max(wp::abs(lo[1]), wp::abs(hi[1])),
@@ -34,7 +37,8 @@ auto meets = [&](int slot) {
     const point edge[3] = {ab, ac, c - b};
     for (int k = 0; k < 3; ++k)
         if (apart(point(0.0, -edge[k][2], edge[k][1])) || apart(point(edge[k][2], 0.0, -edge[k][0]))
-            || apart(point(-edge[k][1], edge[k][0], 0.0))) return false;
+            || apart(point(-edge[k][1], edge[k][0], 0.0)))
+            return false;
     return true;
 };
 auto visit = [&](int first) {
@@ -42,8 +46,8 @@ auto visit = [&](int first) {
     if (meets(first)) ON_TRIANGLE(first);
     #else
     const v8* box = (const v8*)(slot_boxes.data + 6 * first);
-    const auto near = (box[0] <= high[0]) & (box[1] <= high[1]) & (box[2] <= high[2])
-                      & (box[3] >= low[0]) & (box[4] >= low[1]) & (box[5] >= low[2]);
+    const auto near = (box[0] <= high[0]) & (box[1] <= high[1]) & (box[2] <= high[2]) & (box[3] >= low[0])
+                      & (box[4] >= low[1]) & (box[5] >= low[2]);
     for (unsigned lanes = mask_of(near); lanes; lanes &= lanes - 1) {
         const int slot = first + __builtin_ctz(lanes);
         if (meets(slot)) ON_TRIANGLE(slot);

@@ -9,11 +9,17 @@ const int width = 1;
 const int width = 8;
 #endif
 float lows[width][3], highs[width][3], low[3], high[3];
-for (int k = 0; k < 3; ++k) { low[k] = INFINITY; high[k] = -INFINITY; }
+for (int k = 0; k < 3; ++k) {
+    low[k] = INFINITY;
+    high[k] = -INFINITY;
+}
 for (int lane = 0; lane < width; ++lane) {
     const int slot = width * item + lane;
     if (surface.slot_triangle.data[slot] < 0) {
-        for (int k = 0; k < 3; ++k) { lows[lane][k] = INFINITY; highs[lane][k] = -INFINITY; }
+        for (int k = 0; k < 3; ++k) {
+            lows[lane][k] = INFINITY;
+            highs[lane][k] = -INFINITY;
+        }
         continue;
     }
     double lower[3], upper[3];

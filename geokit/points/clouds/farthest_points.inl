@@ -20,8 +20,7 @@ double* const group_far = cloud.group_far.data;
 int* const leaf_at = cloud.leaf_at.data;
 int* const group_at = cloud.group_at.data;
 const auto keep_better = [&](double& far, int& at, double other_far, int other_at) {
-    if (other_at < 0)
-        return;
+    if (other_at < 0) return;
     if (at < 0 || other_far > far || (other_far == far && index[other_at] < index[at])) {
         far = other_far;
         at = other_at;

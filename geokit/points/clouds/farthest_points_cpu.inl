@@ -26,14 +26,12 @@ for (int taken = 0; taken < count; ++taken) {
     for (int base = 0; base < groups; base += 8) {
         unsigned wanted = changed(group_box, group_far, groups, base);
         // The selected point is removed from its own boxes even if all of their points are equal.
-        if ((current_group & ~7) == base)
-            wanted |= 1u << (current_group & 7);
+        if ((current_group & ~7) == base) wanted |= 1u << (current_group & 7);
         for (; wanted; wanted &= wanted - 1) {
             const int group = base + __builtin_ctz(wanted);
             for (int row = group * 64; row < group * 64 + 64; row += 8) {
                 unsigned near = changed(leaf_box, leaf_far, leaves, row);
-                if ((current_leaf & ~7) == row)
-                    near |= 1u << (current_leaf & 7);
+                if ((current_leaf & ~7) == row) near |= 1u << (current_leaf & 7);
                 for (; near; near &= near - 1) {
                     const int leaf = row + __builtin_ctz(near);
                     d8 most = (d8)(-1.0);
@@ -48,12 +46,10 @@ for (int taken = 0; taken < count; ++taken) {
                         most = now > most ? now : most;
                     }
                     double best = most[0];
-                    for (int k = 1; k < 8; ++k)
-                        best = most[k] > best ? most[k] : best;
+                    for (int k = 1; k < 8; ++k) best = most[k] > best ? most[k] : best;
                     int best_at = -1;
                     for (int k = leaf * 64; k < leaf * 64 + 64; ++k)
-                        if (squared[k] == best && (best_at < 0 || index[k] < index[best_at]))
-                            best_at = k;
+                        if (squared[k] == best && (best_at < 0 || index[k] < index[best_at])) best_at = k;
                     leaf_far[leaf] = best;
                     leaf_at[leaf] = best_at;
                 }
@@ -65,8 +61,7 @@ for (int taken = 0; taken < count; ++taken) {
             group_far[group] = best;
             group_at[group] = best_at;
         }
-        for (int group = base; group < base + 8; ++group)
-            keep_better(far, at, group_far[group], group_at[group]);
+        for (int group = base; group < base + 8; ++group) keep_better(far, at, group_far[group], group_at[group]);
     }
     current = at;
 }

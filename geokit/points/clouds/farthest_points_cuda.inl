@@ -23,23 +23,21 @@ const auto best_of_team = [&](double& far, int& at) {
     }
 };
 for (int taken = 0; taken < count; ++taken) {
-    if (threadIdx.x == 0)
-        out_index.data[taken] = index[current];
+    if (threadIdx.x == 0) out_index.data[taken] = index[current];
     const double px = x[current], py = y[current], pz = z[current];
     double far = -2.0;
     int at = -1;
     for (int base = team * 32; base < groups; base += teams * 32) {
         const int mine = base + lane;
-        const bool go = mine < groups
-            && (mine == (current >> 12) || gap(group_box, groups, mine, px, py, pz) < group_far[mine]);
+        const bool go =
+            mine < groups && (mine == (current >> 12) || gap(group_box, groups, mine, px, py, pz) < group_far[mine]);
         for (unsigned mask = __ballot_sync(all, go); mask; mask &= mask - 1) {
             const int group = base + __ffs(mask) - 1;
             double group_best = -2.0;
             int group_best_at = -1;
             for (int half = 0; half < 64; half += 32) {
                 const int own = group * 64 + half + lane;
-                const bool near
-                    = own == (current >> 6) || gap(leaf_box, leaves, own, px, py, pz) < leaf_far[own];
+                const bool near = own == (current >> 6) || gap(leaf_box, leaves, own, px, py, pz) < leaf_far[own];
                 for (unsigned wanted = __ballot_sync(all, near); wanted; wanted &= wanted - 1) {
                     const int leaf = group * 64 + half + __ffs(wanted) - 1;
                     double best = -2.0;
@@ -69,8 +67,7 @@ for (int taken = 0; taken < count; ++taken) {
             }
         }
         __syncwarp();
-        if (mine < groups)
-            keep_better(far, at, group_far[mine], group_at[mine]);
+        if (mine < groups) keep_better(far, at, group_far[mine], group_at[mine]);
     }
     best_of_team(far, at);
     if (lane == 0) {
@@ -80,8 +77,7 @@ for (int taken = 0; taken < count; ++taken) {
     __syncthreads();
     far = -2.0;
     at = -1;
-    for (int k = 0; k < teams; ++k)
-        keep_better(far, at, shared_far[k], shared_at[k]);
+    for (int k = 0; k < teams; ++k) keep_better(far, at, shared_far[k], shared_at[k]);
     current = at;
     __syncthreads();
 }

@@ -13,8 +13,7 @@ auto store = [](int64_t* at, int64_t value) { __atomic_store_n(at, value, __ATOM
 int64_t own = load(link.data + i);
 for (;;) {
     const int64_t above = load(link.data + (own >> 1));
-    if ((above >> 1) == (own >> 1))
-        return;
+    if ((above >> 1) == (own >> 1)) return;
     own = above ^ (own & 1);
     store(link.data + i, own);
 }

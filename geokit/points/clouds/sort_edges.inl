@@ -9,8 +9,7 @@ while (gap > 1) {
     for (int i = gap; i < count; ++i) {
         const int64_t moving = row[i];
         int j = i;
-        for (; j >= gap && row[j - gap] > moving; j -= gap)
-            row[j] = row[j - gap];
+        for (; j >= gap && row[j - gap] > moving; j -= gap) row[j] = row[j - gap];
         row[j] = moving;
     }
 }

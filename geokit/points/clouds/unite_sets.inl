@@ -18,24 +18,20 @@ int* const up = parent.data;
 auto root = [&](int x) {
     for (;;) {
         const int above = load(up + x);
-        if (above == x)
-            return x;
+        if (above == x) return x;
         const int next = load(up + above);
-        if (next != above)
-            store(up + x, next);
+        if (next != above) store(up + x, next);
         x = next;
     }
 };
 for (;;) {
     a = root(a);
     b = root(b);
-    if (a == b)
-        return;
+    if (a == b) return;
     if (a < b) {
         const int c = a;
         a = b;
         b = c;
     }
-    if (swapped(up + a, a, b))
-        return;
+    if (swapped(up + a, a, b)) return;
 }

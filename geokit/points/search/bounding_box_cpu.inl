@@ -12,8 +12,7 @@ const real* const given = (const real*)(points.data) + 3 * (int64_t)(begin);
 const int count = 3 * (end - begin);
 numbers low[3], high[3], rest[3];
 for (int v = 0; v < 3; ++v) {
-    for (int e = 0; e < 8; ++e)
-        low[v][e] = given[(8 * v + e) % 3];
+    for (int e = 0; e < 8; ++e) low[v][e] = given[(8 * v + e) % 3];
     high[v] = low[v];
     rest[v] = low[v] - low[v];
 }

@@ -6,10 +6,8 @@ auto cell_along = [&](int axis, double at) -> int {
     int i = grid.first_cut[axis];
     for (int last = grid.last_cut[axis]; i < last;) {
         const int middle = (i + last + 1) / 2;
-        if (grid.cut.data[middle][0] <= at)
-            i = middle;
-        else
-            last = middle - 1;
+        if (grid.cut.data[middle][0] <= at) i = middle;
+        else last = middle - 1;
     }
     const auto& cut = grid.cut.data[i];
     const double top = cut[3] - 1.0, cell = (at - cut[0]) * cut[1];

@@ -6,15 +6,14 @@
 typedef decltype(points.data[0][0] + points.data[0][0]) real;
 typedef real given __attribute__((ext_vector_type(8), aligned(4)));
 
-int* const counts = out_counts.data + (int64_t)(share) * cell_count;
+int* const counts = out_counts.data + (int64_t)(share)*cell_count;
 auto count = [&](int point, int x, int y, int z) {
     const int key = (z * grid.count_y + y) * grid.count_x + x;
     out_key.data[point] = key;
     ++counts[key];
 };
 bool even = true;
-for (int axis = 0; axis < 3; ++axis)
-    even &= grid.first_cut[axis] == grid.last_cut[axis];
+for (int axis = 0; axis < 3; ++axis) even &= grid.first_cut[axis] == grid.last_cut[axis];
 int point = begin;
 if (even) {
     // Eight consecutive points are three vectors of eight numbers, and lane e of vector v always belongs to one axis.
@@ -34,8 +33,7 @@ if (even) {
             along = along < top[v] ? along : top[v];
             *(i8*)(cell + 8 * v) = __builtin_convertvector(along, i8);
         }
-        for (int e = 0; e < 8; ++e)
-            count(point + e, cell[3 * e], cell[3 * e + 1], cell[3 * e + 2]);
+        for (int e = 0; e < 8; ++e) count(point + e, cell[3 * e], cell[3 * e + 1], cell[3 * e + 2]);
     }
 }
 for (; point < end; ++point) {

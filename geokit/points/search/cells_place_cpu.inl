@@ -5,7 +5,6 @@
 // Only four bytes a point are scattered.
 
 #if !defined(__CUDA_ARCH__)
-int* const next = next_place.data + (int64_t)(share) * cell_count;
-for (int point = begin; point < end; ++point)
-    grid.index.data[next[key.data[point]]++] = point;
+int* const next = next_place.data + (int64_t)(share)*cell_count;
+for (int point = begin; point < end; ++point) grid.index.data[next[key.data[point]]++] = point;
 #endif

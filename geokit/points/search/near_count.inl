@@ -11,7 +11,6 @@ for (int j = begin; j < end; ++j) {
 }
 if (inside + outside != end - begin) {
     inside = 0;
-    for (int j = begin; j < end; ++j)
-        inside += decides(j);
+    for (int j = begin; j < end; ++j) inside += decides(j);
 }
 return inside;

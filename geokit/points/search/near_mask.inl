@@ -10,6 +10,5 @@ for (int k = 0; k < count; ++k) {
     doubt |= uint64_t(!(d <= near.surely || d > near.possibly)) << k;
 }
 for (int k = 0; doubt; ++k, doubt >>= 1)
-    if (doubt & 1)
-        inside |= uint64_t(decides(begin + k)) << k;
+    if (doubt & 1) inside |= uint64_t(decides(begin + k)) << k;
 return inside;

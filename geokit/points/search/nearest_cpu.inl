@@ -43,7 +43,10 @@ for (int begin = group * BLOCKS * LEAF; begin < last && begin < queries.count; b
             }
         for (unsigned rest = open; rest; rest &= rest - 1) {
             const int j = __builtin_ctz(rest);
-            if (size[j] >= k || !(reach[j] < limit[j])) { open &= ~(1u << j); continue; }
+            if (size[j] >= k || !(reach[j] < limit[j])) {
+                open &= ~(1u << j);
+                continue;
+            }
             const double wider = reach[j] * WIDER;
             reach[j] = attempt < GUESSES && wider > 0.0 && wider < limit[j] ? wider : limit[j];
         }
@@ -67,14 +70,16 @@ for (int begin = group * BLOCKS * LEAF; begin < last && begin < queries.count; b
         for (int j = 0; j < count; ++j) {
             double* row = queries.distance.data + (size_t)owner[j] * k + i;
             if (length == 8) *(d8*)row = r[j];
-            else for (int l = 0; l < length; ++l) row[l] = r[j][l];
+            else
+                for (int l = 0; l < length; ++l) row[l] = r[j][l];
         }
         turned((const d8*)m, r);
         for (int j = 0; j < count; ++j) {
             int* indices = queries.indices.data + (size_t)owner[j] * k + i;
             const i8 id = __builtin_convertvector(__builtin_bit_cast(long8, r[j]), i8);
             if (length == 8) *(i8*)indices = id;
-            else for (int l = 0; l < length; ++l) indices[l] = id[l];
+            else
+                for (int l = 0; l < length; ++l) indices[l] = id[l];
         }
     }
     guess *= GUESS;

@@ -10,8 +10,7 @@ auto scan = [&](int leaf) {
         const double dx = at[i] - x, dy = at[LEAF + i] - y, dz = at[2 * LEAF + i] - z;
         const double given = (dx * dx + dy * dy) + dz * dz;
         // The rest of the last leaf is NaN: every comparison with it is false.
-        if (given <= bound && index[i] != self && before(given, index[i], bound, bound_index))
-            offer(given, index[i]);
+        if (given <= bound && index[i] != self && before(given, index[i], bound, bound_index)) offer(given, index[i]);
     }
 };
 auto outside = [](double lower, double upper, double value) {
@@ -23,7 +22,9 @@ if (seed >= 0) scan(seed);
 int stack[STACK], height = 1;
 signed char level[STACK];
 double entry[STACK];
-stack[0] = 0; level[0] = (signed char)tree.top; entry[0] = 0.0;
+stack[0] = 0;
+level[0] = (signed char)tree.top;
+entry[0] = 0.0;
 while (height > 0) {
     --height;
     if (entry[height] > bound) continue;
@@ -44,9 +45,13 @@ while (height > 0) {
         // The nearest child is pushed last; among equals, the first.
         int at = height++;
         for (; at > base && entry[at - 1] <= d; --at) {
-            entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; level[at] = level[at - 1];
+            entry[at] = entry[at - 1];
+            stack[at] = stack[at - 1];
+            level[at] = level[at - 1];
         }
-        entry[at] = d; stack[at] = WIDTH * n + j; level[at] = (signed char)(l - 1);
+        entry[at] = d;
+        stack[at] = WIDTH * n + j;
+        level[at] = (signed char)(l - 1);
     }
 }
 finish();

@@ -24,13 +24,21 @@ const int room = k + (k < 256 ? k : 256) + 2 * LEAF + 16;
 int size[8];
 auto by_distance = [](d8& s, long8& m, d8& t, long8& o) {
     const long8 swap = t < s;
-    const d8 u = t < s ? t : s; t = t < s ? s : t; s = u;
-    const long8 v = swap ? o : m; o = swap ? m : o; m = v;
+    const d8 u = t < s ? t : s;
+    t = t < s ? s : t;
+    s = u;
+    const long8 v = swap ? o : m;
+    o = swap ? m : o;
+    m = v;
 };
 auto by_both = [](d8& s, long8& m, d8& t, long8& o) {
     const long8 swap = (t < s) | ((t == s) & (o < m));
-    const d8 u = swap ? t : s; t = swap ? s : t; s = u;
-    const long8 v = swap ? o : m; o = swap ? m : o; m = v;
+    const d8 u = swap ? t : s;
+    t = swap ? s : t;
+    s = u;
+    const long8 v = swap ? o : m;
+    o = swap ? m : o;
+    m = v;
 };
 // Transposes eight rows to lanes, or lanes to rows.
 auto turned = [](const d8* r, d8* out) {
@@ -54,10 +62,17 @@ auto turned = [](const d8* r, d8* out) {
 };
 auto sort = [&](int n, auto exchange) {
     for (int i = 0; i < n; i += 16) {
-        d8 s[16]; long8 m[16];
-        for (int l = 0; l < 16; ++l) { s[l] = squared[i + l]; m[l] = candidate[i + l]; }
+        d8 s[16];
+        long8 m[16];
+        for (int l = 0; l < 16; ++l) {
+            s[l] = squared[i + l];
+            m[l] = candidate[i + l];
+        }
         SORT_SIXTEEN
-        for (int l = 0; l < 16; ++l) { squared[i + l] = s[l]; candidate[i + l] = m[l]; }
+        for (int l = 0; l < 16; ++l) {
+            squared[i + l] = s[l];
+            candidate[i + l] = m[l];
+        }
     }
     for (int half = 16; half < n; half *= 2) {
         // The last merge is needed up to k only.
@@ -65,17 +80,24 @@ auto sort = [&](int n, auto exchange) {
         // Move the smaller values of two sorted runs to the first run. All entries beyond n are infinite.
         for (int base = 0; base + half < n; base += 2 * half)
             for (int i = 2 * half < n - base ? 0 : 2 * half - (n - base); i < half; ++i)
-                exchange(squared[base + i], candidate[base + i],
-                         squared[base + 2 * half - 1 - i], candidate[base + 2 * half - 1 - i]);
+                exchange(squared[base + i], candidate[base + i], squared[base + 2 * half - 1 - i],
+                         candidate[base + 2 * half - 1 - i]);
         for (int step = half / 2; step >= 16; step /= 2)
             for (int base = 0; base < end; base += 2 * step)
                 for (int i = base; i < base + step && i + step < n; ++i)
                     exchange(squared[i], candidate[i], squared[i + step], candidate[i + step]);
         for (int i = 0; i < end; i += 16) {
-            d8 s[16]; long8 m[16];
-            for (int l = 0; l < 16; ++l) { s[l] = squared[i + l]; m[l] = candidate[i + l]; }
+            d8 s[16];
+            long8 m[16];
+            for (int l = 0; l < 16; ++l) {
+                s[l] = squared[i + l];
+                m[l] = candidate[i + l];
+            }
             MERGE_SIXTEEN
-            for (int l = 0; l < 16; ++l) { squared[i + l] = s[l]; candidate[i + l] = m[l]; }
+            for (int l = 0; l < 16; ++l) {
+                squared[i + l] = s[l];
+                candidate[i + l] = m[l];
+            }
         }
     }
 };
@@ -85,7 +107,10 @@ auto settle = [&]() {
     for (int j = 0; j < 8; ++j) most = size[j] > most ? size[j] : most;
     const int n = (most + 15) / 16 * 16;
     for (int j = 0; j < 8; ++j)
-        for (int i = size[j]; i < n; ++i) { row_squared[j][i] = INFINITY; row_candidate[j][i] = NONE; }
+        for (int i = size[j]; i < n; ++i) {
+            row_squared[j][i] = INFINITY;
+            row_candidate[j][i] = NONE;
+        }
     for (int i = 0; i < n; i += 8) {
         d8 r[8];
         for (int j = 0; j < 8; ++j) r[j] = *(const d8*)(row_squared[j] + i);
@@ -103,7 +128,10 @@ auto settle = [&]() {
     for (int j = 0; j < 8; ++j)
         if (size[j] >= k) {
             size[j] = k;
-            if (bound[j] >= 0.0) { bound[j] = squared[k - 1][j]; bound_index[j] = candidate[k - 1][j]; }
+            if (bound[j] >= 0.0) {
+                bound[j] = squared[k - 1][j];
+                bound_index[j] = candidate[k - 1][j];
+            }
         }
 };
 // Transposes the kept candidates back to rows.

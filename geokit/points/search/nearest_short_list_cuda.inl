@@ -22,8 +22,12 @@ auto offer = [&](double given, int index) {
         squared[i] = moves ? squared[i - 1] : enters ? given : squared[i];
         candidate[i] = moves ? candidate[i - 1] : enters ? index : candidate[i];
     }
-    if (before(given, index, squared[0], candidate[0])) { squared[0] = given; candidate[0] = index; }
-    bound = squared[K - 1]; bound_index = candidate[K - 1];
+    if (before(given, index, squared[0], candidate[0])) {
+        squared[0] = given;
+        candidate[0] = index;
+    }
+    bound = squared[K - 1];
+    bound_index = candidate[K - 1];
 };
 auto finish = [&]() {
     #pragma unroll

@@ -4,14 +4,19 @@
 
 #if !defined(__CUDA_ARCH__)
 auto larger = [](d8 a, d8 b) { return a > b ? a : b; };
-double worst; i64 worst_index;
+double worst;
+i64 worst_index;
 auto widest = [&]() {
     const d8 limits = *(const d8*)bound;
     worst = __builtin_reduce_max(limits);
     worst_index = __builtin_reduce_max(limits == (d8)(worst) ? *(const long8*)bound_index : (long8)((i64)-1));
 };
 auto scan = [&](int leaf, int j) {
-    if (size[j] > room - LEAF - 8) { settle(); put_back(); widest(); }
+    if (size[j] > room - LEAF - 8) {
+        settle();
+        put_back();
+        widest();
+    }
     const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF;
     const int* index = tree.index.data + (size_t)leaf * LEAF;
     const d8 X = (d8)(q[0][j]), Y = (d8)(q[1][j]), Z = (d8)(q[2][j]), limit = (d8)(bound[j]);
@@ -27,8 +32,9 @@ auto scan = [&](int leaf, int j) {
 #if defined(__AVX512F__)
         // Compress the lanes without a branch for each.
         *(d8*)(row_squared[j] + n) = __builtin_ia32_compressdf512_mask(s, s, (unsigned char)lanes);
-        *(long8*)(row_candidate[j] + n) = __builtin_bit_cast(long8, __builtin_ia32_compressdf512_mask(
-            __builtin_bit_cast(d8, id), __builtin_bit_cast(d8, id), (unsigned char)lanes));
+        *(long8*)(row_candidate[j] + n) = __builtin_bit_cast(
+            long8, __builtin_ia32_compressdf512_mask(__builtin_bit_cast(d8, id), __builtin_bit_cast(d8, id),
+                                                     (unsigned char)lanes));
         n += __builtin_popcount(lanes);
 #else
         for (unsigned rest = lanes; rest; rest &= rest - 1) {
@@ -45,23 +51,31 @@ auto walk = [&](unsigned open, int seed) {
     double lower[3], upper[3];
     const bool alone = (open & (open - 1)) == 0;
     for (int axis = 0; axis < 3; ++axis) {
-        lower[axis] = INFINITY; upper[axis] = -INFINITY;
+        lower[axis] = INFINITY;
+        upper[axis] = -INFINITY;
         for (unsigned rest = open; rest; rest &= rest - 1) {
             const double x = q[axis][__builtin_ctz(rest)];
             lower[axis] = x < lower[axis] ? x : lower[axis];
             upper[axis] = x > upper[axis] ? x : upper[axis];
         }
     }
-    if (seed >= 0) for (unsigned rest = open; rest; rest &= rest - 1) scan(seed, __builtin_ctz(rest));
+    if (seed >= 0)
+        for (unsigned rest = open; rest; rest &= rest - 1) scan(seed, __builtin_ctz(rest));
     widest();
-    if (worst == (double)INFINITY) { settle(); put_back(); widest(); }
+    if (worst == (double)INFINITY) {
+        settle();
+        put_back();
+        widest();
+    }
     const d8 LX = (d8)(lower[0]), LY = (d8)(lower[1]), LZ = (d8)(lower[2]);
     const d8 UX = (d8)(upper[0]), UY = (d8)(upper[1]), UZ = (d8)(upper[2]), zero = (d8)(0.0);
     const d8 X = *(const d8*)q[0], Y = *(const d8*)q[1], Z = *(const d8*)q[2];
     int stack[STACK], height = 1, visits = 0, uses = 0;
     signed char level[STACK];
     double entry[STACK];
-    stack[0] = 0; level[0] = tree.top; entry[0] = 0.0;
+    stack[0] = 0;
+    level[0] = tree.top;
+    entry[0] = 0.0;
     while (height > 0) {
         --height;
         if (entry[height] > worst) continue;
@@ -76,7 +90,10 @@ auto walk = [&](unsigned open, int seed) {
             const d8 s = (dx * dx + dy * dy) + dz * dz, limit = *(const d8*)bound;
             const long8 first = (long8)((i64)tree.least.data[n]);
             unsigned rest = mask_of((s < limit) | ((s == limit) & (first < *(const long8*)bound_index)));
-            for (; rest; rest &= rest - 1) { scan(n, __builtin_ctz(rest)); ++uses; }
+            for (; rest; rest &= rest - 1) {
+                scan(n, __builtin_ctz(rest));
+                ++uses;
+            }
             continue;
         }
         const int node = tree.level_first.data[l] + n;
@@ -96,9 +113,13 @@ auto walk = [&](unsigned open, int seed) {
             // The nearest child is pushed last; among equals, the first.
             int at = height++;
             for (; at > base && entry[at - 1] <= d; --at) {
-                entry[at] = entry[at - 1]; stack[at] = stack[at - 1]; level[at] = level[at - 1];
+                entry[at] = entry[at - 1];
+                stack[at] = stack[at - 1];
+                level[at] = level[at - 1];
             }
-            entry[at] = d; stack[at] = WIDTH * n + j; level[at] = l - 1;
+            entry[at] = d;
+            stack[at] = WIDTH * n + j;
+            level[at] = l - 1;
         }
     }
     return true;

@@ -23,8 +23,7 @@ auto put = [&](int k, const int* found, int count) {
         const int64_t most = length < PREFETCHED ? length : PREFETCHED;
         auto prefetch = [&](const auto* first) {
             const char* const end = (const char*)(first + most) + 63;
-            for (const char* line = (const char*)(first); line < end; line += 64)
-                __builtin_prefetch(line, 1);
+            for (const char* line = (const char*)(first); line < end; line += 64) __builtin_prefetch(line, 1);
         };
         prefetch(out_index.data + row_begin);
         prefetch(out_distance.data + row_begin);
@@ -48,8 +47,7 @@ auto put = [&](int k, const int* found, int count) {
                 distance[kept++] = distance[i];
             }
     }
-    for (int i = 0; i < kept; i += 8)
-        *(d8*)(distance + i) = __builtin_elementwise_sqrt(*(const d8*)(distance + i));
+    for (int i = 0; i < kept; i += 8) *(d8*)(distance + i) = __builtin_elementwise_sqrt(*(const d8*)(distance + i));
     int& so_far = written[k - first_query];
     int* const keys = out_index.data + offset.data[row];
     auto* const values = out_distance.data + offset.data[row];
@@ -77,25 +75,22 @@ auto put = [&](int k, const int* found, int count) {
             keys[so_far + i] = key[i];
             values[so_far + i] = distance[i];
         }
-        if (BY_INDEX)
-            sort_row(keys, values, so_far + kept);
+        if (BY_INDEX) sort_row(keys, values, so_far + kept);
     }
     so_far += kept;
 };
-const int64_t begin = (int64_t)(share) * note_size;
+const int64_t begin = (int64_t)(share)*note_size;
 const int* at = note.data + begin;
 if (begin < note.shape[0] && *at++)
     for (int k = first_query; k < last_query; ++k) {
         const int count = *at++;
-        if (count)
-            put(k, at, count);
+        if (count) put(k, at, count);
         at += count;
     }
 else
     each_run([&](int k, int length) {
         int count = 0;
-        for (int at = 0; at < length; at += 16)
-            count += keep(found + count, at, within(k, at));
+        for (int at = 0; at < length; at += 16) count += keep(found + count, at, within(k, at));
         put(k, found, count);
     });
 #endif

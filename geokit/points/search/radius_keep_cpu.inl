@@ -11,8 +11,7 @@ auto keep = [&](int* to, int at, unsigned inside) -> int {
     return __builtin_popcount(inside);
 #else
     int kept = 0;
-    for (; inside; inside &= inside - 1)
-        to[kept++] = place[at + __builtin_ctz(inside)];
+    for (; inside; inside &= inside - 1) to[kept++] = place[at + __builtin_ctz(inside)];
     return kept;
 #endif
 };

@@ -36,10 +36,8 @@ auto first_at_or_above = [&](int64_t key) -> int {
     if (key & ((int64_t(1) << grid.shift) - 1))
         for (int last = grid.start.data[bucket + 1]; first < last;) {
             const int middle = first + (last - first) / 2;
-            if (grid.key.data[middle] < key)
-                first = middle + 1;
-            else
-                last = middle;
+            if (grid.key.data[middle] < key) first = middle + 1;
+            else last = middle;
         }
     return first;
 };
@@ -54,8 +52,7 @@ auto store = [](float* to, const double* from, double origin, double scale) {
 };
 auto decides = [&](int k, int p) -> bool {
     // The positions of padding are -1.
-    if (p < 0)
-        return false;
+    if (p < 0) return false;
     const double dx = grid.x.data[p] - queries.x.data[k];
     const double dy = grid.y.data[p] - queries.y.data[k];
     const double dz = grid.z.data[p] - queries.z.data[k];
@@ -89,8 +86,8 @@ auto each_run = [&](auto&& use) {
         int stop = run;
         for (; stop < last_query && stop - run < most_queries; ++stop) {
             const double q[3] = {queries.x.data[stop], queries.y.data[stop], queries.z.data[stop]};
-            if (stop > run && (cell_along(0, q[0]) != cell[0] || cell_along(1, q[1]) != cell[1] ||
-                               cell_along(2, q[2]) != cell[2]))
+            if (stop > run
+                && (cell_along(0, q[0]) != cell[0] || cell_along(1, q[1]) != cell[1] || cell_along(2, q[2]) != cell[2]))
                 break;
             const int row = queries.index.data[stop];
             const double r = radius.data[row < radius.shape[0] ? row : radius.shape[0] - 1];
@@ -128,13 +125,11 @@ auto each_run = [&](auto&& use) {
         }
         int filled = 0;
         auto flush = [&]() {
-            if (filled == 0)
-                return;
+            if (filled == 0) return;
             const int padded = (filled + 15) & ~15;
             *(v16*)(bx + filled) = (v16)(__builtin_inff());
             *(i16*)(place + filled) = (i16)(-1);
-            for (int k = run; k < stop; ++k)
-                use(k, padded);
+            for (int k = run; k < stop; ++k) use(k, padded);
             filled = 0;
         };
         for (int z = from[2]; z <= to[2] && !apart; ++z)
@@ -153,8 +148,7 @@ auto each_run = [&](auto&& use) {
                     }
                     filled += taken;
                     p += taken;
-                    if (filled == room)
-                        flush();
+                    if (filled == room) flush();
                 }
             }
         flush();

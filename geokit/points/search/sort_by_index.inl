@@ -10,8 +10,7 @@ auto sort_row = [](int* key, auto* value, int count) {
         gap = gap <= 32 ? 1 : gap / 9 * 4;
         for (int i = gap; i < count; ++i) {
             const int moving = key[i];
-            if (key[i - gap] <= moving)
-                continue;
+            if (key[i - gap] <= moving) continue;
             const double moving_value = value[i];
             int j = i;
             do {

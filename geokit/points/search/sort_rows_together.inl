@@ -12,8 +12,7 @@ constexpr int held = 4;
 int mine[held], rank[held];
 double far[held];
 if (count > 32 * held) {
-    if (lane == 0)
-        sort_row(keys, values, count);
+    if (lane == 0) sort_row(keys, values, count);
     return;
 }
 for (int h = 0; h < held; ++h) {
@@ -25,8 +24,7 @@ for (int h = 0; h < held; ++h) {
 for (int h = 0; 32 * h < count; ++h)
     for (int source = 0; source < 32; ++source) {
         const int other = __shfl_sync(0xffffffffu, mine[h], source);
-        for (int own = 0; own < held; ++own)
-            rank[own] += other < mine[own];
+        for (int own = 0; own < held; ++own) rank[own] += other < mine[own];
     }
 // Every entry has been read before any is written.
 __syncwarp();
@@ -36,6 +34,5 @@ for (int h = 0; h < held; ++h)
         values[rank[h]] = far[h];
     }
 #else
-if (lane == 0)
-    sort_row(index.data + begin, distance.data + begin, count);
+if (lane == 0) sort_row(index.data + begin, distance.data + begin, count);
 #endif

@@ -23,7 +23,6 @@ for (int k = 0; k < count; k += 8) {
     const d8 d = (dx * dx + dy * dy) + dz * dz;
     mask |= uint64_t(mask_of(d <= limit)) << k;
 }
-if (count < 64)
-    mask &= (uint64_t(1) << count) - 1;
+if (count < 64) mask &= (uint64_t(1) << count) - 1;
 #endif
 return mask;

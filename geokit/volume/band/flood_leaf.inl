@@ -2,8 +2,7 @@
 //
 // Expects nothing. Defines flood(links, open, seed, region), which sets the bits of region (8 words) that a flood from
 // voxel `seed` reaches through links (24 words) among the voxels of `open`.
-auto flood = [](const unsigned long long* links, const unsigned long long* open, int seed,
-                unsigned long long* region) {
+auto flood = [](const unsigned long long* links, const unsigned long long* open, int seed, unsigned long long* region) {
     for (int x = 0; x < 8; ++x) region[x] = 0;
     region[seed >> 6] = 1ull << (seed & 63);
     auto grow = [&](int x, unsigned long long m) {

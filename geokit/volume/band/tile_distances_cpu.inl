@@ -64,7 +64,8 @@ for (int k = 0; k < 3; ++k) {
 }
 const float wide = (float)(reach - offset);
 for (int i = 0; i < 512; ++i) out[i] = wide;
-if (out_winner) for (int i = 0; i < 512; ++i) out_winner[i] = -1;
+if (out_winner)
+    for (int i = 0; i < 512; ++i) out_winner[i] = -1;
 if (count == 0) return 0;
 // The last group of eight is padded with boxes that nothing reaches.
 for (int i = count; i < ((count + 7) & ~7); ++i)
@@ -154,7 +155,10 @@ for (int n = 0; n < 64; ++n) {
         for (unsigned mask = mask_of(d2 <= around); mask; mask &= mask - 1) {
             const int lane = __builtin_ctz(mask);
             slots[slot_count++] = 8 * near[m] + lane;
-            if (squared[8 * m + lane] < best) { best = squared[8 * m + lane]; seed = near[m]; }
+            if (squared[8 * m + lane] < best) {
+                best = squared[8 * m + lane];
+                seed = near[m];
+            }
         }
     }
     const v8 px = x0 + step_x, py = y0 + step_y, pz = z0 + step_z;
@@ -169,7 +173,10 @@ for (int n = 0; n < 64; ++n) {
     const int* numbers = tree.slot_triangle.data;
     double exact[8];
     int winner[8];
-    for (int v = 0; v < 8; ++v) { exact[v] = reach * reach; winner[v] = -1; }
+    for (int v = 0; v < 8; ++v) {
+        exact[v] = reach * reach;
+        winner[v] = -1;
+    }
     for (int m = 0; m < slot_count; ++m) {
         unsigned mask = mask_of(found[m] <= possible);
         if (!mask) continue;

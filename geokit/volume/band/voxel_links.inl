@@ -21,4 +21,6 @@ for (int r = 0; r < 8; ++r) {
 }
 #endif
 unsigned long long* out = (unsigned long long*)out_links.data + 24ll * leaf + 3 * x;
-out[0] = z; out[1] = y; out[2] = next;
+out[0] = z;
+out[1] = y;
+out[2] = next;

@@ -9,29 +9,30 @@ typedef unsigned long long u64;
 // Bit masks of the 27 blocks: tiles inside and tiles outside. Block (dx, dy, dz) is bit 13 + 9 dx + 3 dy + dz.
 unsigned in_tiles = 0u, out_tiles = 0u;
 auto look_around = [&](int* refs) {
-    const int place[3] = { slot >> 8, slot >> 4 & 15, slot & 15 };
+    const int place[3] = {slot >> 8, slot >> 4 & 15, slot & 15};
     for (int dx = -1, number = 0; dx <= 1; ++dx)
-    for (int dy = -1; dy <= 1; ++dy)
-    for (int dz = -1; dz <= 1; ++dz, ++number) {
-        const int x = place[0] + dx, y = place[1] + dy, z = place[2] + dz;
-        const int node = tree.around.data[27ll * lower + 9 * ((x >> 4) + 1) + 3 * ((y >> 4) + 1) + (z >> 4) + 1];
-        const int at = (x & 15) << 8 | (y & 15) << 4 | (z & 15);
-        const bool above = refs && dx >= 0 && dy >= 0 && dz >= 0;
-        int ref = node;
-        if (node >= 0) {
-            const u64 start = tree.begin + tree.size * (u64)node;
-            const u64 bytes = cells.volume + start;
-            if (((const unsigned char*)bytes)[LOWER_CHILDREN + (at >> 3)] >> (at & 7) & 1) {
-                ref = above ? leaf_index(start + *(const u64*)(bytes + tree.table + 8 * at)) : 0;
-            } else {
-                const int inside = (int)(tree.tile_inside.data[64ll * node + (at >> 6)] >> (at & 63) & 1u);
-                const int active = ((const unsigned char*)bytes)[LOWER_MASK + (at >> 3)] >> (at & 7) & 1;
-                ref = -1 - (inside | active << 1);
+        for (int dy = -1; dy <= 1; ++dy)
+            for (int dz = -1; dz <= 1; ++dz, ++number) {
+                const int x = place[0] + dx, y = place[1] + dy, z = place[2] + dz;
+                const int node =
+                    tree.around.data[27ll * lower + 9 * ((x >> 4) + 1) + 3 * ((y >> 4) + 1) + (z >> 4) + 1];
+                const int at = (x & 15) << 8 | (y & 15) << 4 | (z & 15);
+                const bool above = refs && dx >= 0 && dy >= 0 && dz >= 0;
+                int ref = node;
+                if (node >= 0) {
+                    const u64 start = tree.begin + tree.size * (u64)node;
+                    const u64 bytes = cells.volume + start;
+                    if (((const unsigned char*)bytes)[LOWER_CHILDREN + (at >> 3)] >> (at & 7) & 1) {
+                        ref = above ? leaf_index(start + *(const u64*)(bytes + tree.table + 8 * at)) : 0;
+                    } else {
+                        const int inside = (int)(tree.tile_inside.data[64ll * node + (at >> 6)] >> (at & 63) & 1u);
+                        const int active = ((const unsigned char*)bytes)[LOWER_MASK + (at >> 3)] >> (at & 7) & 1;
+                        ref = -1 - (inside | active << 1);
+                    }
+                }
+                if (ref < 0) ((-1 - ref) & 1 ? in_tiles : out_tiles) |= 1u << number;
+                if (above) refs[4 * dx + 2 * dy + dz] = ref;
             }
-        }
-        if (ref < 0) ((-1 - ref) & 1 ? in_tiles : out_tiles) |= 1u << number;
-        if (above) refs[4 * dx + 2 * dy + dz] = ref;
-    }
 };
 // Whether the block 13 - 9 ex - 3 ey - ez is a tile that may have crossed cells. Two corners of a crossed cell differ.
 // So among the 8 blocks that it may reach, tiles differ from each other or from voxels of a leaf. Each leaf tests its
@@ -41,5 +42,5 @@ auto is_border = [&](int e, bool some_in, bool some_out) -> bool {
     // The block itself and the seven above it.
     const unsigned reached = 0x361bu << block;
     return ((in_tiles | out_tiles) >> block & 1u) && (some_in || in_tiles & reached)
-        && (some_out || out_tiles & reached);
+           && (some_out || out_tiles & reached);
 };

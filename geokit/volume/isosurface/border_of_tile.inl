@@ -4,5 +4,6 @@
 
 look_around((int*)0);
 int below = 0;
-for (int e = 0; e < 8; ++e) if (is_border(e, false, false)) below |= 1 << e;
+for (int e = 0; e < 8; ++e)
+    if (is_border(e, false, false)) below |= 1 << e;
 return below;

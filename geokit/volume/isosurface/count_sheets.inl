@@ -8,7 +8,10 @@ u64* record = records.data + (long long)RECORD * plane;
 u64 c[8];
 cell_corners(block, x, inside_plane, c);
 u64 any = 0, all = ~0ull;
-for (int n = 0; n < 8; ++n) { any |= c[n]; all &= c[n]; }
+for (int n = 0; n < 8; ++n) {
+    any |= c[n];
+    all &= c[n];
+}
 u64 crossed = any & ~all;
 for (int n = 0; n < RECORD; ++n) record[n] = 0;
 problems.data[plane] = 0;
@@ -18,9 +21,10 @@ cell_corners(block, x, active_plane, a);
 for (int n = 0; n < 8; ++n) live |= a[n];
 crossed &= live;
 for (int step = 4; step; step >>= 1)
-    for (int n = 0; n < 8; ++n) if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
+    for (int n = 0; n < 8; ++n)
+        if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
 const int quads = (int)(count_bits((c[3] ^ c[7]) & (a[3] | a[7])) + count_bits((c[5] ^ c[7]) & (a[5] | a[7]))
-    + count_bits((c[6] ^ c[7]) & (a[6] | a[7])));
+                        + count_bits((c[6] ^ c[7]) & (a[6] | a[7])));
 record[0] = crossed;
 u64 problem = 0;
 for (u64 rest = crossed; rest; rest &= rest - 1) {

@@ -11,9 +11,13 @@ corners(refs, x + 1, inside_plane, c + 4);
 corners(refs, x, active_plane, a);
 corners(refs, x + 1, active_plane, a + 4);
 u64 any = 0, all = ~0ull, dead = 0;
-for (int n = 0; n < 8; ++n) { any |= c[n]; all &= c[n]; }
+for (int n = 0; n < 8; ++n) {
+    any |= c[n];
+    all &= c[n];
+}
 for (int step = 4; step; step >>= 1)
-    for (int n = 0; n < 8; ++n) if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
+    for (int n = 0; n < 8; ++n)
+        if (!(n & step)) dead |= (c[n] ^ c[n + step]) & ~(a[n] | a[n + step]);
 // Whether an edge of the cell at `bit` has an active end.
 auto is_live = [&](int edge, int bit) -> bool {
     const int axis = edge >> 2, high = axis == 0 ? 2 : 4, low = axis == 2 ? 2 : 1;
@@ -22,5 +26,5 @@ auto is_live = [&](int edge, int bit) -> bool {
 };
 auto is_whole = [&](int edges, int bit) -> bool {
     return !(dead >> bit & 1)
-        || (is_live(edges & 15, bit) && is_live(edges >> 4 & 15, bit) && is_live(edges >> 8, bit));
+           || (is_live(edges & 15, bit) && is_live(edges >> 4 & 15, bit) && is_live(edges >> 8, bit));
 };

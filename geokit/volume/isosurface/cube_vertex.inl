@@ -8,12 +8,12 @@ auto point_on = [&](const wp::vec_t<3, int>& first, int x, int bit, int axis, fl
     const float t = f / (f - g);
     // The comparisons turn NaN into a number.
     const float end = t > least_place ? t : least_place, inner = end < most_place ? end : most_place;
-    double index[3] = { (double)(first[0] + x), (double)(first[1] + (bit >> 3)), (double)(first[2] + (bit & 7)) };
+    double index[3] = {(double)(first[0] + x), (double)(first[1] + (bit >> 3)), (double)(first[2] + (bit & 7))};
     index[axis] += (double)inner;
     wp::vec_t<3, double> point;
     for (int row = 0; row < 3; ++row) {
-        point[row] = linear.data[row][0] * index[0] + linear.data[row][1] * index[1]
-            + linear.data[row][2] * index[2] + offset[row];
+        point[row] = linear.data[row][0] * index[0] + linear.data[row][1] * index[1] + linear.data[row][2] * index[2]
+                     + offset[row];
     }
     return point;
 };

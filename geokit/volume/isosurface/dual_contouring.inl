@@ -79,7 +79,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
             }
             ++count;
         }
-        double matrix[3][3] = {}, right[3] = {}, turn[3][3] = { { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } };
+        double matrix[3][3] = {}, right[3] = {}, turn[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
         for (int k = 0; k < 3; ++k) mean[k] /= count;
         for (int e = 0; e < count; ++e) {
             double height = 0.0;
@@ -90,7 +90,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
                 for (int l = 0; l < 3; ++l) matrix[k][l] += normal[e][k] * normal[e][l];
             }
         }
-        double place[3] = { mean[0], mean[1], mean[2] }, share = 0.0;
+        double place[3] = {mean[0], mean[1], mean[2]}, share = 0.0;
         for (int k = 0; k < 3; ++k) share += middle[k] * middle[k] / count;
         if (matrix[0][0] + matrix[1][1] + matrix[2][2] - share < FLAT * share) {
             // Normals are so similar that only one direction can be solved for: that of their sum, after one step of
@@ -106,28 +106,29 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
             for (int k = 0; k < 3; ++k) place[k] += ray[k] * along / stretch;
         } else {
             for (int sweep = 0; sweep < SWEEPS; ++sweep) {
-                for (int p = 0; p < 2; ++p) for (int q = p + 1; q < 3; ++q) {
-                    if (matrix[p][q] == 0.0) continue;
-                    const double theta = 0.5 * (matrix[q][q] - matrix[p][p]) / matrix[p][q];
-                    const double sign = theta < 0.0 ? -1.0 : 1.0;
-                    const double tangent = sign / (size(theta) + wp::sqrt(theta * theta + 1.0));
-                    const double cosine = 1.0 / wp::sqrt(tangent * tangent + 1.0), sine = tangent * cosine;
-                    for (int k = 0; k < 3; ++k) {
-                        const double v = matrix[k][p], w = matrix[k][q];
-                        matrix[k][p] = cosine * v - sine * w;
-                        matrix[k][q] = sine * v + cosine * w;
+                for (int p = 0; p < 2; ++p)
+                    for (int q = p + 1; q < 3; ++q) {
+                        if (matrix[p][q] == 0.0) continue;
+                        const double theta = 0.5 * (matrix[q][q] - matrix[p][p]) / matrix[p][q];
+                        const double sign = theta < 0.0 ? -1.0 : 1.0;
+                        const double tangent = sign / (size(theta) + wp::sqrt(theta * theta + 1.0));
+                        const double cosine = 1.0 / wp::sqrt(tangent * tangent + 1.0), sine = tangent * cosine;
+                        for (int k = 0; k < 3; ++k) {
+                            const double v = matrix[k][p], w = matrix[k][q];
+                            matrix[k][p] = cosine * v - sine * w;
+                            matrix[k][q] = sine * v + cosine * w;
+                        }
+                        for (int k = 0; k < 3; ++k) {
+                            const double v = matrix[p][k], w = matrix[q][k];
+                            matrix[p][k] = cosine * v - sine * w;
+                            matrix[q][k] = sine * v + cosine * w;
+                        }
+                        for (int k = 0; k < 3; ++k) {
+                            const double v = turn[k][p], w = turn[k][q];
+                            turn[k][p] = cosine * v - sine * w;
+                            turn[k][q] = sine * v + cosine * w;
+                        }
                     }
-                    for (int k = 0; k < 3; ++k) {
-                        const double v = matrix[p][k], w = matrix[q][k];
-                        matrix[p][k] = cosine * v - sine * w;
-                        matrix[q][k] = sine * v + cosine * w;
-                    }
-                    for (int k = 0; k < 3; ++k) {
-                        const double v = turn[k][p], w = turn[k][q];
-                        turn[k][p] = cosine * v - sine * w;
-                        turn[k][q] = sine * v + cosine * w;
-                    }
-                }
             }
             const double top = wp::max(matrix[0][0], wp::max(matrix[1][1], matrix[2][2]));
             for (int e = 0; e < 3; ++e) {
@@ -156,7 +157,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
             there += weight;
         }
         const bool is_far = size(there) > FAR * steepest;
-        const int at[3] = { first[0] + x, first[1] + y, first[2] + z };
+        const int at[3] = {first[0] + x, first[1] + y, first[2] + z};
         double index[3];
         for (int k = 0; k < 3; ++k) {
             if (is_far || unmoved < moved) place[k] = mean[k];
@@ -167,7 +168,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
         }
         for (int row = 0; row < 3; ++row) {
             (*out)[row] = linear.data[row][0] * index[0] + linear.data[row][1] * index[1]
-                + linear.data[row][2] * index[2] + offset[row];
+                          + linear.data[row][2] * index[2] + offset[row];
         }
     }
 }

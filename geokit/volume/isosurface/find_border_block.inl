@@ -8,7 +8,8 @@ while (low < high) {
     const int middle = (low + high) / 2;
     const wp::vec_t<3, int>& r = blocks[middle];
     const bool before = r[0] != i ? r[0] < i : r[1] != j ? r[1] < j : r[2] < k;
-    if (before) low = middle + 1; else high = middle;
+    if (before) low = middle + 1;
+    else high = middle;
 }
 const bool found = low < border_count && blocks[low][0] == i && blocks[low][1] == j && blocks[low][2] == k;
 return found ? cells.leaf_count + low : -1;

@@ -13,10 +13,16 @@ if (any && ~all) return true;
 // All voxels of the block are on the same side, so the voxels above it decide.
 for (int x = 7; x < 9; ++x) {
     corners(refs, x, inside_plane, side);
-    for (int c = 0; c < 4; ++c) { any |= side[c]; all &= side[c]; }
+    for (int c = 0; c < 4; ++c) {
+        any |= side[c];
+        all &= side[c];
+    }
 }
 for (int x = 0; x < 7; ++x) {
     corners(refs, x, inside_plane, side);
-    for (int c = 0; c < 4; ++c) { any |= side[c]; all &= side[c]; }
+    for (int c = 0; c < 4; ++c) {
+        any |= side[c];
+        all &= side[c];
+    }
 }
 return any && ~all;

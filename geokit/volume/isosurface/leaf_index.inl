@@ -7,7 +7,8 @@ auto leaf_index = [&](unsigned long long offset) -> int {
     int low = 0, high = cells.leaf_count - 1;
     while (low < high) {
         const int middle = (low + high) / 2;
-        if (cells.leaf_offset.data[middle] < offset) low = middle + 1; else high = middle;
+        if (cells.leaf_offset.data[middle] < offset) low = middle + 1;
+        else high = middle;
     }
     return low;
 };

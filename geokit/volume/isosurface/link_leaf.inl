@@ -5,7 +5,10 @@
 look_around(cells.refs.data + 8ll * leaf);
 const u64* own = cells.sides.data + 8ll * leaf;
 u64 any = 0, all = ~0ull;
-for (int x = 0; x < 8; ++x) { any |= own[x]; all &= own[x]; }
+for (int x = 0; x < 8; ++x) {
+    any |= own[x];
+    all &= own[x];
+}
 int below = 0;
 for (int e = 1; e < 8; ++e) {
     // The leaf's voxels that the cells of the block below read.

@@ -3,7 +3,7 @@
 // Expects volume, grid_type, tree, i, j, k. Returns the long long.
 
 const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-const pnanovdb_coord_t ijk = { i, j, k };
+const pnanovdb_coord_t ijk = {i, j, k};
 pnanovdb_readaccessor_t accessor;
 pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
 unsigned level;

@@ -14,8 +14,8 @@ auto to_world = [&](const int* at, const float* local, wp::vec_t<3, double>& out
     double index[3];
     for (int k = 0; k < 3; ++k) index[k] = (double)at[k] + (double)local[k];
     for (int row = 0; row < 3; ++row) {
-        out[row] = linear.data[row][0] * index[0] + linear.data[row][1] * index[1]
-            + linear.data[row][2] * index[2] + offset[row];
+        out[row] = linear.data[row][0] * index[0] + linear.data[row][1] * index[1] + linear.data[row][2] * index[2]
+                   + offset[row];
     }
 };
 // Places the vertices of a cell whose corners have the values f relative to the isovalue. `sums` is a word of
@@ -26,18 +26,17 @@ auto place = [&](unsigned word, unsigned sums, const float* f, const int* at, wp
         const v8 all = *(const v8*)f;
         const v16 low = __builtin_shufflevector(all, all, 0, 1, 2, 3, 0, 1, 4, 5, 0, 2, 4, 6, 0, 0, 0, 0);
         const v16 high = __builtin_shufflevector(all, all, 4, 5, 6, 7, 2, 3, 6, 7, 1, 3, 5, 7, 0, 0, 0, 0);
-        const i16 lane = { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 };
+        const i16 lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
         const v16 t = low / (low - high);
         const v16 least = least_place, most = most_place, none = 0.f;
         const v16 end = t > least ? t : least;
         const v16 inner = end < most ? end : most;
         const v16 one = ((i16)(int)(sums >> 16) >> lane & 1) != 0 ? inner : none;
-        const v16 two = one
-            + __builtin_shufflevector(one, one, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14);
+        const v16 two = one + __builtin_shufflevector(one, one, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14);
         const float number = (float)(sums >> 12 & 15u);
-        const float local[3] = { ((float)(sums & 15u) + (two[0] + two[2])) / number,
-                                 ((float)(sums >> 4 & 15u) + (two[4] + two[6])) / number,
-                                 ((float)(sums >> 8 & 15u) + (two[8] + two[10])) / number };
+        const float local[3] = {((float)(sums & 15u) + (two[0] + two[2])) / number,
+                                ((float)(sums >> 4 & 15u) + (two[4] + two[6])) / number,
+                                ((float)(sums >> 8 & 15u) + (two[8] + two[10])) / number};
         to_world(at, local, out[0]);
         return;
     }

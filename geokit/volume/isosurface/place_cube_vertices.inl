@@ -20,7 +20,10 @@ for (int axis = 0; axis < 3; ++axis) {
         const int bit = (int)first_bit(rest), n = 64 * x + bit, step = 64 >> 3 * axis;
         const int along = axis == 0 ? x : axis == 1 ? bit >> 3 : bit & 7;
         const float* end = along < 7 ? leaf[0] : leaf[axis + 1];
-        if (!leaf[0] || !end) { is_complete = false; continue; }
+        if (!leaf[0] || !end) {
+            is_complete = false;
+            continue;
+        }
         const float f = (float)((double)leaf[0][n] - cells.isovalue);
         const float g = (float)((double)end[along < 7 ? n + step : n - 7 * step] - cells.isovalue);
         *out = point_on(first, x, bit, axis, f, g);

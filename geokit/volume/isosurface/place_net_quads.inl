@@ -38,8 +38,7 @@ auto distance = [&](int p, int q) {
     const wp::vec_t<3, double> e = vertex.data[p] - vertex.data[q];
     return e[0] * e[0] + e[1] * e[1] + e[2] * e[2];
 };
-const u64 crossed[3] = { (c[3] ^ c[7]) & (a[3] | a[7]), (c[5] ^ c[7]) & (a[5] | a[7]),
-                         (c[6] ^ c[7]) & (a[6] | a[7]) };
+const u64 crossed[3] = {(c[3] ^ c[7]) & (a[3] | a[7]), (c[5] ^ c[7]) & (a[5] | a[7]), (c[6] ^ c[7]) & (a[6] | a[7])};
 for (u64 rest = crossed[0] | crossed[1] | crossed[2]; rest; rest &= rest - 1) {
     const int bit = (int)first_bit(rest), y = bit >> 3, z = bit & 7;
     for (int axis = 0; axis < 3; ++axis) {
@@ -61,12 +60,26 @@ for (u64 rest = crossed[0] | crossed[1] | crossed[2]; rest; rest &= rest - 1) {
             q[3] = vertex_at(0, y + 1, z, 10);
         }
         const bool is_outward = (c[7 - (4 >> axis)] >> bit & 1) != 0;
-        if (is_outward == (turned != 0)) { const int swap = q[1]; q[1] = q[3]; q[3] = swap; }
+        if (is_outward == (turned != 0)) {
+            const int swap = q[1];
+            q[1] = q[3];
+            q[3] = swap;
+        }
         // Ties keep the first diagonal.
         if (distance(q[0], q[2]) <= distance(q[1], q[3])) {
-            out[0] = q[0]; out[1] = q[1]; out[2] = q[2]; out[3] = q[0]; out[4] = q[2]; out[5] = q[3];
+            out[0] = q[0];
+            out[1] = q[1];
+            out[2] = q[2];
+            out[3] = q[0];
+            out[4] = q[2];
+            out[5] = q[3];
         } else {
-            out[0] = q[0]; out[1] = q[1]; out[2] = q[3]; out[3] = q[1]; out[4] = q[2]; out[5] = q[3];
+            out[0] = q[0];
+            out[1] = q[1];
+            out[2] = q[3];
+            out[3] = q[1];
+            out[4] = q[2];
+            out[5] = q[3];
         }
         out += 6;
     }

@@ -13,5 +13,5 @@ const u64* record = records.data + (long long)RECORD * plane;
 const u64 below = (1ull << bit) - 1;
 long long start = base.data[plane];
 for (int n = 0; n < RECORD; ++n) start += count_bits(record[n] & below);
-const int at[3] = { first[0] + (plane & 7), first[1] + (bit >> 3), first[2] + (bit & 7) };
+const int at[3] = {first[0] + (plane & 7), first[1] + (bit >> 3), first[2] + (bit & 7)};
 place(word_of(code, plane, bit), sums.data[code], f, at, vertex.data + start);

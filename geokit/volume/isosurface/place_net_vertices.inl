@@ -37,8 +37,9 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
             f[n] = v ? (float)((double)v[64 * (i & 7) + 8 * (j & 7) + (k & 7)] - cells.isovalue) : 0.f;
         }
     }
-    const int at[3] = { first[0] + x, first[1] + y, first[2] + z };
-    if (known) place(word, sums.data[code], f, at, out); else left |= 1ull << bit;
+    const int at[3] = {first[0] + x, first[1] + y, first[2] + z};
+    if (known) place(word, sums.data[code], f, at, out);
+    else left |= 1ull << bit;
     out += loop_count(word);
 }
 return left;

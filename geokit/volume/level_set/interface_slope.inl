@@ -34,29 +34,27 @@ for (int i = -2; i < 2; ++i)
             slope[count++] = s;
         }
     }
-if (count == 0) return { 1.0, 0.0, 0.0, 0.0 };
+if (count == 0) return {1.0, 0.0, 0.0, 0.0};
 const double share = 1.0 / count;
 mean *= share;
 square = square * share - mean * mean;
 for (int e = 0; e < 3; ++e) sum[e] *= share;
 for (int e = 0; e < 3; ++e) {
-    for (int f = e; f < 3; ++f)
-        m[f][e] = m[e][f] = m[e][f] * share - sum[e] * sum[f] + (e == f ? 0.05 : 0.0);
+    for (int f = e; f < 3; ++f) m[f][e] = m[e][f] = m[e][f] * share - sum[e] * sum[f] + (e == f ? 0.05 : 0.0);
     along[e] = along[e] * share - sum[e] * mean;
 }
 const double xx = m[1][1] * m[2][2] - m[1][2] * m[1][2], xy = m[0][2] * m[1][2] - m[0][1] * m[2][2];
 const double xz = m[0][1] * m[1][2] - m[0][2] * m[1][1], yy = m[0][0] * m[2][2] - m[0][2] * m[0][2];
 const double yz = m[0][1] * m[0][2] - m[0][0] * m[1][2], zz = m[0][0] * m[1][1] - m[0][1] * m[0][1];
 const double inverse = 1.0 / (m[0][0] * xx + m[0][1] * xy + m[0][2] * xz);
-const double rise[3] = {
-    (xx * along[0] + xy * along[1] + xz * along[2]) * inverse,
-    (xy * along[0] + yy * along[1] + yz * along[2]) * inverse,
-    (xz * along[0] + yz * along[1] + zz * along[2]) * inverse};
+const double rise[3] = {(xx * along[0] + xy * along[1] + xz * along[2]) * inverse,
+                        (xy * along[0] + yy * along[1] + yz * along[2]) * inverse,
+                        (xz * along[0] + yz * along[1] + zz * along[2]) * inverse};
 const double explained = rise[0] * along[0] + rise[1] * along[1] + rise[2] * along[2];
 if (square - explained < 0.02 * 0.02 * mean * mean) {
     double fitted = mean;
     for (int e = 0; e < 3; ++e) fitted += rise[e] * (point[e] - sum[e]);
-    return { fitted, rise[0], rise[1], rise[2] };
+    return {fitted, rise[0], rise[1], rise[2]};
 }
 const int rank = (int)(0.75 * (count - 1) + 0.5);
 for (int n = 1; n < count; ++n) {
@@ -65,4 +63,4 @@ for (int n = 1; n < count; ++n) {
     for (; at > 0 && slope[at - 1] > s; --at) slope[at] = slope[at - 1];
     slope[at] = s;
 }
-return { slope[rank], 0.0, 0.0, 0.0 };
+return {slope[rank], 0.0, 0.0, 0.0};

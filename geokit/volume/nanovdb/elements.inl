@@ -5,9 +5,10 @@
 // Defines LEAF_<kind>(NAME, e): component e of voxel n of the leaf; TILE_<kind>(at, e): component e of the value at
 // an address, of a tile or the background; and the lists SCALAR_TYPES, VECTOR3_TYPES, VECTOR4_TYPES of X(NAME, kind),
 // where NAME is the end of PNanoVDB's name of a grid type.
-#define SCALAR_TYPES(X) \
-    X(FLOAT, float) X(DOUBLE, double) X(INT16, int16) X(INT32, int32) X(INT64, int64) X(UINT8, uint8) \
-    X(UINT32, uint32) X(HALF, half) X(BOOLEAN, bit) X(MASK, mask) X(FP4, fp4) X(FP8, fp8) X(FP16, fp16) X(FPN, fpn)
+#define SCALAR_TYPES(X)                                                                                                \
+    X(FLOAT, float)                                                                                                    \
+    X(DOUBLE, double) X(INT16, int16) X(INT32, int32) X(INT64, int64) X(UINT8, uint8) X(UINT32, uint32) X(HALF, half)  \
+        X(BOOLEAN, bit) X(MASK, mask) X(FP4, fp4) X(FP8, fp8) X(FP16, fp16) X(FPN, fpn)
 #define VECTOR3_TYPES(X) X(VEC3F, float) X(VEC3D, double) X(VEC3U8, uint8) X(VEC3U16, uint16)
 #define VECTOR4_TYPES(X) X(VEC4F, float) X(VEC4D, double) X(RGBA8, uint8)
 
@@ -20,10 +21,9 @@
 #define ELEMENT_uint8(at) pnanovdb_read_uint8(buf, at)
 #define ELEMENT_uint16(at) (unsigned short)(pnanovdb_read_uint16(buf, at) & 0xffffu)
 #define ELEMENT_uint32(at) pnanovdb_read_uint32(buf, at)
-#define ELEMENT_half(at) \
-    (half.u = (unsigned short)(pnanovdb_read_uint16(buf, at) & 0xffffu), wp::half_to_float(half))
+#define ELEMENT_half(at) (half.u = (unsigned short)(pnanovdb_read_uint16(buf, at) & 0xffffu), wp::half_to_float(half))
 // Element e of those that begin at an address, each of so many bytes.
-#define ELEMENT(kind, bytes, at, e) ELEMENT_##kind(pnanovdb_address_offset(at, bytes * e))
+#define ELEMENT(kind, bytes, at, e) ELEMENT_##kind(pnanovdb_address_offset(at, bytes* e))
 #define TABLE(NAME, number) pnanovdb_leaf_get_table_address(PNANOVDB_GRID_TYPE_##NAME, buf, leaf, number)
 
 #define TILE_float(at, e) ELEMENT(float, 4u, at, e)

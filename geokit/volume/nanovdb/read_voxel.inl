@@ -4,48 +4,55 @@
 // COMPONENTS, 1, 3 or 4. Returns a double or a wp::vec_t of doubles; NaN where the grid's type has another number of
 // components.
 #include "volume/nanovdb/elements.inl"
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const bool inside = (node & 1u) != 0u;
-    const pnanovdb_address_t at = { node & ~1ull };
-    const pnanovdb_leaf_handle_t leaf = { at };
-    const pnanovdb_coord_t ijk = { i, j, k };
-    const unsigned n = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk));
-    wp::half half;
+const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
+const bool inside = (node & 1u) != 0u;
+const pnanovdb_address_t at = {node & ~1ull};
+const pnanovdb_leaf_handle_t leaf = {at};
+const pnanovdb_coord_t ijk = {i, j, k};
+const unsigned n = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk));
+wp::half half;
 #define COMPONENT(NAME, kind, e) inside ? (double)(LEAF_##kind(NAME, e)) : (double)(TILE_##kind(at, e))
 #if COMPONENTS == 1
-#define VOXEL_CASE(NAME, kind) \
-    case PNANOVDB_GRID_TYPE_##NAME: result = COMPONENT(NAME, kind, 0); break;
-    double result;
-    switch (grid_type) {
+#define VOXEL_CASE(NAME, kind)                                                                                         \
+case PNANOVDB_GRID_TYPE_##NAME: result = COMPONENT(NAME, kind, 0); break;
+double result;
+switch (grid_type) {
     SCALAR_TYPES(VOXEL_CASE)
-    default: result = (double)NAN;
-    }
+default: result = (double)NAN;
+}
 #elif COMPONENTS == 3
-#define VOXEL_CASE(NAME, kind) \
-    case PNANOVDB_GRID_TYPE_##NAME: \
-        result[0] = COMPONENT(NAME, kind, 0); \
-        result[1] = COMPONENT(NAME, kind, 1); \
-        result[2] = COMPONENT(NAME, kind, 2); \
-        break;
-    wp::vec_t<3, double> result;
-    switch (grid_type) {
+#define VOXEL_CASE(NAME, kind)                                                                                         \
+case PNANOVDB_GRID_TYPE_##NAME:                                                                                        \
+    result[0] = COMPONENT(NAME, kind, 0);                                                                              \
+    result[1] = COMPONENT(NAME, kind, 1);                                                                              \
+    result[2] = COMPONENT(NAME, kind, 2);                                                                              \
+    break;
+wp::vec_t<3, double> result;
+switch (grid_type) {
     VECTOR3_TYPES(VOXEL_CASE)
-    default: result[0] = (double)NAN; result[1] = (double)NAN; result[2] = (double)NAN;
-    }
+default:
+    result[0] = (double)NAN;
+    result[1] = (double)NAN;
+    result[2] = (double)NAN;
+}
 #else
-#define VOXEL_CASE(NAME, kind) \
-    case PNANOVDB_GRID_TYPE_##NAME: \
-        result[0] = COMPONENT(NAME, kind, 0); \
-        result[1] = COMPONENT(NAME, kind, 1); \
-        result[2] = COMPONENT(NAME, kind, 2); \
-        result[3] = COMPONENT(NAME, kind, 3); \
-        break;
-    wp::vec_t<4, double> result;
-    switch (grid_type) {
+#define VOXEL_CASE(NAME, kind)                                                                                         \
+case PNANOVDB_GRID_TYPE_##NAME:                                                                                        \
+    result[0] = COMPONENT(NAME, kind, 0);                                                                              \
+    result[1] = COMPONENT(NAME, kind, 1);                                                                              \
+    result[2] = COMPONENT(NAME, kind, 2);                                                                              \
+    result[3] = COMPONENT(NAME, kind, 3);                                                                              \
+    break;
+wp::vec_t<4, double> result;
+switch (grid_type) {
     VECTOR4_TYPES(VOXEL_CASE)
-    default: result[0] = (double)NAN; result[1] = (double)NAN; result[2] = (double)NAN; result[3] = (double)NAN;
-    }
+default:
+    result[0] = (double)NAN;
+    result[1] = (double)NAN;
+    result[2] = (double)NAN;
+    result[3] = (double)NAN;
+}
 #endif
 #undef VOXEL_CASE
 #undef COMPONENT
-    return result;
+return result;

@@ -5,12 +5,12 @@
 #include "volume/nanovdb/cached_accessor.inl"
 #include "volume/rays/ray_box.inl"
 #include "volume/rays/ray_steps.inl"
-    double ta = 0.0, tb = 0.0;
-    int unseen = -1;
-    double depth = 0.0;
+double ta = 0.0, tb = 0.0;
+int unseen = -1;
+double depth = 0.0;
 #define SAME value == other
 #define ON_REGION depth += (double)value * (tb - ta);
 #include "volume/rays/traverse.inl"
 #undef SAME
 #undef ON_REGION
-    return depth;
+return depth;

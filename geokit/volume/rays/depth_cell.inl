@@ -4,4 +4,4 @@
 #define VOXEL(n) (double)c[n]
 #include "volume/rays/cubic.inl"
 #undef VOXEL
-            depth += (tb - ta) * (p0 + p1 / 2.0 + p2 / 3.0 + p3 / 4.0);
+depth += (tb - ta) * (p0 + p1 / 2.0 + p2 / 3.0 + p3 / 4.0);

@@ -4,8 +4,8 @@
 #define VOXEL(n) (double)c[n]
 #include "volume/rays/cubic.inl"
 #undef VOXEL
-            {
-                const double d0 = p0, d1 = p1, d2 = p2, d3 = p3;
+{
+    const double d0 = p0, d1 = p1, d2 = p2, d3 = p3;
 #include "volume/rays/emission_voxels.inl"
-                add(tb - ta, d0, d1, d2, d3, p0, p1, p2, p3);
-            }
+    add(tb - ta, d0, d1, d2, d3, p0, p1, p2, p3);
+}

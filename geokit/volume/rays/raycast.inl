@@ -7,17 +7,17 @@
 #include "volume/nanovdb/cached_accessor.inl"
 #include "volume/rays/ray_box.inl"
 #include "volume/rays/ray_steps.inl"
-    double ta = 0.0, tb = 0.0;
-    int unseen = -1;
+double ta = 0.0, tb = 0.0;
+int unseen = -1;
 #include "volume/rays/raycast_start.inl"
 #define SAME side_of(value) == side_of(other)
 #define ON_UNSEEN side = 0;
-#define ON_REGION \
-    const int now = side_of(value); \
-    if (now == 0 || (now != 2 && now * side < 0)) { \
-        hit = t0 + ta; \
-        goto done; \
-    } \
+#define ON_REGION                                                                                                      \
+    const int now = side_of(value);                                                                                    \
+    if (now == 0 || (now != 2 && now * side < 0)) {                                                                    \
+        hit = t0 + ta;                                                                                                 \
+        goto done;                                                                                                     \
+    }                                                                                                                  \
     side = now == 2 ? 0 : now;
 #include "volume/rays/traverse_blocks.inl"
 #include "volume/rays/traverse.inl"

@@ -11,94 +11,93 @@
 //   `mixed` is set if these are known not to be all above or all below the isovalue. `unseen` is -1; or, if the ray
 //   comes from blocks or cells whose voxels it did not read, the number of a voxel of the face where it left them.
 // The hooks may end the walk by a goto.
-    while (crosses && ta <= last) {
-        const int gi = (int)((unsigned)bx + (unsigned)anchor[0]), gj = (int)((unsigned)by + (unsigned)anchor[1]),
-                  gk = (int)((unsigned)bz + (unsigned)anchor[2]);
-        int size;
-        address node = descend(gi, gj, gk, size);
-        if (node == 0) node = leaf_or_tile((gi >> 3 & 15) << 8 | (gj >> 3 & 15) << 4 | (gk >> 3 & 15));
-        const bool in_leaf = node & 1;
-        real value = (real)0;
-        // First cell of the region that this step crosses; `cells` is its number of cells along each edge.
-        int lx = bx - ((int)((unsigned)bx + (unsigned)anchor[0]) & (size - 1)),
-            ly = by - ((int)((unsigned)by + (unsigned)anchor[1]) & (size - 1)),
-            lz = bz - ((int)((unsigned)bz + (unsigned)anchor[2]) & (size - 1));
-        if (!in_leaf) {
-            value = voxel(node, bx, by, bz);
-            int cells = 8;
-            if (size > 8 && bx - lx < size - 1 && by - ly < size - 1 && bz - lz < size - 1) {
-                cells = size - 1;  // the last cells of a tile also reach the voxels beside it
-            } else {
-                lx = bx - (bx & 7);
-                ly = by - (by & 7);
-                lz = bz - (bz & 7);
-            }
-            const double tx = ((double)lx + fx * cells - qx) * ix, ty = ((double)ly + fy * cells - qy) * iy,
-                         tz = ((double)lz + fz * cells - qz) * iz;
-            const bool along_x = tx <= ty && tx <= tz, along_y = !along_x && ty <= tz;
-            const double ahead = wp::max(ta, along_x ? tx : along_y ? ty : tz);
-            bool alike = true;
-            if (cells == 8) {
-                // Neighbors whose voxels the ray's cells read within this block.
-                const double end = wp::min(ahead, last);
-                const int seen = (qx + (fx ? end : ta) * dx > (double)(lx + 7) ? 1 : 0)
-                               | (qy + (fy ? end : ta) * dy > (double)(ly + 7) ? 2 : 0)
-                               | (qz + (fz ? end : ta) * dz > (double)(lz + 7) ? 4 : 0);
-                for (int m = 1; m < 8 && alike; ++m) {
-                    if (m & ~seen) continue;
-                    const int x = lx + 8 * (m & 1), y = ly + 4 * (m & 2), z = lz + 2 * (m & 4);
-                    const address beside = find(x, y, z, ignored);
-                    alike = !(beside & 1);
-                    if (alike) {
-                        const real other = voxel(beside, x, y, z);
-                        alike = SAME;
-                    }
+while (crosses && ta <= last) {
+    const int gi = (int)((unsigned)bx + (unsigned)anchor[0]), gj = (int)((unsigned)by + (unsigned)anchor[1]),
+              gk = (int)((unsigned)bz + (unsigned)anchor[2]);
+    int size;
+    address node = descend(gi, gj, gk, size);
+    if (node == 0) node = leaf_or_tile((gi >> 3 & 15) << 8 | (gj >> 3 & 15) << 4 | (gk >> 3 & 15));
+    const bool in_leaf = node & 1;
+    real value = (real)0;
+    // First cell of the region that this step crosses; `cells` is its number of cells along each edge.
+    int lx = bx - ((int)((unsigned)bx + (unsigned)anchor[0]) & (size - 1)),
+        ly = by - ((int)((unsigned)by + (unsigned)anchor[1]) & (size - 1)),
+        lz = bz - ((int)((unsigned)bz + (unsigned)anchor[2]) & (size - 1));
+    if (!in_leaf) {
+        value = voxel(node, bx, by, bz);
+        int cells = 8;
+        if (size > 8 && bx - lx < size - 1 && by - ly < size - 1 && bz - lz < size - 1) {
+            cells = size - 1;  // the last cells of a tile also reach the voxels beside it
+        } else {
+            lx = bx - (bx & 7);
+            ly = by - (by & 7);
+            lz = bz - (bz & 7);
+        }
+        const double tx = ((double)lx + fx * cells - qx) * ix, ty = ((double)ly + fy * cells - qy) * iy,
+                     tz = ((double)lz + fz * cells - qz) * iz;
+        const bool along_x = tx <= ty && tx <= tz, along_y = !along_x && ty <= tz;
+        const double ahead = wp::max(ta, along_x ? tx : along_y ? ty : tz);
+        bool alike = true;
+        if (cells == 8) {
+            // Neighbors whose voxels the ray's cells read within this block.
+            const double end = wp::min(ahead, last);
+            const int seen = (qx + (fx ? end : ta) * dx > (double)(lx + 7) ? 1 : 0)
+                             | (qy + (fy ? end : ta) * dy > (double)(ly + 7) ? 2 : 0)
+                             | (qz + (fz ? end : ta) * dz > (double)(lz + 7) ? 4 : 0);
+            for (int m = 1; m < 8 && alike; ++m) {
+                if (m & ~seen) continue;
+                const int x = lx + 8 * (m & 1), y = ly + 4 * (m & 2), z = lz + 2 * (m & 4);
+                const address beside = find(x, y, z, ignored);
+                alike = !(beside & 1);
+                if (alike) {
+                    const real other = voxel(beside, x, y, z);
+                    alike = SAME;
                 }
-            }
-            if (alike) {
-                tb = wp::min(ahead, last);
-                unseen = -1;
-                ON_REGION
-                ta = ahead;
-                bx = along_x ? (fx ? lx + cells : lx - 1) : within(qx + ta * dx, lx, cells);
-                by = along_y ? (fy ? ly + cells : ly - 1) : within(qy + ta * dy, ly, cells);
-                bz = !along_x && !along_y ? (fz ? lz + cells : lz - 1) : within(qz + ta * dz, lz, cells);
-                continue;
             }
         }
-        address beside[8] = {node, 0, 0, 0, 0, 0, 0, 0};
-        double tx = ((double)(bx + fx) - qx) * ix, ty = ((double)(by + fy) - qy) * iy,
-               tz = ((double)(bz + fz) - qz) * iz;
-        for (;;) {
-            const bool along_x = tx <= ty && tx <= tz, along_y = !along_x && ty <= tz;
-            const double next = wp::max(ta, along_x ? tx : along_y ? ty : tz);
-            tb = wp::min(next, last);
-            const bool mixed = false;
-            const int x = bx - lx, y = by - ly, z = bz - lz;
-            real c[8];
-#include "volume/nanovdb/cached_leaf_cell.inl"
-            {
-                for (int m = 0; m < 8; ++m) {
-                    const int i = x + (m >> 2), j = y + (m >> 1 & 1), k = z + (m & 1);
-                    const int block = i >> 3 << 2 | j >> 3 << 1 | k >> 3;
-                    if (beside[block] == 0) beside[block] = find(lx + i, ly + j, lz + k, ignored);
-                    c[m] = voxel(beside[block], lx + i, ly + j, lz + k);
-                }
-            }
-#include ON_CELL
+        if (alike) {
+            tb = wp::min(ahead, last);
             unseen = -1;
-            ta = next;
-            if (!(ta <= last)) break;
-            if (along_x) {
-                bx += sx;
-                tx = ((double)(bx + fx) - qx) * ix;
-            } else if (along_y) {
-                by += sy;
-                ty = ((double)(by + fy) - qy) * iy;
-            } else {
-                bz += sz;
-                tz = ((double)(bz + fz) - qz) * iz;
-            }
-            if (((bx - lx) | (by - ly) | (bz - lz)) & ~7) break;
+            ON_REGION
+            ta = ahead;
+            bx = along_x ? (fx ? lx + cells : lx - 1) : within(qx + ta * dx, lx, cells);
+            by = along_y ? (fy ? ly + cells : ly - 1) : within(qy + ta * dy, ly, cells);
+            bz = !along_x && !along_y ? (fz ? lz + cells : lz - 1) : within(qz + ta * dz, lz, cells);
+            continue;
         }
     }
+    address beside[8] = {node, 0, 0, 0, 0, 0, 0, 0};
+    double tx = ((double)(bx + fx) - qx) * ix, ty = ((double)(by + fy) - qy) * iy, tz = ((double)(bz + fz) - qz) * iz;
+    for (;;) {
+        const bool along_x = tx <= ty && tx <= tz, along_y = !along_x && ty <= tz;
+        const double next = wp::max(ta, along_x ? tx : along_y ? ty : tz);
+        tb = wp::min(next, last);
+        const bool mixed = false;
+        const int x = bx - lx, y = by - ly, z = bz - lz;
+        real c[8];
+#include "volume/nanovdb/cached_leaf_cell.inl"
+        {
+            for (int m = 0; m < 8; ++m) {
+                const int i = x + (m >> 2), j = y + (m >> 1 & 1), k = z + (m & 1);
+                const int block = i >> 3 << 2 | j >> 3 << 1 | k >> 3;
+                if (beside[block] == 0) beside[block] = find(lx + i, ly + j, lz + k, ignored);
+                c[m] = voxel(beside[block], lx + i, ly + j, lz + k);
+            }
+        }
+#include ON_CELL
+        unseen = -1;
+        ta = next;
+        if (!(ta <= last)) break;
+        if (along_x) {
+            bx += sx;
+            tx = ((double)(bx + fx) - qx) * ix;
+        } else if (along_y) {
+            by += sy;
+            ty = ((double)(by + fy) - qy) * iy;
+        } else {
+            bz += sz;
+            tz = ((double)(bz + fz) - qz) * iz;
+        }
+        if (((bx - lx) | (by - ly) | (bz - lz)) & ~7) break;
+    }
+}

@@ -2,11 +2,11 @@
 // root.
 //
 // Expects volume, i, j, k. Returns the int.
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_coord_t ijk = { i, j, k };
-    pnanovdb_readaccessor_t accessor;
-    pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
-    unsigned level;
-    pnanovdb_readaccessor_get_value_address_and_level(
-        PNANOVDB_GRID_TYPE_FLOAT, buf, PNANOVDB_REF(accessor), PNANOVDB_REF(ijk), PNANOVDB_REF(level));
-    return (int)level;
+const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
+const pnanovdb_coord_t ijk = {i, j, k};
+pnanovdb_readaccessor_t accessor;
+pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
+unsigned level;
+pnanovdb_readaccessor_get_value_address_and_level(PNANOVDB_GRID_TYPE_FLOAT, buf, PNANOVDB_REF(accessor),
+                                                  PNANOVDB_REF(ijk), PNANOVDB_REF(level));
+return (int)level;

@@ -6,60 +6,73 @@
 // number of components.
 #include "volume/nanovdb/elements.inl"
 #if COMPONENTS == 1
-    wp::vec_t<4, double> row;
+wp::vec_t<4, double> row;
 #define TYPES SCALAR_TYPES
 #define STORE_LEAF(NAME, kind) row[q] = (double)(LEAF_##kind(NAME, 0)) - center;
 #define STORE_TILE(kind) row[q] = (double)(TILE_##kind(leaf.address, 0)) - center;
 #define STORE_NAN row[q] = (double)NAN;
 #else
-    wp::mat_t<COMPONENTS, 4, double> row;
+wp::mat_t<COMPONENTS, 4, double> row;
 #define LEAF_PART(NAME, kind, e) row.data[e][q] = (double)(LEAF_##kind(NAME, e)) - center[e];
 #define TILE_PART(kind, e) row.data[e][q] = (double)(TILE_##kind(leaf.address, e)) - center[e];
 #if COMPONENTS == 3
 #define TYPES VECTOR3_TYPES
 #define STORE_LEAF(NAME, kind) LEAF_PART(NAME, kind, 0) LEAF_PART(NAME, kind, 1) LEAF_PART(NAME, kind, 2)
 #define STORE_TILE(kind) TILE_PART(kind, 0) TILE_PART(kind, 1) TILE_PART(kind, 2)
-#define STORE_NAN row.data[0][q] = (double)NAN; row.data[1][q] = (double)NAN; row.data[2][q] = (double)NAN;
+#define STORE_NAN                                                                                                      \
+    row.data[0][q] = (double)NAN;                                                                                      \
+    row.data[1][q] = (double)NAN;                                                                                      \
+    row.data[2][q] = (double)NAN;
 #else
 #define TYPES VECTOR4_TYPES
-#define STORE_LEAF(NAME, kind) \
+#define STORE_LEAF(NAME, kind)                                                                                         \
     LEAF_PART(NAME, kind, 0) LEAF_PART(NAME, kind, 1) LEAF_PART(NAME, kind, 2) LEAF_PART(NAME, kind, 3)
 #define STORE_TILE(kind) TILE_PART(kind, 0) TILE_PART(kind, 1) TILE_PART(kind, 2) TILE_PART(kind, 3)
-#define STORE_NAN \
-    row.data[0][q] = (double)NAN; row.data[1][q] = (double)NAN; \
-    row.data[2][q] = (double)NAN; row.data[3][q] = (double)NAN;
+#define STORE_NAN                                                                                                      \
+    row.data[0][q] = (double)NAN;                                                                                      \
+    row.data[1][q] = (double)NAN;                                                                                      \
+    row.data[2][q] = (double)NAN;                                                                                      \
+    row.data[3][q] = (double)NAN;
 #endif
 #endif
-#define LEAF_CASE(NAME, kind) \
-    case PNANOVDB_GRID_TYPE_##NAME: \
-        for (int q = begin; q < end; ++q) { ijk.z = k + q; const unsigned n = first + q; STORE_LEAF(NAME, kind) } \
+#define LEAF_CASE(NAME, kind)                                                                                          \
+    case PNANOVDB_GRID_TYPE_##NAME:                                                                                    \
+        for (int q = begin; q < end; ++q) {                                                                            \
+            ijk.z = k + q;                                                                                             \
+            const unsigned n = first + q;                                                                              \
+            STORE_LEAF(NAME, kind)                                                                                     \
+        }                                                                                                              \
         break;
-#define TILE_CASE(NAME, kind) \
-    case PNANOVDB_GRID_TYPE_##NAME: for (int q = begin; q < end; ++q) { STORE_TILE(kind) } break;
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    wp::half half;
-    pnanovdb_coord_t ijk = { i, j, k };
-    const int parts = cut < count ? 2 : 1;
-    for (int part = 0; part < parts; ++part) {
-        const int begin = part ? cut : 0;
-        const int end = part ? count : cut;
-        const unsigned long long node = part ? far : near;
-        const pnanovdb_leaf_handle_t leaf = { node & ~1ull };
-        ijk.z = k + begin;
-        // Voxels of a row are contiguous.
-        const unsigned first = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk)) - (unsigned)begin;
-        if (node & 1u) {
-            switch (grid_type) {
+#define TILE_CASE(NAME, kind)                                                                                          \
+    case PNANOVDB_GRID_TYPE_##NAME:                                                                                    \
+        for (int q = begin; q < end; ++q) { STORE_TILE(kind) }                                                         \
+        break;
+const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
+wp::half half;
+pnanovdb_coord_t ijk = {i, j, k};
+const int parts = cut < count ? 2 : 1;
+for (int part = 0; part < parts; ++part) {
+    const int begin = part ? cut : 0;
+    const int end = part ? count : cut;
+    const unsigned long long node = part ? far : near;
+    const pnanovdb_leaf_handle_t leaf = {node & ~1ull};
+    ijk.z = k + begin;
+    // Voxels of a row are contiguous.
+    const unsigned first = pnanovdb_leaf_coord_to_offset(PNANOVDB_REF(ijk)) - (unsigned)begin;
+    if (node & 1u) {
+        switch (grid_type) {
             TYPES(LEAF_CASE)
-            default: for (int q = begin; q < end; ++q) { STORE_NAN }
-            }
-        } else {
-            switch (grid_type) {
+        default:
+            for (int q = begin; q < end; ++q) { STORE_NAN }
+        }
+    } else {
+        switch (grid_type) {
             TYPES(TILE_CASE)
-            default: for (int q = begin; q < end; ++q) { STORE_NAN }
-            }
+        default:
+            for (int q = begin; q < end; ++q) { STORE_NAN }
         }
     }
+}
 #undef TYPES
 #undef LEAF_PART
 #undef TILE_PART
@@ -68,4 +81,4 @@
 #undef STORE_NAN
 #undef LEAF_CASE
 #undef TILE_CASE
-    return row;
+return row;

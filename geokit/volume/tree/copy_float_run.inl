@@ -3,9 +3,9 @@
 // Expects volume, node (of node_of, for the first voxel), i, j, k, count, out_values, to.
 
 const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-const pnanovdb_address_t at = { node & ~1ull };
-const pnanovdb_leaf_handle_t leaf = { at };
-const pnanovdb_coord_t ijk = { i, j, k };
+const pnanovdb_address_t at = {node & ~1ull};
+const pnanovdb_leaf_handle_t leaf = {at};
+const pnanovdb_coord_t ijk = {i, j, k};
 float* target = out_values.data + to;
 if ((node & 1u) == 0u) {
     const float value = pnanovdb_read_float(buf, at);

@@ -10,7 +10,8 @@ int low = first_child.data[node], high = first_child.data[node + 1];
 const int end = high;
 while (low < high) {
     const int middle = low + (high - low) / 2;
-    if (child_keys.data[middle] < key) low = middle + 1; else high = middle;
+    if (child_keys.data[middle] < key) low = middle + 1;
+    else high = middle;
 }
 const long long at = begin + node * size;
 unsigned char* out = out_buffer.data + at;

@@ -5,8 +5,8 @@
 //
 // In C++, where the compiler vectorizes it. The row is contiguous in memory.
 
-const TYPE* row = (const TYPE*)((const char*)dense.data + i * (size_t)dense.strides[0]
-                                + j * (size_t)dense.strides[1]) + k;
+const TYPE* row =
+    (const TYPE*)((const char*)dense.data + i * (size_t)dense.strides[0] + j * (size_t)dense.strides[1]) + k;
 int active = 0, negative = 0, bad = 0;
 for (int n = 0; n < count; ++n) {
     const float value = (float)row[n];
