@@ -11,7 +11,9 @@ from cyclopts import Parameter
 from geokit.cli._console import announce_compiling, note, print_json, step
 from geokit.cli._kinds import kind_of_input, kind_of_output, may_write
 from geokit.cli._storage import Storage
+from geokit.core.files import extension
 from geokit.errors import InputError
+from geokit.formats.table import FORMATS
 
 __all__ = ["convert"]
 
@@ -74,7 +76,7 @@ def convert(
         json: Print a summary as JSON.
     """
     kinds = kind_of_input(source), kind_of_output(target)
-    if kinds == ("cloud", "mesh") and target.suffix.lower() in (".ply", ".vtp"):
+    if kinds == ("cloud", "mesh") and "w" in FORMATS[extension(target)].points:
         kinds = "cloud", "cloud"
     options = {
         "voxel-size": voxel_size,

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from geokit.cli._app import VERBS
+
 ROOT = Path(__file__).resolve().parents[2]
-VERBS = ("info", "convert", "query", "volume", "render", "doctor", "demo")
 
 
 def test_help_lists_every_verb(geokit) -> None:

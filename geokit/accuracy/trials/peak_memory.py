@@ -34,7 +34,6 @@ def peak_bytes(call: Callable[[], Any], device: "wp.Device") -> int:
         device: Device whose memory is measured.
     Returns:
         Number of bytes, not negative.
-        Bytes, not negative.
     """
     collecting = gc.isenabled()
     # Existing garbage must not free memory during the call.

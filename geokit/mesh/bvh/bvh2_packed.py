@@ -19,7 +19,8 @@ def pack_nodes(mesh: "wp.Mesh", most: int, padding: float, leaves: "wp.array") -
         mesh: The mesh.
         most: Most triangles in a leaf, at most 7.
         padding: Added to warp's boxes on each side [local].
-        leaves: The rows of the triangles. A larger leaf of warp's has its triangle count stored in its first row.
+        leaves: The rows of the triangles. If a leaf of warp's holds more than ``most`` triangles, its
+            count is stored in its first row.
     Returns:
         The nodes as rows of float32, and the reference of the root, (1,) of int32.
     """

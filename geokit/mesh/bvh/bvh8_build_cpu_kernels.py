@@ -18,8 +18,8 @@ WIDTH = 8
 BINS = 16
 # From this depth on, ranges are halved by count, so that no input makes the tree deeper than the stack.
 HALVING_DEPTH = 20
-# Most nodes on the stack of a traversal: seven siblings per level, for HALVING_DEPTH levels and those that halving adds
-# for 2^31 triangles.
+# Most nodes on the stack of a traversal: seven siblings on each level, for HALVING_DEPTH levels and for those that
+# halving adds below them (2^31 triangles).
 STACK = 256
 
 # A reference is a box and its triangle: lower x y z, triangle, upper x y z, unused.

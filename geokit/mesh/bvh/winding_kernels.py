@@ -25,8 +25,8 @@ OPENING = np.float32(2.5)
 OPENING_SIGN = np.float32(1.25)
 # If the coarse sum is nearer to 1/2 than this, the fine sum decides.
 SIGN_MARGIN = 0.1
-# ... widened by this times the sum of the last order's absolute terms, about as large as the error of the coarse sum:
-# the errors of many coincident surfaces add up.
+# The margin grows by this times the sum of the last order's absolute terms. That sum estimates the error of the coarse
+# sum, to which many coincident surfaces add theirs.
 SIGN_SPREAD = 2.0
 # Nearer than this many local units to a triangle (to its rectangle, in its plane), its solid angle is computed in
 # float64: float32 positions have an error of 4e-7, which changes the angle at an edge by up to 4e-7 / NEAR.
@@ -35,7 +35,7 @@ NEAR = np.float32(1.0e-4)
 # close to an edge in relation to its length, and farther out around slivers. Their rounding errors are some 5e-7.
 SMALL = np.float32(1.0e-3)
 # In the plane of a triangle, the cosine (of an angle of 0 or pi) is negative inside, and zero on the edges except for
-# the rounding of its terms in float64; this share of them covers it.
+# the rounding of its terms in float64; this share of the terms covers that rounding.
 ON_SURFACE = 1.0e-15
 # Farther away than this many local units, the winding number is zero in float32.
 FAR = 1.0e6

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SignChoice", "choose_sign"]
 
-# Largest difference from a whole number at which a winding number counts as whole: twenty times its error.
+# Winding numbers below this count as 0: twenty times their error.
 WHOLE = 0.1
 
 

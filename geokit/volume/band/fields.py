@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import user_arrays
 from geokit.errors import InputError
+from geokit.mesh.sign.queries import SIGN_METHODS
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.tiles import Lattice
@@ -96,7 +97,7 @@ def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume
     return SparseVolume(grid.host, info_of(grid.host, metadata))
 
 
-SIGNS = ("auto", "winding", "pseudonormal", "parity", "none")
+SIGNS = (*SIGN_METHODS, "none")
 
 
 def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:

@@ -20,8 +20,8 @@ __all__ = ["inside_bits"]
 # The distances of two neighbors on either side of a wall perpendicular to their link add up to exactly one voxel.
 # Rounded to float32 they may add up to a little more, and a flood must not pass there.
 FLOOD_MARGIN = 1.00001
-# Rounds over the diagonal neighbors of voxels without a link along an axis. They decide a third of the rest. On a GPU
-# all threads wait for the leaf with the most such voxels, and testing each voxel is faster.
+# Rounds over the diagonal neighbors of voxels without a link along an axis. They decide a third of the rest. A GPU
+# does none: its threads would wait for the leaf with the most such voxels, and testing each voxel is faster.
 ROUNDS_CPU, ROUNDS_CUDA = 2, 0
 # Rows of eight voxels per thread; on a GPU one row per thread is more than twice as fast.
 ROWS_CPU, ROWS_CUDA = 8, 1

@@ -1,4 +1,4 @@
-// Finds which of an active tile and the tiles below it may have crossed cells.
+// Finds which of eight tiles may have crossed cells: an active one and its neighbors towards lower indices.
 //
 // Expects blocks_around.inl. Returns a bit mask by direction.
 

@@ -5,10 +5,12 @@
 // Defines LEAF_<kind>(NAME, e): component e of voxel n of the leaf; TILE_<kind>(at, e): component e of the value at
 // an address, of a tile or the background; and the lists SCALAR_TYPES, VECTOR3_TYPES, VECTOR4_TYPES of X(NAME, kind),
 // where NAME is the end of PNanoVDB's name of a grid type.
-#define SCALAR_TYPES(X)                                                                                                \
-    X(FLOAT, float)                                                                                                    \
-    X(DOUBLE, double) X(INT16, int16) X(INT32, int32) X(INT64, int64) X(UINT8, uint8) X(UINT32, uint32) X(HALF, half)  \
-        X(BOOLEAN, bit) X(MASK, mask) X(FP4, fp4) X(FP8, fp8) X(FP16, fp16) X(FPN, fpn)
+// clang-format off
+#define SCALAR_TYPES(X)                                                                         \
+    X(FLOAT, float) X(DOUBLE, double) X(HALF, half) X(FP4, fp4) X(FP8, fp8) X(FP16, fp16) X(FPN, fpn) \
+    X(INT16, int16) X(INT32, int32) X(INT64, int64) X(UINT8, uint8) X(UINT32, uint32)           \
+    X(BOOLEAN, bit) X(MASK, mask)
+// clang-format on
 #define VECTOR3_TYPES(X) X(VEC3F, float) X(VEC3D, double) X(VEC3U8, uint8) X(VEC3U16, uint16)
 #define VECTOR4_TYPES(X) X(VEC4F, float) X(VEC4D, double) X(RGBA8, uint8)
 

@@ -10,10 +10,12 @@
 #define RAY_REALS(X) X(qx) X(qy) X(qz) X(dx) X(dy) X(dz) X(ix) X(iy) X(iz) X(t_first) X(t_last) X(t0) X(last)
 #define RAY_FLAGS(X) X(fx) X(fy) X(fz) X(entered) X(left)
 #define RAY_STATE(X) X(bx) X(by) X(bz) X(crosses) X(unseen)
-#define BRACKET(X)                                                                                                     \
-    X(p0)                                                                                                              \
-    X(p1) X(p2) X(p3) X(lo) X(hi) X(at_lo) X(at_hi) X(ta) X(tb) X(ex) X(ey) X(ez) X(gx) X(gy) X(gz) X(kx) X(ky) X(kz)  \
-        X(kxy) X(kxz) X(kyz) X(kxyz)
+// clang-format off
+#define BRACKET(X)                                                                 \
+    X(p0) X(p1) X(p2) X(p3) X(lo) X(hi) X(at_lo) X(at_hi) \
+    X(ta) X(tb) X(ex) X(ey) X(ez) X(gx) X(gy) X(gz) \
+    X(kx) X(ky) X(kz) X(kxy) X(kxz) X(kyz) X(kxyz)
+// clang-format on
 #define REALS(name) double name[G];
 #define INTS(name) int name[G];
 struct Rays {

@@ -23,7 +23,7 @@ from geokit.volume.tolerance.zone import Zone
 __all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "quickest"]
 
 ORDERS = (1, 2, 3)
-# From the quickest to read to the slowest, as far as one is not smaller.
+# From the quickest to the slowest to read; a slower one is tried because it may be smaller.
 CODECS = ("float", *reversed(list(FIXED_BITS)), *(name for name in QUANTIZED if name not in FIXED_BITS))
 # Bits of a leaf's voxels in "fpn".
 LEAF_BITS = np.array([1.0, 2.0, 4.0, 8.0, 16.0])

@@ -333,7 +333,7 @@ def test_tolerance_far_above_the_resolution():
 
 def test_pairs_that_do_not_fit_in_memory(monkeypatch):
     monkeypatch.setattr(available_memory, "available", lambda device: 0)
-    with pytest.raises(DeviceMemoryError, match="8 queries have 8 neighbours"):
+    with pytest.raises(DeviceMemoryError, match="8 queries have 8 neighbors"):
         merge_vertices(mesh_catalog.box(), tolerance=0.1)
 
 

@@ -15,7 +15,7 @@ import warp as wp
 
 import geokit
 from geokit import native
-from geokit.cli._storage import QUANTISATIONS
+from geokit.cli._storage import QUANTIZATIONS
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
 from geokit.native import VdbGrid
 from geokit.volume._dense import from_dense, to_dense
@@ -113,7 +113,7 @@ def test_each_type_is_described_once_and_consistently():
 
 
 def test_codecs_are_the_quantized_types_and_float():
-    assert CODECS == ("float", *QUANTIZED) == QUANTISATIONS
+    assert CODECS == ("float", *QUANTIZED) == QUANTIZATIONS
     assert set(SOURCES) == {*CODECS, "double"}
     assert sorted(search.CODECS) == sorted(CODECS)
     widths = [FIXED_BITS.get(codec, 0) for codec in search.CODECS[1:]]
