@@ -275,6 +275,7 @@ def test_signs_flipped_are_noticed(mesh_chart):
     assert front_of(in_equal_time(rows), "wrong") == [0]
 
 
+@pytest.mark.slow
 def test_a_method_made_slower_leaves_the_front(mesh_chart):
     def slower(found: Trial) -> Trial:
         def run():

@@ -16,6 +16,7 @@ from geokit.errors import InputError
 QUICK = ("--quick", "--device", "cpu")
 
 
+@pytest.mark.slow
 def test_a_report_of_every_kind_and_of_what_fails(geokit, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
     out, cloud, few = tmp_path / "report", tmp_path / "cloud.csv", tmp_path / "few.csv"
     points = np.random.default_rng(0).random((200, 3))
@@ -58,6 +59,7 @@ def test_a_report_of_every_kind_and_of_what_fails(geokit, cube: Path, cube_sdf: 
     assert (out / "report.html").read_text(encoding="utf-8") != page
 
 
+@pytest.mark.slow
 def test_refusals(geokit, fails, cube: Path, tmp_path: Path) -> None:
     full = tmp_path / "full"
     full.mkdir()

@@ -26,6 +26,7 @@ def test_no_arguments_is_help(geokit) -> None:
     assert geokit().stdout == geokit("--help").stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_each_verb_has_help(geokit, verb: str) -> None:
     done = geokit(verb, "--help")
@@ -41,6 +42,7 @@ def test_version(geokit) -> None:
     assert geokit("--version").stdout.strip() == package.__version__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -59,6 +61,7 @@ def test_usage_errors_are_one_line_and_code_2(geokit, fails, arguments: tuple[st
     fails(geokit(*arguments), 2, words, "--help")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [

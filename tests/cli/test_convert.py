@@ -15,6 +15,7 @@ from geokit.volume import load as load_volume
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ply", "stl", "off", "vtp"])
 def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
     target = tmp_path / f"cube.{kind}"
@@ -26,6 +27,7 @@ def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
     np.testing.assert_array_equal(*corners)
 
 
+@pytest.mark.slow
 def test_mesh_to_volume(geokit, cube: Path, tmp_path: Path) -> None:
     target = tmp_path / "cube.nvdb"
     done = geokit("convert", cube, target, "--voxel-size", "0.125", "--half-width", "4", "--codec", "zip", "--json")
@@ -38,6 +40,7 @@ def test_mesh_to_volume(geokit, cube: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(values, [0.0, -0.25, 0.25, 0.5], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_chosen_voxel_size_is_said(geokit, cube: Path, tmp_path: Path) -> None:
     done = geokit("convert", cube, tmp_path / "cube.nvdb")
     assert "voxel size 0.0078" in done.stderr
@@ -54,6 +57,7 @@ def test_nothing_is_replaced_without_force(geokit, fails, cube: Path, tmp_path: 
     assert load_mesh(target).faces.shape == (12, 3)
 
 
+@pytest.mark.slow
 def test_options_without_effect_are_refused(geokit, fails, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
     fails(geokit("convert", cube, tmp_path / "a.ply", "--voxel-size", "1"), 1, "--voxel-size", "no effect")
     fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--isovalue", "1"), 1, "--isovalue", "no effect")
@@ -61,6 +65,7 @@ def test_options_without_effect_are_refused(geokit, fails, cube: Path, cube_sdf:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_bad_values_are_named(geokit, fails, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
     fails(geokit("convert", cube, tmp_path / "a.nvdb", "--voxel-size", "-1"), 1, "voxel_size")
     fails(geokit("convert", cube, tmp_path / "a.nvdb", "--voxel-size", "1", "--codec", "rar"), 1, "rar", "zip")
@@ -70,6 +75,7 @@ def test_bad_values_are_named(geokit, fails, cube: Path, cube_sdf: Path, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_openvdb
 def test_vdb_and_back(geokit, cube_sdf: Path, tmp_path: Path) -> None:
     vdb, again = tmp_path / "cube.vdb", tmp_path / "again.nvdb"
@@ -82,6 +88,7 @@ def test_vdb_and_back(geokit, cube_sdf: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.sample(points, device="cpu"), second.sample(points, device="cpu"))
 
 
+@pytest.mark.slow
 @needs_openvdb
 def test_volume_to_mesh(geokit, cube_sdf: Path, tmp_path: Path) -> None:
     target = tmp_path / "cube.ply"
@@ -98,6 +105,7 @@ def test_without_openvdb_the_packages_are_named(geokit, fails, cube_sdf: Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "grid_type"),
     [
@@ -121,6 +129,7 @@ def test_quantised(geokit, cube_sdf: Path, tmp_path: Path, options, grid_type) -
     assert after.info.metadata["geokit:achieved_error"] == pytest.approx(report["achieved_error"])
 
 
+@pytest.mark.slow
 def test_mesh_to_shell_and_to_unsigned(geokit, cube: Path, tmp_path: Path) -> None:
     shell, unsigned = tmp_path / "shell.nvdb", tmp_path / "unsigned.nvdb"
     assert geokit("convert", cube, shell, "--voxel-size", "0.0625", "--thickness", "0.25").returncode == 0
@@ -131,6 +140,7 @@ def test_mesh_to_shell_and_to_unsigned(geokit, cube: Path, tmp_path: Path) -> No
     np.testing.assert_allclose(load_volume(unsigned).sample(points[:3], device="cpu"), [0, 0.125, 0.125], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_a_grid_loses_is_said(geokit, cube: Path, tmp_path: Path) -> None:
     done = geokit("convert", cube, tmp_path / "coarse.nvdb", "--voxel-size", "3")
     assert done.returncode == 0
@@ -138,6 +148,7 @@ def test_what_a_grid_loses_is_said(geokit, cube: Path, tmp_path: Path) -> None:
     assert "File" not in done.stderr
 
 
+@pytest.mark.slow
 def test_bad_storage_is_named(geokit, fails, cube_sdf: Path, tmp_path: Path) -> None:
     fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--codec", "fp8,fp4"), 1, "codec", "two of a kind")
     fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--codec", "fpn"), 1, "codec", "--tolerance")
@@ -156,6 +167,7 @@ def test_cloud_to_cloud(geokit, tmp_path: Path) -> None:
     assert cloud.data["heat"].tolist() == [5, 6]
 
 
+@pytest.mark.slow
 def test_a_tolerance_makes_the_smallest_field_that_keeps_it(geokit, cube: Path, tmp_path: Path) -> None:
     options = ("--tolerance", "0.02", "--within", "0.01", "--order", "1", "--device", "cpu", "--json")
     done = geokit("convert", cube, tmp_path / "cube.vdb", *options)
@@ -170,6 +182,7 @@ def test_a_tolerance_makes_the_smallest_field_that_keeps_it(geokit, cube: Path, 
     assert info.metadata["geokit:checked_within"] == 0.01
 
 
+@pytest.mark.slow
 def test_a_tolerance_takes_faces_away(geokit, cube_sdf: Path, tmp_path: Path) -> None:
     full, few, fewer = (tmp_path / name for name in ("full.ply", "few.ply", "fewer.ply"))
     assert geokit("convert", cube_sdf, full, "--device", "cpu").returncode == 0

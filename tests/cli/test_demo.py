@@ -32,6 +32,7 @@ def demo(geokit, tmp_path_factory: pytest.TempPathFactory):
     return folder, json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_every_step_is_right(demo) -> None:
     _, entries = demo
     steps = {entry["step"]: entry for entry in entries}

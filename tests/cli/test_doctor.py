@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib.metadata
 import json
 
+import pytest
+
 from geokit import native
 from geokit.cli._compile import kernel_modules
 
 
+@pytest.mark.slow
 def test_the_report(geokit) -> None:
     done = geokit("doctor", "--json")
     assert (done.returncode, done.stderr) == (0, "")
@@ -34,6 +37,7 @@ def test_every_kernel_module_is_found() -> None:
     assert set(kernel_modules()) == files
 
 
+@pytest.mark.slow
 def test_compile_builds_all_of_them(geokit) -> None:
     # The cache is warm after the other tests, so that this takes one start of warp for each module.
     done = geokit("doctor", "--compile", "--json")

@@ -39,6 +39,7 @@ def test_an_open_mesh(geokit, tmp_path: Path) -> None:
     assert report["boundary_edge_count"] == 3
 
 
+@pytest.mark.slow
 def test_a_volume(geokit, cube_sdf: Path) -> None:
     report = json.loads(geokit("info", cube_sdf, "--json").stdout)
     assert (report["kind"], report["grid_count"]) == ("volume", 1)
@@ -51,6 +52,7 @@ def test_a_volume(geokit, cube_sdf: Path) -> None:
     assert "level set" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["csv", "npy", "ply"])
 def test_a_point_cloud(geokit, tmp_path: Path, kind: str) -> None:
     path = tmp_path / f"cloud.{kind}"
@@ -68,6 +70,7 @@ def test_a_point_cloud(geokit, tmp_path: Path, kind: str) -> None:
     assert report["bounds"] == points.tolist()
 
 
+@pytest.mark.slow
 def test_damaged_files(geokit, fails, tmp_path: Path, cube_sdf: Path) -> None:
     truncated = tmp_path / "half.nvdb"
     truncated.write_bytes(cube_sdf.read_bytes()[:1000])

@@ -5,6 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 
 def test_the_first_of_a_plan_is_what_convert_makes(geokit, cube: Path, tmp_path: Path) -> None:
     options = ("--tolerance", "0.02", "--order", "1", "--device", "cpu", "--json")

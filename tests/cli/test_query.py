@@ -12,6 +12,8 @@ import pytest
 
 from geokit.points import load
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def points(tmp_path: Path) -> Path:

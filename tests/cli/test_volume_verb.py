@@ -11,6 +11,8 @@ import pytest
 from geokit import native
 from geokit.volume import from_dense, load, load_all, save
 
+pytestmark = pytest.mark.slow
+
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
 

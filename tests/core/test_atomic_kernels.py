@@ -23,6 +23,7 @@ def lowest_kernel(
     lower_to(out_long, at[i], value[i])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_minima_of_both_widths(device, monkeypatch):
     monkeypatch.setenv("GEOKIT_THREADS", "4")

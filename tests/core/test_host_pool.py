@@ -37,6 +37,7 @@ def test_memory_is_used_again():
     assert again.dtype == np.float64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "hold",
     [

@@ -87,6 +87,7 @@ OWN = {".obj", ".off", ".ply", ".stl"}
 SOURCES = {"obj": None, "off": None, "ply": None, "stl": None, "ascii.ply": quads_as_ply, "ascii.stl": ascii_stl}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", SOURCES)
 def test_three_hundred_mutants(tmp_path, source):
     make = SOURCES[source]
@@ -122,6 +123,7 @@ def test_every_truncation_is_found(tmp_path, source):
         assert not survives(path), length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "3mf", "vtk", "vtp", "vtu", "msh", "xdmf", "usda", "usdc"])
 def test_mutants_of_other_formats(tmp_path, kind, capfd):
     path = tmp_path / f"mutant.{kind}"

@@ -108,6 +108,7 @@ def survives(path) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOURCES)
 def test_two_hundred_mutants(name, tmp_path, capfd):
     path, whole = make(name, tmp_path)
@@ -162,6 +163,7 @@ def test_sizes_that_would_fill_the_memory(tmp_path):
         assert peak < MOST_BYTES or name == "a.npy", (name, peak)  # numpy asks for it all, and gives it back unused
 
 
+@pytest.mark.slow
 def test_vtp_has_a_process_of_its_own(tmp_path, capfd):
     path = tmp_path / "a.vtp"
     save(path, POINTS, data=DATA)
@@ -180,6 +182,7 @@ def test_vtp_has_a_process_of_its_own(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (importlib.util.find_spec("laspy") and importlib.util.find_spec("lazrs")), reason="needs laspy and lazrs"
 )

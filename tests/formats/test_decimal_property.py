@@ -36,6 +36,7 @@ def bits(values) -> np.ndarray:
     return np.asarray(values, np.float64).ravel().view(np.uint64)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(WORDS, min_size=1, max_size=40), st.integers(1, 3), st.sampled_from([" ", "\t", ",", " ; "]))
 def test_each_number_is_the_one_that_python_reads(words, columns, separator):

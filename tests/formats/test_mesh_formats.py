@@ -51,6 +51,7 @@ def write(path: Path, text: str | bytes) -> Path:
 # --- round trips -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", extensions("mesh", "w"))
 def test_saved_file_reads_back(tmp_path, kind):
     path = tmp_path / f"mesh{kind}"
@@ -67,6 +68,7 @@ def test_saved_file_reads_back(tmp_path, kind):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [path.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in extensions("mesh", "w") if kind not in (".stl", ".usd", ".usda")])
 def test_nothing_is_merged_or_dropped(tmp_path, kind):
     mesh = mesh_catalog.join(
@@ -304,6 +306,7 @@ def transform(scale=(1.0, 1.0, 1.0), move=(0.0, 0.0, 0.0)) -> np.ndarray:
     return matrix
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "gltf", "3mf"])
 def test_scene_graph_of_trimesh(tmp_path, kind):
     import trimesh
@@ -333,6 +336,7 @@ def test_scene_graph_of_trimesh(tmp_path, kind):
         assert {part.name for part in mesh.parts} == {"here", "there", "mirrored"}
 
 
+@pytest.mark.slow
 def test_glb_of_points_is_refused(tmp_path):
     import trimesh
 
@@ -354,6 +358,7 @@ def poly_data():
     return mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("file", "binary"), [("p.vtp", True), ("p.vtp", False), ("p.vtk", True), ("p.vtk", False)])
 def test_poly_data_of_pyvista(tmp_path, file, binary):
     data = poly_data()
@@ -384,6 +389,7 @@ def test_unstructured_grid_of_pyvista(tmp_path, file):
     assert (np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])[:, 2] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "options"),
     [
@@ -434,6 +440,7 @@ def test_image_data_is_refused(tmp_path):
         gk.mesh.load(tmp_path / "image.vtk")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".vtk", ".vtp", ".vtu", ".msh", ".xdmf"])
 def test_data_is_written_for_others(tmp_path, kind):
     import meshio
@@ -478,6 +485,7 @@ def usd_mesh(stage, path: str, *, clockwise: bool = False):
     return prim
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["usda", "usdc", "usdz"])
 def test_usd_transforms_orientation_and_visibility(tmp_path, kind):
     from pxr import Usd, UsdGeom, UsdUtils
@@ -558,6 +566,7 @@ def test_usd_with_time_samples_only(tmp_path):
     np.testing.assert_array_equal(gk.mesh.load(tmp_path / "moving.usdc").vertices, MESH.vertices + np.array([1, 0, 0]))
 
 
+@pytest.mark.slow
 def test_usd_assets_of_warp():
     import warp
     from pxr import Usd, UsdGeom
@@ -702,6 +711,7 @@ def test_binary_of_wrong_length(tmp_path, kind, change):
         gk.mesh.load(write(tmp_path / f"b{kind}", damaged))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".vtp", ".vtu", ".msh", ".xdmf", ".glb", ".usda"])
 def test_indices_out_of_range_in_other_formats(tmp_path, kind):
     import meshio
@@ -802,6 +812,7 @@ def test_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 # --- the readers' process --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_reader_that_crashes_hangs_or_exits_is_an_error(tmp_path, monkeypatch):
     from geokit.formats import reader_process
 
@@ -834,6 +845,7 @@ def test_modules_in_the_working_folder_are_not_imported(tmp_path, monkeypatch):
     assert len(gk.mesh.load("a.vtu").faces) == len(MESH.faces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".obj", ".msh", ".vtp", ".vtu", ".glb", ".usda"])
 def test_readers_print_nothing(tmp_path, kind):
     path = write(tmp_path / f"bad{kind}", "this is not a mesh\n" * 20)

@@ -28,6 +28,7 @@ def meshes(draw, numbers=FINITE) -> TriangleMesh:
     return TriangleMesh(np.array(vertices), np.array(faces))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".obj", ".off", ".ply"])
 @settings(max_examples=60, deadline=None)
 @given(mesh=meshes())

@@ -24,6 +24,7 @@ def test_there_are_examples():
     assert len(WITH_EXAMPLES) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
 def test_examples_run(path, monkeypatch, tmp_path):
     # Some read data/samples, some write beside it.

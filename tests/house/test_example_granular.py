@@ -51,6 +51,7 @@ def go_on(scene, seconds):
     return scene.x.numpy().astype(np.float64), scene.v.numpy().astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [1.0, 0.8, 0.5, 0.2])
 def test_collision_has_the_restitution_of_the_damped_spring(granular, restitution):
     w = granular.grains(restitution=restitution, bond=0.0, gravity=0.0)
@@ -140,6 +141,7 @@ def test_the_ceiling_lets_go_of_two_grains_below_two_weights(granular, bond, fal
     assert (x[0, 2] < -1.2 * w.radius) == falls
 
 
+@pytest.mark.slow
 def test_grains_settle_inside_the_bowl(granular):
     w = granular.grains()
     scene, size = granular.stirred_bowl(300, w, turn=0.0, device="cpu")
@@ -155,6 +157,7 @@ def test_grains_settle_inside_the_bowl(granular):
     assert 0.0 < overlap.max() < 0.05 * w.radius
 
 
+@pytest.mark.slow
 def test_the_ring_stirs_and_two_runs_are_equal(granular):
     ends = []
     for _ in range(2):
@@ -202,6 +205,7 @@ def alone(granular):
         return stirred(granular)
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_bit(granular, alone, monkeypatch):
     monkeypatch.setenv("GEOKIT_THREADS", "3")
     together = stirred(granular)
@@ -210,6 +214,7 @@ def test_threads_do_not_change_a_bit(granular, alone, monkeypatch):
     np.testing.assert_array_equal(together[1], alone[1])
 
 
+@pytest.mark.slow
 def test_bodies_that_are_not_asked_touch_nothing(granular, alone, monkeypatch):
     # A scene that asks volume and mesh for all grains in each step: what the other leaves out would have been zero.
     asked = []
@@ -258,6 +263,7 @@ def test_soft_grains_overlap_as_told(granular):
     assert 0.01 * w.radius < np.quantile(overlap, 0.99) < 0.04 * w.radius
 
 
+@pytest.mark.slow
 def test_kernels_compile_for_sm_90(granular, tmp_path):
     import warp as wp
 
@@ -267,6 +273,7 @@ def test_kernels_compile_for_sm_90(granular, tmp_path):
     assert "step_kernel" in text
 
 
+@pytest.mark.slow
 def test_script(tmp_path):
     from PIL import Image
 
@@ -282,6 +289,7 @@ def test_script(tmp_path):
         assert moving.n_frames == 3
 
 
+@pytest.mark.slow
 def test_script_without_pictures(tmp_path):
     arguments = ["--grains", "20", "--seconds", "0.05", "--frames", "0", "--device", "cpu", "--step", "5e-5"]
     done = subprocess.run([sys.executable, EXAMPLES / "granular.py", *arguments], capture_output=True, text=True,

@@ -66,6 +66,7 @@ def kinetic_after(modules, settled, share, steps=1000):
     return charts.energy(scene).kinetic
 
 
+@pytest.mark.slow
 def test_packing_is_unstable_where_theory_says(modules, settled):
     quiet = kinetic_after(modules, settled, 0.3)
     assert kinetic_after(modules, settled, STABLE) < CREEP * quiet
@@ -77,6 +78,7 @@ def test_default_step_has_a_margin(modules, settled):
     assert granular.STEP_SHARE * critical(settled[0].w) < 0.8 * settled[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", [0.03, 0.06])
 def test_default_step_has_a_margin_where_soft_grains_are_stirred(modules, overlap):
     granular, charts = modules
@@ -129,6 +131,7 @@ def test_collisions_gain_little_below_the_critical_step(modules, share, most):
     assert np.abs(np.array(rebounds) - 1.0).max() < most
 
 
+@pytest.mark.slow
 def test_energy_is_accounted_for(modules):
     # Falling, colliding, sliding: what the grains no longer have, the dashpots took. The account is a float64 sum by
     # other code over the same states.
@@ -151,6 +154,7 @@ def test_energy_is_accounted_for(modules):
     assert max(errors) < 0.05
 
 
+@pytest.mark.slow
 def test_a_step_far_too_long_is_refused(modules):
     granular, _ = modules
     w = granular.grains()

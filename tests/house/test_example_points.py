@@ -12,6 +12,8 @@ import pytest
 
 import geokit as gk
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -24,6 +24,7 @@ def test_there_are_kernels():
     assert sum(bool(kernels_of(path)[1]) for path in KERNEL_FILES) >= 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", KERNEL_FILES, ids=lambda path: path.stem)
 def test_compiles_for_sm_90(path, tmp_path):
     launcher.resolve_device("cpu")

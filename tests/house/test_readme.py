@@ -26,6 +26,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_python(folder: Path) -> None:
     # The example of the first screen (py) and the tour (python).
     first, tour = blocks("py"), blocks("python")
@@ -37,6 +38,7 @@ def test_python(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == {"data", "torus.vdb", "closest.vtp", "torus.png"}
 
 
+@pytest.mark.slow
 def test_commands(folder: Path) -> None:
     commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("geokit ")]
     assert len(commands) >= 8

@@ -200,6 +200,7 @@ def test_no_kernel_uses_warp_s_atomics(path):
     assert "wp.atomic_" not in path.read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_only_the_extension_s_package_imports_it(path):
     inside_native = path.is_relative_to(PACKAGE / "native")
@@ -207,6 +208,7 @@ def test_only_the_extension_s_package_imports_it(path):
         assert inside_native or "_native" not in name.split(".")[-1], f"{path}: imports {name}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_only_the_command_line_prints_or_exits(path):
     if path.is_relative_to(PACKAGE / "cli") or path.stem == "__main__" or path.stem.endswith("reader_worker"):

@@ -84,6 +84,7 @@ def assert_within(simple, original: TriangleMesh, tolerance: float, seed: int) -
     assert simple.deviation_p999 <= simple.deviation <= tolerance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
 def test_simplified_meshes_are_within(name):
     mesh = MESHES[name]()
@@ -95,6 +96,7 @@ def test_simplified_meshes_are_within(name):
     assert (after.component_count, after.euler_number) == (before.component_count, before.euler_number)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLID)
 def test_simplified_isosurfaces_are_within(name):
     mesh = MESHES[name]()
@@ -107,6 +109,7 @@ def test_simplified_isosurfaces_are_within(name):
     assert audit(simple.mesh).watertight == audit(full).watertight
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.01, 0.2), st.floats(-20, 20), st.sampled_from([2, 3]))
 def test_any_shaken_ball_is_within(seed, share, exponent, subdivisions):

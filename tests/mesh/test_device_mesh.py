@@ -275,6 +275,7 @@ def test_a_volume_on_a_device_stays_there_too(method, kind, device):
     np.testing.assert_array_equal(mesh.faces, expected.faces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["surface_nets", "marching_cubes"])
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
 def test_every_vertex_is_used_and_in_its_place(method, share, device):

@@ -298,6 +298,7 @@ def test_second_round_trip_gives_the_same_bytes(tmp_path: Path, compression: str
     assert np.array_equal(first[0].nanovdb, trusted[0].nanovdb)
 
 
+@pytest.mark.slow
 @needs_openvdb
 @pytest.mark.parametrize("name", sorted(TRANSFORMS))
 @pytest.mark.parametrize("grid_type", ["float", "vec3d"])
@@ -573,6 +574,7 @@ def test_surface_follows_the_transform_in_double(tmp_path: Path, name: str) -> N
     assert signed_volume(centred, split(moved)) > 0
 
 
+@pytest.mark.slow
 @needs_openvdb
 def test_surface_of_a_double_grid_and_of_others(tmp_path: Path) -> None:
     assert native.volume_to_mesh(make_buffer("double"), isovalue=0.1).points.shape[1] == 3
@@ -790,6 +792,7 @@ print("same")
 """
 
 
+@pytest.mark.slow
 @needs_openvdb
 @needs_peer
 @pytest.mark.parametrize("trusted", [False, True])

@@ -76,6 +76,7 @@ def outcome(path: Path) -> str:
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["blosc", "zip", "none"])
 def test_every_truncation_is_refused(
     samples: dict[str, bytes], tmp_path: Path, spool_root: Path, compression: str
@@ -89,6 +90,7 @@ def test_every_truncation_is_refused(
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["blosc", "zip", "none"])
 @pytest.mark.parametrize("seed", range(2))
 def test_flipped_bytes(
@@ -182,6 +184,7 @@ def stub_worker(folder: Path, body: str) -> Path:
     return worker
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "match"),
     [
@@ -211,6 +214,7 @@ def test_every_end_of_the_worker_has_a_name(
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_memory_limit(tmp_path: Path, spool_root: Path) -> None:
     """A file of a few kilobytes that grows a thousandfold is stopped at the limit, and loads with more."""
     path = tmp_path / "bomb.vdb"

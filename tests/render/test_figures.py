@@ -66,6 +66,7 @@ def drawn(path: Path) -> np.ndarray:
     return (pixels(path)[..., :3] < 0.97).any(axis=-1)
 
 
+@pytest.mark.slow
 def test_a_mesh_is_drawn_in_the_middle_on_white(tmp_path: Path, sphere: TriangleMesh) -> None:
     target = render.figure(tmp_path / "sphere.png", mesh=sphere, size=SIZE)
     picture = pixels(target)
@@ -269,6 +270,7 @@ def test_chart_refuses(tmp_path: Path, message: str, series: list[render.Series]
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_backend_follows_the_variable_and_names_what_is_missing() -> None:
     """In a process of its own: the choice is made once for each process."""
     code = (

@@ -58,6 +58,7 @@ def test_every_item_is_one_thread_s(device, threads, count, block):
 
 
 # More threads than processors, too.
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 3, 8, 24])
 def test_no_thread_passes_a_barrier_early(threads):
     start = np.random.default_rng(7).integers(0, 1000003, 96)
@@ -109,6 +110,7 @@ def test_threads_are_those_of_the_environment(monkeypatch):
     assert gk.threads.Team(5, device="cpu").threads == 5
 
 
+@pytest.mark.slow
 def test_recorded_arrays_stay_alive():
     team, visits = gk.threads.Team(2, device="cpu"), wp.zeros(1000, dtype=int, device="cpu")
     alive = weakref.ref(visits)

@@ -108,6 +108,7 @@ def test_other_band_and_type_of_the_second_operand():
 
 
 class TestSmooth:
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", OPERATIONS)
     def test_surface_is_that_of_the_smooth_minimum(self, name):
         operation, _ = OPERATIONS[name]

@@ -42,6 +42,7 @@ MESHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 @pytest.mark.parametrize(
     "options", [{}, {"half_width": (2.0, 4.0)}, {"sign": "winding"}, {"sign": "parity"}, {"thickness": 0.3}]

@@ -23,6 +23,7 @@ def bumpy(points):
 
 @pytest.mark.parametrize("method", LEVEL_SET_METHODS)
 class TestLevelSets:
+    @pytest.mark.slow
     def test_volume_is_roughly_kept(self, method):
         before, after = level_set(BALL), smooth(level_set(BALL), method)
         assert statistics(after).volume == pytest.approx(statistics(before).volume, rel=0.08)
@@ -50,6 +51,7 @@ class TestLevelSets:
         clear = np.abs(true) > 2.0
         np.testing.assert_array_equal(values.ravel()[clear] < 0, true[clear] < 0)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("size", [1e-3, 50.0])
     def test_voxel_size_only_scales(self, method, size):
         unit = smooth(level_set(BALL), method)

@@ -242,6 +242,7 @@ def test_prefix_sums_and_masks(grid_type):
     refused(buffer, grid.volume, "a leaf has indices")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["index", "onindex"])
 def test_random_damage_is_refused_or_harmless(grid_type):
     grid = IndexGrid(grid_type, [("density", "float")], statistics=True)

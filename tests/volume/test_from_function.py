@@ -51,6 +51,7 @@ def test_band_inside_and_outside_are_those_of_dense_evaluation(half_width, sign)
     assert volume.info.background == np.float32(half_width * 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [-1.3, -0.1, 0.0, 0.123, 0.7])
 @pytest.mark.parametrize("axis", [0, 2])
 def test_what_the_bounds_cut_ends_there(cut, axis):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geokit.volume._dense import to_dense
 from geokit.volume._from_function import from_function
 from geokit.volume.nanovdb.checks import check_grid
+
+pytestmark = pytest.mark.slow
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 

@@ -63,6 +63,7 @@ def test_of_several_grids_one_is_chosen_by_name(tmp_path, kind):
     assert [info.name for info in inspect(path)] == ["a", "b"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMATS)
 def test_grids_of_one_name_are_numbered(tmp_path, kind):
     path = tmp_path / f"x{kind}"
@@ -78,6 +79,7 @@ def test_numbers_avoid_names_that_exist():
     assert _unique(["d", "d", "d[1]", "d", ""]) == ["d", "d[2]", "d[1]", "d[3]", ""]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", [None, "none", "zip", "blosc"])
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_codec_comes_back(tmp_path, kind, codec):

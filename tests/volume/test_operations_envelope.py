@@ -29,6 +29,7 @@ def scaled(size, origin=0.0):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1.0, 1e3, 1e6])
 def test_voxel_sizes(size):
     body, distance = scaled(size)

@@ -22,6 +22,7 @@ radii = st.floats(4.0, 8.0)
 bodies = st.builds(ball, radii, centers)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(bodies, bodies)
 def test_csg_is_an_algebra_of_sets(first, second):
@@ -43,6 +44,7 @@ def test_csg_is_an_algebra_of_sets(first, second):
     np.testing.assert_array_equal(b.nanovdb, before[1])
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(bodies, st.tuples(*3 * [st.integers(-5, 5)]))
 def test_results_do_not_depend_on_where_leaves_begin(body, shift):
@@ -87,6 +89,7 @@ def test_clipping_twice_is_clipping_once(ends):
     assert once.info.active_voxel_count == twice.info.active_voxel_count
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(st.tuples(*3 * [st.floats(-3.0, 3.0)]), st.floats(0.4, 2.5))
 def test_resampling_reproduces_planes(slope, size):
@@ -97,6 +100,7 @@ def test_resampling_reproduces_planes(slope, size):
     assert np.abs(values - plane(points))[kept].max() < 1e-12
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(st.integers(1, 4))
 def test_parts_are_counted_and_make_up_the_whole(count):

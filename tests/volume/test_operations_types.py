@@ -38,6 +38,7 @@ REAL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16", "fpn"])
 @pytest.mark.parametrize("name", REAL)
 def test_quantised_grids_become_float(name, codec):

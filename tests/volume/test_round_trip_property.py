@@ -74,6 +74,7 @@ def test_every_leaf_value_is_found(made):
     assert (lookup(volume.nanovdb, away) == np.float32(background)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FILE_KINDS)
 @given(volumes(), st.sampled_from(["none", "zip", "blosc"]))
 @SETTINGS

@@ -42,6 +42,7 @@ def sound(volume):
     return volume
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["float", "double", "fp16"])
 @pytest.mark.parametrize("distance", [2.5, -3.5, 6.0])
 def test_offsets_of_a_ball(grid_type, distance):
@@ -58,6 +59,7 @@ def test_offsets_of_a_ball(grid_type, distance):
     np.testing.assert_array_equal(found, [-3.0] * 3 + [3.0] * 3)
 
 
+@pytest.mark.slow
 def test_empty_lower_nodes_inside_a_double_level_set():
     # The middle of this ball is a whole lower node of 128 voxels without a leaf: a tile of an upper node.
     made = gk.volume.from_function(ball(230.0, (64.0, 64.0, 64.0)), [[-168.0] * 3, [296.0] * 3], 1.0)
@@ -116,6 +118,7 @@ def test_derivatives_of_linear_and_quadratic_fields(grid_type, transform):
     np.testing.assert_allclose(bend, 6.0, rtol=0, atol=100 * tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
 @pytest.mark.parametrize("grid_type", ["float", "double", "fp16"])
 def test_resampled_fields_and_level_sets(grid_type, order):

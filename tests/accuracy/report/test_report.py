@@ -111,6 +111,7 @@ def page(folder) -> Page:
     return Page((folder / "report.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_files(folder):
     assert {path.name for path in folder.iterdir()} == {"results.csv", "report.html", "figures"}
     names = {path.name for path in (folder / "figures").iterdir()}
@@ -318,6 +319,7 @@ def test_an_empty_folder_is_filled(tmp_path):
     assert {path.name for path in (tmp_path / "report").iterdir()} == {"results.csv", "report.html", "figures"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error", [RuntimeError("half way"), KeyboardInterrupt(), OSError(28, "No space left on device")]
 )

@@ -33,6 +33,7 @@ def test_names_are_different():
     assert len(SWEEPS) == len(sweeps("cpu")) >= 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_the_promise_holds_inside(name):
     sweep = SWEEPS[name]
@@ -44,6 +45,7 @@ def test_the_promise_holds_inside(name):
         assert keeps(sweep, outcome), (outcome, promised(sweep, value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_the_envelope_says_something(name):
     sweep = SWEEPS[name]

@@ -102,6 +102,7 @@ def kinds() -> list[Sweep]:
     ]
 
 
+@pytest.mark.slow
 def test_the_page_and_its_figures(kinds, tmp_path):
     from matplotlib.image import imread
 

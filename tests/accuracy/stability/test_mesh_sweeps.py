@@ -41,6 +41,7 @@ def test_sweeps_are_well_formed():
         assert not sweep.logarithmic or min(sweep.values) > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep", by_name(SWEEPS))
 def test_promises_have_room_on_another_seed(sweep):
     last = sweep.envelope.last

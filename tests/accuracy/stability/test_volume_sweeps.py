@@ -52,6 +52,7 @@ def test_values_lead_through_the_envelope(name):
     assert not sweep.logarithmic or min(sweep.values) > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ASKED)
 def test_answers_are_the_same_every_time(name):
     sweep = SWEEPS[name]

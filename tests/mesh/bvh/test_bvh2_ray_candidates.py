@@ -37,6 +37,7 @@ def on_warp_tree(mesh):
     return surface
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [*mesh_catalog.CLOSED, *mesh_catalog.OPEN, *mesh_catalog.DEFECTIVE])
 @pytest.mark.parametrize("distance", [0.5, 3.0, 1000.0])
 def test_passes_answer_as_the_walk_in_float64(make, distance):

@@ -77,6 +77,7 @@ def test_corners_are_within_half_a_quantum(name, offset):
     assert (off <= 0.5001 * np.broadcast_to(quantum[:, None], there.shape)[there] + 1e-15).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [1e-3, 1.0, 1e5])
 @pytest.mark.parametrize("name", [*SOLIDS, *MAKERS])
 def test_what_a_ray_is_aimed_at_is_not_passed_by(name, distance):

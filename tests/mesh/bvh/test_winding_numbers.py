@@ -176,6 +176,7 @@ def test_after_an_update_it_is_built_anew():
     np.testing.assert_allclose(surface.winding_number(points), expected, atol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 300_000])
 @pytest.mark.parametrize("query", ["winding_number", "sign_confidence"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -195,6 +195,7 @@ PAIRS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
 def test_like_dense_samples(pair):
     a, b = PAIRS[pair]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geokit.mesh import TriangleMesh
 from geokit.mesh._hausdorff import hausdorff
 from tests.support import reference
+
+pytestmark = pytest.mark.slow
 
 # The first call of a process loads the kernels, which takes longer than any single example.
 relaxed = settings(deadline=None, max_examples=80)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
 from tests.support import reference
+
+pytestmark = pytest.mark.slow
 
 # On lattices this small most triangles touch, share corners, lie in one plane or have no area.
 LATTICE = st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=6, max_size=21).filter(lambda p: len(set(p)) > 1)

@@ -41,6 +41,7 @@ class TestOverlapping:
         np.testing.assert_array_equal(found.triangle_id, np.arange(len(mesh.faces)))
         assert found.triangle_id.dtype == np.int32
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "make", [mesh_catalog.icosphere, mesh_catalog.torus, mesh_catalog.sliver_fan, mesh_catalog.collapsed_faces]
     )
@@ -142,6 +143,7 @@ class TestIntersectingTriangles:
 
 
 class TestSelfIntersections:
+    @pytest.mark.slow
     @pytest.mark.parametrize("make", mesh_catalog.CLOSED)
     def test_closed_meshes_have_those_of_brute_force(self, make):
         mesh = make()

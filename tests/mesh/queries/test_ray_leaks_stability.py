@@ -47,6 +47,7 @@ def starts_inside(surface: Surface, count: int, rng: np.random.Generator) -> np.
     return inside[rng.integers(len(inside), size=count)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exact", ["float32", "float64"])
 @pytest.mark.parametrize("name", CLOSED)
 def test_no_ray_from_inside_gets_out(name, exact):

@@ -56,6 +56,7 @@ def exact_t(triangle, origin, direction):
     return t, abs(float(slope)) / np.sqrt(float(size) * float(sum(w * w for w in way))) if size else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [1e-2, 1e-4, 1e-6, 1e-9, 1e-12, 1e-15])
 @pytest.mark.parametrize("foot", [0.0, 0.3, 1.0])
 def test_slivers_are_hit_where_their_planes_are(foot, height):

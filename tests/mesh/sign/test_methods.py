@@ -32,6 +32,7 @@ def is_inside(mesh, points):
     return reference.winding_number(mesh.vertices, mesh.faces, points) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", ["pseudonormal", "winding", "parity", "auto"])
 @pytest.mark.parametrize("make", CLEAN)
 def test_signs_of_clean_meshes(make, sign):

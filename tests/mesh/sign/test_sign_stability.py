@@ -61,6 +61,7 @@ def exact_winding(surface, points):
     return reference.winding_number(surface.mesh.vertices, faces, points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1e-9, 1e-6, 1e-5, 1e-3, 1e-1])
 @pytest.mark.parametrize("mesh", CLEAN, ids=lambda mesh: mesh.name)
 def test_sign_on_clean_meshes_is_exact(mesh, share):
@@ -89,6 +90,7 @@ def test_sign_does_not_depend_on_place_or_size(offset, scale):
     np.testing.assert_array_equal(found[sure] < 0, radius[sure] < 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", BROKEN)
 def test_signs_and_winding_numbers_of_broken_meshes(mesh):
     points = uniform_and_near(mesh, 1000, 44)

@@ -88,6 +88,7 @@ def test_deviation_and_percentile_are_those_of_brute_force():
     assert found.deviation_p999 <= found.deviation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [*mesh_catalog.CLOSED, *mesh_catalog.OPEN, *mesh_catalog.DEFECTIVE])
 def test_hangs_together_as_before(make):
     mesh = make()

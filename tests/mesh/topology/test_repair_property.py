@@ -56,6 +56,7 @@ def walked(faces: list[list[int]]) -> list[tuple[dict[int, bool], bool]]:
     return pieces
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(TRIANGLES, st.integers(0, 1000))
 def test_orient_is_the_walk_over_the_faces(faces, seed):
@@ -109,6 +110,7 @@ def test_solids_come_out_the_same(make, seed, share, reverse):
     assert found.consistent
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(*[st.integers(-4, 4)] * 3), min_size=1, max_size=40), st.sampled_from([0.5, 1, 1.5, 2.3, 20]))
 def test_merging_is_taking_in_order(rows, tolerance):

@@ -172,6 +172,7 @@ def test_normals_are_unit_vectors_or_zeros(cloud, k):
         assert not found.curvature[length == 0.0].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", ["1", "2", "3"])
 def test_threads_change_nothing(threads):
     random = np.random.default_rng(0)

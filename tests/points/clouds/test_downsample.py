@@ -147,6 +147,7 @@ def test_poisson_disk_subset_of_a_line():
     np.testing.assert_array_equal(found.points, LINE[found.indices])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [1e-9, 0.03, 0.2, 0.7, 50.0])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_poisson_disk_subset_is_that_of_trying_one_after_the_other(radius, seed):
@@ -186,6 +187,7 @@ def test_cover_of_a_line():
     assert found.deviation_p999 == found.deviation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-9, 0.1, 0.7, 50.0])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_cover_is_the_poisson_disk_subset_and_its_deviation_that_of_all_pairs(tolerance, seed):
@@ -252,6 +254,7 @@ def test_one_point(choice):
     assert found.indices.tolist() == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["voxel_centroids", "farthest_points", "poisson_disk"])
 def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
     launcher.resolve_device("cpu")

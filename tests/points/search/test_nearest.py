@@ -102,6 +102,7 @@ def test_every_number_of_points(count):
     assert_exact(points, 20, exclude_self=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 6, 8, 19, 32, 60, 300])
 def test_ties_on_a_lattice_go_to_the_lowest_index(k):
     axis = np.arange(9.0)

@@ -73,6 +73,7 @@ def test_scale(scale):
     assert_exact(POINTS * scale, 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [1.0, 1e3, 1e6, 1e9, 1e15, 1e17])
 def test_offset(offset):
     # The last ones leave few different coordinates, or a single one: nothing but ties.
@@ -80,6 +81,7 @@ def test_offset(offset):
     assert_exact(POINTS - [offset, 0, 0], 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("aspect", [1e-3, 1e-9, 1e-15, 1e-300, 0.0])
 def test_flat_and_thin(aspect):
     assert_exact(POINTS * [1, 1, aspect], 8)
@@ -116,6 +118,7 @@ KINDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_crowds_are_exact(kind):
     points = crowd(kind, 1000)
@@ -132,6 +135,7 @@ def test_work_of_evenly_spread_points():
     assert leaves_per_query(crowd("uniform", 30_000), 8) < EVEN_LEAVES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_work_of_crowds(kind):
     # A leaf over several crowds overlaps many others, but few leaves are over several.

@@ -90,6 +90,7 @@ def test_limits_equal_the_reference(cloud, k):
     assert_equal(ask(points, k, queries, limit_squared=one), k_nearest(points, k, queries, limit_squared=one))
 
 
+@pytest.mark.slow
 @relaxed
 @given(st.integers(0, 2**32 - 1), st.sampled_from(LENGTHS))
 def test_equals_scipy(seed, k):
@@ -150,6 +151,7 @@ def test_signs_and_axes(cloud, k, flips):
     assert_equal(ask(points[:, [1, 0, 2]], k, queries[:, [1, 0, 2]]), found)
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds())
 def test_a_longer_list_begins_with_the_shorter(cloud):

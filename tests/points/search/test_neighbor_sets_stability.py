@@ -48,6 +48,7 @@ CLOUDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLOUDS)
 def test_sets_are_those_of_the_tree(name):
     points, radius = CLOUDS[name]

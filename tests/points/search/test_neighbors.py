@@ -105,6 +105,7 @@ def test_squared_distance_is_rounded_term_by_term():
             assert counted[0] == (limit[i] <= r * r)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cells_kernels", "radius_cuda_kernels"])
 def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
     # nvrtc contracts by default; the compiler comes with warp, so no GPU is needed to inspect its output.

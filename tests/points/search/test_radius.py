@@ -108,6 +108,7 @@ def test_unknown_order(grid):
             ask(order="size")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [1.0, 3.0, 1e3, 1e6])
 @pytest.mark.parametrize("own", [False, True])
 def test_a_radius_for_each_query(grid, spread, own):
@@ -249,6 +250,7 @@ def test_the_kernels_of_a_gpu_find_the_same(queries, offset):
     np.testing.assert_array_equal(distance.numpy(), whole.distance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [200, 1100, 5000])
 def test_more_candidates_than_the_buffer_holds(count):
     # All points in the cells around every query: buffers are emptied several times, rows are longer than 128.
@@ -265,6 +267,7 @@ def test_more_candidates_than_the_buffer_holds(count):
     np.testing.assert_array_equal(grid.count(points[::7]), [len(row) for row in assert_rows])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["index", "any", "distance"])
 @pytest.mark.parametrize(("noted", "least"), [(0, 64), (4096, 8), (40_000, 64), (200_000, 64), (10**7, 64)])
 def test_notes_of_the_count_change_nothing(monkeypatch, order, noted, least):

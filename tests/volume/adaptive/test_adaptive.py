@@ -93,6 +93,7 @@ def _by_hand(values, origin, point):
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_the_finest_level_that_has_the_cell_answers():
     values, levels, origin = _random_levels()
     field = AdaptiveSDF(levels)
@@ -158,6 +159,7 @@ def profile():
     return turned, adaptive_from_mesh(turned, TOLERANCE, device="cpu")
 
 
+@pytest.mark.slow
 def test_error_against_brute_force(profile):
     mesh, field = profile
     rng = np.random.default_rng(9)
@@ -220,6 +222,7 @@ def test_far_away_it_is_the_band_s_edge(profile):
     assert np.isfinite(field.sample(middle[None], device="cpu")).all()
 
 
+@pytest.mark.slow
 def test_a_part_drawn_on_a_lattice_keeps_its_straight_edges_for_nothing():
     mesh = TriangleMesh(mesh_catalog.l_profile().vertices * [1.0, 1.0, 1.0], mesh_catalog.l_profile().faces)
     aligned = adaptive_from_mesh(mesh, TOLERANCE, device="cpu")
@@ -309,6 +312,7 @@ def test_points_that_are_refused(profile):
             answer([[0.0, 0.0]], device="cpu")
 
 
+@pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_threads(profile, monkeypatch):
     mesh, field = profile
     monkeypatch.setenv("GEOKIT_THREADS", "1")
@@ -322,6 +326,7 @@ def test_an_open_mesh_keeps_it_within_a_quarter():
     assert field.achieved_error <= 0.05
 
 
+@pytest.mark.slow
 def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
     mesh, field = profile
     two = adaptive_from_mesh(mesh, TOLERANCE, max_levels=2, device="cpu")
@@ -330,6 +335,7 @@ def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
     assert two.byte_count > field.byte_count
 
 
+@pytest.mark.slow
 def test_a_tolerance_out_of_reach_is_refused():
     # Beside the border of an open mesh the sign jumps: twice the distance is more than the tolerance there.
     with pytest.raises(InputError, match=r"tolerance: 0.05 is out of reach: .* use at least that, a smaller within"):

@@ -11,6 +11,8 @@ from geokit.mesh._model import TriangleMesh
 from geokit.volume._adaptive import adaptive_from_mesh
 from tests.support import mesh_catalog, reference
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = settings(max_examples=3, deadline=None)
 # Of the longest edge of the mesh's box.
 SHARE = 0.01

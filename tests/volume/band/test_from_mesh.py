@@ -30,6 +30,7 @@ def dense(grid, lower, upper):
     return world, volume.sample(grid, world, order=0, device="cpu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [1.0, 3.0, 4.5])
 @pytest.mark.parametrize(
     "mesh",

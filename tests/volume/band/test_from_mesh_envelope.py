@@ -112,6 +112,7 @@ def test_walls_closer_than_a_voxel_keep_their_sides(gap):
     np.testing.assert_array_equal(found[off] < 0, expected[off] < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", BROKEN)
 def test_broken_meshes_have_the_signs_of_their_surface(mesh):
     surface = Surface(mesh, device="cpu")

@@ -53,6 +53,7 @@ def test_scattered_clusters():
         from_points(2.0 * points, 4.0, voxel_size=1.0, device="cpu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.1, 0.5, 0.87, 1.0, 8.0, 8.0 - 3.0, 13.0, 29.0, 61.0])
 def test_radii_around_the_sizes_of_buckets(radius):
     points = np.random.default_rng(2).uniform(-30, 30, (6, 3))

@@ -204,6 +204,7 @@ class TestBall:
         with pytest.raises(UnsupportedGridError, match="int32"):
             from_volume(SparseVolume(buffer, info_of(buffer)), method=method)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("threads", ["1", "2", "5"])
     def test_threads_change_nothing(self, method, threads, monkeypatch):
         volume = _grid(_ball, 64, _around(0.0625))
@@ -215,6 +216,7 @@ class TestBall:
 
 
 class TestTolerance:
+    @pytest.mark.slow
     def test_fewer_faces_no_farther_than_asked_for(self, method):
         volume = _grid(_ball, transform=_around(0.125))
         full = from_volume(volume, method=method, device="cpu")
@@ -368,6 +370,7 @@ class TestEveryType:
         assert audit(mesh).manifold
         assert audit(mesh).watertight
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", OWN)
     def test_active_tiles_of_every_size_have_a_surface(self, method):
         volume, active = _active_tiles(grid := TypedGrid("float"))

@@ -66,6 +66,7 @@ def is_sound(mesh):
     return report.watertight and report.manifold and report.oriented and report.unreferenced_count == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=25, deadline=None)
 @given(
@@ -112,6 +113,7 @@ def test_marching_cubes_lie_on_the_interpolant(seed, isovalue, sheared):
     assert np.abs(sample(volume, mesh.vertices, device="cpu") - isovalue).max() < ON_SURFACE
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), dead=st.sampled_from([0.3, 0.7, 0.95]))
 def test_faces_that_are_left_where_voxels_are_not_active_are_those_of_the_whole(seed, dead):
@@ -129,6 +131,7 @@ def test_faces_that_are_left_where_voxels_are_not_active_are_those_of_the_whole(
         assert audit(part).non_manifold_edge_count == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=10, deadline=None)
 @given(

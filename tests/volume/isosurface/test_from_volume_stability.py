@@ -73,6 +73,7 @@ def edge_points(turn):
 class TestEdges:
     """What docs/design/isosurfaces.md promises of edges and corners."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", TURNS)
     @pytest.mark.parametrize(
         ("method", "largest", "rms"),
@@ -114,6 +115,7 @@ CLOSED = {
 
 
 class TestLevelSetsOfMeshes:
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("name", CLOSED)
     def test_topology(self, name, method):
@@ -158,6 +160,7 @@ class TestLevelSetsOfMeshes:
 
 
 class TestScalesAndValues:
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     def test_voxel_sizes(self, method):
         turn = turned(*TURNS["turned"])

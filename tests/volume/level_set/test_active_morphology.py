@@ -35,6 +35,7 @@ def active(volume):
     return np.asarray(volume.active_at(voxels, device="cpu")).reshape(*3 * [len(steps)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("neighbors", CONNECTIVITY)
 @pytest.mark.parametrize("voxels", [1, 3, 11])
 @pytest.mark.parametrize("name", GEOKIT)
@@ -49,6 +50,7 @@ def test_same_voxels_as_scipy(name, voxels, neighbors):
     np.testing.assert_array_equal(source.nanovdb, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "components"), [(np.float32, 0), (np.float64, 0), (np.float32, 3), (np.float64, 3)])
 def test_values_stay_and_new_voxels_have_the_background(dtype, components):
     source = speckled(dtype, components)

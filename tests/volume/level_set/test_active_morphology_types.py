@@ -54,6 +54,7 @@ def test_the_types_are_all_that_hold_values():
     assert set(VALUE_TYPES) == set(VALUED) - set(QUANTIZED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", GEOKIT)
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
@@ -71,6 +72,7 @@ def test_states_are_scipys_and_values_stay(grid_type, name, seed):
     np.testing.assert_array_equal(info.transform, was.transform)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["bool", "mask", "int64", "vec4d"])
 def test_far_growth_and_growth_to_nothing(grid_type):
     grid = random_grid(grid_type, 5)
@@ -177,6 +179,7 @@ def tiled(grid_type):
     return rebuilt(tree, from_dense(np.zeros((1, 1, 1)), voxel_size=1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("ending", ["vdb", "nvdb"])
 @pytest.mark.parametrize("name", ["dilate", "erode"])
@@ -196,6 +199,7 @@ def test_results_survive_files(tmp_path, grid_type, name, ending):
     assert_is(GEOKIT[name](found, voxels=1, device="cpu"), *expected_of(again, name, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", [name for name in VALUE_TYPES if name not in OPENVDB])
 def test_results_of_other_types_survive_nvdb(tmp_path, grid_type):
     grid = random_grid(grid_type, 4)
@@ -245,6 +249,7 @@ def test_quantised_grids_become_float(codec):
     )
 
 
+@pytest.mark.slow
 @needs_validate
 @pytest.mark.parametrize("name", ["dilate", "erode"])
 @pytest.mark.parametrize("grid_type", VALIDATED)
@@ -254,6 +259,7 @@ def test_nanovdb_validate_accepts_results(tmp_path, grid_type, name):
     assert_validated(tmp_path / "x.nvdb")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("grid_type", OPENVDB)
 def test_headers_and_extrema_are_those_of_openvdb(tmp_path, grid_type):
@@ -333,6 +339,7 @@ print(json.dumps({"type": type(grid).__name__, "name": grid.name, "class": grid.
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize(("grid_type", "kind"), [("float", "FloatGrid"), ("bool", "BoolGrid")])
 def test_openvdb_reads_the_same_voxels(tmp_path, grid_type, kind):

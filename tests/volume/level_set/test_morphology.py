@@ -38,6 +38,7 @@ def crossings(values, other):
 
 
 class TestRenormalize:
+    @pytest.mark.slow
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     @pytest.mark.parametrize("factor", [1.0, 2.0, 0.3, 1e4, 1e-4])
     def test_scaled_distances_become_distances_and_the_surface_stays(self, factor, dtype):
@@ -119,6 +120,7 @@ class TestRenormalize:
 
 
 class TestOffset:
+    @pytest.mark.slow
     @pytest.mark.parametrize("distance", [0.4, 1.0, 2.5, 5.0, -0.4, -1.0, -2.5, -5.0])
     def test_surface_moves_by_the_distance(self, distance):
         result = offset(level_set(BALL), distance)

@@ -51,6 +51,7 @@ def test_truncated_files_are_refused(tmp_path, sound):
     assert {outcome(tmp_path / "x.nvdb", sound[:length]) for length in lengths} == {"FileFormatError"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_flipped_bytes_are_found(tmp_path, sound, seed):
     rng = np.random.default_rng(seed)
@@ -63,6 +64,7 @@ def test_flipped_bytes_are_found(tmp_path, sound, seed):
         outcome(tmp_path / "x.nvdb", bytes(data))
 
 
+@pytest.mark.slow
 def test_flips_of_an_uncompressed_grid_never_pass(tmp_path):
     # The full checksum covers every byte but the magic number, padding between nodes there is none.
     path = tmp_path / "x.nvdb"
@@ -75,6 +77,7 @@ def test_flips_of_an_uncompressed_grid_never_pass(tmp_path):
         assert outcome(path, bytes(broken)) != "sound", at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_what_passes_the_structural_checks_is_sound_for_warp_too(seed):
     """Without a checksum the structure alone decides; warp's own walk over the tree must agree."""
@@ -128,6 +131,7 @@ def test_a_grid_count_without_grids_is_refused(tmp_path, sound):
     assert outcome(tmp_path / "x.nvdb", bytes(data)) == "FileFormatError"
 
 
+@pytest.mark.slow
 def test_bombs_stay_small(tmp_path):
     """A megabyte that claims and inflates to a gigabyte is refused before the gigabyte is there."""
     packer = zlib.compressobj(1)

@@ -43,6 +43,7 @@ def outcome(path: Path, data: bytes) -> str:
     return f"changed to {grid.metadata}"
 
 
+@pytest.mark.slow
 def test_no_flip_changes_metadata_unnoticed(tmp_path, sound):
     data, begin = sound
     entry, text = range(begin, begin + BLIND_DATA.itemsize), range(begin + BLIND_DATA.itemsize, len(data))
@@ -67,6 +68,7 @@ def test_truncated_files_are_refused(tmp_path, sound):
         assert outcome(tmp_path / "x.nvdb", data[:length]) == "refused"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("codec", ["none", "zip", "blosc"])
 def test_random_damage_is_no_crash(tmp_path, seed, codec):

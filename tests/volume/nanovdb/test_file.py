@@ -156,6 +156,7 @@ def test_files_of_other_writers_are_read():
     assert inspect(ROCKS)[0].active_voxel_count == 308828
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantised", ["fp4", "fp8", "fp16", "fpn"])
 def test_quantised_grids_of_nanovdb_convert_are_read(tmp_path, quantised):
     vdb = tmp_path / "s.vdb"
@@ -378,6 +379,7 @@ def test_trailing_bytes_are_refused(tmp_path, codec):
         read(path)
 
 
+@pytest.mark.slow
 def test_zip_bombs_do_not_grow(tmp_path):
     write(tmp_path / "x.nvdb", [sphere(4.0)], codec="zip")
     data = bytearray((tmp_path / "x.nvdb").read_bytes())

@@ -119,6 +119,7 @@ class TestTransmittance:
 
 
 class TestEmission:
+    @pytest.mark.slow
     @pytest.mark.parametrize("extinction", [0.0, 0.4, 5.0])
     @pytest.mark.parametrize("transform", [None, SHEARED], ids=["voxels", "sheared"])
     def test_random_emission(self, extinction, transform):

@@ -37,6 +37,7 @@ def rough():
 
 
 class TestFields:
+    @pytest.mark.slow
     @pytest.mark.parametrize("isovalue", [0.0, 0.37, -1.1])
     def test_random_voxels(self, rough, isovalue, monkeypatch):
         start, toward = rays_through(rough.lower - 1.0, rough.lower + rough.dense.shape, 40, 0)
@@ -47,6 +48,7 @@ class TestFields:
         later = raycast(rough.volume, start, toward, isovalue=isovalue, t_min=14.0, device="cpu")
         assert_first_crossings(rough.at, start, toward, later.t, isovalue=isovalue, first=14.0)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("half_width", [1.0, 3.0])
     @pytest.mark.parametrize("scale", [1.0, 1000.0])
     def test_narrow_bands(self, half_width, scale, monkeypatch):
@@ -103,6 +105,7 @@ class TestFields:
 
 
 class TestTypes:
+    @pytest.mark.slow
     @pytest.mark.parametrize("grid_type", SCALARS + QUANTIZED)
     def test_leaves_and_tiles_of_every_type(self, grid_type, monkeypatch):
         grid = TypedGrid(grid_type)
@@ -360,6 +363,7 @@ class TestErrors:
             raycast(sphere(), **arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("exponent", [512, 700, 1020, -400, -530, -900])
 def test_crossings_do_not_depend_on_the_unit_of_the_values(exponent, monkeypatch):

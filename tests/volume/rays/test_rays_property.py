@@ -37,6 +37,7 @@ def _rays(field, count, seed):
     return rays_through(field.lower - 1.0, field.lower + 16.0, count, seed)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, lowers, st.floats(-0.9, 0.9))
 def test_first_crossings_of_any_field(monkeypatch, seed, lower, isovalue):

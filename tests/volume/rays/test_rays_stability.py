@@ -72,6 +72,7 @@ def test_any_voxel_size(voxel_size, rays, near):
     np.testing.assert_allclose(np.linalg.norm(hits.normals[np.isfinite(hits.t)], axis=1), 1.0, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", 10.0 ** np.arange(2, 17, 2))
 def test_origins_far_away(distance, rays, near):
     start, toward = rays

@@ -45,6 +45,7 @@ def _directions(count=4000):
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("grid_type", SCALARS)
 def test_hessian_of_every_type_in_a_sheared_grid(grid_type, order):

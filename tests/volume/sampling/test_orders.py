@@ -55,6 +55,7 @@ class TestEveryType:
         tolerance = (DECODING if grid_type in QUANTIZED else ROUNDING) * _scale(grid)
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
+    @pytest.mark.slow
     def test_gradient_in_a_sheared_grid(self, grid_type, order):
         grid, u = TypedGrid(grid_type, SHEARED), _points(100)
         found = gradient(grid.volume, _to_world(SHEARED, u), order=order, device="cpu")

@@ -29,6 +29,7 @@ def inside(volume, points, margin):
     return (np.abs(index + 0.5) < 16.0 - margin).all(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("target", [cubes(0.7), cubes(1.9), TURNED * 4.0, SHEARED * 9.0])
 def test_linear_fields_are_reproduced(target, dtype):

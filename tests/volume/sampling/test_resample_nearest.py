@@ -57,6 +57,7 @@ def expected_of(grid, target, lower, shape):
 SCALED = np.diag([-0.9137, 0.3571, 0.5923, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("grid_type", "target"), [*[(name, TURNED) for name in LABELS], *[(name, SCALED) for name in ("int64", "mask")]]
 )
@@ -119,6 +120,7 @@ def test_integers_beyond_2_to_the_53_are_exact():
     assert outside.item() == -(2**62) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", LABELS)
 def test_the_same_voxels_stay(grid_type):
     grid = random_grid(grid_type, 2)

@@ -83,6 +83,7 @@ def test_equals_tree(volume, function, dtype, monkeypatch):
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pairs", [False, True])
 @pytest.mark.parametrize("kind", ["SAMPLE", "GRADIENT"])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

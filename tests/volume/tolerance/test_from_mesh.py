@@ -20,6 +20,7 @@ TORUS = Surface(mesh_catalog.torus(), device=DEVICE)
 ASKED = {"within": None, "order": None, "half_width": None, "sign": "auto", "thickness": None, "codec": None}
 
 
+@pytest.mark.slow
 def test_the_order_that_was_chosen_is_the_one_that_samples_take():
     field = from_mesh(TORUS, tolerance=0.01)
     assert field.info.order == 3
@@ -33,6 +34,7 @@ def test_the_order_that_was_chosen_is_the_one_that_samples_take():
     np.testing.assert_array_equal(plain.sample(points), plain.sample(points, order=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nvdb", "vdb"])
 def test_what_was_achieved_goes_through_files(tmp_path, kind):
     field = from_mesh(TORUS, tolerance=0.02, codec="float")
@@ -44,6 +46,7 @@ def test_what_was_achieved_goes_through_files(tmp_path, kind):
     assert info.achieved_error_999 == field.info.achieved_error_999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "codec"), [(1, "float"), (2, "fp16"), (3, "fp8"), (1, "fpn"), (1, "fp4")])
 def test_what_is_asked_for_is_not_chosen(order, codec):
     field = from_mesh(TORUS, tolerance=0.02, order=order, codec=codec)
@@ -51,6 +54,7 @@ def test_what_is_asked_for_is_not_chosen(order, codec):
     assert field.info.achieved_error <= 0.02
 
 
+@pytest.mark.slow
 def test_a_wider_zone_needs_a_wider_band():
     near, far = (from_mesh(TORUS, tolerance=0.02, within=within, codec="float", order=1) for within in (0.0, 0.2))
     widths = [field.info.background / field.info.voxel_size[0] for field in (near, far)]
@@ -63,6 +67,7 @@ def test_a_wider_zone_needs_a_wider_band():
     assert np.abs(far.sample(away[kept]) - exact[kept]).max() <= 0.02
 
 
+@pytest.mark.slow
 def test_shells_and_unsigned_distances_keep_it_too():
     points = TORUS.mesh.vertices[::7]
     shell = from_mesh(TORUS, tolerance=0.02, thickness=0.1)
@@ -77,6 +82,7 @@ def test_shells_and_unsigned_distances_keep_it_too():
     assert np.abs(unsigned.sample(points)).max() <= 0.03
 
 
+@pytest.mark.slow
 def test_foreseen_errors_are_those_of_the_grid():
     search = tolerance_search(TORUS, 0.02, **ASKED, device=None)
     points, exact = search.zone.draw(2000, 5)
@@ -94,6 +100,7 @@ def test_foreseen_errors_are_those_of_the_grid():
             assert foreseen.max() == pytest.approx(errors.max(), rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_field_that_is_worse_than_the_search_believes_is_noticed():
     search = tolerance_search(TORUS, 0.02, **ASKED, device=None)
     setting = next(quickest(search.settings()))
@@ -104,6 +111,7 @@ def test_a_field_that_is_worse_than_the_search_believes_is_noticed():
     assert spoilt.largest > 2.0 * honest.largest
 
 
+@pytest.mark.slow
 def test_a_search_looks_where_it_was_told_of_errors():
     cone = Surface(mesh_catalog.cone(24, 2.0), device=DEVICE)
     search = tolerance_search(cone, 0.02, **ASKED, device=None)
@@ -123,6 +131,7 @@ def test_a_search_looks_where_it_was_told_of_errors():
     assert after.error <= search.aim
 
 
+@pytest.mark.slow
 def test_a_refusal_names_an_error_above_the_tolerance(monkeypatch):
     # Whatever the search believes: what was made is what can be reached.
     found = checked_fields.Achieved(0.05, 0.01, TORUS.mesh.vertices[:10])
@@ -131,6 +140,7 @@ def test_a_refusal_names_an_error_above_the_tolerance(monkeypatch):
         from_mesh(TORUS, tolerance=0.02)
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_comes():
     tolerance = 0.006
     fields = plan(TORUS, tolerance)
@@ -180,6 +190,7 @@ def test_what_memory_cannot_hold_is_refused_with_what_it_can():
     assert 1e-8 < reachable < 1e-4
 
 
+@pytest.mark.slow
 def test_a_band_too_narrow_for_the_zone_is_refused_with_what_it_reaches():
     # The zone begins where the band has ended: what is sampled there is the background.
     with pytest.raises(InputError, match="errors do not fall below about"):

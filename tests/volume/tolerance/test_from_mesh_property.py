@@ -13,6 +13,8 @@ from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.search import Option, Setting
 from tests.support import mesh_catalog, reference
 
+pytestmark = pytest.mark.slow
+
 DEVICE = "cpu"
 # Of the diagonal: coarse enough for a mesh to take a second, fine enough for edges and curvature to matter.
 SHARE = 4e-3

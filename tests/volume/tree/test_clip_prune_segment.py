@@ -123,6 +123,7 @@ class TestSegment:
         np.testing.assert_allclose(dense(parts[0], -20, 20), dense(shell, -20, 20), atol=NEAR)
         np.testing.assert_allclose(dense(parts[1], -20, 20), dense(level_set(ball(4.3)), -20, 20), atol=NEAR)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("gap", [0.8, 1.8, 3.1])
     def test_between_bodies_that_nearly_touch(self, gap):
         x = 6.3 + gap / 2.0

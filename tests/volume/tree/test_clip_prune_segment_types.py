@@ -72,6 +72,7 @@ TAKEN = {
 }
 
 
+@pytest.mark.slow
 @needs_openvdb
 @pytest.mark.parametrize("name", TAKEN)
 def test_what_takes_which_types(name):
@@ -93,6 +94,7 @@ def test_what_takes_which_types(name):
             assert f"type {grid_type}" in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("grid_type", types())
 def test_clipped(grid_type, seed):
@@ -135,6 +137,7 @@ def test_clipping_cuts_tiles_of_all_levels(grid_type):
     assert result.info.active_voxel_count == 10 * 64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", types())
 def test_pruned(grid_type):
     grid = random_grid(grid_type, 2)
@@ -147,6 +150,7 @@ def test_pruned(grid_type):
     check_grid(result.nanovdb, "result")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["mask", "uint32", "half", "vec4d"])
 def test_pruning_makes_tiles(grid_type):
     # Growing makes voxels of tiles; what is alike becomes tiles again, of a mask also what has grown.
@@ -193,6 +197,7 @@ def test_pruning_to_a_tolerance(grid_type):
     assert tree_header(everything.nanovdb)["tile_count"][0] == full
 
 
+@pytest.mark.slow
 @needs_openvdb
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_parts_are_those_that_scipy_labels(grid_type):
@@ -243,6 +248,7 @@ def test_statistics_of_a_tile_of_the_root():
     assert found.maximum == max(typed.leaves.max(), typed.root_tile)
 
 
+@pytest.mark.slow
 @needs_openvdb
 @pytest.mark.parametrize("operation", [prune, lambda v: clip(v, BOX), lambda v: segment(v)[0]])
 def test_integer_vectors_stay_integers(operation):

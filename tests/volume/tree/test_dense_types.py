@@ -43,6 +43,7 @@ def boxed(array, origin, margin=0):
     return [first - margin, first + array.shape[:3] - 1 + margin]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", [(0, 0, 0), (5, -3, 121), (-(2**31), 2**31 - 40, -4096)])
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_every_type_comes_back(grid_type, origin):
@@ -339,6 +340,7 @@ def test_nanovdb_validate_accepts_classes(tmp_path, grid_type, grid_class):
     assert_validated(tmp_path / "x.nvdb")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("grid_type", OPENVDB)
 def test_openvdb_files_give_the_array_back(tmp_path, grid_type):

@@ -39,6 +39,7 @@ def test_every_voxel_of_a_sphere_has_its_value(radius, center):
     assert np.array_equal(lookup(volume.nanovdb, voxels), expected)
 
 
+@pytest.mark.slow
 def test_empty_tiles_inside_are_negative_at_both_levels():
     # A radius of 230 leaves whole lower nodes (128 voxels) empty inside: tiles of upper nodes.
     radius = 230.0
@@ -273,6 +274,7 @@ def has_pyopenvdb() -> bool:
     return done.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_pyopenvdb(), reason="pyopenvdb or the OpenVDB extension is not installed")
 @pytest.mark.parametrize("center", [(0, 0, 0), (-4100, 70, 9000)])
 def test_openvdb_finds_the_same_values(tmp_path: Path, center):

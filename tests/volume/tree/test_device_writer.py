@@ -31,6 +31,7 @@ def both(origins, values, masks, *, grid_class="level set", transform=None, back
     return ours, theirs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("center", [(0, 0, 0), (-4100, 37, 12345), (-8, 4095, -4096)])
 @pytest.mark.parametrize("radius", [6.0, 40.0, 150.0])
 def test_bytes_are_those_of_the_typed_writer(radius, center):

@@ -247,6 +247,7 @@ def test_metadata_stays():
     assert small.info.metadata["creator"] == volume.info.metadata["creator"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("nanovdb_convert") is None, reason="nanovdb_convert is not installed")
 @pytest.mark.skipif(not native.available(), reason="the OpenVDB extension is not built")
 @pytest.mark.parametrize("name", ["torus", "smoke"])
@@ -278,6 +279,7 @@ def test_codes_are_those_of_nanovdb_convert(tmp_path, name, flags, codec):
     assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 @needs_validate
 @pytest.mark.parametrize("file_codec", ["none", "zip", "blosc"])
 @pytest.mark.parametrize("codec", ["float", *FIXED, "fpn"])

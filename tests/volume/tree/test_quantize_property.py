@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -58,6 +59,7 @@ def test_error_is_what_the_metadata_says(volume, codec, dither):
     assert known <= span / steps * (1.0 if dither else 0.5) + 2.0**-22 * (np.abs(before).max() + span)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(volumes(), st.floats(1e-5, 1.0), st.booleans())
 def test_tolerance_is_kept_or_refused(volume, fraction, dither):
@@ -93,6 +95,7 @@ def test_samples_between_voxels_are_off_by_no_more(volume, codec):
     assert np.abs(after - before).max() <= small.info.metadata["geokit:achieved_error"] + rounding
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(volumes(), st.sampled_from([*CODECS, "fpn"]))
 def test_coding_codes_again_changes_next_to_nothing(volume, codec):
