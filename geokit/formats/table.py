@@ -22,10 +22,13 @@ Standard library only, because the command line reads this table before anything
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from types import ModuleType
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
-__all__ = ["FORMATS", "Access", "Content", "Format", "extensions", "module_of"]
+__all__ = ["FORMATS", "Access", "Content", "Format", "extensions", "module_of", "with_formats"]
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 Access = Literal["", "r", "w", "rw"]
 Content = Literal["mesh", "points", "rays", "volume"]
@@ -110,3 +113,14 @@ def extensions(content: Content, access: Literal["r", "w"]) -> tuple[str, ...]:
 def module_of(kind: str) -> ModuleType:
     """Import the module that reads and writes files with an extension."""
     return importlib.import_module(f"geokit.formats.{FORMATS[kind].module}")
+
+
+def with_formats(content: Content, access: Literal["r", "w"]) -> Callable[[_Function], _Function]:
+    """Decorator: replaces ``{formats}`` in a docstring by the extensions that can be read ("r") or written ("w")."""
+
+    def fill(function: _Function) -> _Function:
+        if function.__doc__:  # None under python -OO
+            function.__doc__ = function.__doc__.replace("{formats}", " ".join(extensions(content, access)))
+        return function
+
+    return fill

@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.files import atomic_path, require_extension, require_file
 from geokit.errors import FileFormatError, GeokitError, InputError
-from geokit.formats.table import FORMATS, extensions, module_of
+from geokit.formats.table import FORMATS, extensions, module_of, with_formats
 from geokit.mesh._model import TriangleMesh
 
 __all__ = ["load", "save"]
 
 
+@with_formats("mesh", "r")
 def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMesh:
     """Load a triangle mesh from a file; the extension determines the format.
 
@@ -28,7 +29,7 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     volume cells, only the surface cells are read.
 
     Args:
-        path: .obj .ply .stl .off .glb .gltf .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc .usdz.
+        path: {formats}.
         name: The mesh's name; None is the file's name without its extension.
     Returns:
         TriangleMesh with at least one face.
@@ -64,6 +65,7 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
         ) from error
 
 
+@with_formats("mesh", "w")
 def save(
     path: str | os.PathLike[str],
     mesh: TriangleMesh,
@@ -78,7 +80,7 @@ def save(
     names of parts.
 
     Args:
-        path: .obj .ply .stl .off .glb .3mf .vtk .vtp .vtu .msh .xdmf .usd .usda .usdc.
+        path: {formats}.
         mesh: The mesh.
         point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
         cell_data: Arrays (F,) or (F, k) by name, for the same formats.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.files import atomic_path, require_extension, require_file
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.table import FORMATS, extensions, module_of
+from geokit.formats.table import FORMATS, extensions, module_of, with_formats
 
 __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
 
@@ -52,6 +52,7 @@ class Rays(NamedTuple):
     directions: NDArray[np.float64]
 
 
+@with_formats("points", "r")
 def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointCloud:
     """Read points and their data arrays from a file.
 
@@ -69,7 +70,7 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
     roundings.
 
     Args:
-        path: The file; its extension selects the format.
+        path: {formats}.
         finite_only: Leave out points that are not finite, as scanners write them for rays without an echo, with their
             rows of data. Otherwise such points raise FileFormatError.
     Returns:
@@ -108,6 +109,7 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
     return PointCloud(points, data)
 
 
+@with_formats("rays", "r")
 def load_rays(path: str | os.PathLike[str]) -> Rays:
     """Read rays from a .csv, .txt, .xyz, .npy or .npz file.
 
@@ -115,7 +117,7 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
     arrays ``origins`` and ``directions``, or one array of shape (N, 6). Directions need not have unit length.
 
     Args:
-        path: The file; its extension selects the format.
+        path: {formats}.
     Returns:
         Rays(origins, directions), each (N, 3) float64.
     Raises:
@@ -134,6 +136,7 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
     return Rays(np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:]))
 
 
+@with_formats("points", "w")
 def save(
     path: str | os.PathLike[str],
     points: ArrayLike,
@@ -157,7 +160,7 @@ def save(
     (LAS expects 16 bits), and all others in extra dimensions.
 
     Args:
-        path: The file; its extension selects the format.
+        path: {formats}.
         points: Positions [world], shape (N, 3).
         data: Numeric arrays with N rows by name, shape (N,) or (N, K).
         encoding: Encoding of a .pcd file: "binary", "ascii" or "binary_compressed"; None for "binary".

@@ -163,10 +163,9 @@ def test_the_command_line_page_lists_the_formats():
 def test_docstrings_list_the_formats():
     assert f"path: {listed(extensions('mesh', 'r'))}." in gk.mesh.load.__doc__
     assert f"path: {listed(extensions('mesh', 'w'))}." in gk.mesh.save.__doc__
-    for kind in extensions("points", "r"):
-        assert f"{kind}" in gk.points.load.__doc__
-    for kind in extensions("points", "w"):
-        assert f"{kind}" in gk.points.save.__doc__
+    assert f"path: {listed(extensions('points', 'r'))}." in gk.points.load.__doc__
+    assert f"path: {listed(extensions('points', 'w'))}." in gk.points.save.__doc__
+    assert f"path: {listed(extensions('rays', 'r'))}." in gk.points.load_rays.__doc__
 
 
 # --- without the extension of the parsers ----------------------------------------------------------------------------
