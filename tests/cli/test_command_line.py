@@ -22,6 +22,7 @@ def test_help_lists_every_verb(geokit) -> None:
         assert verb in done.stdout
 
 
+@pytest.mark.slow
 def test_no_arguments_is_help(geokit) -> None:
     assert geokit().stdout == geokit("--help").stdout
 
@@ -167,6 +168,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert not imported_by("--help") & (HEAVY | {"numpy"})
 
 
+@pytest.mark.slow
 def test_info_imports_nothing_heavy(cube: Path, cube_sdf: Path) -> None:
     assert not imported_by("info", str(cube)) & HEAVY
     assert not imported_by("info", str(cube_sdf)) & HEAVY

@@ -48,6 +48,7 @@ def test_the_chosen_voxel_size_is_said(geokit, cube: Path, tmp_path: Path) -> No
     assert load_volume(tmp_path / "cube.nvdb").info.voxel_size.tolist() == [0.0078] * 3
 
 
+@pytest.mark.slow
 def test_nothing_is_replaced_without_force(geokit, fails, cube: Path, tmp_path: Path) -> None:
     target = tmp_path / "cube.off"
     target.write_text("mine")
@@ -156,6 +157,7 @@ def test_bad_storage_is_named(geokit, fails, cube_sdf: Path, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_cloud_to_cloud(geokit, tmp_path: Path) -> None:
     source, target = tmp_path / "a.csv", tmp_path / "a.ply"
     source.write_text("x,y,z,heat\n0,1,2,5\n3,4,5,6\n")

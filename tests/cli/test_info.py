@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 
+@pytest.mark.slow
 def test_a_closed_mesh(geokit, cube: Path) -> None:
     done = geokit("info", cube, "--json")
     assert (done.returncode, done.stderr) == (0, "")
@@ -24,6 +25,7 @@ def test_a_closed_mesh(geokit, cube: Path) -> None:
     assert report["byte_count"] == cube.stat().st_size
 
 
+@pytest.mark.slow
 def test_the_same_as_text(geokit, cube: Path) -> None:
     lines = dict(line.split(maxsplit=1) for line in geokit("info", cube).stdout.splitlines())
     assert lines["face_count"] == "12"
@@ -31,6 +33,7 @@ def test_the_same_as_text(geokit, cube: Path) -> None:
     assert lines["bounds"] == "((0, 0, 0), (1, 1, 1))"
 
 
+@pytest.mark.slow
 def test_an_open_mesh(geokit, tmp_path: Path) -> None:
     path = tmp_path / "one.off"
     path.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")

@@ -63,6 +63,7 @@ def test_what_is_held_is_not_given_away(hold):
     np.testing.assert_array_equal(held.numpy() if isinstance(held, wp.array) else held, 7.0)
 
 
+@pytest.mark.slow
 def test_arrays_of_kernels_hold_it():
     array = empty_warp(COUNT, wp.float32, wp.get_device("cpu"))
     place, part = array.ptr, array[7:9]
@@ -80,6 +81,7 @@ def test_other_sizes_are_numpys(count):
     assert not host_pool._pool._bytes
 
 
+@pytest.mark.slow
 def test_lists_that_are_held_stay_as_they_are():
     points = np.random.default_rng(3).uniform(0.0, 1.0, (60_000, 3))
     grid = gk.points.NeighborGrid(points, 0.05, device="cpu")

@@ -130,6 +130,7 @@ def test_what_does_not_fit_is_refused_at_every_launch(wrong):
             launcher.launch(mixed_kernel, 4, *bad, device)
 
 
+@pytest.mark.slow
 def test_no_array_is_kept_alive():
     device = wp.get_device("cpu")
     inputs, _ = arguments("cpu", 4, 0)

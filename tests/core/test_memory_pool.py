@@ -43,6 +43,7 @@ def test_arrays_are_like_any_other(shape, dtype, pool):
     assert (pickle.loads(pickle.dumps(array)) == array).all()
 
 
+@pytest.mark.slow
 def test_memory_is_reused_once_the_last_view_is_freed(pool):
     array = empty(pool, 70_000)
     first, view = place(array), array[10:20].reshape(2, 5)

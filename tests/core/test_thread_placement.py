@@ -55,6 +55,7 @@ def test_a_pool_knows_its_threads():
     assert sorted(job.result() for job in jobs) == sorted(pool.ids)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(len(processors) < 2, reason="needs two processors")
 def test_threads_on_one_processor_are_moved_apart():
     together, ids, stop = min(processors), [], threading.Event()

@@ -358,6 +358,7 @@ def test_require_finite_scalar():
             require_finite_scalar(value, "radius", **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("kind", [wp.vec3d, wp.vec3f])
 def test_few_results_of_several_types_share_an_allocation(device, kind):

@@ -139,6 +139,7 @@ def test_blank_lines_and_carriage_returns():
     assert parse(text, 9, len(text) - 3, 4).tolist() == [[3, 4]]
 
 
+@pytest.mark.slow
 def test_damaged_text_is_read_as_python_reads_it_or_not_at_all():
     chance = random.Random(9)
     whole = "\n".join(

@@ -372,6 +372,7 @@ def test_poly_data_of_pyvista(tmp_path, file, binary):
     assert (normals[[0, 1, 3, 4], 2] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["g.vtu", "g.vtk"])
 def test_unstructured_grid_of_pyvista(tmp_path, file):
     import pyvista
@@ -413,6 +414,7 @@ def test_files_of_meshio(tmp_path, file, options):
     assert mesh.faces[2].tolist() == [0, 1, 4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["v.vtu", "v.msh"])
 def test_volume_cells_alone_are_refused(tmp_path, file):
     import meshio
@@ -422,6 +424,7 @@ def test_volume_cells_alone_are_refused(tmp_path, file):
         gk.mesh.load(tmp_path / file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["c.vtu", "c.msh"])
 def test_curved_cells_are_refused(tmp_path, file):
     import meshio

@@ -41,6 +41,7 @@ def test_every_bit_returns(kind, mesh):
     assert again.faces.tobytes() == mesh.faces.tobytes()
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(mesh=meshes(FLOAT32))
 def test_stl_keeps_the_corners_and_merges_equal_ones(mesh):

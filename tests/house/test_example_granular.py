@@ -253,6 +253,7 @@ def test_what_was_clear_is_forgotten_when_a_frame_is_done_again(granular):
     assert ends[0][0, 2] > 1.5 * w.radius
 
 
+@pytest.mark.slow
 def test_soft_grains_overlap_as_told(granular):
     # The lowest of a heap at rest, which carry the others, to a factor of two: it is an estimate by layers.
     w = granular.soft_grains(300, overlap=0.02)

@@ -124,6 +124,7 @@ def test_any_shaken_ball_is_within(seed, share, exponent, subdivisions):
     assert audit(simple.mesh).euler_number == 2
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 400), st.floats(1e-3, 3.0), st.floats(-100, 100), st.integers(0, 9))
 def test_covers_are_within(seed, count, share, exponent, order_seed):

@@ -199,6 +199,7 @@ def test_a_surface_takes_the_arrays_over(device, journeys):
     np.testing.assert_array_equal(mesh.vertices, whole.vertices)
 
 
+@pytest.mark.slow
 def test_the_device_s_memory_goes_with_the_first_reading_unless_a_surface_needs_it(device):
     mesh, other = (placed(mesh_catalog.box(), device) for _ in range(2))
     alone, used = (weakref.ref(one._on_device.vertices) for one in (mesh, other))

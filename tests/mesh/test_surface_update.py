@@ -23,6 +23,7 @@ def bent(mesh, amount):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make", [mesh_catalog.torus, mesh_catalog.icosphere, mesh_catalog.open_shell, mesh_catalog.collapsed_faces]
 )

@@ -274,6 +274,7 @@ TRANSFORMS = {
 # --- Round trips ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @needs_openvdb
 @pytest.mark.parametrize("trusted", [False, True])
 @pytest.mark.parametrize("grid_type", sorted(GRID_TYPES))
@@ -805,6 +806,7 @@ def test_pyopenvdb_finds_nothing_changed(tmp_path: Path, trusted: bool) -> None:
     assert pyopenvdb(COMPARE_WITH_PEER, theirs, ours) == "same\n"
 
 
+@pytest.mark.slow
 @needs_openvdb
 @needs_peer
 def test_frustums_are_refused_and_the_other_grids_read(tmp_path: Path) -> None:

@@ -136,6 +136,7 @@ def test_files_that_are_none(tmp_path: Path, spool_root: Path, content: bytes) -
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_inspecting_damaged_files(samples: dict[str, bytes], tmp_path: Path) -> None:
     content = samples["blosc"]
     rng = np.random.default_rng(23)

@@ -77,6 +77,7 @@ def test_a_launch_is_the_barrier_of_a_gpu(device):
     np.testing.assert_array_equal(values.numpy()[1], diffused(start, 1))
 
 
+@pytest.mark.slow
 def test_launches_of_one_team_from_several_threads_take_turns():
     start = np.random.default_rng(9).integers(0, 1000003, 96)
     team = gk.threads.Team(2, device="cpu")

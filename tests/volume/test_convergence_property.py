@@ -39,6 +39,7 @@ def points() -> np.ndarray:
     return np.stack([ring * np.cos(u), ring * np.sin(u), tube * np.sin(v)], axis=1)
 
 
+@pytest.mark.slow
 def test_samples_converge_at_second_order(points):
     # 180,000 triangles: they stay within 9e-5 of the torus, a sixth of the smallest error below.
     surface = Surface(mesh_catalog.torus(450, 200, MAJOR, MINOR), device="cpu")

@@ -30,6 +30,7 @@ def smooth_minimum(a, b, width):
     return np.minimum(a, b) - h * h * width / 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_values_are_extrema_of_the_distances(name, dtype):
@@ -135,6 +136,7 @@ class TestSmooth:
         assert apart.sum() > 1000
         assert np.abs(values - np.minimum(a(points), b(points)))[apart].max() < 0.05
 
+    @pytest.mark.slow
     def test_slope_is_one(self):
         a, b = ball(9.3, (-4.2, 0.4, 0.1)), ball(8.7, (6.1, 0.3, -0.7))
         result = union(level_set(a), level_set(b), smooth=5.0)
@@ -161,6 +163,7 @@ class TestRefusals:
         with pytest.raises(InputError, match="b: the voxels of grid 'body' are not cubes"):
             union(level_set(A), level_set(A, transform=SHEARED))
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("smooth", [-0.1, np.nan, np.inf, "much", 300.0])
     def test_smooth(self, smooth):
         with pytest.raises(InputError, match="smooth"):

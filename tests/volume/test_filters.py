@@ -30,6 +30,7 @@ class TestLevelSets:
         assert (after.info.grid_class, after.info.background) == ("level set", 3.0)
         assert after.info.metadata == {"author": "tests"}
 
+    @pytest.mark.slow
     def test_bumps_become_lower(self, method):
         before = level_set(BALL, values=bumpy)
         after = smooth(before, method, iterations=2)
@@ -41,6 +42,7 @@ class TestLevelSets:
 
         assert roughness(after) < 0.8 * roughness(before)
 
+    @pytest.mark.slow
     def test_every_voxel_is_finite_and_on_its_side(self, method):
         values = dense(smooth(level_set(BALL), method, iterations=3), -16, 16)
         assert np.isfinite(values).all()

@@ -43,6 +43,7 @@ def assert_as_dense(function, bounds, voxel_size, half_width=3.0, **options):
     return volume
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [1.0, 3.0, 7.5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_band_inside_and_outside_are_those_of_dense_evaluation(half_width, sign):

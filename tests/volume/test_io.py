@@ -50,6 +50,7 @@ def test_a_single_grid_needs_no_name(tmp_path, kind):
     assert not loaded.nanovdb.flags.writeable or kind == ".vdb"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMATS)
 def test_of_several_grids_one_is_chosen_by_name(tmp_path, kind):
     path = tmp_path / f"x{kind}"

@@ -58,6 +58,7 @@ def test_far_from_the_origin(origin):
     np.testing.assert_array_equal(offset(body, 0.5).info.transform, body.info.transform)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half_width", "error"), [(1.0, 0.12), (1.5, 0.12), (2.0, 0.05), (8.0, 0.05)])
 def test_band_widths(half_width, error):
     body = level_set(BALL, half_width=half_width)
@@ -67,6 +68,7 @@ def test_band_widths(half_width, error):
     assert np.abs(values - (BALL(points) - 0.5)).max() < error + 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.6, 1.2, 2.4, 4.8])
 def test_small_bodies(radius):
     body = level_set(ball(radius, (0.3, 0.2, -0.1)))

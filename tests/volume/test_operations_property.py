@@ -58,6 +58,7 @@ def test_results_do_not_depend_on_where_leaves_begin(body, shift):
     assert np.quantile(np.abs(first - second), 0.999) < 1e-4
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(bodies, st.floats(-1.5, 1.5))
 def test_offset_moves_every_ball(body, distance):

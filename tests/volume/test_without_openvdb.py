@@ -97,6 +97,7 @@ def test_renormalized_values_are_distances_again(grid_type):
     np.testing.assert_allclose(values, np.linalg.norm(points, axis=1) - RADIUS, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["float", "double"])
 @pytest.mark.parametrize("transform", [cubes(0.1), SHEARED], ids=["cubes", "sheared"])
 def test_derivatives_of_linear_and_quadratic_fields(grid_type, transform):
@@ -137,6 +138,7 @@ def test_resampled_fields_and_level_sets(grid_type, order):
     assert shell.sample([[0.0, 0.0, 0.0]], order=0, device="cpu")[0] == -2.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["float", "double", "fp16"])
 def test_pruned_and_clipped(grid_type):
     volume = body(grid_type)

@@ -137,6 +137,7 @@ def test_signs_of_an_open_mesh_leave_out_what_may_be_either(monkeypatch):
     assert not judgement.wrong.any()
 
 
+@pytest.mark.slow
 def test_damage_shows_who_fails(monkeypatch):
     monkeypatch.setattr(mesh_setup, "COUNTS", {"cpu": (COUNT, 4 * COUNT)})
     charts = charts_of(mesh_catalog.torus(), quick=False)
@@ -236,6 +237,7 @@ def test_of_a_single_triangle_no_edge_is_inside():
     assert not list(charts_of(mesh_catalog.single_triangle())["first_hit_edges"].trials())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [mesh_catalog.open_shell, mesh_catalog.sliver_fan, mesh_catalog.three_on_an_edge])
 def test_rays_at_the_rims_of_open_meshes_are_left_out(make):
     trials = charts_of(make())["first_hit_edges"].trials()

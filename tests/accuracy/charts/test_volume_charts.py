@@ -197,6 +197,7 @@ class TestNearSurface:
 
 
 class TestMeshCharts:
+    @pytest.mark.slow
     def test_every_trial_is_run_and_judged(self):
         for chart in charts_of(icosphere(2)).values():
             trials = list(chart.trials())
@@ -303,6 +304,7 @@ class TestMeshCharts:
 
 
 class TestVolumeCharts:
+    @pytest.mark.slow
     def test_every_trial_is_run_and_judged(self):
         for volume in (sphere(12.0, transform=ROTATED), fog()):
             for chart in charts_of(volume).values():

@@ -63,6 +63,7 @@ def some_mesh(seed):
     return corners.reshape(-1, 3), np.arange(72).reshape(-1, 3), rng
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_closest_point_of_exact_arithmetic(seed):
     vertices, faces, rng = some_mesh(seed)
@@ -129,6 +130,7 @@ def test_blocks_change_nothing(block, monkeypatch):
         np.testing.assert_allclose(turned, winding, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mesh",
     [mesh_catalog.torus(), mesh_catalog.sliver_fan(), mesh_catalog.soup(mesh_catalog.box())],
@@ -152,6 +154,7 @@ def test_triangles_that_are_ruled_out_are_not_the_answer(mesh, monkeypatch):
     assert np.isfinite(hits.t).any()
 
 
+@pytest.mark.slow
 def test_memory_is_bounded():
     sphere = mesh_catalog.icosphere(5)  # 20,480 faces
     # From so far away no triangle can be ruled out.

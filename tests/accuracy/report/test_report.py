@@ -244,6 +244,7 @@ def test_a_plot_of_exact_answers_only():
     assert plot.y_range[0] < plot.floor < plot.y_range[1]
 
 
+@pytest.mark.slow
 def test_rows_that_were_read_know_what_their_chart_shows(results, tmp_path):
     out = write_report(list(results), tmp_path / "again")
     assert out.is_file()
@@ -276,6 +277,7 @@ def test_the_picture_is_of_the_knee_or_of_the_worst(results):
     assert chosen_row(grouped(rows)[0]).method == "b"
 
 
+@pytest.mark.slow
 def test_without_opengl_the_page_says_so(results, tmp_path, monkeypatch):
     def refuse(*arguments, **options):
         raise MissingDependencyError("off-screen figures need EGL")
@@ -300,6 +302,7 @@ def test_a_folder_that_is_not_empty_is_refused(results, tmp_path):
         write_report([], tmp_path / "report")
 
 
+@pytest.mark.slow
 def test_force_replaces_the_report_and_nothing_else(results, tmp_path):
     out = tmp_path / "report"
     write_report(results, out, pictures=False)

@@ -96,6 +96,7 @@ def test_judges_that_cannot_be_used():
 # Times and memory.
 
 
+@pytest.mark.slow
 def test_time_is_that_of_a_call():
     calls: list[float] = []
 

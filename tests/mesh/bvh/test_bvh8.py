@@ -65,6 +65,7 @@ def test_every_node_and_block_has_one_parent_that_comes_before_it(surface):
     assert np.all(inner > parents)
 
 
+@pytest.mark.slow
 def test_boxes_hold_what_is_below_them(surface):
     children, boxes = nodes_of(surface)
     frame = surface._frame

@@ -128,6 +128,7 @@ def test_limits_are_those_of_the_refined_t(name):
     np.testing.assert_array_equal(surface.occluded(*rays, **limits), hit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*SOLIDS, *MAKERS])
 def test_not_watertight_is_the_same(name):
     mesh = mesh_of(name)

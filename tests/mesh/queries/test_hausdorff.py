@@ -277,6 +277,7 @@ def test_results_do_not_depend_on_threads():
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("block", "most"), [(64, 1 << 20), (64, 200), (1, 1)])
 def test_small_blocks_bound_what_waits(block, most, monkeypatch):
     module = importlib.import_module("geokit.mesh.queries.hausdorff")

@@ -64,12 +64,14 @@ def test_tolerance_below_the_rounding_of_the_coordinates_changes_nothing():
     assert simplify(far, tolerance=1e-8, device="cpu").mesh is far
 
 
+@pytest.mark.slow
 def test_more_tolerance_takes_more_faces():
     mesh = mesh_catalog.icosphere(2)
     counts = [len(simplify(mesh, tolerance=t, device="cpu").mesh.faces) for t in (0.03, 0.12, 0.4)]
     assert 4 <= counts[2] < 0.7 * counts[1] < 0.7 * 0.7 * counts[0] < 0.7 * 0.7 * 0.7 * len(mesh.faces)
 
 
+@pytest.mark.slow
 def test_deviation_and_percentile_are_those_of_brute_force():
     mesh = mesh_catalog.torus(32, 16)
     found = simplify(mesh, tolerance=0.03, device="cpu")
@@ -104,6 +106,7 @@ def test_hangs_together_as_before(make):
         assert (after.signed_volume > 0) == (before.signed_volume > 0)
 
 
+@pytest.mark.slow
 def test_boundaries_are_followed():
     mesh = mesh_catalog.open_shell(24)
     found = simplify(mesh, tolerance=0.02, device="cpu").mesh
@@ -135,6 +138,7 @@ def test_unused_vertices_go_and_the_name_stays():
     assert found.diagonal < 4.0
 
 
+@pytest.mark.slow
 def test_input_runs_and_threads_change_nothing(monkeypatch):
     mesh = mesh_catalog.torus(24, 12)
     vertices, faces = mesh.vertices.copy(), mesh.faces.copy()

@@ -128,6 +128,7 @@ def test_merging_is_taking_in_order(rows, tolerance):
     assert np.array_equal(merged.vertices[merged.faces], points[np.array(becomes)[faces]])
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.lists(st.integers(0, 5), min_size=3, max_size=3), min_size=1, max_size=20), st.integers(0, 100))
 def test_dropping_leaves_what_the_audit_counts(faces, seed):

@@ -82,6 +82,7 @@ def test_clusters_do_not_depend_on_the_order(cloud, minimum_count):
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from([2.0**-30, 2.0**30]), st.sampled_from(AXES))
 def test_clusters_and_outliers_under_motions_that_round_nothing(cloud, scale, axes):
@@ -113,6 +114,7 @@ def test_statistical_outliers_equal_the_definition(cloud, k, ratio):
     np.testing.assert_array_equal(found[clear], (mean > threshold)[clear])
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(["count", "cubic_spline", "wendland_c2", "poly6"]))
 def test_density_does_not_depend_on_order_or_on_how_it_is_asked(cloud, kernel):

@@ -36,6 +36,7 @@ def reference(points, queries, radius, kernel, mass=1.0):
     return np.array([math.fsum(row) for row in weighted]) / radius**3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.7, 3.0])
 def test_equals_the_formula(kernel, radius):

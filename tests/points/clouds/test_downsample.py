@@ -47,6 +47,7 @@ def test_the_point_nearest_to_the_centroid_is_named_of_equal_ones_the_first():
     assert downsample(np.vstack([square, [[0.5, 0.5, 0.5]]]), voxel_size=1.0, device="cpu").indices.tolist() == [4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("voxel_size", [1e-6, 0.013, 0.1, 0.4, 3.0])
 def test_voxels_equal_the_reference(voxel_size):
     points = np.random.default_rng(0).normal(size=(3000, 3))

@@ -59,6 +59,7 @@ def plane(count):
     return points, np.tile(normal, (side * side, 1)), 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", [sphere, torus])
 @pytest.mark.parametrize("count", [500, 2000, 20_000])
 def test_curved_surfaces(surface, count):
@@ -74,6 +75,7 @@ def test_curved_surfaces(surface, count):
     assert (angles(within.normals, true)[enough] <= TILT * curvature * radius).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-100, 1e-6, 1.0, 1e6, 1e100])
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e3, 1e6, 1e9])
 def test_offset_and_scale(offset, scale):

@@ -93,6 +93,7 @@ def test_moving_both_moves_the_pose(seed, pose, frame, method):
     assert other.rmse == pytest.approx(base.rmse, rel=1e-9)
 
 
+@pytest.mark.slow
 @relaxed
 @given(st.integers(0, 99), poses(), st.sampled_from([2.0**-60, 2.0**-20, 2.0**20, 2.0**60]), METHODS)
 def test_scale(seed, pose, scale, method):
@@ -120,6 +121,7 @@ def test_order_of_points(seed, pose, method):
     np.testing.assert_allclose(other.transform, base.transform, atol=EXACT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["point_to_plane", "point_to_point"])
 def test_threads_change_no_bit(method):
     points, normals = shape(0, 20_000)

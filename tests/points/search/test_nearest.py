@@ -87,6 +87,7 @@ def test_a_limit_for_each_query():
     assert (found.indices >= 0).sum(axis=1).tolist() == [1, 2, 3, 2, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 2, 7, 8, 9, 15, 16, 17, 31, 32, 33, 48, 100, 255, 256, 257, 700, 1024])
 def test_every_length_of_list(k):
     random = np.random.default_rng(k)
@@ -114,6 +115,7 @@ def test_ties_on_a_lattice_go_to_the_lowest_index(k):
     assert_exact(shuffled, k, lattice[:100] + 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 3, 16, 40])
 def test_equal_points(k):
     points = np.full((1000, 3), 0.25)
@@ -126,6 +128,7 @@ def test_equal_points(k):
     assert (without.distance == 0.0).all()
 
 
+@pytest.mark.slow
 def test_duplicates():
     random = np.random.default_rng(5)
     points = random.random((40, 3))[random.integers(0, 40, 2000)]

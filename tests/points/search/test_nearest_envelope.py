@@ -68,6 +68,7 @@ def crowd(kind, count):
     return points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-150, 1e-6, 1e-3, 1.0, 1e3, 1e9, 1e150])
 def test_scale(scale):
     assert_exact(POINTS * scale, 8)
@@ -88,6 +89,7 @@ def test_flat_and_thin(aspect):
     assert_exact(POINTS * [1, aspect, aspect], 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [1e3, 1e9, 1e100, 1.7e308])
 def test_far_points(far):
     points = POINTS.copy()
@@ -96,6 +98,7 @@ def test_far_points(far):
     assert_exact(points, 8)
 
 
+@pytest.mark.slow
 def test_squares_that_underflow():
     # Squares of differences below 1e-162 are zero: such points count as equal, and the index decides.
     assert_exact(POINTS * 1e-165, 8)
@@ -142,6 +145,7 @@ def test_work_of_crowds(kind):
     assert leaves_per_query(crowd(kind, 30_000), 8) < 2.0 * EVEN_LEAVES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2_000, 20_000, 200_000])
 def test_work_does_not_grow_with_the_number_of_points(count):
     assert leaves_per_query(crowd("half in a hundredth", count), 8, queries=200) < EVEN_LEAVES

@@ -68,6 +68,7 @@ def clouds(draw):
     return points, queries + random.normal(size=queries.shape) * spread, random
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(LENGTHS), st.booleans())
 def test_equals_the_reference(cloud, k, exclude_self):
@@ -76,6 +77,7 @@ def test_equals_the_reference(cloud, k, exclude_self):
     assert_equal(ask(points, k, queries), k_nearest(points, k, queries))
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(LENGTHS))
 def test_limits_equal_the_reference(cloud, k):
@@ -102,6 +104,7 @@ def test_equals_scipy(seed, k):
         assert_equal(found, (distance.reshape(found[0].shape), indices.reshape(found[1].shape)))
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(LENGTHS), st.booleans())
 def test_the_search_for_gpus_gives_the_same_bits(cloud, k, exclude_self):
@@ -119,6 +122,7 @@ def test_the_search_for_gpus_gives_the_same_bits(cloud, k, exclude_self):
         assert_equal(a, b)
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(LENGTHS))
 def test_permuted_points_and_queries(cloud, k):
@@ -140,6 +144,7 @@ def test_powers_of_two_scale_the_distances(cloud, k, scale):
         assert_equal(ask(points * scale, k, queries * scale), (distance * scale, indices))
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from(LENGTHS), st.integers(1, 3))
 def test_signs_and_axes(cloud, k, flips):

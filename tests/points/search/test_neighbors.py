@@ -243,6 +243,7 @@ def test_more_neighbors_than_memory(monkeypatch):
     assert len(grid.radius_search(points).indices) == 1_000_000
 
 
+@pytest.mark.slow
 def test_more_neighbors_than_one_result_holds(monkeypatch):
     # 65,536 x 32,768 = 2^31, one more than int32 can count; nothing of that size is allocated.
     monkeypatch.setattr(available_memory, "available", lambda device: 1 << 62)

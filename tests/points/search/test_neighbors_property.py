@@ -45,6 +45,7 @@ def clouds(draw):
     return points, radius, random
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from([0.3, 1.0, 1.9, 7.0]))
 def test_equals_scipy(cloud, ratio):
@@ -59,6 +60,7 @@ def test_equals_scipy(cloud, ratio):
     assert rows(found) == [list(row) for row in cKDTree(points).query_ball_point(queries, radius, return_sorted=True)]
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds())
 def test_equals_the_formula(cloud):
@@ -70,6 +72,7 @@ def test_equals_the_formula(cloud):
     assert rows(found) == [np.flatnonzero(row).tolist() for row in near]
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds())
 def test_equals_the_reference(cloud):
@@ -108,6 +111,7 @@ def test_order_of_points_and_queries(cloud):
         assert other[at] == sorted(other[at])
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds())
 def test_neighborhood_is_mutual_and_every_point_is_its_own(cloud):
@@ -120,6 +124,7 @@ def test_neighborhood_is_mutual_and_every_point_is_its_own(cloud):
     assert (found.distance[owner == found.indices] == 0.0).all()
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds())
 def test_more_radius_finds_no_fewer(cloud):

@@ -53,6 +53,7 @@ def test_self_is_left_out_by_index(grid, queries):
     np.testing.assert_array_equal(grid.count(queries, exclude_self=True), [len(row) for row in wanted])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [1.0, 3.0])
 @pytest.mark.parametrize("moved", [0.8, 2.0, 30.0])
 def test_self_is_left_out_only_where_it_is_found(grid, moved, spread):

@@ -320,6 +320,7 @@ def test_the_same_bytes_for_any_number_of_threads(profile, monkeypatch):
     assert [level.nanovdb.tobytes() for level in again.levels] == [level.nanovdb.tobytes() for level in field.levels]
 
 
+@pytest.mark.slow
 def test_an_open_mesh_keeps_it_within_a_quarter():
     field = adaptive_from_mesh(mesh_catalog.half_shell(mesh_catalog.icosphere()), 0.05, device="cpu")
     assert field.levels[0].info.metadata["geokit:checked_within"] == 0.0125

@@ -145,6 +145,7 @@ def voxels_of(mesh, size, margin, count, seed):
     return index, index * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [(1.5, 4.0), (5.0, 1.5), (1.0, 2.0)])
 def test_bands_may_be_wider_on_one_side(half_width):
     mesh = mesh_catalog.torus(24, 12)
@@ -195,6 +196,7 @@ def test_unsigned_fields_are_positive_everywhere():
     assert grid.sample([[0.0, 0.0, 0.0]], order=0, device="cpu")[0] == grid.info.background
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mesh", "sign"),
     [
@@ -418,6 +420,7 @@ def test_voxels_too_small_for_the_memory_name_a_size_that_fits(voxel_size):
         volume.from_mesh(mesh_catalog.icosphere(1), voxel_size, device="cpu")
 
 
+@pytest.mark.slow
 def test_a_grid_has_at_most_2_31_bytes(monkeypatch):
     from geokit.core import available_memory
 

@@ -78,6 +78,7 @@ def test_far_from_the_origin(distance):
     require_exact(mesh, volume.from_mesh(mesh, 0.07, device="cpu"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_width", [1.0, 1.0005, 2.0, 3.0])
 @pytest.mark.parametrize("voxels", [4, 8, 16, 24])
 def test_walls_on_voxel_centres_hold_the_flood(voxels, half_width):

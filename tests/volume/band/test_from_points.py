@@ -51,6 +51,7 @@ def test_equal_balls():
     assert volume.info.background == np.float32(0.15)
 
 
+@pytest.mark.slow
 def test_balls_of_all_sizes():
     rng = np.random.default_rng(1)
     volume = assert_exact(rng.uniform(-1, 1, (50, 3)), 10.0 ** rng.uniform(-2.5, -0.1, 50), 0.05)

@@ -66,6 +66,7 @@ def test_centres_on_the_borders_of_voxels_leaves_and_nodes(offset):
     assert errors(np.full((1, 3), offset), 4.0, 1.0) < 3.0 * ROUNDING
 
 
+@pytest.mark.slow
 def test_ten_thousand_balls_in_one_place():
     # Every tile lists every ball: no list grows beyond its share of the memory.
     points = np.random.default_rng(3).normal(0, 1e-3, (10_000, 3))

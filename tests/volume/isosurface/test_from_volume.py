@@ -230,6 +230,7 @@ class TestTolerance:
         off = closest_point(found.mesh.vertices, found.mesh.faces, full.vertices).distance.max()
         assert off <= found.deviation
 
+    @pytest.mark.slow
     def test_flag_gives_the_same_mesh(self):
         volume = _grid(_ball, transform=_around(0.25), count=16)
         mesh = from_volume(volume, tolerance=0.05, device="cpu")
@@ -238,6 +239,7 @@ class TestTolerance:
         np.testing.assert_array_equal(mesh.vertices, found.mesh.vertices)
         np.testing.assert_array_equal(mesh.faces, found.mesh.faces)
 
+    @pytest.mark.slow
     def test_isovalue_is_that_of_the_full_mesh(self):
         volume = _grid(_ball, transform=_around(0.125))
         mesh = from_volume(volume, isovalue=0.25, tolerance=0.02, device="cpu")

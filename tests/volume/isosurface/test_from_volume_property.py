@@ -93,6 +93,7 @@ def test_noise_has_a_closed_manifold_surface(method, seed, share, steps, backgro
         assert is_sound(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))

@@ -138,6 +138,7 @@ class TestLevelSetsOfMeshes:
         assert report.manifold
         assert report.oriented
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     def test_coarse_to_fine(self, method):
         mesh = mesh_catalog.torus()
@@ -172,6 +173,7 @@ class TestScalesAndValues:
         np.testing.assert_allclose(meshes[0], meshes[1], rtol=0, atol=1e-9)
         np.testing.assert_allclose(meshes[2], meshes[1], rtol=0, atol=1e-9)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     def test_isovalues_through_the_band(self, method):
         volume = level_set(lambda p: np.linalg.norm(p, axis=-1) - 12.3, 13)
@@ -189,6 +191,7 @@ class TestScalesAndValues:
         # At the background, what lies beyond the band counts as outside.
         assert audit(from_volume(volume, isovalue=3.0, method=method, device="cpu")).watertight
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("thickness", [1.7, 1.0, 0.6, 0.2])
     def test_thin_plates(self, method, thickness):

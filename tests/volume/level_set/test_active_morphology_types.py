@@ -209,6 +209,7 @@ def test_results_of_other_types_survive_nvdb(tmp_path, grid_type):
     assert dict(found.info.metadata) == dict(grid.volume.info.metadata)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 def test_integer_vectors_stay_integers(tmp_path):
     grid = random_grid("vec3d", 6)
@@ -233,6 +234,7 @@ def integers_in(volume):
     return rebuilt(rounded, volume).nanovdb
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16", "fpn"])
 def test_quantised_grids_become_float(codec):

@@ -179,6 +179,7 @@ class TestMorphology:
         inside = np.array([[0.0, 0.0, 0.0], [0.3, 5.0, 5.0], [12.0, 0.0, 0.0]])
         np.testing.assert_array_equal(np.asarray(result.sample(inside, device="cpu")) < 0, [True, True, False])
 
+    @pytest.mark.slow
     def test_ball_is_open_and_closed(self):
         for operation in (opening, closing):
             points, values = active_voxels(operation(level_set(BALL), 2.0))

@@ -56,6 +56,7 @@ def use_everything(volume):
     volume.quantize("fp8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".nvdb", pytest.param(".vdb", marks=with_openvdb)])
 @pytest.mark.parametrize("trusted", [False, True])
 def test_a_file_is_checked_once_whatever_is_done_with_it(tmp_path, checked, kind, trusted):
@@ -137,6 +138,7 @@ USES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harm", ["offset", "count", "child"])
 @pytest.mark.parametrize("use", USES)
 def test_damaged_bytes_are_refused_by_each_use(use, harm):

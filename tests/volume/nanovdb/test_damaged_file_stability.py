@@ -46,6 +46,7 @@ def outcome(path: Path, data: bytes) -> str:
     return results[1]
 
 
+@pytest.mark.slow
 def test_truncated_files_are_refused(tmp_path, sound):
     lengths = [*range(0, HEAD + 800, 37), *np.linspace(HEAD, len(sound) - 1, 30).astype(int)]
     assert {outcome(tmp_path / "x.nvdb", sound[:length]) for length in lengths} == {"FileFormatError"}

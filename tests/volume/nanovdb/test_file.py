@@ -293,6 +293,7 @@ def damaged(tmp_path: Path, at: int, new: bytes, codec: str = "none") -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("at", "new", "text"),
     [

@@ -63,6 +63,7 @@ def test_every_kind_of_value_comes_back(tmp_path, codec):
     assert_same(read(tmp_path / "x.nvdb")[0].metadata, RICH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS)
 def test_the_grid_itself_stays_bit_for_bit(tmp_path, codec):
     volumes = [with_metadata({"n": 1}), with_metadata({}, name="plain"), with_metadata({"x": "y" * 5000}, name="long")]
@@ -204,6 +205,7 @@ def test_checksums_of_other_kinds_stay_of_their_kind(mode):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

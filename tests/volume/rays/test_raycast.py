@@ -138,6 +138,7 @@ class TestTypes:
 
 
 class TestRays:
+    @pytest.mark.slow
     @pytest.mark.parametrize("axis", [0, 1, 2])
     @pytest.mark.parametrize("sign", [1.0, -1.0])
     def test_along_the_borders_of_cells_and_leaves(self, rough, axis, sign, monkeypatch):

@@ -61,6 +61,7 @@ class TestExact:
         true = np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
         assert np.abs(values - true)[kept].max() < FIRST
 
+    @pytest.mark.slow
     def test_curl_of_a_gradient_and_divergence_of_a_curl_vanish(self, transform):
         wave = lambda p: np.sin(1.3 * p[:, 0]) * np.cos(0.7 * p[:, 1] + p[:, 2])  # noqa: E731
         source = field(wave, transform=transform, dtype=np.float64)

@@ -101,6 +101,7 @@ def test_wider_bands_reach_farther(directions, order):
         assert np.abs(error).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("voxel_size", [1e-6, 1e-3, 1e3, 1e6])
 @pytest.mark.parametrize("shift", [0.0, 1e6])
 def test_neither_scale_nor_place_matters(directions, voxel_size, shift):

@@ -47,6 +47,7 @@ def _scale(grid):
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("grid_type", VALUED)
 class TestEveryType:
+    @pytest.mark.slow
     def test_values(self, grid_type, order):
         grid, u = TypedGrid(grid_type), _points()
         found = sample(grid.volume, u, order=order, device="cpu")

@@ -71,6 +71,7 @@ def test_order_zero_takes_the_nearest_voxel():
 
 
 class TestLevelSets:
+    @pytest.mark.slow
     @pytest.mark.parametrize("voxel_size", [0.5, 0.8, 1.6, 2.9])
     def test_distances_and_a_band_of_as_many_voxels(self, voxel_size):
         source = level_set(BALL)

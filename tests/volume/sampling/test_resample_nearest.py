@@ -206,6 +206,7 @@ class TestRefusals:
                 resample(source, transform=np.eye(4), order=0, device="cpu")
 
 
+@pytest.mark.slow
 @needs_validate
 @pytest.mark.parametrize("grid_type", [name for name in VALIDATED if name not in INTERPOLATED])
 def test_nanovdb_validate_accepts_results(tmp_path, grid_type):

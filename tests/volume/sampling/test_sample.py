@@ -295,6 +295,7 @@ def test_every_type_of_nanovdb_is_either_sampled_or_refused():
     assert set(VALUED) == set(GRID_TYPES) - refused
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize(
     "grid_type", ["float", "double", "int32", "int64", "bool", "mask", "uint32", "vec3f", "vec3d", "vec4f", "vec4d"]

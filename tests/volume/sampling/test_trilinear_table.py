@@ -72,6 +72,7 @@ def _queries(volume, rng, count=4000):
     return _world(volume, np.concatenate([inside, leaves, on_lattice, far]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [sample, gradient])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_equals_tree(volume, function, dtype, monkeypatch):

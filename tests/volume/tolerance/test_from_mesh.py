@@ -183,6 +183,7 @@ def test_bad_arguments_are_refused(options, message):
         from_mesh(TORUS, **options)
 
 
+@pytest.mark.slow
 def test_what_memory_cannot_hold_is_refused_with_what_it_can():
     with pytest.raises(DeviceMemoryError, match=r"can \(.* times as much") as refused:
         from_mesh(TORUS, tolerance=1e-9, order=1, codec="float")

@@ -184,6 +184,7 @@ def test_pruning_of_a_node_full_of_tiles(grid_type):
     assert box.tolist() == [[256] * 3, [383] * 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", ["uint8", "half", "vec4f"])
 def test_pruning_to_a_tolerance(grid_type):
     grid = random_grid(grid_type, 4)
@@ -220,6 +221,7 @@ def test_parts_are_those_that_scipy_labels(grid_type):
         check_grid(part.nanovdb, "part")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", [name for name in VALUE_TYPES if name != "rgba8"])
 def test_statistics_of_leaves_and_tiles(grid_type):
     grid = random_grid(grid_type, 6)
@@ -258,6 +260,7 @@ def test_integer_vectors_stay_integers(operation):
     assert dict(result.info.metadata) == {"geokit:value_type": "vec3i", "kept": 1}
 
 
+@pytest.mark.slow
 @needs_validate
 @pytest.mark.parametrize("grid_type", ["mask", "uint32", "int16", "rgba8"])
 def test_nanovdb_validate_accepts_results(tmp_path, grid_type):

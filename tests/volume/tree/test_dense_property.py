@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -10,6 +11,8 @@ from geokit.volume._dense import from_dense, to_dense
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.typed_tree import VALUE_TYPES
+
+pytestmark = pytest.mark.slow
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 START = st.one_of(st.integers(-300, 300), st.sampled_from([-(2**31), 2**31 - 40, -4097, 4090]))

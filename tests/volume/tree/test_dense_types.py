@@ -72,6 +72,7 @@ def test_every_type_comes_back(grid_type, origin):
     np.testing.assert_array_equal(states, active.reshape(-1)[seen])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_what_to_dense_gives_goes_back(grid_type):
     values, background, _ = speckled(grid_type, 1)
@@ -88,6 +89,7 @@ def test_what_to_dense_gives_goes_back(grid_type):
     np.testing.assert_array_equal(again.nanovdb, first.nanovdb)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_outside_is_background_and_takes_no_leaf(grid_type):
     kind = LAYOUTS[grid_type].background
@@ -104,6 +106,7 @@ def test_outside_is_background_and_takes_no_leaf(grid_type):
     assert (wide == background).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_nothing_and_one_voxel(grid_type):
     kind = LAYOUTS[grid_type].background
@@ -315,6 +318,7 @@ def test_grids_beyond_the_memory_are_refused(monkeypatch):
         from_dense(np.ones((9, 9, 9), np.int64), voxel_size=1.0)
 
 
+@pytest.mark.slow
 @needs_validate
 @pytest.mark.parametrize("grid_type", VALIDATED)
 def test_nanovdb_validate_accepts_them(tmp_path, grid_type):

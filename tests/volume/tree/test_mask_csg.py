@@ -19,6 +19,7 @@ DENSE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("operation", DENSE)
 def test_same_voxels_as_of_dense_arrays(operation):
     grids = [random_grid("mask", seed) for seed in (0, 1, 2)]

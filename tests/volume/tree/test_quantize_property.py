@@ -42,6 +42,7 @@ def box_of(volume: SparseVolume) -> np.ndarray:
     return volume.info.index_bounds // 8 * 8 + np.array([[-8], [15]])
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(volumes(), st.sampled_from(CODECS), st.booleans())
 def test_error_is_what_the_metadata_says(volume, codec, dither):
@@ -83,6 +84,7 @@ def test_tolerance_is_kept_or_refused(volume, fraction, dither):
         assert small.info.byte_count <= other.info.byte_count
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(volumes(), st.sampled_from(CODECS))
 def test_samples_between_voxels_are_off_by_no_more(volume, codec):
