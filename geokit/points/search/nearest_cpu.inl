@@ -19,6 +19,7 @@ for (int begin = group * BLOCKS * LEAF; begin < last && begin < queries.count; b
         if (known < (double)INFINITY) {
             // Initial bound from the distance to a query whose k-th distance is known. For far queries it is less than
             // a tenth too large.
+            // known_at is set wherever known is finite. NOLINTNEXTLINE(clang-analyzer-core.*)
             const double dx = q[0][j] - known_at[0], dy = q[1][j] - known_at[1], dz = q[2][j] - known_at[2];
             const double most = (known + sqrt(dx * dx + dy * dy + dz * dz)) * SLACK;
             if (most * most < reach[j]) reach[j] = most * most;
