@@ -1,10 +1,8 @@
-"""Adaptive fields against uniform grids of the same tolerance: ``python -m benchmarks.adaptive [MESH ...]``.
+"""Adaptive fields against one voxel size, at the same tolerance: ``python -m benchmarks.adaptive [MESH ...]``.
 
-The uniform grid has the largest voxels among those tried (a fifteenth of an octave apart, plus those of the adaptive
-field's levels, on its lattice) whose trilinear interpolant keeps the tolerance on the same points on which the adaptive
-field's error is measured: fresh points on faces, edges and corners and up to the tolerance from them. Its band is as
-narrow as the interpolant allows. Both hold floats. A grid that does not fit in memory is counted, not made, and the
-time is that of the finest grid that fits.
+One voxel size is ``from_mesh(tolerance=)``, which chooses order and codec as ``adaptive_from_mesh`` does. Errors are
+those at fresh points on faces, edges and corners and up to the tolerance from them, in tolerances. ``plan`` is right if
+its smaller field is the smaller one; fields of one level count as one voxel size.
 
 Timed points are uniform over the surface, up to the tolerance from it, in random order, NumPy float64.
 """
@@ -13,9 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,131 +19,94 @@ import geokit as gk
 from benchmarks import inputs
 from geokit.accuracy.trials.machine import processor_name
 from geokit.core import launcher
-from geokit.volume._adaptive import AdaptiveSDF, adaptive_from_mesh
-from geokit.volume.adaptive.build import build_band_level
-from geokit.volume.adaptive.cells import CORNERS, CellLattice, cells_of, keys_of
+from geokit.volume.adaptive.cells import CellLattice
 from geokit.volume.adaptive.check import check_points
-from geokit.volume.adaptive.level_placement import float_grid_bytes
-from geokit.volume.adaptive.level_sizes import band_lattice
-from geokit.volume.band.tiles import near_tiles
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+
+
+def ball_with_cubes() -> gk.mesh.TriangleMesh:
+    """A ball of radius 1 with 20 cubes of edge 0.06 on it."""
+    random = np.random.default_rng(0)
+    ball = inputs.subdivided(octahedron(), 4)
+    parts = [(ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True), ball.faces)]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.03
+    sides = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+             [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+    for _ in range(20):
+        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        place = random.normal(size=3)
+        parts.append((corners @ (turn * np.sign(np.linalg.det(turn))) + place / np.linalg.norm(place), np.array(sides)))
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = [some + start for (_, some), start in zip(parts, starts, strict=False)]
+    return gk.mesh.TriangleMesh(np.concatenate([v for v, _ in parts]), np.concatenate(faces), name="ball with cubes")
+
+
+def octahedron() -> gk.mesh.TriangleMesh:
+    vertices = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    return gk.mesh.TriangleMesh(vertices, faces)
+
+
 MESHES = {
-    "bracket": lambda: gk.mesh.load(SAMPLES / "bracket.obj"),
-    "bunny": inputs.bunny,
     "torus": lambda: gk.mesh.load(SAMPLES / "torus.ply"),
+    "bunny": inputs.bunny,
+    "bracket": lambda: gk.mesh.load(SAMPLES / "bracket.obj"),
+    "ball with cubes": ball_with_cubes,
 }
 # Seed of points that adaptive_from_mesh does not draw.
 FRESH = 4321
-STEP = 2.0 ** (-1.0 / 15.0)
-LARGEST_GRID = 1.2e9
 RUNS = 9
 
 
-class Uniform(NamedTuple):
-    """The grid of one voxel size that keeps a tolerance."""
-
-    voxels: CellLattice
-    error: float
-    byte_count: int
-
-
-def errors_of(lattice: CellLattice, points: np.ndarray, exact: np.ndarray) -> float:
-    """Largest error of the interpolant of exact float32 voxels of one size."""
-    index = (points - lattice.origin) / lattice.size
-    cell = np.floor(index).astype(np.int64)
-    fraction = index - cell
-    keys, rows = np.unique(keys_of((cell[:, None] + CORNERS).reshape(-1, 3)), return_inverse=True)
-    values = lattice.distances(cells_of(keys))[0].astype(np.float32).astype(np.float64)[rows].reshape(-1, 8)
-    for axis in range(3):
-        half = values.shape[1] // 2
-        values = values[:, :half] + (values[:, half:] - values[:, :half]) * fraction[:, axis, None]
-    return float(np.abs(values[:, 0] - exact).max())
-
-
-def uniform_of(lattice: CellLattice, field: AdaptiveSDF, points: np.ndarray, exact: np.ndarray) -> Uniform:
-    tolerance, corner = lattice.within, lattice.surface.bounds[0]
-    tried = []
-    for number in range(120):
-        size = 64.0 * tolerance * STEP**number
-        # Index 0 is where the band begins, at a whole multiple of the voxel size, as in from_mesh.
-        tried.append((size, (np.floor((corner - tolerance) / size) - 3.0) * size))
-    tried += [(size, corner - size * (np.ceil(tolerance / size) + 3.0)) for size in field.voxel_sizes]
-    few = np.random.default_rng(1).permutation(len(points))[:4000]
-    for size, origin in sorted(tried, key=lambda pair: -pair[0]):
-        voxels = CellLattice(lattice.surface, lattice.sign, origin, size, tolerance)
-        if errors_of(voxels, points[few], exact[few]) <= tolerance:
-            error = errors_of(voxels, points, exact)
-            if error <= tolerance:
-                return Uniform(voxels, error, float_grid_bytes(near_tiles_of(voxels)))
-    raise RuntimeError("no voxel size keeps the tolerance")
-
-
-def near_tiles_of(lattice: CellLattice) -> np.ndarray:
-    tiles = near_tiles(band_lattice(lattice))
-    return tiles.coordinates.numpy()[: len(tiles.keys)].astype(np.int64)
-
-
-def time_ratio(field: AdaptiveSDF, volume: gk.volume.SparseVolume, points: np.ndarray) -> tuple[float, float, float]:
-    """Median of paired ratios, and both rates [M/s]."""
-    calls = (lambda: field.sample(points, device="cpu"), lambda: volume.sample(points, order=1, device="cpu"))
-    for call in calls:
+def milliseconds(call) -> float:
+    call()
+    times = []
+    for _ in range(RUNS):
+        begin = time.perf_counter()
         call()
-    times = np.empty((RUNS, 2))
-    for run in range(RUNS):
-        for which, call in enumerate(calls):
-            begin = time.perf_counter()
-            call()
-            times[run, which] = time.perf_counter() - begin
-    rates = len(points) / np.median(times, axis=0) / 1e6
-    return float(np.median(times[:, 0] / times[:, 1])), float(rates[0]), float(rates[1])
+        times.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(times))
 
 
 def report(name: str, share: float, count: int) -> str:
     mesh = MESHES[name]()
-    longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
-    tolerance = share * longest
+    tolerance = share * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
     surface = gk.mesh.Surface(mesh, device="cpu")
-    begin = time.perf_counter()
-    field = adaptive_from_mesh(surface, tolerance)
-    seconds = time.perf_counter() - begin
-    lattice = CellLattice(surface, surface._method("auto"), mesh.bounds[0], tolerance, tolerance)
+    lattice = CellLattice(surface, surface.sign_method, mesh.bounds[0], tolerance, tolerance)
     points, exact = check_points(lattice, FRESH)
-    error = float(np.abs(field.sample(points, device="cpu") - exact).max())
-    uniform = uniform_of(lattice, field, points, exact)
-    fits = uniform.byte_count <= LARGEST_GRID
-    shrunk = 1.0 if fits else (uniform.byte_count / LARGEST_GRID) ** 0.5
-    volume = build_band_level(replace(uniform.voxels, size=uniform.voxels.size * shrunk), name)
-    byte_count = volume.info.byte_count if fits else uniform.byte_count
     on = gk.mesh.sample_surface(mesh, count, seed=7).points
-    moved = np.random.default_rng(8).uniform(-0.577, 0.577, on.shape) * tolerance
-    ratio, rate, uniform_rate = time_ratio(field, volume, np.random.default_rng(9).permutation(on + moved))
-    cells = [
-        *(name, f"{share:g}", field.level_count, f"{field.voxel_sizes[0] / tolerance:.2f}", f"{error / tolerance:.3f}"),
-        *(
-            f"{field.byte_count / 1e6:.2f}",
-            f"{uniform.voxels.size / tolerance:.2f}",
-            f"{uniform.error / tolerance:.3f}",
-        ),
-        *(f"{byte_count / 1e6:.2f}{'' if fits else ' (counted)'}", f"**{byte_count / field.byte_count:.2f}**"),
-        *(f"{rate:.1f}", f"{uniform_rate:.1f}", f"**{ratio:.2f}**", f"{seconds:.1f}"),
-    ]
-    return "| " + " | ".join(map(str, cells)) + " |"
+    asked = on + np.random.default_rng(8).uniform(-0.577, 0.577, on.shape) * tolerance
+    cells = [name, f"{share:g}"]
+    found = []
+    for make in (gk.volume.adaptive_from_mesh, lambda s, t: gk.volume.from_mesh(s, tolerance=t)):
+        begin = time.perf_counter()
+        field = make(surface, tolerance)
+        seconds = time.perf_counter() - begin
+        levels = field.levels if isinstance(field, gk.volume.AdaptiveSDF) else (field,)
+        error = float(np.abs(field.sample(points, device="cpu") - exact).max()) / tolerance
+        found.append((sum(level.info.byte_count for level in levels), len(levels)))
+        codecs = "+".join(dict.fromkeys(level.info.grid_type for level in levels))
+        asking = milliseconds(lambda f=field: f.sample(asked, device="cpu"))
+        cells += [f"{len(levels)}: {levels[0].info.order}, {codecs}", f"{found[-1][0] / 1e6:.2f}", f"{error:.2f}"]
+        cells += [f"{seconds:.1f}", f"{asking:.1f}"]
+    first = gk.volume.plan(surface, tolerance)[0]
+    right = (first.method == "adaptive_from_mesh") == (found[0][1] > 1 and found[0][0] < found[1][0])
+    return "| " + " | ".join([*cells, f"**{found[0][0] / found[1][0]:.2f}**", "yes" if right else "**no**"]) + " |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="*", default=list(MESHES), help=", ".join(MESHES))
-    parser.add_argument("--tolerances", type=float, nargs="+", default=(1e-3, 1e-4), help="shares of the longest edge")
-    parser.add_argument("--points", type=int, default=2_000_000, help="points of a call")
+    parser.add_argument("--tolerances", type=float, nargs="+", default=(1e-2, 1e-3), help="shares of the diagonal")
+    parser.add_argument("--points", type=int, default=200_000, help="points of a call")
     parser.add_argument("--out", type=Path, help="also write the report there")
     arguments = parser.parse_args()
     lines = [
-        f"{processor_name()}, {launcher.thread_count()} threads; {arguments.points:,} points a call; sizes and errors "
-        "in tolerances, MB of float grids, M samples a second, medians of pairs.\n",
-        "| mesh | tolerance | levels | largest voxel | error | MB | uniform voxel | its error | its MB | memory ratio "
-        "| M/s | its M/s | time ratio | made in [s] |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        f"{processor_name()}, {launcher.thread_count()} threads; {arguments.points:,} points a call, medians.\n",
+        "| mesh | tolerance | levels: order, codecs | MB | error | made in [s] | sample [ms] | one: order, codec | MB "
+        "| error | made in [s] | sample [ms] | memory ratio | plan right |",
+        "|---|---:|---|---:|---:|---:|---:|---|---:|---:|---:|---:|---:|---|",
     ]
     for line in lines:
         print(line, flush=True)

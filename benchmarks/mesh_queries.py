@@ -290,6 +290,8 @@ def build_case(
     ]
     if not few:
         asked.append(Peer("libigl", partial(peers.libigl_build, mesh, point, signs)))
+    if not signs:
+        asked.append(Peer("trueform", partial(peers.trueform_build, mesh, point)))
     if not few and not signs:
         asked.append(Peer("fcpw", partial(peers.fcpw_build, mesh, point)))
     read = lambda found: found.distance  # noqa: E731

@@ -139,6 +139,22 @@ def embreex_build(mesh: TriangleMesh, origins: np.ndarray, directions: np.ndarra
     return Asked(lambda: build().run(origins, directions, query="DISTANCE"))
 
 
+# trueform (its licence is for noncommercial use)
+
+
+def trueform_build(mesh: TriangleMesh, point: np.ndarray) -> Asked:
+    import trueform
+
+    vertices, faces, query = mesh.vertices.copy(), mesh.faces.copy(), trueform.Point(np.float64(point))
+
+    def run() -> Any:
+        tree = trueform.Mesh(faces, vertices)
+        tree.build_tree()
+        return trueform.neighbor_search(tree, query)
+
+    return Asked(run, lambda found: np.sqrt(found[1]))
+
+
 # fcpw
 
 

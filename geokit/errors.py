@@ -1,4 +1,4 @@
-"""The exceptions of geokit.
+"""The exceptions of geokit::
 
     Exception
     └── GeokitError
@@ -7,7 +7,8 @@
         ├── FileFormatError                     a file with damaged content, or with other content than its name says
         ├── UnsupportedGridError                a grid type, class or transform without support in geokit
         ├── MissingDependencyError (ImportError) an optional part of geokit that is not installed
-        └── DeviceMemoryError (MemoryError)     a request that exceeds the available memory
+        ├── DeviceMemoryError (MemoryError)     a request that exceeds the available memory
+        └── WorkerError (RuntimeError)          a process that reads files did not start, or was killed from outside
 
 Each message says what was wrong, where (file, argument, first bad row) and what to do about it.
 """
@@ -22,7 +23,12 @@ __all__ = [
     "InputError",
     "MissingDependencyError",
     "UnsupportedGridError",
+    "WorkerError",
 ]
+
+
+# What is said of needs beyond counting [bytes].
+LARGEST_NEED = 2**63
 
 
 class GeokitError(Exception):
@@ -54,4 +60,19 @@ class MissingDependencyError(GeokitError, ImportError):
 
 
 class DeviceMemoryError(GeokitError, MemoryError):
-    """A request that exceeds the memory of the device; the message says what would fit."""
+    """A request that exceeds the memory of the device; the message says what would fit.
+
+    Attributes:
+        need: Estimate of what the operation needs [bytes]; 0 where it cannot be known.
+    """
+
+    # MemoryError's refuses a class that has another base before it. Dask's pickles call it by name.
+    __new__ = Exception.__new__  # type: ignore[assignment]
+
+    def __init__(self, message: str = "", *, need: float = 0) -> None:
+        super().__init__(message)
+        self.need = int(need) if need < LARGEST_NEED else LARGEST_NEED
+
+
+class WorkerError(GeokitError, RuntimeError):
+    """A process that reads files did not start, or was killed from outside; the file is not to blame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,12 @@ from geokit.accuracy._subjects import default_subjects, unique_names
 from geokit.accuracy.trials.machine import machine_facts, version_facts
 from geokit.accuracy.trials.measuring import measure
 from geokit.accuracy.trials.results import Failure, Results, info_of
+from geokit.accuracy.trials.time_left import time_left
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_callable, require_flag, require_items
 from geokit.errors import InputError
+from geokit.mesh._objects import require_mesh
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     from geokit.accuracy.trials.model import Chart, Measurement, Subject, Trial
@@ -19,6 +25,7 @@ __all__ = ["run"]
 ChartMaker = Callable[["Subject", Any, bool], "list[Chart]"]
 
 
+@needs(lambda *_, **__: 18 << 20, fatal=True)  # of modules too
 def run(
     subjects: "Sequence[Subject] | None" = None,
     *,
@@ -37,7 +44,7 @@ def run(
         devices: Where to compute ("cpu", "cuda:0"); None for every available device.
         quick: Fewer settings, smaller samples and shorter timing: under a minute for the samples on two cores.
         charts: Names of the charts to make; None for all.
-        progress: Called with a line of text before each trial.
+        progress: Called with a line of text before each trial; after two seconds it says how much time is left.
     Returns:
         Results: a list of Measurement in order of measurement, with ``charts``, ``subjects`` and ``failures``.
     Raises:
@@ -50,35 +57,53 @@ def run(
         >>> {row.wrong_share for row in rows if "float64" in row.method}
         {0.0}
     """
+    from geokit.accuracy.trials.model import Subject
     from geokit.core import launcher
 
+    require_flag(quick, "quick")
+    if progress is not None:
+        require_callable(progress, "progress")
+    if charts is not None:
+        charts = [charts] if isinstance(charts, str) else require_items(charts, "charts", str)
     if devices is None:
         places = [launcher.resolve_device(alias) for alias in ("cpu", *launcher.cuda_devices())]
     else:
-        named = [launcher.resolve_device(device) for device in devices]
+        items: list[Any] = require_items(devices, "devices")
+        named = [launcher.resolve_device(device) for device in items]
         places = list({place.alias: place for place in named}.values())
     if not places:
         raise InputError("devices: empty; name at least one, or leave it out for all")
-    found = unique_names(list(default_subjects(quick=quick) if subjects is None else subjects))
+    found = unique_names(
+        list(default_subjects(quick=quick) if subjects is None else require_items(subjects, "subjects", Subject))
+    )
     _check(found)
     subjects_by_name = {subject.name: subject for subject in found}
     results = Results(subjects=subjects_by_name, machine=machine_facts(), versions=version_facts())
     tell = progress or (lambda line: None)
     planned = list(_planned(found, places, quick, results))
     wanted = _wanted(charts, planned)
-    for subject, place, chart in planned:
-        if chart.name not in wanted:
-            continue
+    chosen = [plan for plan in planned if plan[2].name in wanted]
+    started = time.perf_counter()
+    for done, (subject, place, chart) in enumerate(chosen):
         results.charts.setdefault(chart.name, info_of(chart))
-        for row in _measured(chart, subject, place, quick, results.failures, tell):
+        told = _ending(tell, time_left(started, done, len(chosen), "charts"))
+        for row in _measured(chart, subject, place, quick, results.failures, told):
             results.append(row)
     return results
+
+
+def _ending(tell: Callable[[str], None], end: str) -> Callable[[str], None]:
+    return lambda line: tell(line + end)
 
 
 def _check(subjects: "list[Subject]") -> None:
     if not subjects:
         raise InputError("subjects: empty; give at least one, or leave it out for the samples")
     for row, subject in enumerate(subjects):
+        if subject.mesh is not None:
+            subjects[row] = subject._replace(mesh=require_mesh(subject.mesh, f"subjects[{row}].mesh", images=False))
+        if subject.volume is not None:
+            require_volume(subject.volume, f"subjects[{row}].volume")
         held = sum(part is not None for part in (subject.mesh, subject.volume, subject.points))
         if held != 1:
             raise InputError(f"subjects: {row} ({subject.name!r}) holds {held} things; give a mesh, a volume or points")
@@ -119,11 +144,10 @@ def _wanted(charts: Iterable[str] | None, planned: "list[tuple[Subject, Any, Cha
     known = dict.fromkeys(chart.name for _, _, chart in planned)
     if charts is None:
         return set(known)
-    asked = [charts] if isinstance(charts, str) else list(charts)
-    for name in asked:
+    for name in charts:
         if name not in known:
             raise InputError(f"charts: there is no {name!r} for these subjects; use one of {', '.join(known)}")
-    return set(asked)
+    return set(charts)
 
 
 def _measured(

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Subject
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_flag
 from geokit.errors import GeokitError
 
 __all__ = ["default_subjects", "unique_names"]
@@ -26,6 +28,7 @@ HALF_WIDTH = 3.0
 CLOUD_COUNT = 20_000
 
 
+@needs(lambda *_, **__: 8 << 20, fatal=True)  # of modules too: the compiler names a syntax error where it has none
 def default_subjects(*, quick: bool = False) -> list[Subject]:
     """The samples of the source tree, or generated shapes if the samples are missing, as in an installed wheel.
 
@@ -36,6 +39,7 @@ def default_subjects(*, quick: bool = False) -> list[Subject]:
     Returns:
         Subjects of each kind.
     """
+    require_flag(quick, "quick")
     meshes = _loaded_meshes() or [_torus_mesh()]
     volumes = _loaded_volumes() or [_torus_volume()]
     clouds = _loaded_clouds() or [_torus_cloud()]

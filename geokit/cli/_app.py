@@ -2,36 +2,90 @@
 
 from __future__ import annotations
 
-from cyclopts import App
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
 
 import geokit
 
-__all__ = ["VERBS", "build_app"]
+__all__ = ["GROUPS", "VERBS", "build_app", "build_commands"]
 
 VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",
     "query": "Find closest points, signed distances, ray hits, samples or neighbors.",
+    "mesh": "Make simple bodies; split, move and color meshes.",
     "volume": "Combine, offset, smooth, resample, differentiate, segment and measure volumes.",
+    "batch": "Run a recipe of these commands on many files, on this machine or on many; resumable.",
     "plan": "List the distance fields of a mesh that keep a tolerance, with memory, time and error.",
     "bench": "Chart accuracy against speed of geokit's methods on your data, or find where they fail.",
     "render": "Draw a mesh, a volume or a point cloud into a PNG file, off-screen.",
-    "doctor": "Report versions, devices, libraries and the kernel cache.",
+    "view": "Show meshes, volumes and point clouds in a browser: one HTML file to turn, slice and click.",
+    "guide": "List the guides, or print one of them as a program.",
+    "doctor": "Report what works on this machine, what does not, and the command that mends it.",
     "demo": "Run the whole chain on a real mesh; write files, figures and a table of accuracy and speed.",
 }
 # Verbs whose module defines subcommands.
-GROUPS = ("query", "volume")
+GROUPS = ("query", "mesh", "volume")
 
 
-def build_app() -> App:
+def build_commands() -> App:
+    """The commands alone, without the options of all."""
     app = App(
         name="geokit",
         help="Closest points, rays, signed distance fields and neighbors, on meshes, sparse volumes and points.",
         version=geokit.__version__,
+        version_flags=["--version", "-V"],
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )
+    app.register_install_completion_command(help="Install tab completion for bash, zsh or fish.")
     for verb, summary in VERBS.items():
         target = "app" if verb in GROUPS else verb
         app.command(f"geokit.cli.{verb}:{target}", name=verb, help=summary)
     return app
+
+
+def build_app() -> App:
+    app = build_commands()
+
+    @app.meta.default
+    def launch(
+        *tokens: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
+        reference_folder: Annotated[list[Path] | None, Parameter(negative="")] = None,
+        memory_limit: int | None = None,
+        cad_tolerance: float | None = None,
+    ) -> Any:
+        """Options for all commands.
+
+        Args:
+            tokens: The command and its own arguments.
+            reference_folder: Folder in which files may lie that the input refers to, besides the input's own folder;
+                may be given several times.
+            memory_limit: Largest size in bytes to which the content of an input may decompress; by default a hundred
+                times the file's size, at least 1 GiB, and at most half of the free memory.
+            cad_tolerance: Largest distance in millimeters between a curved face of a .step or .iges and its triangles;
+                by default 1e-4 of the diagonal of its box.
+        """
+        if tokens and tokens[0] == "help":
+            tokens = (*tokens[1:], "--help")
+        if reference_folder is memory_limit is cad_tolerance is None:
+            return app(tokens or ["--help"], exit_on_error=False, print_error=False)
+        # NumPy comes with these, and most commands do not need it to print their help.
+        from geokit.core.content_limit import content_limit, set_default_limit
+        from geokit.formats.references import allowed_folders, set_default_folders
+        from geokit.formats.tessellation import set_default_tolerance
+
+        set_default_tolerance(cad_tolerance)
+        set_default_limit(None if memory_limit is None else content_limit(0, memory_limit))
+        set_default_folders(allowed_folders(reference_folder or ()))
+        try:
+            return app(tokens, exit_on_error=False, print_error=False)
+        finally:
+            set_default_tolerance(None)
+            set_default_limit(None)
+            set_default_folders(())
+
+    app.meta.suppress_keyboard_interrupt = False
+    return app.meta

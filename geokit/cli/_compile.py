@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pkgutil
 import queue
 import subprocess
 import sys
@@ -11,36 +10,29 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["compile_all", "kernel_modules"]
+from geokit.core.compiled.modules import kernel_modules
 
-_SUFFIX = "_kernels"
+__all__ = ["compile_all"]
+
 # Processes rather than threads, because warp compiles one module at a time in a process. Several processes can share
 # its cache. A builder reads module names from stdin and answers each with a line: "ok", or the error.
 _BUILDER = """
-import importlib, sys
+import sys
 answers = sys.stdout
 sys.stdout = sys.stderr
 from geokit.core import launcher
-import warp as wp
+from geokit.core.compiled.modules import warp_modules
 devices = [launcher.resolve_device(alias) for alias in sys.argv[1:]]
 for line in sys.stdin:
     try:
-        name = importlib.import_module(line.strip()).__name__
-        for device in devices:
-            launcher.load_module(wp.get_module(name), device)
+        for module in warp_modules(line.strip()):
+            for device in devices:
+                launcher.load_module(module, device)
         answer = "ok"
     except Exception as error:
         answer = " ".join(f"{type(error).__name__}: {error}".split())
     print(answer, file=answers, flush=True)
 """
-
-
-def kernel_modules() -> list[str]:
-    """Dotted names of all kernel modules of geokit; this imports packages but no kernel module."""
-    import geokit
-
-    modules = pkgutil.walk_packages(geokit.__path__, "geokit.")
-    return sorted(module.name for module in modules if module.name.endswith(_SUFFIX))
 
 
 def compile_all(report: Callable[[str], None]) -> dict[str, Any]:

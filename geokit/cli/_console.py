@@ -7,8 +7,9 @@ import dataclasses
 import json
 import math
 import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 __all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_table", "step"]
@@ -27,7 +28,7 @@ def announce_compiling() -> None:
 
     def listener(module: str) -> None:
         if not said:
-            note("compiling kernels for this machine; this happens once, the results are kept in the kernel cache")
+            note(launcher.compile_notice())
         if module not in said:
             said.add(module)
             note(f"compiling {module}")
@@ -98,33 +99,78 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
     console.print(table)
 
 
+# A step that runs longer than this [s] says so, and again after twice the time.
+PATIENCE = 2.0
+
+
 class Step:
     """A running step; ``result`` is a short text that is printed when it ends."""
 
     result = ""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.started, self.told = title, time.perf_counter(), PATIENCE
+        self.share = 0.0
+        self.show: Callable[[str], None] | None = None
+
+    def progress(self, done: int, total: int) -> None:
+        """How far the step is; for ``progress=`` of the library."""
+        self.share = done / total if total else 1.0
+        self.tell()
+
+    def tell(self) -> None:
+        """Say how long the step has been running and how long it may still take, if it is time to."""
+        passed = time.perf_counter() - self.started
+        if self.show is None or passed < self.told:
+            return
+        self.told = 2.0 * passed
+        left = f", {100.0 * self.share:.0f}%, about {passed / self.share - passed:.0f} s left" if self.share else ""
+        self.show(f"{self.title} ... {passed:.0f} s{left}")
 
 
 @contextlib.contextmanager
 def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[Step]:
     """Show on stderr that a step is running, and then how long it took.
 
+    A step of more than two seconds says so while it runs, with the time that is left where the library knows it.
+
     Args:
         title: Name of the step.
         quiet: Show nothing.
         lines: Print a plain line at the end even if stderr is not a terminal.
     """
-    current = Step()
-    started = time.perf_counter()
-    if quiet or not (lines or sys.stderr.isatty()):
+    current = Step(title)
+    if quiet:
         yield current
         return
     if sys.stderr.isatty():
         from rich.console import Console
 
-        with Console(stderr=True).status(f"{title} ..."):
+        with Console(stderr=True).status(f"{title} ...") as status, _ticking(current, status.update):
             yield current
     else:
-        yield current
-    seconds = time.perf_counter() - started
+        with _ticking(current, note):
+            yield current
+    seconds = time.perf_counter() - current.started
+    if not (lines or sys.stderr.isatty()):
+        return
     tail = f": {current.result}" if current.result else ""
     print(f"{title}{tail}  [{seconds:.2f} s]", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _ticking(current: Step, show: Callable[[str], None]) -> Iterator[None]:
+    """Have the step tell about itself while it runs, also where the library does not."""
+    current.show, ended = show, threading.Event()
+
+    def tick() -> None:
+        while not ended.wait(PATIENCE / 4.0):
+            current.tell()
+
+    ticker = threading.Thread(target=tick, daemon=True)
+    ticker.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        ticker.join()

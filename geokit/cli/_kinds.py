@@ -2,33 +2,58 @@
 
 from __future__ import annotations
 
+import contextlib
+import mmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from cyclopts import Parameter
+
+from geokit.cli._console import note
 from geokit.core.files import extension, require_file
-from geokit.errors import InputError
-from geokit.formats.table import FORMATS, module_of
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.foreign import refuse_foreign
+from geokit.formats.table import FORMATS, SPARSE, STAGES, image_module, module_of, volume_kind
 
 if TYPE_CHECKING:
+    from geokit.points._io import PointCloud
     from geokit.volume._model import SparseVolume
 
-__all__ = ["Kind", "kind_of_input", "kind_of_output", "load_grid", "may_write"]
+__all__ = ["FiniteOnly", "Kind", "UpAxis", "kind_of_input", "kind_of_output", "load_cloud", "load_grid", "may_write"]
 
 Kind = Literal["mesh", "volume", "cloud"]
+UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
+FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only")]
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16
+# Parts of USD's names for fields in .vdb files, which are compressed in .usdc.
+_VOLUMES = (b"OpenVDB", b"field:")
 
 
-def kind_of_input(path: Path) -> Kind:
-    """Return the kind of an existing file; .ply and .vtp files without faces are point clouds.
+def kind_of_input(path: Path, grid: str | None = None) -> Kind:
+    """Return the kind of an existing file; .ply and .vtp files without faces are point clouds, .npy tables too.
+
+    Args:
+        path: The file.
+        grid: Of a .vdb, which may hold volumes and points: the grid that is meant; None for all.
 
     Raises:
         FileAccessError: The file is missing or unreadable.
         InputError: The extension is unknown.
     """
+    if volume_kind(path):
+        return "volume"
     require_file(path)
+    if extension(path) not in FORMATS:
+        refuse_foreign(path)
     kind = _kind_of_extension(path)
+    if extension(path) == ".vdb":
+        return "cloud" if _holds_points(path, grid) else "volume"
+    if extension(path) in STAGES:
+        return "volume" if _holds_volumes(path) else "mesh"
+    if kind == "volume" and FORMATS[extension(path)].points and not image_module(extension(path)).is_volume(path):
+        return "cloud"
     return "cloud" if kind == "mesh" and _lacks_faces(path) else kind
 
 
@@ -62,6 +87,34 @@ def _lacks_faces(path: Path) -> bool:
         return bool(lacks_faces(file.read(_HEAD_BYTES)))
 
 
+def _holds_points(path: Path, grid: str | None) -> bool:
+    """Whether all grids of a .vdb that are meant hold points. A file that does not begin with points is not asked."""
+    from geokit import native
+    from geokit.native._metadata import POINTS
+
+    with open(path, "rb") as file:
+        if grid is None and POINTS.encode() not in file.read(_HEAD_BYTES):
+            return False
+    if not native.available():
+        return False
+    found = [one["grid_type"] for one in native.inspect_vdb(path) if grid in (None, one["name"])]
+    return set(found) == {"points"}
+
+
+def _holds_volumes(path: Path) -> bool:
+    """Whether a USD stage holds volumes and nothing else. One that names no .vdb files is not asked."""
+    from geokit.core.content_limit import content_limit
+
+    with open(path, "rb") as file, contextlib.suppress(ValueError):  # an empty file cannot be mapped
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            named = any(content.find(word) >= 0 for word in _VOLUMES)
+        if named:
+            from geokit.volume.images.stage import has_volumes_only
+
+            return has_volumes_only(path, content_limit(path.stat().st_size))
+    return False
+
+
 def may_write(path: Path, *, force: bool) -> None:
     """Check that a file may be written.
 
@@ -72,16 +125,65 @@ def may_write(path: Path, *, force: bool) -> None:
         raise InputError(f"{path}: exists already; add --force to replace it")
 
 
-def load_grid(path: Path, name: str | None) -> "SparseVolume":
+def load_cloud(path: Path, finite_only: bool = True, grid: str | None = None) -> "PointCloud":
+    """Load a point cloud; points that are not finite, as sensors write them for rays without an echo, are left out.
+
+    Args:
+        path: The file.
+        finite_only: False refuses a file with such points.
+        grid: Of a .vdb: name of the grid of points; None for the only one.
+    Raises:
+        FileFormatError: The file is damaged, or has such points.
+        InputError: A .vdb has no such grid, or several and no name is given.
+    """
+    from geokit.points._io import load_counted
+
+    try:
+        cloud, left_out = load_counted(path, grid=grid, finite_only=finite_only)
+    except (FileFormatError, InputError) as error:
+        # The library's message names its parameter; the user knows the option.
+        told = str(error).replace("finite_only=True", "--finite-only").replace("with grid=", "with --grid")
+        raise type(error)(told) from error
+    if left_out:
+        total = left_out + len(cloud.points)
+        note(f"{path}: {left_out} of its {total} points are not finite and are left out (--finite-only, the default)")
+    return cloud
+
+
+def load_grid(
+    path: Path,
+    name: str | None,
+    *,
+    background: float | None = None,
+    tolerance: float | None = None,
+    as_floats: bool = False,
+    bounds: Any = None,
+) -> "SparseVolume":
     """Load the grid called ``name``, or the only grid of the file.
+
+    Args:
+        path: The file.
+        name: Of the grid; None for the only one.
+        background: Of a dense volume.
+        tolerance: Around it.
+        as_floats: Of a dense volume, whether to read whole numbers as floats, which have isosurfaces.
+        bounds: Box [world] of the part to load.
 
     Raises:
         InputError: No grid has that name, or no name was given and there are several grids.
     """
-    from geokit.volume import load
+    from geokit.volume import inspect, load
+    from geokit.volume.nanovdb.types import TYPES
 
     try:
-        return load(path, grid=name)
+        dense: Any = {"background": background, "tolerance": tolerance or 0.0}
+        if as_floats and (volume_kind(path) or extension(path)) not in (*SPARSE, *STAGES):
+            whole = {kind.name for kind in TYPES if kind.family in ("integer", "bool", "mask")}
+            dense["grid_type"] = "float" if {one.grid_type for one in inspect(path)} <= whole else None
+        volume = load(path, grid=name, bounds=bounds, **dense)
+        if name is None and volume.info.name == "density" and len(inspect(path)) > 1:
+            note(f"{path}: has several grids, and 'density' is taken; --grid chooses another")
+        return volume
     except InputError as error:
         # The library's message names its parameter; the user knows the option.
         raise InputError(str(error).replace("with grid=", "with --grid")) from error

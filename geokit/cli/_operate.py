@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._console import announce_compiling, print_json, step
 from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_write
@@ -50,19 +50,29 @@ def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -
     """Run an operation on all files but the last, and write the result to the last.
 
     Raises:
-        InputError: There are fewer than three files.
+        CycloptsError: There are fewer than three files.
     """
     if len(files) < 3:
-        raise InputError(f"{name}: {len(files)} files given; name at least two to read and then one to write")
+        raise CycloptsError(msg=f"{name}: {len(files)} files given; name at least two to read and then one to write")
     _run(name, files[:-1], files[-1], common, smooth=smooth)
 
 
-def apply(name: str, source: Path, target: Path, common: Common, *arguments: Any, **options: Any) -> None:
-    """Run an operation on one file and write the result to another."""
-    _run(name, (source,), target, common, *arguments, **options)
+def apply(
+    name: str, source: Path, target: Path, common: Common, *arguments: Any, within: Any = None, **options: Any
+) -> None:
+    """Run an operation on one file, or on what it has ``within`` a box [world], and write the result to another."""
+    _run(name, (source,), target, common, *arguments, within=within, **options)
 
 
-def _run(name: str, sources: tuple[Path, ...], target: Path, common: Common, *arguments: Any, **options: Any) -> None:
+def _run(
+    name: str,
+    sources: tuple[Path, ...],
+    target: Path,
+    common: Common,
+    *arguments: Any,
+    within: Any = None,
+    **options: Any,
+) -> None:
     from geokit.volume import save
 
     for source in sources:
@@ -72,25 +82,26 @@ def _run(name: str, sources: tuple[Path, ...], target: Path, common: Common, *ar
     may_write(target, force=common.force)
     announce_compiling()
     with step(f"reading {', '.join(map(str, sources))}", quiet=common.json):
-        volumes = [load_grid(source, common.grid) for source in sources]
+        volumes = [load_grid(source, common.grid, bounds=within) for source in sources]
     with step(name, quiet=common.json):
         result = operation(name)(*volumes, *arguments, **options)
-    parts = result if isinstance(result, list) else [result]
-    if not parts:
+    # Of several outputs the volume comes first.
+    made = result if isinstance(result, list) else [result[0] if isinstance(result, tuple) else result]
+    if not made:
         raise InputError(
             f"{sources[0]}: grid {volumes[0].info.name!r} has no active voxels, so there is nothing to write"
         )
     with step(f"writing {target}", quiet=common.json):
-        save(target, *parts, codec=common.codec)
-    _report(name, sources, target, parts, common)
+        save(target, *made, codec=common.codec)
+    _report(name, sources, target, made, common)
 
 
-def _report(name: str, sources: tuple[Path, ...], target: Path, parts: list[SparseVolume], common: Common) -> None:
+def _report(name: str, sources: tuple[Path, ...], target: Path, made: list[SparseVolume], common: Common) -> None:
     summary = {
-        "grids": len(parts),
-        "grid_type": parts[0].info.grid_type,
-        "voxel_size": parts[0].info.voxel_size.tolist(),
-        "active_voxels": [part.info.active_voxel_count for part in parts],
+        "grids": len(made),
+        "grid_type": made[0].info.grid_type,
+        "voxel_size": made[0].info.voxel_size.tolist(),
+        "active_voxels": [volume.info.active_voxel_count for volume in made],
         "byte_count": target.stat().st_size,
     }
     if common.json:

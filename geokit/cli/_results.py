@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from geokit.cli._console import print_facts, print_json
 from geokit.cli._kinds import may_write
 from geokit.core.files import atomic_path, require_extension
+from geokit.formats.table import FORMATS, extensions
 
 __all__ = ["OUTPUT_EXTENSIONS", "check_output", "deliver"]
 
-OUTPUT_EXTENSIONS = (".csv", ".npz", ".pcd", ".ply", ".vtp", ".xyz")
+OUTPUT_EXTENSIONS = tuple(sorted(kind for kind in extensions("points", "w") if not FORMATS[kind].limited))
 # "-o -" writes CSV to stdout, for pipes.
 STDOUT = Path("-")
 

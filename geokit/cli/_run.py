@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
 import warnings
 
+from geokit._packages import require_package
 from geokit.errors import GeokitError
 
-__all__ = ["run"]
+__all__ = ["run", "show_warning", "usage_message"]
 
 FAILURE, USAGE, INTERRUPTED = 1, 2, 130
 # The exit code that a shell reports for a command killed by SIGPIPE.
@@ -18,17 +20,25 @@ BROKEN_PIPE = 141
 
 def run(arguments: list[str]) -> int:
     """Run the command line ``arguments`` and return the exit code."""
-    from cyclopts import CycloptsError
-
+    try:
+        CycloptsError = require_package("cyclopts").CycloptsError
+    except GeokitError as error:
+        return _fail(str(error), FAILURE)
     from geokit.cli._app import build_app
+    from geokit.cli._examples import examples_of
 
     app = build_app()
-    warnings.showwarning = _show_warning
+    warnings.showwarning = show_warning
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names of files need not be in any encoding.
+        sys.stdout.reconfigure(errors="surrogateescape")
     try:
-        result = app(arguments or ["--help"], exit_on_error=False, print_error=False)
+        result = app(arguments, exit_on_error=False, print_error=False)
+        if examples := examples_of(arguments):
+            print("Examples:", *(f"  {line}" for line in examples), sep="\n")
         sys.stdout.flush()
     except CycloptsError as error:
-        return _fail(_usage_message(error), USAGE, hint=" (see geokit --help)")
+        return _fail(usage_message(error), USAGE, hint=" (see geokit --help)")
     except GeokitError as error:
         return _fail(str(error), FAILURE)
     except ModuleNotFoundError as error:
@@ -37,10 +47,14 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        # The reader has closed the pipe, as in `geokit info ... | head`. Without this, Python would fail again when it
-        # flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader has closed the pipe, as in `geokit info ... | head`.
+        _discard_output()
         return BROKEN_PIPE
+    except OSError as error:
+        # Files raise FileAccessError, so this is stdout, as on a full disk.
+        _discard_output()
+        what = error.filename or "standard output"
+        return _fail(f"{what}: writing failed ({error.strerror or error}); check the disk", FAILURE)
     except MemoryError as error:
         return _fail(f"out of memory ({error or 'no details'}); use a smaller input or a larger voxel size", FAILURE)
     except Exception as error:
@@ -49,12 +63,25 @@ def run(arguments: list[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+def _discard_output() -> None:
+    """Send stdout nowhere: Python would fail again when it flushes it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print a warning like other notices, without the place in the library that raised it."""
     print(f"geokit: warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
 
 
-def _usage_message(error: Exception) -> str:
+def usage_message(error: BaseException) -> str:
+    unused = getattr(error, "unused_tokens", None)
+    if unused == ["-"]:
+        return "-: input is not read from a pipe, since the name of a file says what it is; name a file"
+    unknown = [token for token in unused or () if token.startswith("--")]
+    if unknown:
+        return f"{unknown[0]}: there is no such option"
+    if unused:
+        return f"{', '.join(map(repr, unused))}: one argument too many, or an option without its --; leave it out"
     # Some messages of Cyclopts span several lines.
     return str(error).strip() or type(error).__name__
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, print_table
-from geokit.cli._kinds import kind_of_input, load_grid
+from geokit.cli._kinds import kind_of_input, load_cloud, load_grid
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def bench(
     chart: Names = None,
     grid: str | None = None,
     stability: Flag = False,
+    figures: Literal["png", "svg", "pdf"] = "png",
     force: Flag = False,
     json: Flag = False,
 ) -> int:
@@ -42,14 +43,17 @@ def bench(
         chart: Name of a chart to make; may be given several times; by default all charts.
         grid: Name of the grid, if a volume file holds several.
         stability: Write stability.md instead: sweeps towards failure, and the envelope that each method promises.
+        figures: Format of the figures beside the page.
         force: Replace an earlier report.
         json: Print the rows as JSON.
     """
     started = time.perf_counter()
     if stability:
         if sources or quick or chart or grid or json or len(device or ()) > 1:
-            raise InputError("--stability: sweeps have their own inputs; give only --out, a --device and --force")
-        _stability(out, device[0] if device else None, force=force)
+            raise InputError(
+                "--stability: sweeps have their own inputs; give --out, --device, --figures and --force only"
+            )
+        _stability(out, device[0] if device else None, figures, force=force)
         note(f"done in {time.perf_counter() - started:.1f} s")
         return 0
     from geokit.accuracy import run, write_report
@@ -59,7 +63,7 @@ def bench(
     subjects = [_subject(source, grid) for source in sources] or None
     announce_compiling()
     results = run(subjects, devices=device, quick=quick, charts=chart, progress=note)
-    page = write_report(results, out, force=force)
+    page = write_report(results, out, force=force, figure_format=figures)
     if json:
         print_json([_facts(row) for row in results])
     else:
@@ -70,13 +74,13 @@ def bench(
     return 0 if results else 1
 
 
-def _stability(out: Path, device: str | None, *, force: bool) -> None:
+def _stability(out: Path, device: str | None, figures: str, *, force: bool) -> None:
     from geokit.accuracy import write_stability
     from geokit.accuracy.stability.follow_sweeps import check_page
 
     check_page(out, force=force)
     announce_compiling()
-    print(write_stability(out, force=force, device=device, progress=note))
+    print(write_stability(out, force=force, device=device, progress=note, figure_format=figures))
 
 
 def _subject(source: Path, grid: str | None) -> "Subject":
@@ -91,9 +95,7 @@ def _subject(source: Path, grid: str | None) -> "Subject":
         from geokit.mesh import load
 
         return Subject(source.name, mesh=load(source))
-    from geokit.points import load as load_points
-
-    return Subject(source.name, points=load_points(source).points)
+    return Subject(source.name, points=load_cloud(source).points)
 
 
 def _facts(row: object) -> dict[str, object]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
+from cyclopts import CycloptsError, Parameter
 
+from geokit.cli._batch import run_batch, targets_in
 from geokit.cli._console import announce_compiling, note, print_json, step
-from geokit.cli._kinds import kind_of_input, kind_of_output, may_write
+from geokit.cli._kinds import FiniteOnly, Kind, kind_of_input, kind_of_output, load_cloud, may_write
+from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._storage import Storage
-from geokit.core.files import extension
+from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError
-from geokit.formats.table import FORMATS
+from geokit.formats.table import FORMATS, SPARSE, STAGES
 
 __all__ = ["convert"]
 
@@ -24,10 +27,11 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 
 def convert(
-    source: Annotated[Path, Parameter(name="IN")],
-    target: Annotated[Path, Parameter(name="OUT")],
-    /,
-    *,
+    *files: Annotated[Path, Parameter(name="FILES")],
+    out_dir: Path | None = None,
+    to: str | None = None,
+    kind: Kind | None = None,
+    jobs: int | None = None,
     voxel_size: float | None = None,
     half_width: float | None = None,
     sign: str | None = None,
@@ -40,17 +44,31 @@ def convert(
     grid: str | None = None,
     codec: str | None = None,
     tolerance: float | None = None,
+    radius: float | None = None,
+    count: int | None = None,
+    background: float | None = None,
+    background_tolerance: float | None = None,
+    grid_type: str | None = None,
     device: str | None = None,
+    finite_only: FiniteOnly = True,
+    stream: Flag = False,
+    normals: int | None = None,
+    density: float | None = None,
+    scheduler: str | None = None,
     force: Flag = False,
     json: Flag = False,
-) -> None:
-    """Convert between mesh formats, volume formats, and from one to the other.
+) -> int:
+    """Convert between formats, and between meshes, volumes, clouds and dense arrays.
 
     Args:
-        source: File to read.
-        target: File to write; its extension names the format.
+        files: The file to read and the file to write, whose extension names the format. With --out-dir, all are read.
+        out_dir: Folder for the new files; it is made if it is missing. A file that fails is reported, the others go on.
+        to: With --out-dir: extension of the new files, as in ply.
+        kind: What to make where the format holds several: mesh, volume or cloud. Without it a .vdb becomes a volume, a
+            USD stage a mesh, and another file a mesh, unless the options are for points.
+        jobs: With --out-dir: number of files that are converted at a time; by default 1.
         voxel_size: Mesh to volume: edge length of a voxel in world units; by default the longest side / 128, unless
-            tolerance is given.
+            tolerance is given. Cloud to cloud with stream: edge length of the voxels whose centroids replace points.
         half_width: Mesh to volume: width of the narrow band on each side, in voxels; by default 3, with tolerance the
             least that interpolation needs.
         sign: Mesh to volume: method that decides inside or outside: auto (default), winding, pseudonormal, parity, or
@@ -71,14 +89,28 @@ def convert(
             units; the voxel size, order and codec of least memory are chosen. Otherwise to a volume: largest change of
             a voxel when it is quantized; without a codec, the smallest one that keeps it is chosen. To a mesh: largest
             distance from the mesh with every face, in world units; as few faces as possible are kept.
+        radius: Cloud to volume or mesh: radius of the ball around each point, in world units; by default as large as
+            joins neighbors. Mesh to cloud: least distance between two points, instead of count.
+        count: Mesh to cloud: number of points on the surface; by default 100000.
+        background: From a dense volume (.nii .nrrd .tif ...): value of voxels that are not stored; by default what the
+            file says, else the negative value that more than half of the border of its first slice has, else 0.
+        background_tolerance: From a dense volume: largest difference from the background that still counts as it.
+        grid_type: Dense volume to volume: type of the grid, such as float or int32; by default that of the values.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        stream: Read and write block after block, so that neither has to fit into memory: a closed mesh in a binary .stl
+            or .ply to .nvdb with voxel-size, or a cloud in a binary .ply, .las or .laz to one of these, where
+            voxel-size, normals and density are as they say. It takes as much as --memory-limit says, by default half of
+            what is free.
+        normals: Cloud to cloud with stream: add the normal of the plane through so many nearest points, unoriented.
+        density: Cloud to cloud with stream: add the number of points within this radius over the volume of the ball.
+        scheduler: With stream: address of a Dask scheduler, as in tcp://host:8786, whose workers see the folder of the
+            target and take up to 2^30 bytes a task; local for a cluster of this machine.
         force: Replace an existing target.
         json: Print a summary as JSON.
     """
-    kinds = kind_of_input(source), kind_of_output(target)
-    if kinds == ("cloud", "mesh") and "w" in FORMATS[extension(target)].points:
-        kinds = "cloud", "cloud"
     options = {
+        "kind": kind,
         "voxel-size": voxel_size,
         "half-width": half_width,
         "sign": sign,
@@ -91,31 +123,99 @@ def convert(
         "grid": grid,
         "codec": codec,
         "tolerance": tolerance,
+        "radius": radius,
+        "count": count,
+        "background": background,
+        "background-tolerance": background_tolerance,
+        "grid-type": grid_type,
+        "stream": stream or None,
+        "normals": normals,
+        "density": density,
+        "scheduler": scheduler,
     }
-    _refuse_unused(kinds, options, target)
-    may_write(target, force=force)
-    storage = Storage.of(codec, tolerance)
     announce_compiling()
-    if kinds == ("mesh", "mesh"):
-        summary = _mesh_to_mesh(source, target, tolerance, device, quiet=json)
-    elif kinds == ("mesh", "volume"):
-        how = {"half_width": half_width, "sign": sign, "thickness": thickness, "method": method, "device": device}
-        how.update(within=within, order=order)
-        summary = _mesh_to_volume(source, target, voxel_size, how, storage, quiet=json)
-    elif kinds == ("volume", "volume"):
-        summary = _volume_to_volume(source, target, grid, storage, quiet=json)
-    elif kinds == ("volume", "mesh"):
-        how = {"isovalue": isovalue, "adaptivity": adaptivity, "method": method, "device": device}
-        how["tolerance"] = tolerance
-        summary = _volume_to_mesh(source, target, how, grid, quiet=json)
-    else:
-        summary = _cloud_to_cloud(source, target, quiet=json)
-    summary = {"source": str(source), "target": str(target), **summary, "byte_count": target.stat().st_size}
+
+    def work(source: Path, target: Path) -> dict[str, Any]:
+        return _converted(source, target, options, device, finite_only, force=force, quiet=json or out_dir is not None)
+
+    if out_dir is not None:
+        pairs = list(zip(files, targets_in(out_dir, files, to), strict=True))
+        return run_batch(work, pairs, 1 if jobs is None else jobs, _described, json=json)
+    for name, value in (("to", to), ("jobs", jobs)):
+        if value is not None:
+            raise InputError(f"--{name}: goes with --out-dir; leave it out, or give --out-dir")
+    if len(files) != 2:
+        msg = f"{len(files)} {'file' if len(files) == 1 else 'files'} given; give two, IN and OUT, or --out-dir"
+        raise CycloptsError(msg=msg)
+    summary = work(*files)
     if json:
         print_json(summary)
     else:
-        details = ", ".join(f"{name} {value}" for name, value in summary.items() if name not in ("source", "target"))
-        print(f"{target}: {details}")
+        print(_described(summary))
+    return 0
+
+
+def _described(summary: dict[str, Any]) -> str:
+    details = ", ".join(
+        f"{name} {_short(value)}" for name, value in summary.items() if name not in ("source", "target")
+    )
+    return f"{summary['target']}: {details}"
+
+
+def _converted(
+    source: Path,
+    target: Path,
+    options: dict[str, Any],
+    device: str | None,
+    finite_only: bool,
+    *,
+    force: bool,
+    quiet: bool,
+) -> dict[str, Any]:
+    kinds = _kinds(source, target, options)
+    _refuse_unused(kinds, options, target)
+    may_write(target, force=force)
+    given = {name.replace("-", "_"): value for name, value in options.items()}
+    grid, tolerance = options["grid"], options["tolerance"]
+    outside = {"background": options["background"], "tolerance": options["background-tolerance"]}
+    storage = Storage.of(options["codec"], tolerance)
+    if kinds == ("mesh", "mesh"):
+        summary = _mesh_to_mesh(source, target, tolerance, device, quiet=quiet)
+    elif kinds == ("mesh", "volume") and options["stream"]:
+        summary = _streamed(source, target, options, device, quiet=quiet)
+    elif kinds == ("mesh", "volume"):
+        how = {name: given[name] for name in ("half_width", "sign", "thickness", "method", "within", "order")}
+        summary = _mesh_to_volume(
+            source, target, options["voxel-size"], {**how, "device": device}, storage, quiet=quiet
+        )
+    elif kinds == ("volume", "volume"):
+        summary = _volume_to_volume(
+            source, target, grid, {**outside, "grid_type": options["grid-type"]}, storage, quiet=quiet
+        )
+    elif kinds == ("volume", "mesh"):
+        how = {name: given[name] for name in ("isovalue", "adaptivity", "method", "tolerance")}
+        summary = _volume_to_mesh(source, target, {**how, "device": device}, grid, outside, quiet=quiet)
+    elif kinds == ("volume", "array"):
+        summary = _volume_to_array(source, target, grid, device, quiet=quiet)
+    elif kinds == ("mesh", "cloud"):
+        with step(f"converting {source}", quiet=quiet):
+            summary = mesh_to_cloud(source, target, options["count"], options["radius"])
+    elif kinds in (("cloud", "volume"), ("cloud", "mesh")):
+        how = {name: given[name] for name in ("radius", "voxel_size")}
+        with step(f"converting {source}", quiet=quiet) as converting:
+            cloud = load_cloud(source, finite_only, grid)
+            if kinds[1] == "volume":
+                how["half_width"] = given["half_width"]
+                summary = cloud_to_volume(cloud, target, {**how, "device": device}, storage, quiet=quiet)
+            else:
+                how |= {name: given[name] for name in ("method", "tolerance")}
+                how |= {"device": device, "progress": converting.progress}
+                summary = cloud_to_mesh(cloud, target, how, quiet=quiet)
+    elif options["stream"]:
+        summary = _streamed_cloud(source, target, options, device, finite_only, quiet=quiet)
+    else:
+        summary = _cloud_to_cloud(source, target, finite_only, grid, quiet=quiet)
+    return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
 
 
 _USES = {
@@ -130,11 +230,38 @@ _USES = {
         "tolerance",
         "within",
         "order",
+        "stream",
+        "scheduler",
     ),
-    ("volume", "volume"): ("grid", "codec", "tolerance"),
-    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance"),
-    ("cloud", "cloud"): (),
+    ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background-tolerance", "grid-type"),
+    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance", "background", "background-tolerance"),
+    ("volume", "array"): ("grid",),
+    ("cloud", "cloud"): ("grid", "stream", "voxel-size", "normals", "density", "scheduler"),
+    ("cloud", "volume"): ("radius", "voxel-size", "half-width", "codec", "tolerance", "grid"),
+    ("cloud", "mesh"): ("radius", "voxel-size", "method", "tolerance", "grid"),
+    ("mesh", "cloud"): ("count", "radius"),
 }
+
+
+def _kinds(source: Path, target: Path, options: dict[str, Any]) -> tuple[str, str]:
+    """What is read and what is made. Where the target may be a mesh or a cloud, the options decide."""
+    kinds: tuple[str, str] = kind_of_input(source, options["grid"]), kind_of_output(target)
+    if options["kind"] is not None:
+        held = FORMATS[extension(target)]
+        access = {"mesh": held.mesh, "volume": held.volume, "cloud": held.points}
+        if "w" not in access[options["kind"]]:
+            raise InputError(f"--kind: {extension(target)} files are no {options['kind']}; choose another format")
+        return kinds[0], options["kind"]
+    if kinds[0] == "cloud" and options["stream"]:
+        return "cloud", "cloud"
+    holds_points = "w" in FORMATS[extension(target)].points
+    if kinds[0] == "volume" and extension(target) == ".npz":
+        return "volume", "array"
+    if kinds == ("cloud", "mesh") and holds_points and options["radius"] is options["voxel-size"] is None:
+        return "cloud", "cloud"
+    if kinds == ("mesh", "mesh") and holds_points and (options["radius"], options["count"]) != (None, None):
+        return "mesh", "cloud"
+    return kinds
 
 
 def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path) -> None:
@@ -142,8 +269,12 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
     if kinds not in _USES:
         raise InputError(f"{target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
     for name, value in options.items():
-        if value is not None and name not in _USES[kinds]:
+        if value is not None and name not in ("kind", *_USES[kinds]):
             raise InputError(f"--{name}: has no effect on {kinds[0]} to {kinds[1]}; leave it out")
+        if name == "scheduler" and value is not None and not options["stream"]:
+            raise InputError("--scheduler: goes with --stream; give it too")
+        if kinds == ("cloud", "cloud") and value is not None and not options["stream"] and name not in ("kind", "grid"):
+            raise InputError(f"--{name}: of a cloud to a cloud goes with --stream; give it too")
 
 
 def _mesh_to_mesh(
@@ -155,7 +286,7 @@ def _mesh_to_mesh(
     with step(f"converting {source}", quiet=quiet) as converting:
         mesh = load(source)
         if tolerance is not None:
-            found = simplify(mesh, tolerance=tolerance, device=device)
+            found = simplify(mesh, tolerance=tolerance, device=device, progress=converting.progress)
             converting.result = f"{len(mesh.faces)} faces become {len(found.mesh.faces)}"
             mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
         save(target, mesh)
@@ -180,7 +311,9 @@ def _mesh_to_volume(
         if voxel_size is None:
             # OpenVDB has no quantized grids, so a codec that is smaller in memory would not be smaller in a .vdb file.
             codec = storage.quantization or ("float" if target.suffix.lower() == ".vdb" else None)
-            volume = from_mesh(mesh, tolerance=storage.tolerance, codec=codec, **_given(how))
+            volume = from_mesh(
+                mesh, tolerance=storage.tolerance, codec=codec, **_given(how), progress=voxelising.progress
+            )
         else:
             volume = storage.applied(from_mesh(mesh, voxel_size=voxel_size, **_given(how)))
         voxelising.result = f"{volume.info.active_voxel_count} active voxels"
@@ -198,9 +331,74 @@ def _mesh_to_volume(
     }
 
 
+def _streamed(
+    source: Path, target: Path, options: dict[str, Any], device: str | None, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.core.content_limit import default_limit
+    from geokit.distributed._cluster import connected
+    from geokit.volume import from_mesh_file
+
+    for name in ("method", "codec", "tolerance", "within", "order"):
+        if options[name] is not None:
+            raise InputError(f"--{name}: has no effect with --stream; leave it out")
+    if options["voxel-size"] is None:
+        raise InputError("--voxel-size: is missing; --stream does not choose one")
+    how = {name.replace("-", "_"): options[name] for name in ("half-width", "sign", "thickness")}
+    scheduler = options["scheduler"]
+    with step(f"voxelising {source}", quiet=quiet) as voxelising, ExitStack() as stack:
+        info = from_mesh_file(
+            source,
+            target,
+            options["voxel-size"],
+            **_given(how),
+            memory_limit=default_limit(),
+            device=device,
+            executor=stack.enter_context(connected(scheduler)) if scheduler else None,
+            progress=voxelising.progress,
+        )
+        voxelising.result = f"{info.active_voxel_count} active voxels"
+    return {"voxel_size": float(info.voxel_size[0]), "active_voxels": info.active_voxel_count}
+
+
+def _streamed_cloud(
+    source: Path, target: Path, options: dict[str, Any], device: str | None, finite_only: bool, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.core.content_limit import default_limit
+    from geokit.distributed._cluster import connected
+    from geokit.points import process_file
+
+    if options["grid"] is not None:
+        raise InputError("--grid: has no effect with --stream; leave it out")
+    how = {
+        "voxel_size": options["voxel-size"],
+        "normals": None if options["normals"] is None else {"k": options["normals"]},
+        "density": None if options["density"] is None else {"radius": options["density"]},
+    }
+    scheduler = options["scheduler"]
+    with step(f"converting {source}", quiet=quiet) as converting, ExitStack() as stack:
+        found = process_file(
+            source,
+            target,
+            **how,
+            finite_only=finite_only,
+            memory_limit=default_limit(),
+            device=device,
+            executor=stack.enter_context(connected(scheduler)) if scheduler else None,
+            progress=converting.progress,
+        )
+    if found.left_out_count and not quiet:
+        note(f"{source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
+    return {"points": found.written_count}
+
+
 def _given(options: dict[str, Any]) -> dict[str, Any]:
     """Keep the options that were given; the library's defaults apply to the others."""
     return {name: value for name, value in options.items() if value is not None}
+
+
+def _short(value: Any) -> Any:
+    """A value for a line of text: no more digits than anyone reads."""
+    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 def _rounded(length: float) -> float:
@@ -208,34 +406,40 @@ def _rounded(length: float) -> float:
     return float(f"{length:.1e}")
 
 
-def _volume_to_volume(source: Path, target: Path, grid: str | None, storage: Storage, *, quiet: bool) -> dict[str, Any]:
+def _volume_to_volume(
+    source: Path, target: Path, grid: str | None, outside: dict[str, Any], storage: Storage, *, quiet: bool
+) -> dict[str, Any]:
     from geokit.volume import load, load_all, save
 
+    given = _given(outside)
+
     with step(f"converting {source}", quiet=quiet):
-        volumes = list(load_all(source).values()) if grid is None else [load(source, grid=grid)]
+        volumes = [load(source, grid=grid, **given)] if grid is not None else list(load_all(source, **given).values())
         volumes = [storage.applied(volume) for volume in volumes]
         save(target, *volumes, codec=storage.compression)
     return {
         "grids": ", ".join(volume.info.name or "(unnamed)" for volume in volumes),
+        **({} if extension(source) in (*SPARSE, *STAGES) else {"background": volumes[0].info.background}),
         **storage.described(volumes),
     }
 
 
 def _volume_to_mesh(
-    source: Path, target: Path, how: dict[str, Any], grid: str | None, *, quiet: bool
+    source: Path, target: Path, how: dict[str, Any], grid: str | None, outside: dict[str, Any], *, quiet: bool
 ) -> dict[str, Any]:
     from geokit.cli._kinds import load_grid
     from geokit.mesh import from_volume, from_volume_with_deviation, save
 
     with step(f"meshing {source}", quiet=quiet) as meshing:
-        volume = load_grid(source, grid)
+        volume = load_grid(source, grid, **outside, as_floats=True)
         achieved: dict[str, Any] = {}
         if how["tolerance"] is None:
             mesh = from_volume(volume, **_given(how))
         elif how["adaptivity"]:
             raise InputError("--adaptivity: merges faces by no known distance; leave it out where --tolerance is given")
         else:
-            found = from_volume_with_deviation(volume, **_given({**how, "adaptivity": None}))
+            given = _given({**how, "adaptivity": None})
+            found = from_volume_with_deviation(volume, **given, progress=meshing.progress)
             mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
         meshing.result = f"{len(mesh.faces)} faces"
         if len(mesh.faces) == 0:
@@ -245,10 +449,22 @@ def _volume_to_mesh(
     return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 
 
-def _cloud_to_cloud(source: Path, target: Path, *, quiet: bool) -> dict[str, Any]:
-    from geokit.points import load, save
+def _volume_to_array(
+    source: Path, target: Path, grid: str | None, device: str | None, *, quiet: bool
+) -> dict[str, Any]:
+    from geokit.cli._kinds import load_grid
 
     with step(f"converting {source}", quiet=quiet):
-        cloud = load(source)
-        save(target, cloud.points, data=dict(cloud.data))
+        volume = load_grid(source, grid)
+        found = volume.to_dense(device=device)
+        with atomic_path(target) as part, open(part, "wb") as file:
+            np.savez_compressed(file, **found._asdict())
+    shape = " x ".join(map(str, found.values.shape))
+    return {"grid": volume.info.name, "shape": shape, "dtype": str(found.values.dtype)}
+
+
+def _cloud_to_cloud(source: Path, target: Path, finite_only: bool, grid: str | None, *, quiet: bool) -> dict[str, Any]:
+    with step(f"converting {source}", quiet=quiet):
+        cloud = load_cloud(source, finite_only, grid)
+        save_cloud(target, cloud)
     return {"points": len(cloud.points)}

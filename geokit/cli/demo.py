@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -12,7 +12,7 @@ from geokit.cli._console import announce_compiling, note, print_json, print_tabl
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:
-    from geokit.cli._demo_log import DemoLog
+    from geokit.cli._demo.log import DemoLog
 
 __all__ = ["demo"]
 
@@ -32,6 +32,7 @@ OUTPUTS = (
     "summary.csv",
     "summary.md",
 )
+FLAT_FIGURES = ("slice.png", "accuracy.png")
 
 
 def demo(
@@ -39,6 +40,7 @@ def demo(
     out: Path = Path("demo"),
     mesh: Path | None = None,
     device: str | None = None,
+    figures: Literal["png", "svg", "pdf"] = "png",
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -48,10 +50,12 @@ def demo(
         out: Folder for the results; created if missing.
         mesh: A mesh file; by default the Stanford bunny.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        figures: Format of the chart of accuracy and of the slice; pictures of surfaces are .png always.
         force: Replace earlier results in the folder.
         json: Print the closing table as JSON.
     """
-    existing = [name for name in OUTPUTS if (out / name).exists()]
+    outputs = [name.replace(".png", f".{figures}") if name in FLAT_FIGURES else name for name in OUTPUTS]
+    existing = [name for name in outputs if (out / name).exists()]
     if existing and not force:
         raise InputError(f"{out}: holds {existing[0]} from an earlier run; add --force to replace it")
     try:
@@ -60,27 +64,26 @@ def demo(
         raise FileAccessError(f"{out}: cannot be made a folder ({error.strerror}); choose another --out") from error
     started = time.perf_counter()
     announce_compiling()
-    log = run_chain(out, mesh, device, quiet=json)
+    log = run_chain(out, mesh, device, figures, quiet=json)
     log.write(out)
     if json:
         print_json(log.entries)
         return
-    from geokit.cli._demo_log import COLUMNS
+    from geokit.cli._demo.log import COLUMNS
 
     print()
     print_table(COLUMNS, [entry.cells() for entry in log.entries])
     print()
-    written = [name for name in OUTPUTS if (out / name).exists()]
+    written = [name for name in outputs if (out / name).exists()]
     print(f"{len(written)} files in {out}: {', '.join(written)}")
     note(f"done in {time.perf_counter() - started:.1f} s")
 
 
-def run_chain(out: Path, mesh_path: Path | None, device: str | None, *, quiet: bool) -> "DemoLog":
+def run_chain(out: Path, mesh_path: Path | None, device: str | None, figure_format: str, *, quiet: bool) -> "DemoLog":
     """Run every step of the demo and return its log."""
-    from geokit.cli import _demo_figures as figures
-    from geokit.cli import _demo_steps as steps
-    from geokit.cli._demo_input import load_mesh
-    from geokit.cli._demo_log import DemoLog
+    from geokit.cli._demo import figures, steps
+    from geokit.cli._demo.input import load_mesh
+    from geokit.cli._demo.log import DemoLog
     from geokit.mesh import Surface, audit
 
     log = DemoLog(quiet=quiet)
@@ -110,9 +113,8 @@ def run_chain(out: Path, mesh_path: Path | None, device: str | None, *, quiet: b
     neighborhood = steps.find_neighbors(log, mesh, device)
     extracted, deviation = steps.extract_surface(log, surface, volume)
     steps.export(log, surface, volume, projection, out)
-    measured, exact_seconds = steps.accuracy_over_voxel_size(log, surface, device)
-    figures.accuracy_chart(out, measured, exact_seconds, steps.CHART_POINTS)
     figures.draw_figures(
+        figure_format,
         log,
         out,
         extracted=extracted,
@@ -123,6 +125,8 @@ def run_chain(out: Path, mesh_path: Path | None, device: str | None, *, quiet: b
         volume=steps.build_wide_volume(surface),
         neighborhood=neighborhood,
     )
+    measured, exact_seconds = steps.accuracy_over_voxel_size(log, surface, device)
+    figures.accuracy_chart(out / f"accuracy.{figure_format}", measured, exact_seconds, steps.CHART_POINTS)
     return log
 
 

@@ -7,28 +7,50 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._console import print_facts, print_json
-from geokit.cli._kinds import kind_of_input
+from geokit.cli._console import print_facts, print_json, step
+from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud
+from geokit.core.files import size_of
+from geokit.errors import InputError
 
 __all__ = ["info"]
 
 
-def info(file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> None:
+def info(
+    file: Path,
+    /,
+    *,
+    finite_only: FiniteOnly = True,
+    stream: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
     """Describe a mesh, a volume or a point cloud.
 
     The audit of a mesh says whether it is closed, manifold and consistently oriented. The voxels of a volume are not
     read if the format allows that.
 
     Args:
-        file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb) or a point cloud (.csv .xyz .pcd .las ...).
+        file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb .nii .nrrd ...) or a point cloud (.csv .pcd .las
+            ...).
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        stream: Read a mesh in a binary .stl or .ply block after block, so that it need not fit into memory.
         json: Print JSON.
     """
     kind = kind_of_input(file)
-    description = {"mesh": _describe_mesh, "volume": _describe_volume, "cloud": _describe_cloud}[kind](file)
-    report = {"file": str(file), "kind": kind, "byte_count": file.stat().st_size, **description}
+    if stream and kind != "mesh":
+        raise InputError(f"--stream: has no effect on a {kind}; leave it out")
+    with step(f"reading {file}", quiet=json) as reading:
+        if stream:
+            description = _describe_mesh_file(file, reading.progress)
+        elif kind == "cloud":
+            description = _describe_cloud(file, finite_only)
+        else:
+            description = _describe_mesh(file) if kind == "mesh" else _describe_volume(file)
+    report = {"file": str(file), "kind": kind, "byte_count": size_of(file), **description}
     if json:
         print_json(report)
         return
+    if kind == "mesh" and report["self_intersection_count"] is None:
+        report["self_intersection_count"] = "not asked (Surface.self_intersections of the Python package finds them)"
     grids = report.pop("grids", None)
     print_facts(report)
     for grid in grids or ():
@@ -40,6 +62,15 @@ def info(file: Path, /, *, json: Annotated[bool, Parameter(negative="")] = False
             print_facts(dict(metadata), indent="  ")
 
 
+def _describe_mesh_file(path: Path, progress: Any) -> dict[str, Any]:
+    import dataclasses
+
+    from geokit.core.content_limit import default_limit
+    from geokit.mesh import audit_file
+
+    return dataclasses.asdict(audit_file(path, memory_limit=default_limit(), progress=progress))
+
+
 def _describe_mesh(path: Path) -> dict[str, Any]:
     import dataclasses
 
@@ -49,9 +80,23 @@ def _describe_mesh(path: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {"name": mesh.name}
     if mesh.parts:
         facts["parts"] = [f"{part.name} ({part.face_count} faces)" for part in mesh.parts]
+    for kind, data in (("vertex", mesh.vertex_data), ("face", mesh.face_data), ("corner", mesh.corner_data)):
+        if data:
+            facts[f"{kind}_data"] = [f"{name} {values.dtype} {tuple(values.shape)}" for name, values in data.items()]
+    if mesh.materials:
+        facts["materials"] = [_described(material) for material in mesh.materials]
+    if mesh.meters_per_unit is not None:
+        facts["meters_per_unit"] = mesh.meters_per_unit
+    if mesh.up_axis is not None:
+        facts["up_axis"] = mesh.up_axis
     report = audit(mesh)
     facts.update({field.name: getattr(report, field.name) for field in dataclasses.fields(report)})
     return facts
+
+
+def _described(material: Any) -> str:
+    texture = material.texture
+    return material.name + (f" ({texture.name}, {len(texture.data):,} bytes)" if texture else "")
 
 
 def _describe_volume(path: Path) -> dict[str, Any]:
@@ -77,12 +122,10 @@ def _describe_grid(grid: Any) -> dict[str, Any]:
     }
 
 
-def _describe_cloud(path: Path) -> dict[str, Any]:
+def _describe_cloud(path: Path, finite_only: bool) -> dict[str, Any]:
     import numpy as np
 
-    from geokit.points import load
-
-    cloud = load(path)
+    cloud = load_cloud(path, finite_only)
     facts: dict[str, Any] = {"point_count": len(cloud.points)}
     if len(cloud.points):
         facts["bounds"] = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)])

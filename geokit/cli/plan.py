@@ -13,7 +13,7 @@ from geokit.errors import InputError
 
 __all__ = ["plan"]
 
-COLUMNS = ("order", "codec", "voxel size", "half width", "error", "MiB", "seconds")
+COLUMNS = ("made by", "levels", "order", "codec", "voxel size", "half width", "error", "MiB", "seconds")
 
 
 def plan(
@@ -32,7 +32,8 @@ def plan(
 ) -> None:
     """List the distance fields of a mesh that keep a tolerance, with the memory, time and error to expect.
 
-    The first line is the field that ``geokit convert FILE OUT.nvdb --tolerance`` makes.
+    The first line made by from_mesh is the field that ``geokit convert FILE OUT.nvdb --tolerance`` makes. The line made
+    by adaptive_from_mesh, a function of the Python package, has several voxel sizes where that takes less memory.
 
     Args:
         file: A mesh.
@@ -55,14 +56,25 @@ def plan(
     announce_compiling()
     mesh = load(file)
     options: dict[str, Any] = {"within": within, "order": order, "codec": codec, "half_width": half_width}
-    with step(f"planning for {file}", quiet=json):
-        fields = make_plan(mesh, tolerance, **options, sign=sign, thickness=thickness, device=device)
+    with step(f"planning for {file}", quiet=json) as planning:
+        options |= {"sign": sign, "thickness": thickness, "device": device}
+        fields = make_plan(mesh, tolerance, **options, progress=planning.progress)
     if json:
         print_json({"file": str(file), "tolerance": tolerance, "fields": fields})
         return
     rows = [
-        (f.order, f.codec, f.voxel_size, f.half_width, f.error, f.byte_count / 2**20, float(f"{f.seconds:.1e}"))
+        (
+            f.method,
+            f.level_count,
+            f.order,
+            f.codec,
+            f.voxel_size,
+            f.half_width,
+            f.error,
+            f.byte_count / 2**20,
+            float(f"{f.seconds:.1e}"),
+        )
         for f in fields
     ]
     print_table(COLUMNS, rows)
-    note("the first is what convert --tolerance makes; --order and --codec choose another")
+    note("the first by from_mesh is what convert --tolerance makes; --order and --codec choose another")

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import App, Parameter
 
-from geokit.cli._console import announce_compiling
-from geokit.cli._kinds import kind_of_input, load_grid
-from geokit.cli._results import check_output, deliver
+from geokit.cli._console import announce_compiling, step
+from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, load_grid
+from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
 from geokit.errors import InputError
+from geokit.formats.table import with_formats
 
 __all__ = ["app"]
 
@@ -24,6 +25,7 @@ Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading
 
 
 @app.command
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def closest(
     mesh: Path,
     points: Path,
@@ -32,6 +34,7 @@ def closest(
     output: Output = None,
     max_distance: float = math.inf,
     device: str | None = None,
+    finite_only: FiniteOnly = True,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -39,17 +42,19 @@ def closest(
 
     Args:
         mesh: A mesh file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
-    surface, queries = _surface(mesh, device), _points(points)
+    surface, queries = _surface(mesh, device, json), _points(points, finite_only)
     started = time.perf_counter()
-    found = surface.closest_point(queries, max_distance=max_distance)
+    with step(f"querying {mesh}", quiet=json) as asking:
+        found = surface.closest_point(queries, max_distance=max_distance, progress=asking.progress)
     summary = _summary(len(queries), started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **_spread("distance", found.distance[hits]))
@@ -63,6 +68,7 @@ def closest(
 
 
 @app.command
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def signed(
     mesh: Path,
     points: Path,
@@ -70,6 +76,7 @@ def signed(
     *,
     output: Output = None,
     device: str | None = None,
+    finite_only: FiniteOnly = True,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -77,16 +84,18 @@ def signed(
 
     Args:
         mesh: A mesh file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
-    surface, queries = _surface(mesh, device), _points(points)
+    surface, queries = _surface(mesh, device, json), _points(points, finite_only)
     started = time.perf_counter()
-    found = surface.signed_distance(queries)
+    with step(f"querying {mesh}", quiet=json) as asking:
+        found = surface.signed_distance(queries, progress=asking.progress)
     summary = _summary(len(queries), started, surface.device)
     summary.update(
         sign_method=surface.sign_method,
@@ -103,6 +112,7 @@ def signed(
 
 
 @app.command
+@with_formats("rays", "r", outputs=OUTPUT_EXTENSIONS)
 def ray(
     mesh: Path,
     rays: Path,
@@ -118,8 +128,8 @@ def ray(
 
     Args:
         mesh: A mesh file.
-        rays: Origins and directions: six columns (.csv .txt .xyz .npy), or two arrays (.npz).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        rays: Origins and directions ({formats}): six columns, or two arrays in .npz.
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         force: Replace an existing output.
@@ -128,11 +138,12 @@ def ray(
     from geokit.points import load_rays
 
     check_output(output, force=force)
-    surface = _surface(mesh, device)
+    surface = _surface(mesh, device, json)
     origins, directions = load_rays(rays)
     announce_compiling()
     started = time.perf_counter()
-    found = surface.raycast(origins, directions, max_distance=max_distance)
+    with step(f"querying {mesh}", quiet=json) as asking:
+        found = surface.raycast(origins, directions, max_distance=max_distance, progress=asking.progress)
     summary = _summary(len(origins), started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **_spread("t", found.t[hits]))
@@ -150,6 +161,7 @@ def ray(
 
 
 @app.command
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def sample(
     volume: Path,
     points: Path,
@@ -160,6 +172,7 @@ def sample(
     order: int = 1,
     gradient: Flag = False,
     device: str | None = None,
+    finite_only: FiniteOnly = True,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -167,24 +180,26 @@ def sample(
 
     Args:
         volume: A .vdb or .nvdb file.
-        points: Points (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         grid: Name of the grid, if the file holds several.
         order: Interpolation: 0 nearest voxel, 1 trilinear.
         gradient: Also write the gradient.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
     _require_kind(volume, "volume")
-    field, queries = load_grid(volume, grid), _points(points)
+    field, queries = load_grid(volume, grid), _points(points, finite_only)
     announce_compiling()
     started = time.perf_counter()
-    values = np.asarray(field.sample(queries, order=order, device=device))
-    data = {"value": values}
-    if gradient:
-        data["gradient"] = np.asarray(field.gradient(queries, order=order, device=device))
+    with step(f"querying {volume}", quiet=json):
+        values = np.asarray(field.sample(queries, order=order, device=device))
+        data = {"value": values}
+        if gradient:
+            data["gradient"] = np.asarray(field.gradient(queries, order=order, device=device))
     summary = _summary(len(queries), started, device or "default")
     summary["grid"] = field.info.name
     if values.ndim == 1:
@@ -195,6 +210,7 @@ def sample(
 
 
 @app.command
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def neighbors(
     cloud: Path,
     queries: Path | None = None,
@@ -204,6 +220,7 @@ def neighbors(
     nearest: int | None = None,
     output: Output = None,
     device: str | None = None,
+    finite_only: FiniteOnly = True,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -214,12 +231,13 @@ def neighbors(
     holds index and distance, in one column per neighbor.
 
     Args:
-        cloud: The points to search (.csv .txt .xyz .npy .npz .ply .pcd .pts .las .vtp).
+        cloud: The points to search ({formats}).
         queries: The query points; by default the points of the cloud, each of which then finds itself.
         radius: Search radius in world units; with nearest, the largest distance.
         nearest: Number of nearest points, 1 to 1024; missing ones have index -1 and distance inf.
-        output: .csv .npz .pcd .ply .vtp .xyz, or - for CSV on stdout; by default only a summary is printed.
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
@@ -231,26 +249,29 @@ def neighbors(
         raise CycloptsError(msg="neither --radius nor --nearest is given; give one of them, or both")
 
     check_output(output, force=force)
-    found_points = _points(cloud)
-    query_points = found_points if queries is None else _points(queries)
+    found_points = _points(cloud, finite_only)
+    query_points = found_points if queries is None else _points(queries, finite_only)
     announce_compiling()
     started = time.perf_counter()
-    grid = NeighborGrid(found_points, None if nearest else radius, device=device)
-    ragged = None
-    data: dict[str, Any] = {}
-    if nearest is not None:
-        found = grid.knn(query_points, nearest) if radius is None else grid.hybrid(query_points, nearest, radius=radius)
-        counts = (found.indices >= 0).sum(axis=1, dtype=np.int32)
-        data = {"index": found.indices, "distance": found.distance}
-        if output is not None and output.suffix.lower() != ".npz":
-            # In tables, an array of three columns would be named x, y and z.
-            data = {f"{name}_{i}": column for name, array in data.items() for i, column in enumerate(array.T)}
-    elif output is not None and output.suffix.lower() == ".npz":
-        rows = grid.radius_search(query_points)
-        counts = np.diff(rows.offsets).astype(np.int32)
-        ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
-    else:
-        counts = grid.count(query_points)
+    with step(f"querying {cloud}", quiet=json):
+        grid = NeighborGrid(found_points, None if nearest else radius, device=device)
+        ragged = None
+        data: dict[str, Any] = {}
+        if nearest is not None:
+            found = (
+                grid.knn(query_points, nearest) if radius is None else grid.hybrid(query_points, nearest, radius=radius)
+            )
+            counts = (found.indices >= 0).sum(axis=1, dtype=np.int32)
+            data = {"index": found.indices, "distance": found.distance}
+            if output is not None and output.suffix.lower() != ".npz":
+                # In tables, an array of three columns would be named x, y and z.
+                data = {f"{name}_{i}": column for name, array in data.items() for i, column in enumerate(array.T)}
+        elif output is not None and output.suffix.lower() == ".npz":
+            rows = grid.radius_search(query_points)
+            counts = np.diff(rows.offsets).astype(np.int32)
+            ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
+        else:
+            counts = grid.count(query_points)
     summary = _summary(len(query_points), started, grid.device)
     summary.update(
         cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **_spread("count", counts)
@@ -258,18 +279,17 @@ def neighbors(
     deliver(query_points, {"count": counts, **data}, summary, output, json=json, ragged=ragged)
 
 
-def _surface(path: Path, device: str | None) -> Any:
+def _surface(path: Path, device: str | None, json: bool) -> Any:
     _require_kind(path, "mesh")
     from geokit.mesh import Surface, load
 
     announce_compiling()
-    return Surface(load(path), device=device)
+    with step(f"reading {path}", quiet=json):
+        return Surface(load(path), device=device)
 
 
-def _points(path: Path) -> np.ndarray:
-    from geokit.points import load
-
-    return np.asarray(load(path).points, dtype=np.float64)
+def _points(path: Path, finite_only: bool) -> np.ndarray:
+    return np.asarray(load_cloud(path, finite_only).points, dtype=np.float64)
 
 
 def _require_kind(path: Path, wanted: str) -> None:

@@ -6,16 +6,27 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling
-from geokit.cli._kinds import kind_of_input, load_grid, may_write
+from geokit.cli._console import announce_compiling, step
+from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write
+from geokit.core.files import extension
 from geokit.errors import InputError
+from geokit.formats.table import FORMATS
 
 __all__ = ["render"]
 
 Flag = Annotated[bool, Parameter(negative="")]
 AXES = "xyz"
+_DEFAULTS = {
+    "azimuth": None,
+    "elevation": None,
+    "distance": None,
+    "zoom": 1.0,
+    "edges": False,
+    "shadow": False,
+    "look": "values",
+}
 
 
 def render(
@@ -28,70 +39,96 @@ def render(
     grid: str | None = None,
     isovalue: float | None = None,
     slice: Literal["x", "y", "z"] | None = None,
-    up: Literal["x", "y", "z"] = "y",
+    up: UpAxis | None = None,
+    azimuth: float | None = None,
+    elevation: float | None = None,
+    distance: float | None = None,
+    zoom: float = 1.0,
+    edges: Flag = False,
+    shadow: Flag = False,
+    look: Literal["values", "smoke"] = "values",
     transparent: Flag = False,
+    finite_only: FiniteOnly = True,
     force: Flag = False,
 ) -> None:
     """Draw a mesh, a volume or a point cloud into a PNG file, off-screen.
 
     Args:
         source: A mesh, a volume or a point cloud.
-        output: The .png file to write.
+        output: The .png file to write; with --slice also .svg or .pdf.
         size: Width and height in pixels.
-        color: A color (steelblue, "#336699"), a coordinate (x, y, z), or for a point cloud the name of an array.
+        color: A color (steelblue, "#336699"), a coordinate (x, y, z), or the name of an array of the mesh or the cloud;
+            by default the mesh's textures and colors.
         grid: Name of the grid, if the file holds several.
         isovalue: Value of the volume's surface; by default 0 for level sets, while other grids are drawn as fog.
         slice: Draw a slice through the middle of a volume instead, perpendicular to this axis.
-        up: The axis that points up in the picture.
+        up: The axis that points up in the picture; by default the one that the file names, else the one along which a
+            mesh stands on its base, or -y for points in the frame of a depth camera, else the one that files of this
+            format use most.
+        azimuth: Angle around the up axis from the front to the camera, to the right, in degrees.
+        elevation: Angle of the camera above the horizon, in degrees.
+        distance: From the middle of the scene to the camera; by default all of the scene fits.
+        zoom: Size in the picture; 2 draws twice as large.
+        edges: Draw the edges of the triangles.
+        shadow: Draw a soft shadow on the ground below a mesh, a cloud or a volume's surface.
+        look: How fog is drawn: by the color map, or as white smoke, lit, in front of the dark.
         transparent: Leave the background transparent.
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         force: Replace an existing output.
     """
-    kind = kind_of_input(source)
+    kind = kind_of_input(source, grid)
     pixels = _parse_size(size)
-    if kind != "volume" and (grid is not None or isovalue is not None or slice is not None):
+    named = grid is not None and extension(source) != ".vdb"  # which may hold points
+    if kind != "volume" and (named or isovalue is not None or slice is not None):
         raise InputError(f"--grid, --isovalue and --slice are for volumes, and {source} is a {kind}; leave them out")
+    camera: dict[str, Any] = {"azimuth": azimuth, "elevation": elevation, "distance": distance, "zoom": zoom}
+    camera |= {"edges": edges, "shadow": shadow, "look": look}
+    if slice is not None and camera != _DEFAULTS:
+        raise InputError(f"{', '.join(f'--{name}' for name in _DEFAULTS)} are for scenes, not for --slice")
     may_write(output, force=force)
     announce_compiling()
-    scene: dict[str, Any] = {"size": pixels, "up": up, "transparent": transparent}
+    usual = FORMATS[extension(source)].up
+    scene: dict[str, Any] = {"size": pixels, "up": up or usual, "transparent": transparent, **camera}
     from geokit import render as drawing
+    from geokit.render._camera import up_of, up_of_points
 
-    if kind == "volume":
-        field = load_grid(source, grid)
-        if slice is not None:
-            drawing.slice(output, field, axis=slice, size=pixels)
+    with step(f"drawing {source}"):
+        if kind == "volume":
+            field = load_grid(source, grid, as_floats=True)
+            if slice is not None:
+                drawing.slice(output, field, axis=slice, size=pixels)
+            else:
+                drawing.figure(output, volume=field, color=color, isovalue=isovalue, **scene)
+        elif kind == "mesh":
+            from geokit.mesh import load
+
+            mesh = load(source)
+            scene["up"] = up or up_of(mesh, usual)
+            drawing.figure(output, mesh=mesh, **_array_or_color(mesh, mesh.vertices, color), **scene)
         else:
-            drawing.figure(output, volume=field, color=color, isovalue=isovalue, **scene)
-    elif kind == "mesh":
-        from geokit.mesh import load
-
-        mesh = load(source)
-        drawing.figure(output, mesh=mesh, **_coordinate(mesh.vertices, color), **scene)
-    else:
-        from geokit.points import load as load_points
-
-        cloud = load_points(source)
-        chosen = _array_or_color(cloud, color, source)
-        drawing.figure(output, points=cloud.points, **chosen, **scene)
+            cloud = load_cloud(source, finite_only, grid)
+            own = color in ("rgb", "rgba") and color in cloud.data
+            chosen = _array_or_color(cloud, cloud.points, None if own else color)
+            scene["up"] = up or up_of_points(cloud.points, usual)
+            drawing.figure(output, points=cloud, **chosen, **scene)
     print(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
 
 
 def _parse_size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d+)\s*[x,]\s*(\d+)", text.strip().lower())
     if match is None:
-        raise InputError(f"--size: {text!r} is not WIDTHxHEIGHT in pixels, such as 800x600")
+        raise CycloptsError(msg=f"--size: {text!r} is not WIDTHxHEIGHT in pixels, such as 800x600")
     return int(match[1]), int(match[2])
 
 
-def _coordinate(positions: Any, color: str | None) -> dict[str, Any]:
+def _array_or_color(held: Any, positions: Any, color: str | None) -> dict[str, Any]:
+    """What to color by: an array of the mesh or the cloud, vectors by their length, else a coordinate or a color."""
+    import numpy as np
+
+    arrays = held.data if hasattr(held, "data") else {**held.face_data, **held.vertex_data}
+    if color in arrays:
+        values = np.asarray(arrays[color], dtype=np.float64)
+        return {"color": np.linalg.norm(values, axis=1) if values.ndim == 2 else values, "label": color}
     if color is not None and color in tuple(AXES):
         return {"color": positions[:, AXES.index(color)], "label": color}
     return {"color": color}
-
-
-def _array_or_color(cloud: Any, color: str | None, source: Path) -> dict[str, Any]:
-    import numpy as np
-
-    if color in cloud.data:
-        values = np.asarray(cloud.data[color], dtype=np.float64)
-        return {"color": np.linalg.norm(values, axis=1) if values.ndim == 2 else values, "label": color}
-    return _coordinate(cloud.points, color)

@@ -247,7 +247,7 @@ def clip(
     upper: tuple[float, float, float],
     common: Common = DEFAULTS,
 ) -> None:
-    """Keep the part of a volume inside a box.
+    """Keep the part of a volume inside a box. Of a .nvdb that is not compressed only that part is read.
 
     Args:
         source: The .vdb or .nvdb file to read.
@@ -255,7 +255,7 @@ def clip(
         lower: Lower corner in world units: x y z.
         upper: Upper corner in world units: x y z.
     """
-    apply("clip", source, target, common, [lower, upper])
+    apply("clip", source, target, common, [lower, upper], within=[lower, upper])
 
 
 @app.command
@@ -307,14 +307,29 @@ def laplacian(source: Source, target: Target, /, *, device: str | None = None, c
 
 
 @app.command
-def segment(source: Source, target: Target, /, *, common: Common = DEFAULTS) -> None:
+def connected_components(
+    source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS
+) -> None:
+    """Write a grid of labels: 1 for the largest connected component of a volume, 2 for the next one.
+
+    Args:
+        source: The .vdb or .nvdb file to read.
+        target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+    """
+    apply("connected_components", source, target, common, device=device)
+
+
+@app.command
+def segment(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
     """Write the connected components of a volume as grids of one file, largest first.
 
     Args:
         source: The .vdb or .nvdb file to read.
         target: The .vdb or .nvdb file to write.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
-    apply("segment", source, target, common)
+    apply("segment", source, target, common, device=device)
 
 
 @app.command

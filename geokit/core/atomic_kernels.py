@@ -22,3 +22,46 @@ def lower_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32):
 def lower_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64):  # noqa: F811
     """The same of 64-bit integers."""
     ...
+
+
+def _add_to(number: str, atomic: str, at: str) -> str:
+    return cpp("core/add_to.inl", defines={"NUMBER": number, "ATOMIC": atomic, "AT": at})
+
+
+@wp.func_native(_add_to("int", "int", "at"))
+def add_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32) -> wp.int32:
+    """``values[at] += value``; returns the old value."""
+    ...
+
+
+@wp.func_native(_add_to("int64_t", "unsigned long long", "at"))
+def add_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64) -> wp.int64:  # noqa: F811
+    """The same of 64-bit integers."""
+    ...
+
+
+@wp.func_native(_add_to("int64_t", "unsigned long long", "(int64_t)row * values.shape[1] + column"))
+def add_to(  # noqa: F811
+    values: wp.array(dtype=wp.int64, ndim=2), row: wp.int32, column: wp.int32, value: wp.int64
+) -> wp.int64:
+    """``values[row, column] += value``; returns the old value."""
+    ...
+
+
+@wp.func_native(cpp("core/unite_sets.inl"))
+def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
+    """Join the sets of a and b; the lower root becomes the root of both, whatever the order of the threads.
+
+    Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
+    replaced only while it is still a root; every other entry may be overwritten with an ancestor at any time.
+    """
+    ...
+
+
+@wp.func
+def root_of(parent: wp.array(dtype=wp.int32), x: wp.int32) -> wp.int32:
+    """The root of the set of x, once no thread unites sets any more."""
+    at = x
+    while parent[at] != at:
+        at = parent[at]
+    return at

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.host_array import row_of
-from geokit.core.memory_pool import MemoryPool
+from geokit.core.forks import renew_after_fork
+from geokit.core.memory.host_array import row_of
+from geokit.core.memory.memory_pool import MemoryPool
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["download", "download_into"]
+__all__ = ["download", "download_into", "release"]
 
 # Size of each of the two halves of the staging memory: the bus fills one half while threads empty the other. The
 # 32 MiB of pinned memory are kept from the first large download on.
@@ -82,6 +83,15 @@ def download_into(target: np.ndarray, array: "wp.array") -> None:
     wp.synchronize_device(array.device)  # the copy is asynchronous
 
 
+def release() -> int:
+    """Free idle pinned memory, and staging memory that no thread uses; return the bytes of the former."""
+    for alias, stage in list(_stages.items()):
+        if stage.lock.acquire(blocking=False):
+            _stages.pop(alias, None)
+            stage.lock.release()
+    return _pool.release()
+
+
 def _download_pooled(arrays: tuple["wp.array", ...], pool: MemoryPool) -> list[np.ndarray] | None:
     """Copy straight into the pool's pinned memory; None if the pool has no room."""
     import warp as wp
@@ -123,9 +133,13 @@ class _Stage:
     """Staging memory for one device: two pinned halves, used in turn."""
 
     def __init__(self, device: "wp.Device") -> None:
-        self.lock = threading.Lock()
         self._device = device
         self._halves: list[_Half] = []
+        self._after_fork()
+        renew_after_fork(self)
+
+    def _after_fork(self) -> None:
+        self.lock = threading.Lock()
 
     def copy(self, arrays: tuple["wp.array", ...], results: list[np.ndarray]) -> None:
         self._halves = self._halves or [_Half(self._device) for _ in range(2)]

@@ -1,21 +1,43 @@
-"""Atomic file writes, and checks of file names and formats."""
+"""Atomic file writes, checks of file names and formats, and names for what readers make of damaged files."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
+import re
+import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.errors import FileAccessError, InputError
+from geokit.core.private_folder import private_folder
+from geokit.core.require import require_path
+from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
-__all__ = ["atomic_path", "extension", "require_extension", "require_file"]
+__all__ = [
+    "atomic_path", "extension", "in_one_line", "is_there", "named_damage", "refuse_empty", "refuse_pointer",
+    "require_extension", "require_file", "require_room", "size_of",
+]  # fmt: skip
+
+# Extensions with two dots.
+_DOUBLE = (".nii.gz",)
+_KINDS = {
+    stat.S_IFDIR: "directory",
+    stat.S_IFIFO: "FIFO",
+    stat.S_IFCHR: "character device",
+    stat.S_IFBLK: "block device",
+    stat.S_IFSOCK: "socket",
+}
+# The first line of what a clone has in place of a large file.
+_POINTER = b"version https://git-lfs"
+# Longer extensions, which no format has, are left off the name of the temporary file.
+LONGEST_SUFFIX = 32
 
 
 def extension(path: str | os.PathLike[str]) -> str:
-    """Lower-case extension of ``path`` with its dot; ``""`` if it has none."""
-    return Path(path).suffix.lower()
+    """Lower-case extension of ``path`` with its dot, both of ``.nii.gz``; ``""`` if it has none."""
+    name = require_path(path).name.lower()
+    return next((kind for kind in _DOUBLE if name.endswith(kind) and name != kind), require_path(path).suffix.lower())
 
 
 def require_extension(path: str | os.PathLike[str], known: tuple[str, ...] | frozenset[str], what: str) -> str:
@@ -26,78 +48,236 @@ def require_extension(path: str | os.PathLike[str], known: tuple[str, ...] | fro
     """
     found = extension(path)
     if found not in known:
-        raise InputError(
-            f"{Path(path)}: '{found or 'no extension'}' is not a {what} format; use one of {', '.join(sorted(known))}"
-        )
+        found, listed = found or "no extension", ", ".join(sorted(known))
+        raise InputError(f"{require_path(path)}: '{found}' is not a {what} format; use one of {listed}")
     return found
 
 
 def require_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` as a Path, which must name an existing, readable file.
+    """Return ``path`` as a Path, which must name an existing, readable, regular file.
+
+    FIFOs and devices are refused without opening them, because that may block or act on the device.
 
     Raises:
-        FileAccessError: The file is missing, a directory, or not readable.
+        FileAccessError: The file is missing, not a regular file, or not readable.
+        FileFormatError: It is a pointer of Git LFS, which stands in a clone for a file that was not fetched.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileAccessError(f"{path}: no such file; check the path")
-    if path.is_dir():
-        raise FileAccessError(f"{path}: is a directory; name a file in it")
+    path = require_path(path)
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileAccessError(f"{path}: no such file; check the path") from None
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise FileAccessError(_irregular(path, found))
     if not os.access(path, os.R_OK):
         raise FileAccessError(f"{path}: not readable; check its permissions")
+    refuse_pointer(path)
     return path
+
+
+def refuse_pointer(path: Path) -> None:
+    """Refuse a pointer of Git LFS.
+
+    Raises:
+        FileFormatError: The file is one.
+    """
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise FileFormatError(f"{path}: is a Git LFS pointer, not the file itself; get it with: git lfs pull")
+
+
+def refuse_empty(path: Path) -> None:
+    """Refuse a file of no bytes.
+
+    Raises:
+        FileFormatError: The file is empty.
+    """
+    if path.stat().st_size == 0:
+        raise FileFormatError(f"{path}: is empty; get a whole copy")
+
+
+def size_of(path: Path) -> int:
+    """Size of a file, or of all files in a folder."""
+    if not path.is_dir():
+        return path.stat().st_size
+    return sum(one.stat().st_size for one in path.rglob("*") if one.is_file())
+
+
+def require_room(target: Path, need: float, what: str, remedy: str) -> None:
+    """Check that the disk of ``target`` has room for ``need`` bytes.
+
+    Raises:
+        FileAccessError: It has not; the message says what needs them, and what to do.
+    """
+    try:
+        free = shutil.disk_usage(target.parent).free
+    except OSError:  # of a folder that is missing, which is named where the file is made
+        return
+    if need > free:
+        raise FileAccessError(
+            f"{target}: {what} need {need / 2**30:.3g} GiB or more of the {free / 2**30:.3g} GiB that are free there; "
+            f"{remedy}"
+        )
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is a file or a folder of that name.
+
+    Raises:
+        FileAccessError: The system has no such names, for example since the name is too long.
+    """
+    try:
+        return path.exists()
+    except (OSError, ValueError) as error:  # a name that is too long, or that no encoding of the system knows
+        reason = getattr(error, "strerror", None) or error
+        raise FileAccessError(f"{path!r}: no file can have that name ({reason}); check the path") from error
 
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
-    """Provide a temporary path beside ``target`` that replaces it if the block succeeds.
+    """Provide a temporary path that replaces ``target`` if the block succeeds.
 
-    The temporary file has the target's extension, because some writers choose a format by name. It is fsynced
-    and renamed over the target on success and removed on failure: a reader sees the old file or the new one.
+    The temporary file lies in a private folder beside the target and has the target's extension, because some writers
+    choose a format by name. It is fsynced and renamed over the target on success and removed on failure: a reader sees
+    the old file or the new one. If the process is killed, the next call for that folder removes the temporary file.
+
+    Symbolic links are followed: the file that they lead to is replaced. A file that is replaced keeps its permissions,
+    and its owner where the system allows that. A file with several names (hard links) keeps them, and is overwritten
+    from the finished temporary file: the room is reserved first, so a full disk leaves the old content, but a reader
+    may see a mixture meanwhile.
 
     Raises:
-        FileAccessError: The target's folder is missing or not writable, or the target is a directory.
+        FileAccessError: The target's folder is missing or not writable, the target is a directory, a FIFO or a device,
+            or writing failed.
+
+    Held by: tests/core/test_files.py
     """
-    target = Path(target)
-    folder = target.parent
-    if not folder.is_dir():
-        raise FileAccessError(f"{target}: the folder {folder} does not exist; create it first")
-    if target.is_dir():
-        raise FileAccessError(f"{target}: is a directory; name a file in it")
+    target = require_path(target)
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=folder)
-    except OSError as error:
-        raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another folder") from error
-    os.close(handle)
-    part = Path(name)
-    try:
-        yield part
-        _publish(part, target)
+        real, _ = _followed(target)
+        if not real.parent.is_dir():
+            raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
+        with contextlib.ExitStack() as stack:
+            try:
+                folder = stack.enter_context(private_folder(real.parent))
+                suffix = target.name[-size:] if 0 < (size := len(extension(target))) <= LONGEST_SUFFIX else ""
+                part = folder / f"part{suffix}"
+                # Created here, so that umask and the folder's rules give a new file its mode.
+                os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
+                mode = part.stat().st_mode
+            except OSError as error:
+                raise FileAccessError(
+                    f"{target}: cannot write there ({error.strerror}); choose another folder"
+                ) from error
+            yield part
+            _publish(part, mode, target)
     except OSError as error:
         if isinstance(error, FileAccessError):
             raise
         raise FileAccessError(f"{target}: writing failed ({error.strerror or error}); check the disk") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
-def _publish(part: Path, target: Path) -> None:
-    # mkstemp creates files with mode 0600. A new file gets the mode that umask allows, a replaced one keeps its mode.
-    mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-    os.chmod(part, mode)
+def _followed(target: Path) -> tuple[Path, os.stat_result | None]:
+    """The file that symbolic links lead to, and what stands there now.
+
+    Raises:
+        FileAccessError: Something that is not a regular file stands there, or a link leads nowhere.
+    """
+    found = None
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            found = target.stat()
+        real = Path(os.path.realpath(target))
+    except OSError as error:
+        raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another name") from error
+    if found is not None and not stat.S_ISREG(found.st_mode):
+        raise FileAccessError(_irregular(target, found))
+    # Links of /proc to open files lead to files that may have lost their name.
+    if found is not None and not (real.exists() and os.path.samestat(real.stat(), found)):
+        raise FileAccessError(f"{target}: leads to a file that has no name; name a file in a folder")
+    return real, found
+
+
+def _irregular(path: Path, found: os.stat_result) -> str:
+    kind = _KINDS.get(stat.S_IFMT(found.st_mode), "special file")
+    if kind == "directory":
+        return f"{path}: is a directory; name a file in it"
+    return f"{path}: is a {kind}; name a regular file"
+
+
+def _publish(part: Path, mode: int, target: Path) -> None:
+    # What stands at the target is looked at again, because writing may have taken long.
+    real, found = _followed(target)
     with open(part, "rb+") as file:
         os.fsync(file.fileno())
-    os.replace(part, target)
+    if found is not None and found.st_nlink > 1:
+        _copy_over(part, real)
+        return
+    if found is not None:
+        mode = found.st_mode
+        # Only root may give files away; others may choose among their groups.
+        with contextlib.suppress(OSError):
+            os.chown(part, -1, found.st_gid)
+        with contextlib.suppress(OSError):
+            os.chown(part, found.st_uid, -1)
+    os.chmod(part, mode & 0o777)
+    os.replace(part, real)
     # The rename is durable only once the folder is synced. Some systems cannot open a folder.
     with contextlib.suppress(OSError):
-        folder = os.open(target.parent, os.O_RDONLY)
+        folder = os.open(real.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
             os.close(folder)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _copy_over(part: Path, real: Path) -> None:
+    with open(part, "rb") as source, open(real, "rb+") as file:
+        before, after = os.fstat(file.fileno()).st_size, os.fstat(source.fileno()).st_size
+        if after > before:
+            try:
+                os.posix_fallocate(file.fileno(), before, after - before)
+            except OSError:
+                file.truncate(before)
+                raise
+        shutil.copyfileobj(source, file, 1 << 20)
+        file.truncate(after)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextlib.contextmanager
+def named_damage(path: Path) -> Iterator[None]:
+    """Context in which a file is read: NumPy says nothing of bytes that are no numbers, and errors are named.
+
+    Args:
+        path: The file.
+    Raises:
+        FileFormatError: The code inside raises anything else than a GeokitError or a MemoryError.
+    """
+    import numpy as np
+
+    try:
+        # Casts of signaling NaN warn; what is not finite is found and named after reading.
+        with np.errstate(invalid="ignore", over="ignore"):
+            yield
+    except (GeokitError, MemoryError):
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {in_one_line(str(error))}"
+        raise FileFormatError(
+            f"{path}: cannot be read as {path.suffix.lower()} ({reason}); the file is damaged, export it again"
+        ) from error
+
+
+def in_one_line(text: str, most: int = 300) -> str:
+    """Text that may come from a damaged file, as one line that every terminal prints as it stands.
+
+    Args:
+        text: Any text: line ends, control characters and bytes in no encoding (surrogates) are escaped.
+        most: Number of characters after which it is cut.
+    """
+    shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in shown)

@@ -13,7 +13,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from geokit.core import launch_cache
+from geokit.core import kernel_cache
+from geokit.core.launches import launch_cache, replay, warp_private
+from geokit.core.memory import needs
+from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.require import described
 from geokit.core.thread_placement import Pool, wait_for
 from geokit.errors import InputError
 
@@ -21,7 +25,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
+    "compile_notice",
     "cuda_devices",
+    "device_or_default",
     "identity",
     "launch",
     "launch_queries",
@@ -50,24 +56,31 @@ BUCKET_GRAIN = 64
 BLOCK_DIM = 128
 # Queries per launch. This bounds the memory of keys and order (16 bytes each, twice, or 24 on a CPU) to 128 MiB.
 BLOCK = 1 << 22
-# Loading from the kernel cache takes well under this; compiling takes seconds.
-COMPILE_NOTICE_SECONDS = 0.7
+# What is said before the first compilation of a process. The command line adds a line for each module.
+COMPILE_NOTICE = "compiling kernels: some seconds at the first call of each kind, once; they are kept in %s"
 
 # Share of a GPU's memory that warp's pool keeps after arrays are freed. By default it returns all to the driver, and
 # allocating the arrays of four million answers again takes a third of a millisecond, of a query that takes one.
 POOL_SHARE = 0.25
 
 _loaded: set[tuple[str, str]] = set()
-_load_lock = threading.Lock()
+# A fork waits until no module is being loaded: the compiler's own locks cannot be made anew in the child.
+_load_lock = threading.RLock()
+# True in a forked child of a process that had initialized CUDA: the driver refuses to work there.
+_has_lost_cuda = False
 _compile_listener: Callable[[str], None] | None = None
+_log = logging.getLogger("geokit")
 
 
 @functools.lru_cache(maxsize=1)
 def _warp() -> Any:
     import warp
 
-    with _quiet(warp), _silenced_stderr():
-        warp.init()
+    def init() -> None:
+        with _quiet(warp), _silenced_stderr():
+            warp.init()
+
+    kernel_cache.initialize(warp, init)
     return warp
 
 
@@ -112,26 +125,51 @@ def resolve_device(device: Any = None) -> "wp.Device":
         InputError: There is no such device; the message lists the existing ones.
     """
     wp = _warp()
+    if isinstance(device, (list, tuple)):
+        raise InputError("device: a list is for Surface, NeighborGrid and queries of volumes; give one device here")
     if device is None:
         gpus = wp.get_cuda_devices()
         device = gpus[0] if gpus else "cpu"
     try:
         found = wp.get_device(device)
-    except (ValueError, RuntimeError, TypeError) as error:
+    except Exception as error:  # of warp, or of the caller's own type
         names = ", ".join(["cpu", *cuda_devices()])
-        raise InputError(f"device: {device!r} is not on this machine; use one of {names}") from error
+        raise InputError(f"device: {described(device)} is not on this machine; use one of {names}") from error
     if found.is_cuda:
+        _require_cuda()
         _keep_pool(found.alias)
     return found
+
+
+def device_or_default(alias: str) -> str:
+    """The alias itself if there is such a device here, else that of the default device; for what was pickled."""
+    return alias if alias in ("cpu", *cuda_devices()) else str(resolve_device().alias)
 
 
 @functools.lru_cache(maxsize=16)
 def _keep_pool(device: str) -> None:
     """Make warp's pool of the device keep freed memory; a larger threshold set by the user stays."""
     wp = _warp()
+    needs.silence_cuda(warp_private.native_library())
     kept = int(POOL_SHARE * wp.get_device(device).total_memory)
     if wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) < kept:
         wp.set_mempool_release_threshold(device, kept)
+
+
+def _require_cuda() -> None:
+    if _has_lost_cuda:
+        raise InputError(
+            "device: CUDA does not work in a process forked from one that has used it; "
+            "start workers by 'spawn' (multiprocessing.get_context), or pass device='cpu'"
+        )
+
+
+def _after_fork() -> None:
+    """In a forked child: forget the thread pools, whose threads were not copied, and CUDA."""
+    global _load_lock, _has_lost_cuda
+    _load_lock = threading.RLock()
+    _pool.cache_clear()
+    _has_lost_cuda = bool(_warp.cache_info().currsize and _warp().get_cuda_device_count())
 
 
 def thread_count() -> int:
@@ -153,15 +191,35 @@ def _pool(threads: int) -> Pool:
     return Pool(threads, "geokit")
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=lambda: _load_lock.acquire(), after_in_parent=lambda: _load_lock.release(), after_in_child=_after_fork
+    )
+
+
 def pool() -> Pool:
     """The thread pool that runs the slices of CPU launches."""
     return _pool(thread_count())
 
 
 def on_compile(listener: Callable[[str], None] | None) -> None:
-    """Set ``listener(module_name)``, called when a kernel module is compiled rather than read from the cache."""
+    """Set ``listener(module_name)``, called before a kernel module is compiled rather than read from the cache.
+
+    Without a listener the log says once that kernels are being compiled; Python prints that to stderr unless logging is
+    configured.
+    """
     global _compile_listener
     _compile_listener = listener
+
+
+def compile_notice() -> str:
+    """What to tell people before the first kernels are compiled."""
+    return COMPILE_NOTICE % _warp().config.kernel_cache_dir
+
+
+@functools.cache
+def _log_compiling() -> None:
+    _log.warning("geokit: %s", compile_notice())
 
 
 def load_module(module: Any, device: "wp.Device") -> None:
@@ -172,18 +230,12 @@ def load_module(module: Any, device: "wp.Device") -> None:
     with _load_lock:
         if key in _loaded:
             return
-        listener = _compile_listener
-        notice = threading.Timer(COMPILE_NOTICE_SECONDS, listener, [module.name]) if listener else None
-        if notice:
-            notice.daemon = True
-            notice.start()
-        try:
-            with _quiet(_warp()):
-                # CPU launches have blocks of one thread. Another block size would compile the module again.
-                module.load(device, block_dim=1 if device.is_cpu else BLOCK_DIM)
-        finally:
-            if notice:
-                notice.cancel()
+        # Wheels bring no objects of these for GPUs.
+        assert device.is_cpu or "_cpu_kernels" not in module.name, f"{module.name} on {device}"
+        with _quiet(_warp()):
+            # CPU launches have blocks of one thread. Another block size would compile the module again.
+            announce = _compile_listener or (lambda _: _log_compiling())
+            kernel_cache.load(module, device, 1 if device.is_cpu else BLOCK_DIM, announce)
         _loaded.add(key)
 
 
@@ -205,14 +257,20 @@ def launch(
         return
     load_module(kernel.module, device)
     if device.is_cuda:
+        _require_cuda()
+        replay.refuse()
         launch_cache.run(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)
         return
     # Warp runs a CPU launch on one thread and releases the GIL, so slices can run side by side.
     threads = thread_count()
     size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
     if threads == 1 or count <= size:
-        launch_cache.run(kernel, count, [0, *inputs, *outputs], device, 1)
+        arguments = [0, *inputs, *outputs]
+        if recorder := replay.current():
+            recorder.launch(kernel, count, arguments, outputs, device)
+        launch_cache.run(kernel, count, arguments, device, 1)
         return
+    replay.refuse()
     firsts = iter(range(0, count, size))  # shared by the threads; the GIL makes taking the next one safe
 
     def run_slices() -> None:
@@ -284,7 +342,7 @@ def morton_order(points: "wp.array", lower: Any, extent: float, device: "wp.Devi
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
     launch(morton_kernel, count, [points, *frame], [keys, order], device)
-    wp.utils.radix_sort_pairs(keys, order, count, end_bit=30)
+    sort_pairs(keys, order, count, end_bit=30)
     return order
 
 
@@ -295,10 +353,10 @@ def _morton_order_cpu(points: "wp.array", frame: list[Any], device: "wp.Device")
     """
     import numpy as np
 
-    from geokit.core import host_pool
     from geokit.core import morton_order_cpu_kernels as kernels
     from geokit.core.counting_sort_cpu_kernels import sum_kernel
-    from geokit.core.host_array import HostArray
+    from geokit.core.memory import host_pool
+    from geokit.core.memory.host_array import HostArray
 
     count = len(points)
     rows = min(thread_count(), -(-count // ORDER_SHARE))

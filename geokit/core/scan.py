@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.pinned import host_arrays
+from geokit.core.memory.pinned import host_arrays
 
 if TYPE_CHECKING:
     import warp as wp
 
 
-__all__ = ["prefix_sum", "prefix_sum_async"]
+__all__ = ["prefix_sum", "prefix_sum_async", "row_offsets"]
 
 
 def prefix_sum(counts: "wp.array") -> tuple["wp.array", int]:
@@ -39,3 +39,22 @@ def prefix_sum_async(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]
     (total,) = host_arrays(device, ((1,), np.int32))
     launcher.launch(last_kernel, 1, [sums], [total], device)
     return sums, lambda: int(total.numpy()[0])
+
+
+def row_offsets(counts: Any) -> "wp.array":
+    """Beginning of each row and the end of the last one, int64 (N + 1,), for int32 counts (N,) of rows in CSR form."""
+    import warp as wp
+
+    from geokit.core.scan_kernels import widen_kernel
+
+    device = counts.device
+    if device.is_cpu:
+        offsets = np.zeros(len(counts) + 1, dtype=np.int64)
+        np.cumsum(counts.numpy(), out=offsets[1:])
+        return wp.array(offsets, dtype=wp.int64, device=device, copy=False)
+    wide = wp.empty(len(counts), dtype=wp.int64, device=device)
+    offsets = wp.zeros(len(counts) + 1, dtype=wp.int64, device=device)
+    if len(counts):
+        launcher.launch(widen_kernel, len(counts), [counts], [wide], device)
+        wp.utils.array_scan(wide, offsets[1:], inclusive=True)
+    return offsets

@@ -7,28 +7,36 @@ the host. Kernels see float64 rows of three. float32 input returns float32; ever
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.array_interop import as_table, exporter_like, import_array, is_exporter, reinterpreted
-from geokit.core.device_arena import Scratch, ScratchArray
 from geokit.core.download import download
-from geokit.core.host_array import HostArray, row_of
-from geokit.core.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
+from geokit.core.interop.arrays import as_table, exporter_like, import_array, is_exporter, reinterpreted
+from geokit.core.interop.objects import points_of
+from geokit.core.launches import replay
+from geokit.core.memory.device_arena import Scratch, ScratchArray
+from geokit.core.memory.host_array import HostArray, row_of
+from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
+from geokit.core.require import read_array, require_number
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
+    "LARGEST_MEASURED",
     "Batch",
     "empty",
     "empty_outputs",
     "full",
+    "mapped",
+    "read_numbers",
     "read_vectors",
     "reported_row",
     "require_finite",
@@ -36,6 +44,10 @@ __all__ = [
     "require_length",
 ]
 
+# Largest coordinate of queries that measure distances: squares of differences have to stay within float64. Kernels
+# have it as LARGEST of user_arrays_kernels.
+LARGEST_MEASURED = 1e150
+LARGEST_FLOAT = float(np.finfo(np.float64).max)
 # Up to this size, checking each number is as fast as suppressing the warnings around their sum.
 SMALL = 4096
 
@@ -50,13 +62,16 @@ class Batch:
             them from the host.
         is_float32: True if the caller's rows were float32; results are then float32 too.
         to_caller: Converts a result of :func:`empty` or :func:`empty_outputs` to the caller's kind of array.
+            One row of shape (3,) gets results without the leading axis.
         first_row: Index of the first row among the caller's rows, for error messages.
+        to_lists: The same for results that do not have one entry for each row, which keep their shape.
     """
 
     rows: Any
     is_float32: bool
     to_caller: Callable[["wp.array"], Any]
     first_row: int = 0
+    to_lists: Callable[["wp.array"], Any] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -76,12 +91,14 @@ def read_vectors(
     first_row: int = 0,
     keep_float32: bool = False,
     pin: bool = False,
+    single: bool = False,
+    largest: float = LARGEST_FLOAT,
 ) -> Batch:
     """Read an (N, 3) table from any supported container, as rows on ``device``.
 
     Args:
-        values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), or an exporter of DLPack or the
-            CUDA array interface.
+        values: Shape (N, 3): NumPy, nested lists, a warp array (also (N,) of vec3), an exporter of DLPack or the CUDA
+            array interface, or an object that holds points (:func:`geokit.core.interop.objects.points_of`).
         name: The argument's name for error messages.
         device: The query device; rows elsewhere are copied to it, and results are copied back.
         defer: Skip the check for rows that are not finite. The query's kernel then has to detect them, and
@@ -90,23 +107,30 @@ def read_vectors(
         keep_float32: Keep float32 rows as vec3f, for kernels that take both types.
         pin: Keep fewer than 2,048 NumPy rows of a GPU query, and the results of :func:`empty` for them, in pinned host
             memory. Only for queries that pass both to kernels and do nothing else with them.
+        single: Also take one row of shape (3,).
+        largest: Largest magnitude of a coordinate; without ``defer``.
     Returns:
         A Batch.
     Raises:
-        InputError: A wrong shape or dtype, or a row that is not finite; the message names the first bad row.
+        InputError: A wrong shape or dtype, or a row that is not finite; the message names the first bad row. Or a
+            wp.Tape is recording, and the rows require gradients.
     """
     import warp as wp
 
     if isinstance(values, wp.array):
+        _refuse_recording(values, name)
         source = values
-        vectors = values.ndim == 1
+        vectors = values.ndim == 1 and values.dtype in (wp.vec3f, wp.vec3d)
         finish = _on_device_of(source, lambda out: out if vectors else as_table(out))
-    elif isinstance(values, np.ndarray) or not is_exporter(values):
-        return _read_numpy(values, name, device, first_row, defer, keep_float32, pin)
     else:
+        if type(values) is not np.ndarray:
+            values = points_of(values, name)
+        if isinstance(values, np.ndarray) or not is_exporter(values):
+            return _read_numpy(values, name, device, first_row, defer, keep_float32, pin, single, largest)
         source = import_array(values, name)
         finish = _on_device_of(source, exporter_like(values))
-    rows, is_float32 = _as_rows(source, name)
+    alone = single and source.shape == (3,) and source.dtype in (wp.float32, wp.float64)
+    rows, is_float32 = _as_rows(source.reshape((1, 3)) if alone else source, name)
     if rows.device != device:
         rows = rows.to(device)
     if is_float32 and not keep_float32:
@@ -114,8 +138,31 @@ def read_vectors(
     if not rows.is_contiguous:
         rows = rows.contiguous()
     if not defer:
-        _require_finite(rows, name, first_row)
-    return Batch(rows, is_float32, lambda out: finish(_narrowed(_as_warp(out), is_float32)), first_row)
+        _require_finite(rows, name, first_row, largest)
+
+    def to_lists(out: "wp.array") -> Any:
+        return finish(_narrowed(_as_warp(out), is_float32))
+
+    return Batch(rows, is_float32, _alone(to_lists) if alone else to_lists, first_row, to_lists)
+
+
+def read_numbers(values: Any, name: str) -> np.ndarray:
+    """Read one number or an array of numbers, also from a warp array or an exporter, as float64 on the host.
+
+    Raises:
+        InputError: ``values`` cannot be read as real numbers.
+    """
+    if type(values) is float:
+        return np.array(values)
+    import warp as wp
+
+    if isinstance(values, wp.array):
+        values = values.numpy()
+    elif not isinstance(values, (np.ndarray, np.generic)) and is_exporter(values):
+        values = import_array(values, name).numpy()
+    if not isinstance(values, np.ndarray) and hasattr(values, "__float__") and not hasattr(values, "__len__"):
+        values = require_number(values, name)
+    return read_array(values, name, np.float64)
 
 
 def empty(count: int, dtype: Any, like: Any) -> Any:
@@ -134,9 +181,12 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
         return wp.empty(count, dtype=dtype, device=like.device)
     row = row_of(dtype)
     shape = count, *row.shape[1:]
-    return (
-        like.pinned.take(shape, row.dtype) if isinstance(like, PinnedArray) else HostArray(np.empty(shape, row.dtype))
-    )
+    if isinstance(like, PinnedArray):
+        return like.pinned.take(shape, row.dtype)
+    results = HostArray(np.empty(shape, row.dtype))
+    if recorder := replay.current():
+        recorder.empty(results)
+    return results
 
 
 def empty_outputs(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
@@ -159,7 +209,18 @@ def full(count: int, value: float, dtype: Any, like: Any) -> Any:
         return wp.full(count, value, dtype=dtype, device=like.device)
     results = empty(count, dtype, like)
     results.values.fill(value)
+    if recorder := replay.current():
+        recorder.filled(results)
     return results
+
+
+def mapped(results: HostArray, convert: Callable[[np.ndarray], np.ndarray]) -> HostArray:
+    """``convert`` of kernel results on the host, row by row."""
+    memory = _memory_of(results)
+    made = HostArray(convert(memory))
+    if recorder := replay.current():
+        recorder.derived(made.values, memory, convert)
+    return made
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
@@ -168,24 +229,23 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
     Raises:
         InputError: ``value`` is not such a number.
     """
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: {value!r} is not a number; give one") from error
-    if np.isnan(number) or not number > low or (np.isinf(number) and not infinite):
+    number = require_number(value, name)
+    # Threads of jax take denormal numbers for 0, such as the bound below 0 that lets 0 pass.
+    is_above = number > low or (number == 0.0 and math.copysign(1.0, low) < 0.0)
+    if math.isnan(number) or not is_above or (math.isinf(number) and not infinite):
         kind = "a number" if infinite else "a finite number"
         above = f" greater than {low:g}" if low > -np.inf else ""
         raise InputError(f"{name}: {number} is not usable; give {kind}{above}")
     return number
 
 
-def require_finite(batch: Batch, name: str) -> None:
-    """Raise an error for rows that are not finite.
+def require_finite(batch: Batch, name: str, largest: float = LARGEST_FLOAT) -> None:
+    """Raise an error for rows that are not finite, or have a coordinate whose magnitude is above ``largest``.
 
     Raises:
-        InputError: A row is not finite; the message names the first one.
+        InputError: There is such a row; the message names the first one.
     """
-    _require_finite(batch.rows, name, batch.first_row)
+    _require_finite(batch.rows, name, batch.first_row, largest)
 
 
 def require_length(batch: Batch, name: str, shortest: float) -> None:
@@ -215,53 +275,120 @@ def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
 
 
 def _read_numpy(
-    values: Any, name: str, device: "wp.Device", first_row: int, defer: bool, keep_float32: bool, pin: bool
+    values: Any,
+    name: str,
+    device: "wp.Device",
+    first_row: int,
+    defer: bool,
+    keep_float32: bool,
+    pin: bool,
+    single: bool,
+    largest: float,
 ) -> Batch:
-    try:
-        array = np.asarray(values)
-        is_float32 = array.dtype == np.float32
-        if array.dtype.kind not in "fiu" and array.size:
-            raise InputError(f"{name}: dtype {array.dtype} is not a real number type; convert it to float64")
-        table = np.ascontiguousarray(array, dtype=np.float32 if is_float32 and keep_float32 else np.float64)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{name}: cannot be read as an (N, 3) table of numbers ({error})") from error
+    array = values if type(values) is np.ndarray and values.dtype.kind in "fiu" else read_array(values, name)
+    is_float32 = array.dtype == np.float32
+    table = np.ascontiguousarray(array, dtype=np.float32 if is_float32 and keep_float32 else np.float64)
     if table.size == 0 and table.ndim <= 2:
         table = table.reshape(0, 3)
+    alone = single and table.shape == (3,)
+    if alone:
+        table = table[None]
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
-    if not defer and not _all_finite(table):
-        _refuse_nonfinite(table, name, first_row)
+    if not defer and not _all_within(table, largest):
+        _refuse_nonfinite(table, name, first_row, largest)
+    if recorder := replay.current():
+        table = recorder.rows_of(values, table, largest=None if defer else largest)
     if pin and len(table) < FEWEST_ROWS and uses_pinned_memory(device):
         rows: Any = Pinned(device).take(table.shape, table.dtype)
         rows.values[:] = table
     else:
         host = HostArray(table)
         rows = host if device.is_cpu else host.warp.to(device)
-    return Batch(rows, is_float32, lambda out: _to_numpy(out, is_float32), first_row)
+
+    def to_lists(out: Any) -> NDArray[Any]:
+        return _to_numpy(out, is_float32)
+
+    return Batch(rows, is_float32, _alone(to_lists) if alone else to_lists, first_row, to_lists)
 
 
-def _all_finite(table: np.ndarray) -> bool:
+def _alone(give: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """The same results without their leading axis."""
+
+    def first(out: Any) -> Any:
+        import warp as wp
+
+        found = give(out)
+        if not isinstance(found, wp.array):
+            if recorder := replay.current():
+                return recorder.element(found)
+            return found[0]
+        # warp has no arrays of no dimension.
+        return reinterpreted(found, found.dtype, found.shape[1:]) if found.ndim > 1 else found.numpy()[0]
+
+    return first
+
+
+def _refuse_recording(values: "wp.array", name: str) -> None:
+    """Refuse rows whose gradients a tape is meant to record: kernels of queries have no adjoints.
+
+    Raises:
+        InputError: There is such a tape.
+    """
+    if not values.requires_grad:
+        return
+    import warp as wp
+
+    try:
+        with wp.Tape():
+            return
+    except RuntimeError:  # another tape is recording
+        raise InputError(
+            f"{name}: a wp.Tape would record this query with gradients of zero, since queries have no adjoint; query "
+            "outside the tape, take volume.gradient, or sample in a kernel of your own (docs/kernels.md)"
+        ) from None
+
+
+def _all_within(table: np.ndarray, largest: float) -> bool:
+    """Whether all numbers are finite and at most ``largest``; False where only a check of each row can tell."""
     if table.size <= SMALL:
-        return bool(np.isfinite(table).all())
-    # One fast pass: a finite sum means finite entries. A sum of huge entries may overflow; then each row is checked.
+        return not table.size or max(float(table.max()), -float(table.min())) <= largest
+    # One fast pass. A sum of huge entries may overflow; then each row is checked.
     with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(table.sum()))
+        if largest == LARGEST_FLOAT:
+            return bool(np.isfinite(table.sum()))
+        flat = table.reshape(-1)
+        return float(np.einsum("i,i->", flat, flat)) < largest * largest
 
 
-def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int) -> None:
-    bad = ~np.isfinite(table).all(axis=1)
+def _refuse_nonfinite(table: np.ndarray, name: str, first_row: int, largest: float) -> None:
+    bad = ~(np.abs(table) <= np.float64(largest)).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
-        raise InputError(
-            f"{name}: row {row + first_row} is not finite ({table[row].tolist()}); remove or replace such rows"
+        raise _bad_row(name, row + first_row, table[row].tolist(), largest)
+
+
+def _bad_row(name: str, row: int, values: list[float], largest: float) -> InputError:
+    if all(map(math.isfinite, values)):
+        return InputError(
+            f"{name}: row {row} is farther than {largest:g} from the origin ({values}), where squares of distances "
+            "leave float64; scale it down, with all else"
         )
+    return InputError(f"{name}: row {row} is not finite ({values}); remove or replace such rows")
 
 
 def _to_numpy(out: "wp.array", is_float32: bool) -> np.ndarray:
-    result = out.numpy() if isinstance(out, HostArray) else download(_as_warp(out))[0]
-    return result.astype(np.float32) if is_float32 and result.dtype == np.float64 else result
+    memory = _memory_of(out) if isinstance(out, HostArray) else download(_as_warp(out))[0]
+    is_cast = is_float32 and memory.dtype == np.float64
+    result = memory.astype(np.float32) if is_cast else memory
+    if recorder := replay.current():
+        recorder.result(result, memory, is_float32=is_cast)
+    return result
+
+
+def _memory_of(results: HostArray) -> np.ndarray:
+    """Results on the host. A recorder notes what becomes of them; pinned ones are waited for."""
+    return results.values if type(results) is HostArray else results.numpy()
 
 
 def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
@@ -297,20 +424,21 @@ def _widen(rows: "wp.array") -> "wp.array":
     return out
 
 
-def _require_finite(rows: "wp.array", name: str, first_row: int) -> None:
+def _require_finite(rows: "wp.array", name: str, first_row: int, largest: float = LARGEST_FLOAT) -> None:
     if len(rows) == 0:
         return
     if isinstance(rows, HostArray) or rows.device.is_cpu:
-        _refuse_nonfinite(rows.numpy(), name, first_row)
+        _refuse_nonfinite(rows.numpy(), name, first_row, largest)
         return
     import warp as wp
 
     from geokit.core.user_arrays_kernels import first_nonfinite_kernel
 
-    row = reported_row(first_nonfinite_kernel, rows if rows.dtype is wp.vec3d else _widen(rows), [])
+    wide = rows if rows.dtype is wp.vec3d else _widen(rows)
+    row = reported_row(first_nonfinite_kernel, wide, [wp.float64(largest)])
     if row >= 0:
         bad = rows[row : row + 1].numpy()[0].tolist()
-        raise InputError(f"{name}: row {row + first_row} is not finite ({bad}); remove or replace such rows")
+        raise _bad_row(name, row + first_row, bad, largest)
 
 
 def _as_warp(out: Any) -> "wp.array":

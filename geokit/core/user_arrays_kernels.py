@@ -8,13 +8,29 @@ from geokit.core.atomic_kernels import lower_to
 
 wp.set_module_options({"enable_backward": False})
 
+# LARGEST_MEASURED of core/user_arrays.
+LARGEST = wp.constant(wp.float64(1e150))
+
+
+@wp.func
+def is_within(p: wp.vec3d, largest: wp.float64) -> bool:
+    """Whether no coordinate is above ``largest`` in magnitude; False for NaN."""
+    return wp.abs(p[0]) <= largest and wp.abs(p[1]) <= largest and wp.abs(p[2]) <= largest
+
+
+@wp.func
+def is_measurable(p: wp.vec3d) -> bool:
+    """Whether ``p`` is finite, and squares of its distances stay within float64."""
+    return is_within(p, LARGEST)
+
 
 @wp.kernel
-def first_nonfinite_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_row: wp.array(dtype=int)):
-    """The lowest row with a NaN or an infinity; out_row keeps its start value where all are finite."""
+def first_nonfinite_kernel(
+    first: int, points: wp.array(dtype=wp.vec3d), largest: wp.float64, out_row: wp.array(dtype=int)
+):
+    """The lowest row with a NaN, or a coordinate above ``largest``; out_row keeps its start value if there is none."""
     i = first + wp.tid()
-    p = points[i]
-    if not (wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])):
+    if not is_within(points[i], largest):
         lower_to(out_row, 0, i)
 
 

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-__all__ = ["Body"]
+__all__ = ["Body", "FileMaterial"]
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class FileMaterial(NamedTuple):
+    """A material of a file: the fields of geokit's Material, with the texture's name and bytes."""
+
+    name: str
+    color: tuple[float, ...] | None = None
+    texture_name: str = ""
+    texture: bytes = b""
+    alpha_cutoff: float | None = None
 
 
 class Body(NamedTuple):
@@ -18,6 +32,13 @@ class Body(NamedTuple):
         transform: Matrix (4, 4) from the body's frame to the world, for column vectors; None is the identity.
         clockwise: The file winds its polygons clockwise as seen from outside.
         groups: (name, first polygon, polygon count) of the named parts; empty if the body is one part.
+        vertex_data: Arrays with V rows by name; those of a wrong shape or type are left out with a warning.
+        polygon_data: Arrays with P rows; ``material`` is a row of the first body's ``materials``, or -1.
+        corner_data: Arrays with a row for each of ``indices``.
+        materials: Those of the whole file, on its first body.
+        meters_per_unit: Length of the file's unit [m], on its first body; None if the file does not say.
+        up_axis: The axis that points up, "x", "y" or "z", on its first body; None if the file does not say.
+        notes: What was left out and why, for a warning.
     """
 
     points: Any
@@ -27,3 +48,10 @@ class Body(NamedTuple):
     transform: Any = None
     clockwise: bool = False
     groups: tuple[tuple[str, int, int], ...] = ()
+    vertex_data: Mapping[str, Any] = _NOTHING
+    polygon_data: Mapping[str, Any] = _NOTHING
+    corner_data: Mapping[str, Any] = _NOTHING
+    materials: tuple[FileMaterial, ...] = ()
+    meters_per_unit: float | None = None
+    up_axis: str | None = None
+    notes: tuple[str, ...] = ()

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 
-__all__ = ["Columns", "joined", "named", "rays", "split"]
+__all__ = ["AXES", "Columns", "joined", "named", "rays", "split"]
 
 AXES = ("x", "y", "z")
 # Names of the components of normals in other programs.
@@ -35,7 +36,7 @@ def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
     if table.size == 0:
         table = table.reshape(0, max(len(names), 3))
     if len(set(names)) != len(names):
-        raise FileFormatError(f"{path}: two columns are called '{_repeated(names)}'; give each its own name")
+        raise FileFormatError(f"{path}: two columns are called {_repeated(names)!r}; give each its own name")
     lowered = [name.lower() for name in names]
     if not set(AXES) <= set(lowered):
         if table.shape[1] < 3:
@@ -54,7 +55,10 @@ def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
         FileFormatError: There are no columns for the coordinates.
     """
     if not set(AXES) <= columns.keys():
-        raise FileFormatError(f"{path}: has no x, y and z; its columns are {', '.join(columns)}")
+        # As PDAL names them.
+        columns = {name.lower() if name in ("X", "Y", "Z") else name: values for name, values in columns.items()}
+    if not set(AXES) <= columns.keys():
+        raise FileFormatError(f"{path}: has no x, y and z; its columns are {in_one_line(', '.join(columns))}")
     points = np.stack([columns.pop(axis).astype(np.float64) for axis in AXES], axis=1)
     data: Columns = {}
     for name in list(columns):

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.available_memory import available_host
-from geokit.errors import FileFormatError, InputError, MissingDependencyError
+from geokit._packages import remedy, require_package
+from geokit.core.files import in_one_line
+from geokit.errors import FileFormatError, GeokitError, InputError, MissingDependencyError
 from geokit.formats.columns import Columns
 
-__all__ = ["content_bytes", "read_points", "write_points"]
+__all__ = ["PointWriter", "content_bytes", "prepare", "read_blocks", "read_points", "table_shape", "write_points"]
 
 # Coordinates are integers of 32 bits times a scale; a few values at the ends are reserved for rounding.
 LARGEST_STEPS = 2**31 - 8
@@ -34,13 +37,7 @@ _POSITION = ("X", "Y", "Z", "x", "y", "z")
 
 
 def _laspy() -> Any:
-    try:
-        import laspy
-    except ImportError:
-        raise MissingDependencyError(
-            ".las and .laz files need the package laspy; install it with: pip install 'geokit[las]'"
-        ) from None
-    return laspy
+    return require_package("laspy")
 
 
 def content_bytes(path: Path) -> int | None:
@@ -48,14 +45,20 @@ def content_bytes(path: Path) -> int | None:
 
     Raises:
         MissingDependencyError: laspy is not installed, or no backend for .laz.
-        FileFormatError: The file is damaged or truncated, or declares more than fits into memory.
+        FileFormatError: The file is damaged or truncated.
     """
-    plain_bytes = _check_header(path, _laspy())
-    if plain_bytes is not None and plain_bytes > available_host():
-        raise FileFormatError(
-            f"{path}: declares {plain_bytes} bytes of points, more than there is memory; get a whole copy"
-        )
-    return plain_bytes
+    return _check_header(path, _laspy())
+
+
+def table_shape(path: Path) -> tuple[int, int]:
+    """Number of points that the header declares, and bytes of each; :func:`content_bytes` has checked it."""
+    with _named(path), _laspy().open(path) as reader:
+        return int(reader.header.point_count), int(reader.header.point_format.size)
+
+
+def prepare() -> None:
+    """Import laspy and its backend."""
+    _laspy().LazBackend.detect_available()
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
@@ -67,19 +70,47 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Raises:
         FileFormatError: The file is damaged.
     """
-    laspy = _laspy()
+    with _named(path):
+        cloud = _laspy().read(path)
+        return _content(cloud, cloud.point_format)
+
+
+def read_blocks(path: Path, rows: int) -> Iterator[tuple[NDArray[np.float64], Columns]]:
+    """The points of :func:`read_points`, at most ``rows`` at a time; the first block has none.
+
+    Call :func:`content_bytes` first.
+
+    Raises:
+        FileFormatError: The file is damaged.
+    """
+    with _named(path), _laspy().open(path) as reader:
+        header = reader.header
+        yield _content(_laspy().ScaleAwarePointRecord.zeros(0, header=header), header.point_format)
+        left = header.point_count
+        while left:
+            block = reader.read_points(min(rows, left))
+            if len(block) < min(rows, left):
+                raise FileFormatError(f"{path}: ends {left - len(block)} points early; get a whole copy")
+            left -= len(block)
+            yield _content(block, header.point_format)
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name what laspy and its backends raise: many kinds of errors, and a backend's panic is not an Exception."""
     try:
-        cloud = laspy.read(path)
-        points = np.stack([np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz"], axis=1)
-        names = [name for name in cloud.point_format.dimension_names if name not in _POSITION]
-        data: Columns = {name: np.array(cloud[name]) for name in names}
-    except (KeyboardInterrupt, SystemExit):
+        yield
+    except (KeyboardInterrupt, SystemExit, GeneratorExit, GeokitError, MemoryError):
         raise
-    except (
-        BaseException
-    ) as error:  # laspy and its backends raise many kinds of errors; a panic of the backend is not an Exception
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+    except BaseException as error:
+        reason = in_one_line(str(error)) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read as .las ({reason}); get a whole copy") from None
+
+
+def _content(cloud: Any, point_format: Any) -> tuple[NDArray[np.float64], Columns]:
+    points = np.stack([np.asarray(cloud[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+    names = [name for name in point_format.dimension_names if name not in _POSITION]
+    data: Columns = {name: np.array(cloud[name]) for name in names}
     if set(_COLORS) <= data.keys():
         data["rgb"] = np.stack([data.pop(color) for color in _COLORS], axis=1)
     return points, data
@@ -88,7 +119,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
 def _require_backend(laspy: Any, path: Path) -> None:
     if not laspy.LazBackend.detect_available():
         raise MissingDependencyError(
-            f"{path}: compressed points (.laz) need the package lazrs; install it with: pip install 'geokit[las]'"
+            f"{path}: compressed points (.laz) need the package lazrs; install it with: {remedy('lazrs')}"
         )
 
 
@@ -150,32 +181,76 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         MissingDependencyError: laspy is not installed, or no backend for .laz.
         InputError: The format cannot hold a name or an array.
     """
-    laspy = _laspy()
-    compress = path.suffix.lower() == ".laz"
-    if compress:
-        _require_backend(laspy, path)
-    wanted = tuple(name for name in ("nir", "rgb") if name in data)
-    if wanted not in _FORMATS:
-        raise InputError("data: .las holds 'nir' only beside 'rgb'; give both, or rename it")
-    header = laspy.LasHeader(point_format=_FORMATS[wanted], version="1.4")
-    known = set(header.point_format.dimension_names) - {*_COLORS, *_POSITION}
-    header.offsets, header.scales = _placement(points)
-    extra = [_extra(laspy, name, values) for name, values in data.items() if name not in known and name != "rgb"]
-    if extra:
-        header.add_extra_dims(extra)
-    cloud = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(len(points), header=header))
-    for at, axis in enumerate("XYZ"):
-        cloud[axis] = np.rint((points[:, at] - header.offsets[at]) / header.scales[at]).astype(np.int32)
-    for name, values in data.items():
-        _fill(cloud, name, values, exact=name in known)
-    cloud.write(str(path), do_compress=compress)
+    # Through memory, because the backend of .laz hides the system's reason when it cannot write.
+    whole = io.BytesIO()
+    limits = (points.min(axis=0), points.max(axis=0)) if len(points) else None
+    with PointWriter(path, whole, data, limits) as writer:
+        writer.write(points, data)
+    path.write_bytes(whole.getbuffer())
 
 
-def _placement(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+class PointWriter:
+    """Writes LAS 1.4 block after block, as :func:`write_points` does.
+
+    Args:
+        path: The file, for its extension and for messages.
+        stream: Where to write.
+        data: Arrays as they will come, with any number of rows.
+        limits: Least and largest coordinates, (3,) each; None if there are no points.
+    Raises:
+        MissingDependencyError: laspy is not installed, or no backend for .laz.
+        InputError: The format cannot hold a name or an array.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        stream: Any,
+        data: Mapping[str, NDArray[np.generic]],
+        limits: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+    ) -> None:
+        laspy = _laspy()
+        compress = path.suffix.lower() == ".laz"
+        if compress:
+            _require_backend(laspy, path)
+        wanted = tuple(name for name in ("nir", "rgb") if name in data)
+        if wanted not in _FORMATS:
+            raise InputError("data: .las holds 'nir' only beside 'rgb'; give both, or rename it")
+        header = laspy.LasHeader(point_format=_FORMATS[wanted], version="1.4")
+        self._known = set(header.point_format.dimension_names) - {*_COLORS, *_POSITION}
+        header.offsets, header.scales = _placement(limits)
+        extra = [_extra(laspy, name, data[name]) for name in data if name not in self._known and name != "rgb"]
+        if extra:
+            header.add_extra_dims(extra)
+        self._header, self._record = header, laspy.ScaleAwarePointRecord
+        self._writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False)
+
+    def __enter__(self) -> PointWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._writer.close()
+
+    def write(self, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+        """Write some points."""
+        record = self._record.zeros(len(points), header=self._header)
+        for at, axis in enumerate("XYZ"):
+            steps = (points[:, at] - self._header.offsets[at]) / self._header.scales[at]
+            record[axis] = np.rint(steps).astype(np.int32)
+        for name, values in data.items():
+            _fill(record, name, values, exact=name in self._known)
+        self._writer.write_points(record)
+
+
+def _placement(
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Offset and scale of each axis: X * scale + offset is within half a scale of the given coordinate."""
     offsets, scales = np.zeros(3), np.full(3, 1e-3)
-    for axis, values in enumerate(points.T if len(points) else ()):
-        lower, upper = float(values.min()), float(values.max())
+    for axis in range(3 if limits else 0):
+        assert limits is not None
+        lower, upper = float(limits[0][axis]), float(limits[1][axis])
         # Halved first, since the extent of the largest float64 numbers overflows.
         middle, half = 0.5 * lower + 0.5 * upper, 0.5 * upper - 0.5 * lower
         if half == 0.0:

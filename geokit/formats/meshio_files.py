@@ -3,37 +3,67 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
+from geokit._packages import require_package
+from geokit.errors import FileAccessError, FileFormatError
+from geokit.formats.attributes.columns import as_columns, from_columns
 from geokit.formats.body import Body
+from geokit.formats.references import LONGEST, require_inside
+from geokit.mesh._data import full_scale, has_meaning
 
 if TYPE_CHECKING:
+    from geokit.mesh._data import Data
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["read_mesh", "write_mesh"]
+__all__ = ["named", "prepare", "read_mesh", "write_mesh"]
 
 _SURFACE = {"triangle", "quad", "polygon"}
 # meshio's dimensions of second-order cells are right, but the cells themselves are not polygons.
 _IGNORED_DIMENSIONS = (0, 1)
+# Numbers that a row may have; .vtu takes any.
+_WIDTHS = {".msh": (1, 3, 9), ".xdmf": (1, 2, 3, 6, 9)}
+# Soft links of HDF5 that lead to each other.
+LONGEST_CHAIN = 16
 
 
-def read_mesh(path: Path) -> list[Body]:
-    """Read the triangles, quads and polygons of the file; points, lines and inner volume cells are left out."""
-    import meshio
+def prepare() -> None:
+    """Import meshio, and h5py where it is installed."""
+    import meshio  # noqa: F401
 
-    mesh = meshio.read(str(path))
+    with contextlib.suppress(ImportError):
+        import h5py  # noqa: F401
+
+
+def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
+    """Read the triangles, quads and polygons of the file; points, lines and inner volume cells are left out.
+
+    Arrays of points and cells come along, and the physical groups of .msh as ``physical``. Arrays of an .xdmf in other
+    files are read from the file's own folder and from ``folders``.
+    """
+    meshio = require_package("meshio")
+    # Not meshio.read, which prints the reason and exits.
+    if path.suffix.lower() == ".xdmf":
+        _check_arrays(path, folders)
+        mesh = _xdmf_reader()(path).read()
+    else:
+        with open(path, "rb") as file:
+            is_gmsh = file.read(64).lstrip().startswith(b"$")
+        mesh = (meshio.gmsh if is_gmsh else meshio.ansys).read(path)
     counts: list[np.ndarray] = []
     indices: list[np.ndarray] = []
     volume: dict[str, int] = {}
-    for block in mesh.cells:
+    blocks = []
+    for number, block in enumerate(mesh.cells):
         if block.type in _SURFACE:
+            blocks.append(number)
             rows = [np.asarray(row, np.int64) for row in block.data] if block.type == "polygon" else block.data
             counts.append(np.fromiter(map(len, rows), np.int64, len(rows)))
             indices.append(np.concatenate(rows) if len(rows) else np.zeros(0, np.int64))
@@ -49,21 +79,94 @@ def read_mesh(path: Path) -> list[Body]:
     points = np.asarray(mesh.points, np.float64)
     if points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
-    return [Body(points, np.concatenate(counts), np.concatenate(indices).astype(np.int64))]
+    cells = {name: np.concatenate([values[at] for at in blocks]) for name, values in mesh.cell_data.items()}
+    vertex, polygon = (named(data) for data in (mesh.point_data, cells))
+    faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64)
+    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon)]
 
 
-def write_mesh(
-    path: Path, mesh: TriangleMesh, point_data: Mapping[str, NDArray], cell_data: Mapping[str, NDArray]
-) -> None:
+def named(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Numbers of the file by name, without those that gmsh keeps of its own."""
+    plain = {"physical" if name == "gmsh:physical" else name: values for name, values in data.items()}
+    return from_columns(
+        {
+            name: values[:, 0] if values.shape[1:] == (1,) else values
+            for name, values in plain.items()
+            if not name.startswith("gmsh:") and values.dtype.kind in "fiub"
+        }
+    )
+
+
+def _xdmf_reader() -> Any:
+    from meshio.xdmf.main import XdmfReader
+
+    class Reader(XdmfReader):
+        """Opens files of plain numbers relative to the file, where meshio does to the working folder."""
+
+        def _read_data_item(self, item: Any, root: Any = None) -> Any:
+            if item.get("Format") == "Binary":
+                item.text = str(self.filename.parent / (item.text or "").strip())
+            return super()._read_data_item(item, root)
+
+    return Reader
+
+
+def _check_arrays(path: Path, folders: Sequence[Path]) -> None:
+    """Check every file that the items of an .xdmf name, before meshio opens it."""
+    from xml.etree import ElementTree
+
+    for item in ElementTree.parse(path).iter():
+        # meshio also follows references to items of other tags.
+        kind, text = item.get("Format", "XML"), (item.text or "").strip()
+        if kind == "XML" or "Reference" in item.attrib:
+            continue
+        name, _, inner = text.partition(":") if kind == "HDF" else (text, "", "")
+        found = require_inside(name, path.parent / name, path, folders)
+        if not os.path.exists(found):
+            raise FileFormatError(f"{path}: refers to {name[:LONGEST]!r}, which is missing; get it too")
+        if kind == "HDF":
+            _check_hdf5(found, inner, path)
+
+
+def _check_hdf5(found: Path, inner: str, path: Path) -> None:
+    """Check that an array lies in its HDF5 file, which can link to other files and keep arrays there."""
+    h5py = require_package("h5py")
+
+    def follow(group: Any, name: str, depth: int) -> Any:
+        if depth > LONGEST_CHAIN:
+            raise FileFormatError(f"{found}: {inner!r} is a circle of links; the file is damaged")
+        for key in filter(None, name.split("/")):
+            link = group.get(key, getlink=True)
+            if isinstance(link, h5py.SoftLink):
+                group = follow(group.file if link.path.startswith("/") else group, link.path, depth + 1)
+            elif isinstance(link, h5py.HardLink):
+                group = group[key]
+            else:
+                raise FileAccessError(f"{path}: {name!r} in {found.name} lies in another file; {remedy}")
+        return group
+
+    remedy = "copy its arrays into one file"
+    with h5py.File(found, "r") as file:
+        array = follow(file, inner, 0)
+        if isinstance(array, h5py.Dataset) and (array.external or array.is_virtual):
+            raise FileAccessError(
+                f"{path}: the array {inner!r} of {found.name} keeps its values in another file; {remedy}"
+            )
+
+
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write VTK .vtu, Gmsh .msh 4.1 (both binary), and .xdmf in one file, through meshio."""
-    import meshio
-
+    meshio = require_package("meshio")
     kind = path.suffix.lower()
+    vertex, face = (
+        {name: _storable(np.array(values), kind) for name, values in _split(_scaled(data, kind), kind).items()}
+        for data in (mesh.vertex_data, mesh.face_data)
+    )
     content = meshio.Mesh(
         np.array(mesh.vertices),
         [("triangle", np.array(mesh.faces))],
-        point_data={name: np.array(values) for name, values in point_data.items()},
-        cell_data={name: [np.array(values)] for name, values in cell_data.items()},
+        point_data=vertex,
+        cell_data={name: [values] for name, values in face.items()},
     )
     # Inline, because a second file for the arrays could not be replaced atomically together with the first.
     options = {"data_format": "XML"} if kind == ".xdmf" else {}
@@ -72,3 +175,31 @@ def write_mesh(
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         meshio.write(path, content, file_format=file_format, **options)
+
+
+def _scaled(data: Data, kind: str) -> Data:
+    """Colors from 0 to 1 where the format changes the type that says what is full."""
+    colors = data.get("color")
+    if kind == ".vtu" or colors is None or colors.dtype.kind == "f" or not has_meaning("color", colors):
+        return data
+    return {**data, "color": colors / full_scale(colors.dtype)}
+
+
+def _split(data: Data, kind: str) -> Data:
+    """The arrays, with columns in place of those whose rows the format does not have."""
+    widths = _WIDTHS.get(kind)
+    if widths is None:
+        return data
+    whole = {name: values for name, values in data.items() if values.ndim == 1 or values.shape[1] in widths}
+    return {**whole, **as_columns({name: values for name, values in data.items() if name not in whole}, (*whole,))}
+
+
+def _storable(values: NDArray[Any], kind: str) -> NDArray[Any]:
+    """The values in a type that the format has: .msh has one, .xdmf no short integers."""
+    if kind == ".msh":
+        return values.astype(np.float64)
+    if values.dtype == np.float16:
+        return values.astype(np.float32)
+    if values.dtype.kind == "b" and kind == ".vtu":
+        return values.astype(np.uint8)
+    return values.astype(np.int32) if kind == ".xdmf" and values.dtype.itemsize < 4 else values

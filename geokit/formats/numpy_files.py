@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
+import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import Columns, joined, named, rays
+from geokit.formats.columns import AXES, Columns, joined, named, rays
 
-__all__ = ["read_points", "read_rays", "write_points"]
+__all__ = ["content_bytes", "read_points", "read_rays", "write_points"]
+
+
+def content_bytes(path: Path) -> int | None:
+    """Size of the decompressed arrays of an .npz file; None for an .npy file, which is never compressed.
+
+    Raises:
+        FileFormatError: The file is not an archive.
+    """
+    if path.suffix.lower() != ".npz":
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            # No more than these sizes is decompressed, whatever the compressed data holds.
+            return sum(member.file_size for member in archive.infolist())
+    except Exception as error:
+        raise FileFormatError(f"{path}: is not a NumPy archive ({_line(error)}); use numpy.savez again") from None
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
@@ -21,7 +41,12 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Raises:
         FileFormatError: The content is damaged or has no points.
     """
-    return _cloud(path) if path.suffix.lower() == ".npz" else joined(named([], _array(path), path), path)
+    if path.suffix.lower() == ".npz":
+        return _cloud(path)
+    array = _loaded(path)
+    if array.dtype.names:
+        return joined(_fields(array, path), path)
+    return joined(named([], _table(array, path), path), path)
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:
@@ -31,7 +56,7 @@ def read_rays(path: Path) -> NDArray[np.float64]:
         FileFormatError: The content is damaged or has no rays.
     """
     if path.suffix.lower() != ".npz":
-        return rays([], _array(path), path)
+        return rays([], _table(_loaded(path), path), path)
     arrays = _archive(path)
     if {"origins", "directions"} <= arrays.keys():
         parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]
@@ -60,26 +85,51 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
                 np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
 
 
-def _array(path: Path) -> NDArray[np.float64]:
-    """The table of numbers in an .npy file."""
+def _loaded(path: Path) -> NDArray[Any]:
+    """The array of an .npy file."""
     try:
-        array = np.load(path, allow_pickle=False)
+        with _silent():
+            array = np.load(path, allow_pickle=False)
     except Exception as error:  # numpy, zipfile, zlib and Python's literal parser raise a dozen kinds of errors
         raise FileFormatError(
             f"{path}: is not a NumPy array ({_line(error)}); write it again with numpy.save"
         ) from None
-    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
-        shape = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise FileFormatError(f"{path}: holds {shape}; it needs to be a table of numbers, one row for each point")
+    if not isinstance(array, np.ndarray):
+        raise FileFormatError(f"{path}: holds an archive; it needs to be a table of numbers, one row for each point")
+    return array
+
+
+def _table(array: NDArray[Any], path: Path) -> NDArray[np.float64]:
+    """A table of numbers; an image (H, W, 3) of points is read row by row."""
+    if array.ndim == 3 and array.shape[2] == 3:
+        array = array.reshape(-1, 3)
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise FileFormatError(
+            f"{path}: holds {array.dtype} of shape {array.shape}; it needs to be a table of numbers, one row for each "
+            "point"
+        )
     return array.astype(np.float64)
+
+
+def _fields(array: NDArray[Any], path: Path) -> Columns:
+    """The fields of a structured array that hold numbers, one or several for each point."""
+    rows = array.reshape(-1)
+    numeric = [name for name in rows.dtype.names or () if rows.dtype[name].base.kind in "fiub"]
+    columns = {name: np.ascontiguousarray(rows[name]).reshape(len(rows), -1) for name in numeric}
+    wide = [name for name, values in columns.items() if name.lower() in AXES and values.shape[1] != 1]
+    if wide:
+        raise FileFormatError(f"{path}: field '{wide[0]}' holds several numbers; a coordinate needs to be one")
+    return {name: values[:, 0] if values.shape[1] == 1 else values for name, values in columns.items()}
 
 
 def _archive(path: Path) -> Columns:
     """Every array of an .npz file by name."""
     try:
         # Opened here, because numpy does not close a file that is not an archive.
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with open(path, "rb") as file, _silent(), np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+            # Members that are not arrays come back as bytes.
+            return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except Exception as error:
         raise FileFormatError(f"{path}: is not a NumPy archive ({_line(error)}); use numpy.savez again") from None
 
@@ -89,11 +139,13 @@ def _cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
     arrays = _archive(path)
     tables = [name for name, array in arrays.items() if array.ndim == 2 and array.shape[1] == 3]
     if "points" not in tables and len(tables) != 1:
-        raise FileFormatError(f"{path}: has no array 'points' of shape (N, 3); its arrays are {', '.join(arrays)}")
+        raise FileFormatError(
+            f"{path}: has no array 'points' of shape (N, 3); its arrays are {in_one_line(', '.join(arrays))}"
+        )
     name = "points" if "points" in tables else tables[0]
     points = arrays.pop(name)
     if points.dtype.kind not in "fiu":
-        raise FileFormatError(f"{path}: array '{name}' has dtype {points.dtype}; it needs to be numbers")
+        raise FileFormatError(f"{path}: array {name!r} has dtype {points.dtype}; it needs to be numbers")
     fitting = {
         key: array
         for key, array in arrays.items()
@@ -102,5 +154,13 @@ def _cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
     return points.astype(np.float64), fitting
 
 
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Without NumPy's warning of headers that Python 2 wrote: they are read all the same."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
 def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    return in_one_line(str(error)) or type(error).__name__

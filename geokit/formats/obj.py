@@ -3,30 +3,46 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.attributes import mtl
+from geokit.formats.body import Body, FileMaterial
 from geokit.formats.columns import Columns
 from geokit.formats.text import numbers, point_lines
+from geokit.mesh._data import full_scale
+from geokit.mesh.attributes.seams import distinct_corners
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["read_mesh", "read_points", "write_mesh"]
+__all__ = ["companions", "read_mesh", "read_points", "write_mesh"]
+
+# .mtl has no alpha cutoff.
+HOLDS_CUTOFFS = False
+# What faces without a material name in files that name one for others.
+_NO_MATERIAL = "(null)"
 
 
 class _Lines(NamedTuple):
-    """Lines of a file by kind, without their first word; the number of vertices above each face; starts of groups."""
+    """Lines of a file by kind, without their first word; the number of vertices above each face.
+
+    Of groups and materials (``usemtl``): the name and the number of faces above it. ``libraries`` are the ``mtllib``.
+    """
 
     vertices: list[bytes]
     faces: list[bytes]
     vertices_before: list[int]
     starts: list[tuple[str, int]]
+    uv: list[bytes]
+    normal: list[bytes]
+    materials: list[tuple[str, int]]
+    libraries: list[str]
 
 
 def _lines(data: bytes) -> _Lines:
@@ -35,6 +51,10 @@ def _lines(data: bytes) -> _Lines:
     faces: list[bytes] = []
     vertices_before: list[int] = []
     starts: list[tuple[str, int]] = []
+    uv: list[bytes] = []
+    normal: list[bytes] = []
+    materials: list[tuple[str, int]] = []
+    libraries: list[str] = []
     # splitlines also splits at form feeds and other bytes that text may contain; OBJ lines end at newlines only.
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
@@ -43,9 +63,17 @@ def _lines(data: bytes) -> _Lines:
         elif kind in (b"f", b"fo"):
             faces.append(rest)
             vertices_before.append(len(vertices))
+        elif kind == b"vt":
+            uv.append(rest)
+        elif kind == b"vn":
+            normal.append(rest)
         elif kind in (b"o", b"g"):
             starts.append((rest.strip().decode("utf-8", "replace"), len(faces)))
-    return _Lines(vertices, faces, vertices_before, starts)
+        elif kind == b"usemtl":
+            materials.append((rest.strip().decode("utf-8", "replace"), len(faces)))
+        elif kind == b"mtllib":
+            libraries.append(rest.strip().decode("utf-8", "replace"))
+    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries)
 
 
 def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
@@ -76,33 +104,150 @@ def _blame(data: bytes, path: Path) -> None:
             _, _, _ = map(float, words[1:4])
         except ValueError:
             shown = line[:60].decode("ascii", "backslashreplace")
-            raise FileFormatError(f"{path}: line {number} ('{shown}') is not a vertex; the file is damaged") from None
+            raise FileFormatError(f"{path}: line {number} ({shown!r}) is not a vertex; the file is damaged") from None
 
 
-def read_mesh(path: Path) -> list[Body]:
+def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     """Read an .obj file; its ``o`` and ``g`` lines become groups.
 
-    Texture coordinates, normals, materials and lines are left out; free-form curves and surfaces have no polygons.
+    Texture coordinates and normals are on corners, NaN where a corner has none. Colors behind the positions are on
+    vertices. Materials come from the libraries and images that the file names, if they lie in its folder or in
+    ``folders``. Lines are left out; free-form curves and surfaces have no polygons.
     """
     data = path.read_bytes()
-    vertices, faces, vertices_before, starts = _lines(data)
-    coordinates = _coordinates(vertices, path)
-    if b"/" in data or b"#" in data:
-        faces = _AFTER_INDEX.sub(b"", b"\n".join(faces)).split(b"\n") if faces else []
+    lines = _lines(data)
+    faces, notes = lines.faces, []
+    coordinates, colors = _vertices(lines.vertices, path)
+    if b"#" in data:
+        faces = _COMMENT.sub(b"", b"\n".join(faces)).split(b"\n") if faces else []
     counts, corners = _split(faces)
+    corner: dict[str, NDArray[Any]] = {}
+    if b"/" in data:
+        corners, references = _references(corners)
+        for name, tokens, rows, kind in (
+            ("uv", references[0], lines.uv, b"vt"),
+            ("normal", references[1], lines.normal, b"vn"),
+        ):
+            try:
+                values = _referred(tokens, rows, 2 if name == "uv" else 3, counts, data, kind, path)
+            except FileFormatError as error:
+                notes.append(f"{name!r} is left out: {str(error).removeprefix(f'{path}: ')}")
+                continue
+            if values is not None:
+                corner[name] = values
     indices = numbers(corners, np.int64, path, "face indices")
     zero = np.flatnonzero(indices == 0)
     if len(zero):
         row = int(np.searchsorted(np.cumsum(counts), zero[0], side="right"))
         raise FileFormatError(f"{path}: face {row} uses vertex 0, but .obj indices start at 1; the file is damaged")
     # Negative indices count back from the last vertex above their line.
-    before = np.repeat(np.asarray(vertices_before, np.int64), counts)
+    before = np.repeat(np.asarray(lines.vertices_before, np.int64), counts)
     indices = np.where(indices > 0, indices - 1, indices + before)
-    return [Body(coordinates, counts, indices, groups=_groups(starts, len(faces)))]
+    polygon, materials = _materials(lines, len(faces), path, folders, notes)
+    return [
+        Body(
+            coordinates,
+            counts,
+            indices,
+            groups=_groups(lines.starts, len(faces)),
+            vertex_data={} if colors is None else {"color": colors},
+            polygon_data=polygon,
+            corner_data=corner,
+            materials=materials,
+            notes=tuple(notes),
+        )
+    ]
 
 
-# Texture and normal of a corner, or a comment at the end of a line.
-_AFTER_INDEX = re.compile(rb"/[^ \n]*|#[^\n]*")
+_COMMENT = re.compile(rb"#[^\n]*")
+
+
+def _vertices(lines: list[bytes], path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Positions, and the colors behind them if each vertex has one."""
+    if lines and len(lines[0].split()) == 6:
+        counts, tokens = _split(lines)
+        if np.all(counts == 6):
+            table = numbers(tokens, np.float64, path, "vertices").reshape(-1, 6)
+            return np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:])
+    return _coordinates(lines, path), None
+
+
+def _references(corners: list[bytes]) -> tuple[list[bytes], tuple[list[bytes], list[bytes]]]:
+    """The vertices of corners, and their texture coordinates and normals; b"" where a corner has none."""
+    slashes = {corner.count(b"/") for corner in corners}
+    # Nearly always all corners are written alike, which is several times faster than one by one.
+    if len(slashes) == 1 and (width := slashes.pop() + 1) <= 3 and not any(corner.endswith(b"/") for corner in corners):
+        text = b" ".join(corners)
+        skipped = text.count(b"//")
+        tokens = text.replace(b"//" if skipped else b"/", b" ").split()
+        if skipped in (0, len(corners)) and len(tokens) == len(corners) * (2 if skipped else width):
+            step = 2 if skipped else width
+            columns = [tokens[at::step] for at in range(step)] + [[], []]
+            return (columns[0], ([], columns[1])) if skipped else (columns[0], (columns[1], columns[2]))
+    parts = [([*corner.split(b"/"), b"", b""])[:3] for corner in corners]
+    return [part[0] for part in parts], ([part[1] for part in parts], [part[2] for part in parts])
+
+
+def _referred(
+    references: list[bytes],
+    lines: list[bytes],
+    width: int,
+    counts: NDArray[np.int64],
+    data: bytes,
+    kind: bytes,
+    path: Path,
+) -> NDArray[np.float64] | None:
+    """Values of corners, (C, width); None if no corner refers to one.
+
+    Raises:
+        FileFormatError: A value or a reference is no number, or a reference leads nowhere.
+    """
+    rows = numbers([reference or b"0" for reference in references], np.int64, path, f"references to {kind.decode()}")
+    if not rows.any():
+        return None
+    if rows.min() < 0:
+        above = np.repeat(_count_above(data, kind), counts)
+        rows = np.where(rows < 0, rows + above + 1, rows)
+    bad = (rows < 0) | (rows > len(lines))
+    if bad.any():
+        corner = int(np.argmax(bad))
+        raise FileFormatError(
+            f"{path}: corner {corner} refers to number {rows[corner]} of {len(lines)} {kind.decode()}"
+        )
+    sizes, tokens = _split(lines)
+    if np.any(sizes < width):
+        raise FileFormatError(f"{path}: row {np.argmax(sizes < width)} of {kind.decode()} has too few numbers")
+    if np.any(sizes != width):
+        tokens = [token for line in lines for token in line.split()[:width]]
+    values = numbers(tokens, np.float64, path, kind.decode()).reshape(-1, width)
+    return np.concatenate([np.full((1, width), np.nan), values])[rows]
+
+
+def _count_above(data: bytes, kind: bytes) -> NDArray[np.int64]:
+    """The number of lines of a kind above each face."""
+    above, count = [], 0
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n").split(b"\n"):
+        word = line.split(None, 1)[:1]
+        count += word == [kind]
+        if word in ([b"f"], [b"fo"]):
+            above.append(count)
+    return np.asarray(above, np.int64)
+
+
+def _materials(
+    lines: _Lines, face_count: int, path: Path, folders: Sequence[Path], notes: list[str]
+) -> tuple[dict[str, NDArray[np.int32]], tuple[FileMaterial, ...]]:
+    """The material of each polygon, and the materials in the order in which they are used first."""
+    used = [(name, first) for name, first in lines.materials if first < face_count]
+    names = [name for name in dict.fromkeys(name for name, _ in used) if name not in ("", _NO_MATERIAL)]
+    if not names:
+        return {}, ()
+    known = mtl.read_libraries(lines.libraries, set(names), path, folders, notes)
+    numbers_of = {name: number for number, name in enumerate(names)}
+    rows = np.full(face_count, -1, np.int32)
+    for (name, first), (_, end) in zip(used, [*used[1:], ("", face_count)], strict=True):
+        rows[first:end] = numbers_of.get(name, -1)
+    return {"material": rows}, tuple(known.get(name, FileMaterial(name)) for name in names)
 
 
 def _first_three(lines: list[bytes], path: Path) -> list[bytes]:
@@ -136,15 +281,78 @@ def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, 
     return tuple(groups) if len(groups) > 1 else ()
 
 
-def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write text that reads back as the same float64 vertices; parts become ``o`` groups."""
+def companions(mesh: TriangleMesh, stem: str) -> dict[str, bytes]:
+    """The material library and the images beside a file with this name without its extension."""
+    return mtl.write_library(mesh.materials, stem)
+
+
+def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
+    """Write text that reads back as the same float64 vertices; parts become ``o`` groups.
+
+    Args:
+        path: The file to write.
+        mesh: The mesh.
+        stem: The file's final name without its extension, for the name of the material library.
+    """
     # A group's name ends at the end of its line, so it must not contain a newline.
     names = {part.first_face: " ".join(part.name.split()) or "part" for part in mesh.parts if part.face_count}
+    above = {row: f"o {name}\n" for row, name in names.items()}
+    for row, material in _material_lines(mesh):
+        above[row] = above.get(row, "") + f"usemtl {material}\n"
+    tables = {kind: _table(mesh, name) for kind, name in (("vt", "uv"), ("vn", "normal"))}
     with open(path, "w", encoding="utf-8", newline="\n") as file:
+        if mesh.materials:
+            file.write(f"mtllib {mtl.library_name(stem)}\n")
         if not names:
             file.write(f"o {' '.join(mesh.name.split()) or 'mesh'}\n")
-        file.writelines(point_lines(mesh.vertices, "v "))
-        for row, (a, b, c) in enumerate((mesh.faces + 1).tolist()):
-            if row in names:
-                file.write(f"o {names[row]}\n")
-            file.write(f"f {a} {b} {c}\n")
+        if "color" in mesh.vertex_data:
+            colors = mesh.vertex_data["color"]
+            rows = np.concatenate([mesh.vertices, colors / full_scale(colors.dtype)], axis=1)
+            file.writelines("v " + " ".join(map(repr, row)) + "\n" for row in rows.tolist())
+        else:
+            file.writelines(point_lines(mesh.vertices, "v "))
+        for kind, (rows, _) in tables.items():
+            file.writelines(f"{kind} {' '.join(map(repr, row))}\n" for row in rows.tolist())
+        for row, line in enumerate(_face_lines(mesh.faces + 1, tables["vt"][1], tables["vn"][1])):
+            if row in above:
+                file.write(above[row])
+            file.write(line)
+
+
+def _material_lines(mesh: TriangleMesh) -> Iterator[tuple[int, str]]:
+    """The rows of faces from which another material is used, and its name."""
+    if not mesh.materials:
+        return
+    names = [*mtl.plain_names(mesh.materials), _NO_MATERIAL]
+    rows = mesh.face_data.get("material", np.full(len(mesh.faces), -1))
+    for row in np.flatnonzero(np.append(rows[0] >= 0, rows[1:] != rows[:-1])):
+        yield int(row), names[rows[row]]
+
+
+def _table(mesh: TriangleMesh, name: str) -> tuple[NDArray[Any], NDArray[np.int64] | None]:
+    """Rows of an attribute, and the row of each corner (F, 3), from 1; 0 where it has none, and None if none has."""
+    if name in mesh.corner_data:
+        first, group = distinct_corners(None, {name: mesh.corner_data[name]})
+        rows, at = mesh.corner_data[name].reshape(3 * len(mesh.faces), -1)[first], group.reshape(-1, 3) + 1
+    elif name in mesh.vertex_data:
+        rows, at = mesh.vertex_data[name], mesh.faces.astype(np.int64) + 1
+    else:
+        return np.empty((0, 3)), None
+    missing = np.append(False, np.isnan(rows).all(axis=1))
+    return np.nan_to_num(rows, posinf=np.inf, neginf=-np.inf) if missing.any() else rows, np.where(missing[at], 0, at)
+
+
+def _face_lines(vertex: NDArray[Any], uv: NDArray[np.int64] | None, normal: NDArray[np.int64] | None) -> Iterable[str]:
+    if uv is None and normal is None:
+        return (f"f {a} {b} {c}\n" for a, b, c in vertex.tolist())
+    columns = [table for table in (vertex, uv, normal) if table is not None]
+    corner = "%d//%d" if uv is None else "/".join(["%d"] * len(columns))
+    pattern = f"f {corner} {corner} {corner}\n"
+    lines = (pattern % tuple(row) for row in np.stack(columns, axis=2).reshape(len(vertex), -1).tolist())
+    if all(table.all() for table in columns):
+        return lines
+    return (_END.sub("", _NONE.sub("/", line)) for line in lines)
+
+
+# A row that is none, and slashes that then end a corner.
+_NONE, _END = re.compile(r"/0\b"), re.compile(r"/+(?=[ \n])")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,17 +13,18 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError
 from geokit.formats.body import Body
 from geokit.formats.text import numbers, point_lines
+from geokit.mesh._data import full_scale
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
 __all__ = ["read_mesh", "write_mesh"]
 
-_HEADER = re.compile(rb"\s*(?:ST)?C?N?OFF\b(?!\s*BINARY)")
+_HEADER = re.compile(rb"\s*(ST)?(C)?(N)?OFF(?![A-Za-z])(?!\s*BINARY)")
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Read an ASCII .off file (OFF, COFF, NOFF, STOFF and combinations of them); colors and normals are left out."""
+    """Read an ASCII .off file (OFF, COFF, NOFF, STOFF and combinations of them), with the colors of faces."""
     data = path.read_bytes()
     if b"#" in data:
         data = re.sub(rb"#[^\n]*", b"", data)
@@ -42,20 +44,72 @@ def read_mesh(path: Path) -> list[Body]:
             f"{path}: declares {vertex_count} vertices and {face_count} faces but holds {len(lines) - 1} lines; "
             "it is truncated, get a whole copy"
         )
-    rows = [line.split()[:3] for line in lines[1 : 1 + vertex_count]]
+    whole = [line.split() for line in lines[1 : 1 + vertex_count]]
+    rows = [row[:3] for row in whole]
     if any(len(row) < 3 for row in rows):
         row = next(at for at, tokens in enumerate(rows) if len(tokens) < 3)
         raise FileFormatError(f"{path}: vertex {row} has {len(rows[row])} coordinates, not three; the file is damaged")
     points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
+    notes: list[str] = []
+    vertex = _vertex_data(whole, header, path, notes) if any(header.groups()) else {}
     tokens: list[bytes] = []
-    for line in lines[1 + vertex_count : 1 + vertex_count + face_count]:
-        # A face's color follows its corners.
+    colors: list[list[bytes]] = []
+    rest = iter(lines[1 + vertex_count :])
+    for line in itertools.islice(rest, face_count):
         row_tokens = line.split()
-        tokens += row_tokens[: int(row_tokens[0]) + 1] if row_tokens[0].isdigit() else row_tokens
+        size = int(row_tokens[0]) + 1 if row_tokens[0].isdigit() else len(row_tokens)
+        # The corners of a face may stand on several lines.
+        while len(row_tokens) < size and (more := next(rest, None)):
+            row_tokens += more.split()
+        tokens += row_tokens[:size]
+        # A face's color follows its corners.
+        if len(row_tokens) > size:
+            colors.append(row_tokens[size:])
     counts, indices, used = _polygons(tokens, face_count, path)
     if used != len(tokens):
         raise FileFormatError(f"{path}: a face line holds fewer corners than it declares; the file is damaged")
-    return [Body(points.reshape(-1, 3), counts, indices)]
+    polygon = {}
+    if colors:
+        widths = {len(color) for color in colors}
+        if len(colors) == len(counts) and len(widths) == 1 and widths < {3, 4}:
+            polygon = {"color": _colors(colors, path)}
+        else:
+            notes.append("the colors of faces are left out: not each face has one of 3 or 4 numbers")
+    found = points.reshape(-1, 3), counts, indices
+    return [Body(*found, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))]
+
+
+def _vertex_data(
+    rows: list[list[bytes]], header: re.Match[bytes], path: Path, notes: list[str]
+) -> dict[str, NDArray[Any]]:
+    """What stands behind the positions: normals, colors, texture coordinates, as the header says."""
+    has_uv, has_color, has_normal = map(bool, header.groups())
+    widths = {len(row) for row in rows}
+    colored = max(widths, default=0) - 3 - 3 * has_normal - 2 * has_uv
+    if len(widths) > 1 or colored not in ((3, 4) if has_color else (0,)):
+        if rows:
+            notes.append("the attributes of vertices are left out: their lines are not as long as the header says")
+        return {}
+    data: dict[str, NDArray[Any]] = {}
+    if has_normal:
+        data["normal"] = _floats([row[3:6] for row in rows], path)
+    if has_color:
+        first = 3 + 3 * has_normal
+        data["color"] = _colors([row[first : first + colored] for row in rows], path)
+    if has_uv:
+        data["uv"] = _floats([row[-2:] for row in rows], path)
+    return data
+
+
+def _floats(rows: list[list[bytes]], path: Path) -> NDArray[np.float64]:
+    return numbers([token for row in rows for token in row], np.float64, path, "attributes").reshape(len(rows), -1)
+
+
+def _colors(rows: list[list[bytes]], path: Path) -> NDArray[Any]:
+    """Colors as uint8 if all are whole numbers up to 255, else as floats."""
+    values = _floats(rows, path)
+    whole = all(token.isdigit() for row in rows for token in row) and values.max(initial=0.0) <= 255.0
+    return values.astype(np.uint8) if whole else values
 
 
 def _polygons(tokens: list[bytes], count: int, path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
@@ -95,8 +149,24 @@ def _uniform_polygons(tokens: list[bytes], count: int, path: Path) -> tuple[Any,
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write text that reads back as the same float64 vertices."""
+    """Write text that reads back as the same float64 vertices; colors of 8 bits as whole numbers, others as floats."""
+    data = {name: mesh.vertex_data[name] for name in ("normal", "color", "uv") if name in mesh.vertex_data}
+    kind = "ST" * ("uv" in data) + "C" * ("color" in data) + "N" * ("normal" in data)
     with open(path, "w", encoding="ascii", newline="\n") as file:
-        file.write(f"OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n")
-        file.writelines(point_lines(mesh.vertices))
-        file.writelines(f"3 {a} {b} {c}\n" for a, b, c in mesh.faces.tolist())
+        file.write(f"{kind}OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n")
+        if data:
+            tables = [mesh.vertices, *(_written(values) for values in data.values())]
+            rows = zip(*(table.tolist() for table in tables), strict=True)
+            file.writelines(" ".join(repr(number) for part in row for number in part) + "\n" for row in rows)
+        else:
+            file.writelines(point_lines(mesh.vertices))
+        if "color" in mesh.face_data:
+            both = zip(mesh.faces.tolist(), _written(mesh.face_data["color"]).tolist(), strict=True)
+            file.writelines(f"3 {' '.join(map(repr, [*face, *color]))}\n" for face, color in both)
+        else:
+            file.writelines(f"3 {a} {b} {c}\n" for a, b, c in mesh.faces.tolist())
+
+
+def _written(values: NDArray[Any]) -> NDArray[Any]:
+    # Whole numbers mean colors up to 255.
+    return values / full_scale(values.dtype) if values.dtype.kind in "iu" and values.dtype != np.uint8 else values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import mmap
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import Columns, joined
 from geokit.formats.text import read_rows
 
-__all__ = ["read_points", "write_points"]
+__all__ = ["content_bytes", "read_points", "write_points"]
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -55,6 +57,21 @@ class _Header:
     start: int
 
 
+def content_bytes(path: Path) -> int | None:
+    """Size of the decompressed body, at most what LZF can make of the file; None if it is not compressed.
+
+    Raises:
+        FileFormatError: The header is damaged.
+    """
+    if path.stat().st_size == 0:
+        return None
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        header = _read_header(data, path)
+        if header.encoding != "binary_compressed" or len(data) < header.start + 8:
+            return None
+        return min(int(struct.unpack_from("<II", data, header.start)[1]), LZF_BEST * len(data))
+
+
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     """Read points and columns by name, each in the type of the file; fields with a count above one are (N, count).
 
@@ -81,7 +98,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     return joined(columns, path)
 
 
-def _read_header(data: bytes, path: Path) -> _Header:
+def _read_header(data: bytes | mmap.mmap, path: Path) -> _Header:
     lines: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in lines:
@@ -117,14 +134,14 @@ def _fields(lines: dict[str, list[str]], path: Path) -> list[_Field]:
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
         kind = letter.lower() + size
         if kind not in _TYPES.get(letter, ()) or not _is_count(count) or not 0 < int(count) < LARGEST_RECORD:
+            given = in_one_line(f"TYPE {letter[:20]}, SIZE {size[:20]} and COUNT {count[:20]}")
             raise FileFormatError(
-                f"{path}: field '{name}' has TYPE {letter[:20]}, SIZE {size[:20]} and COUNT {count[:20]}, which the "
-                "format does not know; the file is damaged"
+                f"{path}: field {name!r} has {given}, which the format does not know; the file is damaged"
             )
         if name != _PADDING and name in [field.name for field in fields]:
-            raise FileFormatError(f"{path}: two fields are called '{name}'; give each its own name")
-        if name in _AXES and int(count) != 1:
-            raise FileFormatError(f"{path}: field '{name}' has COUNT {count}; a coordinate needs to be one number")
+            raise FileFormatError(f"{path}: two fields are called {name!r}; give each its own name")
+        if name.lower() in _AXES and int(count) != 1:
+            raise FileFormatError(f"{path}: field {name!r} has COUNT {count}; a coordinate needs to be one number")
         fields.append(_Field(name, kind, int(count)))
     if sum(field.width for field in fields) > LARGEST_RECORD:
         raise FileFormatError(f"{path}: its fields make a point of more than 1 GiB; the header is damaged")
@@ -196,7 +213,7 @@ def _cast(values: NDArray[np.float64], field: _Field, path: Path) -> NDArray[np.
     if bad.any():
         row = int(np.argmax(bad.reshape(len(values), -1).any(axis=1)))
         raise FileFormatError(
-            f"{path}: '{field.name}' of point {row} is not an integer of {8 * dtype.itemsize} bits; correct it"
+            f"{path}: {field.name!r} of point {row} is not an integer of {8 * dtype.itemsize} bits; correct it"
         )
     return values.astype(dtype)
 

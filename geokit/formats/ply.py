@@ -14,15 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
+from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body
-from geokit.formats.columns import Columns, joined, split
+from geokit.formats.columns import AXES, Columns, joined, split
 from geokit.formats.decimal import SMALLEST, plain_rows
 from geokit.formats.text import numbers
+from geokit.mesh._data import has_meaning
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["lacks_faces", "read_mesh", "read_points", "write_mesh", "write_points"]
+__all__ = [
+    "holds_type",
+    "lacks_faces",
+    "points_body",
+    "points_header",
+    "read_header",
+    "read_mesh",
+    "read_points",
+    "write_mesh",
+    "write_points",
+]
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -69,34 +81,111 @@ class _Element:
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Read a .ply file: ``x y z`` of its vertices, ``vertex_indices`` of its faces; the rest is left out."""
+    """Read a .ply file: vertices and faces with all their properties, each in its type; strips become triangles.
+
+    Lists of faces with a number, or several, for each corner are on corners: ``texcoord`` is ``uv``.
+    """
     data = path.read_bytes()
-    order, elements, start = _read_header(data, path)
+    order, elements, start = read_header(data, path)
     if any(element.count and not element.properties for element in elements):
         raise FileFormatError(f"{path}: the header declares an element without properties; the file is damaged")
     names = [element.name for element in elements]
     if "vertex" not in names:
         raise FileFormatError(f"{path}: has no vertex element; a mesh needs vertices and faces")
-    if "tristrips" in names and "face" not in names:
-        raise FileFormatError(f"{path}: holds triangle strips, which geokit does not read; export it as faces")
     source = _Text(data[start:], path) if order == "" else _Binary(data, start, order, path)
     points = np.zeros((0, 3))
     counts = indices = np.zeros(0, np.int64)
+    strips = np.zeros((0, 3), np.int64)
+    vertex: Columns = {}
+    face: Columns = {}
+    corner: Columns = {}
+    notes: list[str] = []
     for element in elements:
         columns = source.read(element)
         if element.name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
                 raise FileFormatError(f"{path}: the vertices have no x, y and z; the file is not a mesh")
-            points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
-        elif element.name == "face":
-            found = columns.get("vertex_indices", columns.get("vertex_index"))
+            points = np.stack([columns.pop(axis).astype(np.float64) for axis in "xyz"], axis=1)
+            vertex, lists = _attributes(columns, element)
+            notes += [f"the list {name!r} of the vertices is left out" for name in lists]
+        elif element.name in ("face", "tristrips"):
+            found = columns.pop("vertex_indices", None) or columns.pop("vertex_index", None)
             if not isinstance(found, tuple):
                 raise FileFormatError(f"{path}: the faces have no list vertex_indices; export the mesh again")
-            counts, indices = found
-            if indices.dtype.kind not in "iu":
+            if found[1].dtype.kind not in "iu":
                 raise FileFormatError(f"{path}: vertex_indices are not integers; export the mesh again")
+            if element.name == "tristrips":
+                strips = _triangles_of_strips(*found)
+                continue
+            counts, indices = found
+            face, lists = _attributes(columns, element)
+            for name, (sizes, values) in lists.items():
+                found = _on_corners(sizes, values, counts)
+                if found is not None:
+                    corner["uv" if name == "texcoord" and found.shape[1:] == (2,) else name] = found
+                elif len(values):
+                    notes.append(f"the list {name!r} of the faces is left out: its lengths are not those of the faces")
     source.finish()
-    return [Body(points, counts, indices)]
+    if len(strips):
+        left_out = [f"{name!r} of the faces is left out beside strips" for name in (*face, *corner)]
+        notes, face, corner = notes + left_out, {}, {}
+        counts, indices = np.concatenate([counts, np.full(len(strips), 3)]), np.concatenate([indices, strips.ravel()])
+    return [
+        Body(
+            points,
+            counts,
+            indices,
+            vertex_data=from_columns(vertex),
+            polygon_data=from_columns(face),
+            corner_data=corner,
+            notes=tuple(notes),
+        )
+    ]
+
+
+def _triangles_of_strips(counts: NDArray[np.int64], indices: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (T, 3) of strips; -1 ends a strip as the end of its list does, and a repeated index joins two."""
+    ends = np.concatenate([[0], np.cumsum(counts)])[1:-1]
+    corners = np.insert(indices, ends, -1)
+    places = np.arange(len(corners))
+    first = np.maximum.accumulate(np.where(corners < 0, places + 1, 0))
+    found = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) if len(corners) > 2 else np.zeros((0, 3), int)
+    # The file winds every second triangle of a strip the other way.
+    turned = (places - first)[: len(found)] % 2 == 1
+    found[turned] = found[turned][:, [1, 0, 2]]
+    a, b, c = found.T
+    return found[(found >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)]
+
+
+def _on_corners(sizes: NDArray[Any], values: NDArray[Any], counts: NDArray[Any]) -> NDArray[Any] | None:
+    """Rows of corners, if a list has as many numbers for each of them, or is empty (NaN, 0 in integers); else None."""
+    full = sizes > 0
+    width = int(sizes[full].sum() // max(counts[full].sum(), 1))
+    if not width or np.any(sizes[full] != counts[full] * width):
+        return None
+    table = np.full((counts.sum(), width), np.nan if values.dtype.kind == "f" else 0, values.dtype)
+    table[np.repeat(full, counts)] = values.reshape(-1, width)
+    return table[:, 0] if width == 1 else table
+
+
+def _attributes(columns: dict[str, Any], element: _Element) -> tuple[Columns, dict[str, Any]]:
+    """The other columns of an element in their types, and its lists."""
+    single: Columns = {}
+    lists: dict[str, Any] = {}
+    for item in element.properties:
+        found = columns.get(item.name)
+        if isinstance(found, tuple):
+            lists[item.name] = found[0], _typed(found[1], item.type)
+        elif found is not None:
+            single[item.name] = _typed(found, item.type)
+    return single, lists
+
+
+def _typed(values: NDArray[Any], kind: str) -> NDArray[Any]:
+    """The values in their declared type; as they are where text holds integers that do not fit."""
+    with np.errstate(over="ignore"):
+        typed = values.astype(kind)
+    return typed if typed.dtype.kind == "f" or np.array_equal(typed, values) else values
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
@@ -106,15 +195,15 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         FileFormatError: The file is damaged or truncated, has no vertices, or has a list among their properties.
     """
     data = path.read_bytes()
-    order, elements, start = _read_header(data, path)
+    order, elements, start = read_header(data, path)
     if "vertex" not in [element.name for element in elements]:
         raise FileFormatError(f"{path}: has no vertex element; a point set needs one")
     vertex = elements[0]
     if vertex.name != "vertex":
-        raise FileFormatError(f"{path}: element '{vertex.name}' stands before the vertices; put the vertices first")
+        raise FileFormatError(f"{path}: element {vertex.name!r} stands before the vertices; put the vertices first")
     lists = [item.name for item in vertex.properties if item.count_type]
     if lists:
-        raise FileFormatError(f"{path}: vertex property '{lists[0]}' is a list, which geokit does not read; remove it")
+        raise FileFormatError(f"{path}: vertex property {lists[0]!r} is a list, which geokit does not read; remove it")
     if not vertex.properties:
         return joined({}, path)
     dtype = np.dtype([(item.name, item.type) for item in vertex.properties])
@@ -150,7 +239,7 @@ def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dic
         except ValueError:
             pass
         shown = line[:60].decode("ascii", "backslashreplace").strip()
-        raise FileFormatError(f"{path}: vertex {row} ('{shown}') is not {len(names)} numbers; the file is damaged")
+        raise FileFormatError(f"{path}: vertex {row} ({shown!r}) is not {len(names)} numbers; the file is damaged")
     raise FileFormatError(f"{path}: a vertex has a number that its type cannot hold; the file is damaged")
 
 
@@ -168,11 +257,11 @@ def _cast(table: NDArray[np.float64], dtype: np.dtype[np.void]) -> dict[str, NDA
 def lacks_faces(head: bytes) -> bool:
     """Whether the header declares no faces."""
     header = head.partition(b"end_header")[0]
-    faces = re.search(rb"^element\s+face\s+(\d+)", header, re.MULTILINE)
-    return header.startswith(b"ply") and (faces is None or int(faces[1]) == 0)
+    faces = re.findall(rb"^element\s+(?:face|tristrips)\s+(\d+)", header, re.MULTILINE)
+    return header.startswith(b"ply") and not any(map(int, faces))
 
 
-def _read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
+def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
     """Byte order ("" for ASCII, "<" or ">"), the elements in file order, and the offset of the body.
 
     Raises:
@@ -200,7 +289,7 @@ def _read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
             else:
                 raise ValueError(line)
         except (ValueError, KeyError, IndexError):
-            raise FileFormatError(f"{path}: header line '{line[:80]}' is not understood; the file is damaged") from None
+            raise FileFormatError(f"{path}: header line {line[:80]!r} is not understood; the file is damaged") from None
     if order is None:
         raise FileFormatError(f"{path}: the header names no format; the file is damaged")
     return order, elements, newline + 1
@@ -208,8 +297,10 @@ def _read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
 
 def _property(words: list[str]) -> _Property:
     if words[1] == "list":
-        return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
-    return _Property(words[2], _TYPES[words[1]])
+        _, _, counts, kind, name = words
+        return _Property(name, _TYPES[kind], _TYPES[counts])
+    _, kind, name = words
+    return _Property(name, _TYPES[kind])
 
 
 def _truncated(path: Path, element: _Element) -> FileFormatError:
@@ -384,17 +475,62 @@ class _Binary:
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write a binary file, little endian, with float64 vertices."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment by geokit\n"
-        f"element vertex {len(mesh.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
-        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    records = np.empty(len(mesh.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
-    records["count"] = 3
-    records["corners"] = mesh.faces
+    """Write a binary file, little endian, with float64 vertices; arrays on corners become lists of faces."""
+    vertex = _columns(mesh.vertex_data, AXES)
+    lists: dict[str, NDArray[Any]] = {"vertex_indices": mesh.faces}
+    for name, values in mesh.corner_data.items():
+        uv = name == "uv" and has_meaning(name, values, 2)
+        table = _fitting(values.reshape(len(values), -1), name)
+        lists[free_name("texcoord" if uv else name, {*lists, "vertex_index"})] = table
+    face = _columns(mesh.face_data, (*lists, "vertex_index"))
+    header = ["ply", "format binary_little_endian 1.0", "comment by geokit", f"element vertex {len(mesh.vertices)}"]
+    header += ["property double x", "property double y", "property double z", *_properties(vertex)]
+    header += [f"element face {len(mesh.faces)}"]
+    records: list[Any] = []
+    for name, table in lists.items():
+        size = "uchar" if table.shape[1] < 256 else "int"
+        header.append(f"property list {size} {_NAMES[table.dtype.str[1:]]} {name}")
+        records += [(f"{name} count", "<" + _TYPES[size]), (name, table.dtype.newbyteorder("<"), table.shape[1:])]
+    faces = np.empty(len(mesh.faces), [*records, *_fields(face)])
+    for name, table in lists.items():
+        faces[f"{name} count"], faces[name] = table.shape[1], table
+    for name, column in face.items():
+        faces[name] = column
+    header += [*_properties(face), "end_header"]
+    content = _table(mesh.vertices, vertex) if vertex else mesh.vertices.astype("<f8")
     with open(path, "wb") as file:
-        file.write(header.encode("ascii") + mesh.vertices.astype("<f8").tobytes() + records.tobytes())
+        file.write(("\n".join(header) + "\n").encode("ascii") + content.tobytes() + faces.tobytes())
+
+
+def holds_type(values: NDArray[Any]) -> bool:
+    """Whether integers fit into 32 bits."""
+    return values.dtype.kind not in "iu" or values.dtype.itemsize < 8 or _fits(values)
+
+
+def _fits(values: NDArray[Any]) -> bool:
+    limits = np.iinfo(np.int32)
+    return not values.size or bool(limits.min <= values.min() and values.max() <= limits.max)
+
+
+def _columns(data: Mapping[str, NDArray[Any]], taken: tuple[str, ...]) -> Columns:
+    return {name: _fitting(column, name) for name, column in as_columns(data, taken).items()}
+
+
+def _properties(columns: Columns) -> list[str]:
+    return [f"property {_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+
+
+def _fields(columns: Columns) -> list[Any]:
+    return [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+
+
+def _table(points: NDArray[np.float64], columns: Columns) -> NDArray[np.void]:
+    """Records of positions and columns."""
+    every = {**dict(zip(AXES, points.T, strict=True)), **columns}
+    table = np.empty(len(points), _fields(every))
+    for name, column in every.items():
+        table[name] = column
+    return table
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
@@ -404,15 +540,25 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         InputError: A name cannot be that of a property, or a column has a type that the format lacks and fits into none
             that it has.
     """
-    columns = {name: _fitting(column, name) for name, column in split(points, data, ".ply").items()}
-    table = np.empty(len(points), np.dtype([(name, c.dtype.newbyteorder("<")) for name, c in columns.items()]))
-    for name, column in columns.items():
-        table[name] = column
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property {_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
     with open(path, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
-        file.write(table.tobytes())
+        file.write(points_header(points, data, len(points)))
+        file.write(points_body(points, data))
+
+
+def points_header(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], count: int) -> bytes:
+    """The header of ``count`` points, of which some, or none, are given."""
+    columns = _point_columns(points, data)
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *_properties(columns)]
+    return ("\n".join([*header, "end_header"]) + "\n").encode("ascii")
+
+
+def points_body(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """Points as they stand after the header."""
+    return _table(points, _point_columns(points, data)).tobytes()
+
+
+def _point_columns(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> Columns:
+    return {name: _fitting(column, name) for name, column in split(points, data, ".ply").items()}
 
 
 def _fitting(column: NDArray[np.generic], name: str) -> NDArray[np.generic]:
@@ -420,7 +566,6 @@ def _fitting(column: NDArray[np.generic], name: str) -> NDArray[np.generic]:
         return column.astype(np.uint8) if column.dtype.kind == "b" else column
     if column.dtype.kind == "f":
         return column.astype(np.float64 if column.dtype.itemsize > 4 else np.float32)
-    limits = np.iinfo(np.int32)
-    if column.size and (column.min() < limits.min or column.max() > limits.max):
+    if not _fits(column):
         raise InputError(f"data: '{name}' has integers beyond 32 bits, which .ply cannot hold; write .npz or .vtp")
     return column.astype(np.int32)

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError, InputError
+from geokit.formats.attributes.joined import JoinedData
 from geokit.formats.body import Body
 from geokit.mesh._model import MeshPart, TriangleMesh
 
@@ -18,6 +20,8 @@ __all__ = ["join", "triangulate"]
 def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
     """Join the bodies of a file into one mesh: transforms applied, polygons triangulated, names kept as parts.
 
+    Attributes follow; a warning names those that are left out.
+
     Raises:
         FileFormatError: There is no polygon, a polygon has fewer than three corners, an index is out of range, or a
             vertex is not finite; the message names the file, the body and the first bad row.
@@ -26,10 +30,10 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
         held = sum(len(body.points) for body in bodies)
         what = f"holds {held} points but no faces" if held else "holds neither points nor faces"
         raise FileFormatError(f"{path}: {what}; a mesh needs faces, export the surface itself")
-    vertices, faces, parts = [], [], []
+    vertices, faces, parts, data = [], [], [], JoinedData()
     first_vertex = first_face = 0
     for body in bodies:
-        where = f"{path}, body '{body.name}'" if len(bodies) > 1 else str(path)
+        where = f"{path}, body {body.name!r}" if len(bodies) > 1 else str(path)
         points = np.asarray(body.points, np.float64)
         counts, indices = np.asarray(body.counts, np.int64), np.asarray(body.indices, np.int64)
         _check(points, counts, indices, where)
@@ -39,10 +43,12 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
             # A mirroring transform turns a body inside out, so the winding is reversed.
             flip ^= bool(np.linalg.det(linear) < 0.0)
             with np.errstate(over="ignore", invalid="ignore"):
-                points = points @ linear.T + body.transform[:3, 3]
-        triangles, polygon = triangulate(points, counts, indices)
+                points = row_product(points, linear.T, body.transform[:3, 3])
+        corners, polygon = _triangulated(points, counts, indices)
+        triangles = indices.reshape(-1, 3) if corners is None else indices[corners]
         if flip:
             triangles = triangles[:, ::-1]
+        data.add(body, polygon, corners, reverse=flip)
         for part, first, count in body.groups or ((body.name, 0, len(counts)),):
             begin, end = np.searchsorted(polygon, (first, first + count))
             parts.append(MeshPart(part, first_face + int(begin), int(end - begin)))
@@ -52,9 +58,14 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
         first_face += len(triangles)
     if first_vertex > np.iinfo(np.int32).max:
         raise FileFormatError(f"{path}: {first_vertex} vertices are more than 32-bit indices reach; split the file")
+    attributes = data.arguments(path)
     try:
         return TriangleMesh(
-            np.concatenate(vertices), np.concatenate(faces), name=name, parts=tuple(parts) if len(parts) > 1 else ()
+            np.concatenate(vertices),
+            np.concatenate(faces),
+            name=name,
+            parts=tuple(parts) if len(parts) > 1 else (),
+            **attributes,
         )
     except InputError as error:  # a transform that overflows
         raise FileFormatError(f"{path}: {error}") from error
@@ -78,19 +89,27 @@ def triangulate(
     Source:
         Meisters, Polygons have ears (1975); Newell's normal as in Sutherland et al. (1974).
     """
+    corners, polygon = _triangulated(points, counts, indices)
+    return indices.reshape(-1, 3) if corners is None else indices[corners], polygon
+
+
+def _triangulated(
+    points: NDArray[np.float64], counts: NDArray[np.int64], indices: NDArray[np.int64]
+) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """:func:`triangulate`, with places in ``indices`` in place of what stands there; None where all are triangles."""
     triangle_counts = counts - 2
     polygon = np.repeat(np.arange(len(counts)), triangle_counts)
     if np.all(counts == 3):
-        return indices.reshape(-1, 3), polygon
+        return None, polygon
     faces = np.empty((len(polygon), 3), np.int64)
     first_corner = np.cumsum(counts) - counts
     first_triangle = np.cumsum(triangle_counts) - triangle_counts
     for size in np.unique(counts):
         members = np.flatnonzero(counts == size)
-        corners = indices[first_corner[members][:, None] + np.arange(size)]
+        corners = first_corner[members][:, None] + np.arange(size)
         triangles = _fan(corners)
         if size > 3:
-            turns = _turns(points[corners])
+            turns = _turns(points[indices[corners]])
             # Rounding must not send flat corners of convex polygons to the ear clipper, which would be correct but
             # slow.
             reflex = turns < -1e-12 * np.max(np.abs(turns), axis=1, keepdims=True)
@@ -100,7 +119,7 @@ def triangulate(
                 triangles[concave] = _fan(np.take_along_axis(corners[concave], rolled, axis=1))
             else:
                 for row in concave:
-                    triangles[row] = corners[row][_clip_ears(_flatten(points[corners[row]]))]
+                    triangles[row] = corners[row][_clip_ears(_flatten(points[indices[corners[row]]]))]
         faces[first_triangle[members][:, None] + np.arange(size - 2)] = triangles
     return faces, polygon
 

@@ -31,7 +31,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     if len(words) != 1 or not words[0].isdigit() or len(words[0]) > 18:
         shown = data[: min(end, 60)].decode("ascii", "backslashreplace").strip()
         raise FileFormatError(
-            f"{path}: line 1 ('{shown}') is not the number of points; write it there, or call the file .xyz"
+            f"{path}: line 1 ({shown!r}) is not the number of points; write it there, or call the file .xyz"
         )
     count = int(words[0])
     table = read_rows(data, end, path) if data[end:].strip() else np.empty((0, 3))

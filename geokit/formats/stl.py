@@ -17,10 +17,10 @@ from geokit.formats.text import numbers
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["read_mesh", "write_mesh"]
+__all__ = ["HEADER_BYTES", "RECORD", "read_mesh", "write_mesh"]
 
-_HEADER_BYTES = 84
-_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+HEADER_BYTES = 84
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SOLID = re.compile(rb"^[ \t]*(endsolid|solid)\b[ \t]*([^\r\n]*)", re.MULTILINE | re.IGNORECASE)
 _FACET_WORDS = [b"facet", b"normal", None, None, None, b"outer", b"loop"]
 _FACET_WORDS += [b"vertex", None, None, None] * 3 + [b"endloop", b"endfacet"]
@@ -29,17 +29,17 @@ _FACET_WORDS += [b"vertex", None, None, None] * 3 + [b"endloop", b"endfacet"]
 def read_mesh(path: Path) -> list[Body]:
     """Read an .stl file; the solids of an ASCII file become groups. Normals and attributes are left out."""
     data = path.read_bytes()
-    declared = int.from_bytes(data[80:84], "little") if len(data) >= _HEADER_BYTES else -1
+    declared = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else -1
     # Some binary headers start with "solid" too, so a size that matches the count exactly decides.
-    if declared >= 0 and len(data) == _HEADER_BYTES + declared * _RECORD.itemsize:
-        records = np.frombuffer(data, _RECORD, offset=_HEADER_BYTES)
+    if declared >= 0 and len(data) == HEADER_BYTES + declared * RECORD.itemsize:
+        records = np.frombuffer(data, RECORD, offset=HEADER_BYTES)
         return [_weld(records["corners"].astype(np.float64).reshape(-1, 3), ())]
     if data.lstrip()[:5].lower() == b"solid":
         return [_read_ascii(data, path)]
     if declared < 0:
         raise FileFormatError(f"{path}: {len(data)} bytes are too few for an .stl file; get a whole copy")
     raise FileFormatError(
-        f"{path}: declares {declared} triangles ({_HEADER_BYTES + declared * _RECORD.itemsize} bytes) but is "
+        f"{path}: declares {declared} triangles ({HEADER_BYTES + declared * RECORD.itemsize} bytes) but is "
         f"{len(data)} bytes long; it is truncated or damaged, get a whole copy"
     )
 
@@ -92,7 +92,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     edges = corners[:, 1:] - corners[:, :1]
     normals = np.cross(edges[:, 0], edges[:, 1])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    records = np.zeros(len(corners), _RECORD)
+    records = np.zeros(len(corners), RECORD)
     records["normal"] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
     records["corners"] = corners
     with open(path, "wb") as file:

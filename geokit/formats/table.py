@@ -2,15 +2,26 @@
 
 A module defines the functions that its line declares:
 
-- ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, with the further arguments ``point_data`` and
-  ``cell_data`` if the format holds data on vertices and faces;
+- ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, whose mesh has only such attributes as the line says
+  the format holds, and only arrays and images for which ``holds_type(values)`` and ``holds_texture(data)`` are true
+  where the module defines these, and alpha cutoffs unless it says ``HOLDS_CUTOFFS = False``; ``read_mesh`` also takes
+  ``folders`` if files of the format may refer to other files: these are opened only in the file's own folder and in
+  ``folders`` (references.py);
+- ``companions(mesh, stem) -> {name: bytes}``, if a mesh may become several files: those that lie beside ``stem.kind``.
+  Where there are any, ``write_mesh`` also takes ``stem``;
 - ``read_points(path) -> (points (N, 3) float64, data by name)`` and ``write_points(path, points, data)``, with the
   further argument ``encoding`` if there are several encodings;
 - ``read_rays(path)``, a table (N, 6) of origins and directions;
-- ``content_bytes(path)``, for point formats that are read in a separate process: it checks the file's header and
-  returns the largest size of the content in bytes, or None if the file can safely be read in this process;
+- ``content_bytes(path)``, if files of the format are or may be compressed: the size of the decompressed content in
+  bytes, from the file's header, before anything is decompressed; 0 if the file does not tell; None if this file is not
+  compressed, and then it is read in this process also where the line says otherwise;
+- ``IN_PROCESS = False``, if the library must never read in the caller's process, whatever the caller trusts;
 - ``lacks_faces(head)``, if a file of the format may be a mesh or a point cloud: whether the first bytes of a file
   declare no faces.
+
+Dense volumes have modules in ``images/``: ``open_images(path, limit)`` and ``write_image(path, image, codec)``, with
+the further argument ``stem`` if the format ``references`` a second file. Where the extension is one of clouds too,
+``is_volume(path)`` tells.
 
 A damaged file raises a FileFormatError whose message begins with the path. Paths have the extension in question, in
 lower or upper case. A module that is read in a separate process imports little at its top, because the process waits
@@ -22,11 +33,26 @@ Standard library only, because the command line reads this table before anything
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, NamedTuple, TypeVar
 
-__all__ = ["FORMATS", "Access", "Content", "Format", "extensions", "module_of", "with_formats"]
+__all__ = [
+    "FORMATS",
+    "SPARSE",
+    "STAGES",
+    "ZARR",
+    "Access",
+    "Content",
+    "Format",
+    "extensions",
+    "image_module",
+    "module_of",
+    "volume_kind",
+    "with_formats",
+]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -38,18 +64,30 @@ class Format(NamedTuple):
     """A row of the table.
 
     Args:
-        module: The module in this folder; "" for volumes, which ``geokit.volume`` reads and writes.
+        module: The module in this folder; "" for what ``geokit.native`` and ``geokit.volume`` read and write.
         mesh: Access to meshes: "r" for reading, "w" for writing, "rw" for both, "" for none.
         points: Access to point clouds.
         rays: Access to rays.
         volume: Access to volumes.
-        data: Whether mesh files hold arrays on vertices and faces.
+        image: The module in ``images/`` of a dense volume; "" if there is none.
+        vertex: Attributes of vertices that mesh files hold: the names of those with a meaning ("rgb" is a color without
+            alpha), or "*" for all arrays.
+        face: The same for faces. Attributes of corners that it does not hold are written for vertices, where these may
+            have them.
+        corner: The same for corners.
+        materials: Whether they hold materials, and which face has which.
+        unit: Whether they hold the length of their unit.
         float32: Whether meshes are written with float32 coordinates.
         process: Whether files are read in a separate process, because the library hangs, crashes or prints on damaged
             ones.
         extra: The extra of geokit that installs the library; "" if the base installation does.
         encodings: Encodings of point clouds, the default first; empty if there is only one.
         single: Whether float32 points are written as float32. Other formats write float64.
+        references: Whether files may refer to other files.
+        limited: Whether point clouds hold only some arrays, or rounded coordinates: such files hold no query's answers.
+        arrays: Names of the only arrays that point clouds hold; empty if they hold any.
+        curved: Whether meshes have curved faces in the file, for which ``read_mesh`` takes a ``tolerance``.
+        up: The axis that points up in most files, "y" or "z"; pictures are drawn so unless told otherwise.
     """
 
     module: str
@@ -57,52 +95,110 @@ class Format(NamedTuple):
     points: Access = ""
     rays: Access = ""
     volume: Access = ""
-    data: bool = False
+    image: str = ""
+    vertex: str = ""
+    face: str = ""
+    corner: str = ""
+    materials: bool = False
+    unit: bool = False
     float32: bool = False
     process: bool = False
     extra: str = ""
     encodings: tuple[str, ...] = ()
     single: bool = False
+    references: bool = False
+    limited: bool = False
+    arrays: tuple[str, ...] = ()
+    curved: bool = False
+    up: Literal["y", "z"] = "y"
 
+    @property
+    def data(self) -> bool:
+        """Whether mesh files hold arrays of any name on vertices and faces."""
+        return self.vertex == self.face == "*"
+
+
+# What stands at the top of a zarr folder.
+ZARR = ("zarr.json", ".zgroup", ".zarray")
+# Arrays of any name on vertices and faces.
+_ARRAYS: Any = {"vertex": "*", "face": "*"}
+# Parts, simulations and surveys stand on the xy plane, characters and scenes on the xz plane.
+_Z: Any = {"up": "z"}
+_USD: Any = {"corner": "*", "unit": True, "float32": True, "process": True, "references": True, "extra": "usd"}
 
 FORMATS: dict[str, Format] = {
     # geokit's own readers and writers.
-    ".obj": Format("obj", mesh="rw", points="r"),
-    ".ply": Format("ply", mesh="rw", points="rw"),
-    ".stl": Format("stl", mesh="rw", float32=True),
-    ".off": Format("off", mesh="rw"),
+    ".obj": Format(
+        "obj", mesh="rw", points="r", vertex="normal uv rgb", corner="normal uv", materials=True, references=True
+    ),
+    ".ply": Format("ply", mesh="rw", points="rw", vertex="*", face="*", corner="*"),
+    ".stl": Format("stl", mesh="rw", float32=True, **_Z),
+    ".off": Format("off", mesh="rw", vertex="normal uv color", face="color"),
     # trimesh
-    ".glb": Format("scenes", mesh="rw", float32=True, process=True),
-    ".gltf": Format("scenes", mesh="r", process=True),
-    ".3mf": Format("scenes", mesh="rw", process=True),
+    ".glb": Format("scenes", mesh="rw", vertex="*", materials=True, float32=True, process=True, references=True),
+    ".gltf": Format("scenes", mesh="rw", vertex="*", materials=True, float32=True, process=True, references=True),
+    ".3mf": Format("scenes", mesh="rw", process=True, references=True, extra="3mf", **_Z),
     # VTK. Meshes are written by pyvista, .vtu by meshio.
-    ".vtk": Format("vtk", mesh="rw", data=True, process=True),
-    ".vtp": Format("vtk", mesh="rw", points="rw", data=True, process=True),
-    ".vtu": Format("vtk", mesh="rw", data=True, process=True),
+    ".vtk": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
+    ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, process=True, **_Z),
+    ".vtu": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
     # meshio
-    ".msh": Format("meshio_files", mesh="rw", data=True, process=True),
-    ".xdmf": Format("meshio_files", mesh="rw", data=True, process=True),
+    ".msh": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),
+    ".xdmf": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),
+    # pycollada
+    ".dae": Format("exchange.collada", mesh="r", process=True, references=True, extra="dae"),
+    # ufbx
+    ".fbx": Format("exchange.fbx", mesh="r", process=True, references=True, extra="fbx"),
+    # Open CASCADE
+    **dict.fromkeys(
+        (".step", ".stp", ".iges", ".igs"),
+        Format("exchange.cad", mesh="r", process=True, extra="cad", curved=True, **_Z),
+    ),
     # usd-core
-    ".usd": Format("usd", mesh="rw", float32=True, process=True, extra="usd"),
-    ".usda": Format("usd", mesh="rw", float32=True, process=True, extra="usd"),
-    ".usdc": Format("usd", mesh="rw", float32=True, process=True, extra="usd"),
-    ".usdz": Format("usd", mesh="r", process=True, extra="usd"),
+    ".usd": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
+    ".usda": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
+    ".usdc": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
+    ".usdz": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
     # geokit's own readers and writers of points.
-    ".pcd": Format("pcd", points="rw", encodings=("binary", "ascii", "binary_compressed"), single=True),
-    ".pts": Format("pts", points="rw"),
+    ".pcd": Format("pcd", points="rw", encodings=("binary", "ascii", "binary_compressed"), single=True, **_Z),
+    ".pts": Format("pts", points="rw", limited=True, arrays=("intensity", "rgb"), **_Z),
     # laspy. Only compressed content, under either extension, is read in a separate process.
-    ".las": Format("las", points="rw", process=True, extra="las"),
-    ".laz": Format("las", points="rw", process=True, extra="las"),
+    ".las": Format("las", points="rw", process=True, extra="las", limited=True, **_Z),
+    ".laz": Format("las", points="rw", process=True, extra="las", limited=True, **_Z),
+    # pye57
+    ".e57": Format("e57", points="r", process=True, extra="e57", **_Z),
+    # Sweeps of KITTI and nuScenes, without a header.
+    ".bin": Format("kitti", points="r", **_Z),
     # Tables.
-    ".xyz": Format("text", points="rw", rays="r"),
-    ".csv": Format("text", points="rw", rays="r"),
-    ".txt": Format("text", points="r", rays="r"),
-    ".npy": Format("numpy_files", points="r", rays="r"),
-    ".npz": Format("numpy_files", points="rw", rays="r"),
+    ".xyz": Format("text", points="rw", rays="r", **_Z),
+    ".csv": Format("text", points="rw", rays="r", **_Z),
+    ".txt": Format("text", points="r", rays="r", **_Z),
+    ".npy": Format("numpy_files", points="r", rays="r", volume="rw", image="numpy_image", **_Z),
+    ".npz": Format("numpy_files", points="rw", rays="r", **_Z),
     # OpenVDB, and geokit's own reader and writer of .nvdb.
-    ".vdb": Format("", volume="rw"),
+    ".vdb": Format("", points="rw", volume="rw", limited=True),
     ".nvdb": Format("", volume="rw"),
+    # Dense volumes: nibabel, pynrrd, geokit's own readers, mrcfile, tifffile, pydicom, zarr, VTK.
+    ".nii": Format("", volume="rw", image="nifti", extra="medical", **_Z),
+    ".nii.gz": Format("", volume="rw", image="nifti", extra="medical", **_Z),
+    ".nrrd": Format("", volume="rw", image="nrrd", extra="medical", **_Z),
+    ".nhdr": Format("", volume="r", image="nrrd", extra="medical", **_Z),
+    ".mhd": Format("", volume="rw", image="meta_image", references=True, **_Z),
+    ".mha": Format("", volume="rw", image="meta_image", **_Z),
+    ".mrc": Format("", volume="rw", image="mrc", extra="imaging", **_Z),
+    ".map": Format("", volume="rw", image="mrc", extra="imaging", **_Z),
+    ".tif": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
+    ".tiff": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
+    ".dcm": Format("", volume="r", image="dicom", extra="medical", **_Z),
+    ".zarr": Format("", volume="rw", image="zarr_image", extra="imaging", **_Z),
+    ".vox": Format("", volume="r", image="vox", **_Z),
+    ".vti": Format("", volume="rw", image="vti", **_Z),
 }
+
+# Scenes, which may hold meshes, or volumes of .vdb files.
+STAGES = tuple(kind for kind, found in FORMATS.items() if found.volume and found.mesh)
+# What stores only some voxels, and several grids in a file.
+SPARSE = tuple(kind for kind, found in FORMATS.items() if found.volume and not found.image and not found.mesh)
 
 
 def extensions(content: Content, access: Literal["r", "w"]) -> tuple[str, ...]:
@@ -115,12 +211,31 @@ def module_of(kind: str) -> ModuleType:
     return importlib.import_module(f"geokit.formats.{FORMATS[kind].module}")
 
 
-def with_formats(content: Content, access: Literal["r", "w"]) -> Callable[[_Function], _Function]:
-    """Decorator: replaces ``{formats}`` in a docstring by the extensions that can be read ("r") or written ("w")."""
+def volume_kind(path: str | os.PathLike[str]) -> str:
+    """The extension that a folder stands for: ".zarr", or ".dcm" for one with slices of DICOM; "" for a file."""
+    folder = Path(path)
+    if not os.path.isdir(folder):  # names too long for a file are no folder
+        return ""
+    return ".zarr" if any((folder / name).is_file() for name in ZARR) or folder.suffix.lower() == ".zarr" else ".dcm"
+
+
+def image_module(kind: str) -> ModuleType:
+    """Import the module that reads and writes dense volumes with an extension."""
+    return importlib.import_module(f"geokit.formats.images.{FORMATS[kind].image}")
+
+
+def with_formats(
+    content: Content, access: Literal["r", "w"], **more: Iterable[str]
+) -> Callable[[_Function], _Function]:
+    """Decorator: replaces ``{formats}`` in a docstring by the extensions that can be read ("r") or written ("w").
+
+    Further words in braces are replaced by the extensions given under their names.
+    """
 
     def fill(function: _Function) -> _Function:
-        if function.__doc__:  # None under python -OO
-            function.__doc__ = function.__doc__.replace("{formats}", " ".join(extensions(content, access)))
+        for name, kinds in {"formats": extensions(content, access), **more}.items():
+            if function.__doc__:  # None under python -OO
+                function.__doc__ = function.__doc__.replace(f"{{{name}}}", " ".join(kinds))
         return function
 
     return fill

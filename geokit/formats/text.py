@@ -84,7 +84,7 @@ def numbers(tokens: list[bytes], dtype: type, path: Path, what: str) -> NDArray[
         except (ValueError, OverflowError):
             shown = token[:40].decode("ascii", "backslashreplace")
             raise FileFormatError(
-                f"{path}: '{shown}' (number {at} of the {what}) is not a number that fits; the file is damaged"
+                f"{path}: {shown!r} (number {at} of the {what}) is not a number that fits; the file is damaged"
             ) from None
     raise FileFormatError(f"{path}: the {what} cannot be read as numbers; the file is damaged")
 
@@ -171,7 +171,7 @@ def _blame(lines: Sequence[str], above: int, path: Path) -> None:
         values = _numbers(text)
         if values is None:
             raise FileFormatError(
-                f"{path}: line {number} ('{text[:60]}') is not a row of numbers; correct or remove it"
+                f"{path}: line {number} ({text[:60]!r}) is not a row of numbers; correct or remove it"
             )
         columns = columns or len(values)
         if len(values) != columns:

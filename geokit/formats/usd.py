@@ -2,59 +2,173 @@
 
 from __future__ import annotations
 
+import glob
+import os
+import re
+import zipfile
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geokit.errors import FileFormatError, MissingDependencyError
+from geokit._packages import require_package
+from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.body import Body
+from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["read_mesh", "write_mesh"]
+__all__ = ["export", "open_stage", "prepare", "read_mesh", "transform_time", "visible", "write_mesh"]
 
 
-def read_mesh(path: Path) -> list[Body]:
+def prepare() -> None:
+    """Import usd-core and have it look for its plugins and schemas, without starting threads."""
+    from pxr import Ar, Sdf, Tf, Usd, UsdGeom, Work  # noqa: F401
+
+    from geokit.formats.attributes import columns  # noqa: F401
+
+    Work.SetConcurrencyLimit(1)
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.XformCache().GetLocalToWorldTransform(UsdGeom.Mesh.Define(stage, "/mesh").GetPrim())
+
+
+def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     """Read each visible Mesh prim of the default or render purpose, and each instance of one, in world space.
 
-    Positions are those of the default time, or of the first sample if there are only samples. Subdivision surfaces are
-    read as their control cage.
-    """
-    _require_usd()
-    from pxr import Tf, Usd, UsdGeom
+    Cube, Sphere, Cylinder, Cone and Capsule prims are read as polygons whose vertices lie on them.
 
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        reason = " ".join(str(error).split())[:300]
-        raise FileFormatError(f"{path}: is not a USD stage ({reason}); the file is damaged, export it again") from None
-    transforms = UsdGeom.XformCache(_transform_time(stage))
+    Positions are those of the default time, or of the first sample if there are only samples. Subdivision surfaces are
+    read as their control cage. Normals and primvars come along, constant ones on each face; the first texture
+    coordinates are ``uv``, and materials are left out. Layers (sublayers, references, payloads and clips) are opened
+    from the file's own folder, which needs to be the working folder, and from ``folders``.
+    """
+    require_package("pxr")
+    from pxr import Usd, UsdGeom
+
+    stage = open_stage(path, folders)
+    transforms = UsdGeom.XformCache(transform_time(stage))
     bodies = []
     for prim, matrix in _placed(stage.GetPseudoRoot(), transforms, None, path):
-        body = _body(UsdGeom.Mesh(prim), matrix)
+        is_shape = str(prim.GetTypeName()) in SHAPES
+        # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
+        columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
+        body = (
+            shape_body(prim, columns, Usd.TimeCode.EarliestTime()) if is_shape else _body(UsdGeom.Mesh(prim), columns)
+        )
         if body is not None:
             bodies.append(body)
+    if bodies and stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
+        bodies[0] = bodies[0]._replace(up_axis=str(UsdGeom.GetStageUpAxis(stage)).lower())
+    if bodies and UsdGeom.StageHasAuthoredMetersPerUnit(stage):
+        # UsdGeom.GetStageMetersPerUnit refuses the floats that some exporters write in place of doubles.
+        bodies[0] = bodies[0]._replace(meters_per_unit=float(stage.GetMetadata(UsdGeom.Tokens.metersPerUnit)))
+    if bodies and any(prim.GetTypeName() == "Volume" for prim in visible(stage)):
+        bodies[0] = bodies[0]._replace(notes=("its volumes are left out; geokit.volume.load reads them",))
     if not bodies:
         others = sorted({str(prim.GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)})
         what = f"; it holds {', '.join(others)}" if others else ""
+        if "Mesh" in others:
+            raise FileFormatError(
+                f"{path}: its Mesh prims have no points, or are hidden{what}; export them with points"
+            )
+        if "Volume" in others:
+            raise FileFormatError(f"{path}: has no visible Mesh prim{what}; load its fields with geokit.volume.load")
         raise FileFormatError(
             f"{path}: has no visible Mesh prim{what}; convert the geometry to meshes and export again"
         )
     return bodies
 
 
-def _require_usd() -> None:
+def open_stage(path: Path, folders: Sequence[Path]) -> Any:
+    """Open a stage, whose layers lie in its own folder or in ``folders``.
+
+    Raises:
+        FileAccessError: A layer lies outside, or is a FIFO or a device.
+        FileFormatError: It is no stage.
+    """
+    from pxr import Tf, Usd
+
     try:
-        import pxr  # noqa: F401
-    except ImportError:
-        raise MissingDependencyError(
-            "reading and writing USD needs the package usd-core; install it with: pip install 'geokit[usd]'"
-        ) from None
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise FileFormatError(f"{path}: usd-core opens only names in UTF-8; rename the file or its folder") from None
+    # They stay open until the stage has them.
+    layers = _checked_layers(path, folders)
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = " ".join(str(error).split())[:300]
+        raise FileFormatError(f"{path}: is not a USD stage ({reason}); the file is damaged, export it again") from None
+    del layers
+    return stage
 
 
-def _transform_time(stage: Any) -> Any:
+def visible(stage: Any) -> Iterator[Any]:
+    """The prims of the default or render purpose that are not hidden, nor below one that is."""
+    from pxr import Usd, UsdGeom
+
+    prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
+    for prim in prims:
+        imageable = UsdGeom.Imageable(prim)
+        if imageable and _hidden(imageable):
+            prims.PruneChildren()
+        else:
+            yield prim
+
+
+def _checked_layers(path: Path, folders: Sequence[Path]) -> list[Any]:
+    """Open every layer that the stage will open, after checking where it lies; missing ones are left out.
+
+    Raises:
+        FileAccessError: A layer lies outside the folders, or is a FIFO or a device.
+    """
+    from pxr import Ar, Sdf, Tf
+
+    layers: dict[str, Any] = {}
+    waiting = [str(path)]
+    while waiting:
+        name = waiting.pop()
+        if name in layers:
+            continue
+        try:
+            layers[name] = layer = Sdf.Layer.FindOrOpen(name)
+        except Tf.ErrorException:
+            layers[name] = layer = None
+        for reference in _references(layer) if layer else ():
+            if reference.startswith("`"):
+                raise FileAccessError(
+                    f"{path}: refers to {reference[:LONGEST]!r}, an expression, and geokit cannot tell where it leads; "
+                    "flatten the stage (usdcat --flatten)"
+                )
+            found = layer.ComputeAbsolutePath(Sdf.Layer.SplitIdentifier(reference)[0])
+            outer = Ar.SplitPackageRelativePathOuter(found)[0] if Ar.IsPackageRelativePath(found) else found
+            # The user's search path of USD may find it elsewhere.
+            outer = Ar.GetResolver().Resolve(outer).GetPathString() or outer
+            for file in [outer, *glob.glob(re.sub("#+", "*", outer))] if "#" in outer else [outer]:
+                if os.path.exists(require_inside(reference, path.parent / file, path, folders)):
+                    waiting.append(found if file == outer else file)
+    return list(layers.values())
+
+
+def _references(layer: Any) -> list[str]:
+    """Every file that composing the layer, or reading its values, opens."""
+    found = list(layer.GetCompositionAssetDependencies()) + list(layer.GetExternalAssetDependencies())
+
+    def add_clips(prim: Any) -> None:
+        spec = layer.GetPrimAtPath(prim)
+        for clips in (spec.GetInfo("clips") or {}).values() if spec and spec.HasInfo("clips") else ():
+            if isinstance(clips, dict):
+                files = [clips.get("manifestAssetPath"), *clips.get("assetPaths", ())]
+                found.extend(file.path for file in files if file)
+                found.append(clips.get("templateAssetPath", ""))
+
+    layer.Traverse("/", add_clips)
+    return [reference for reference in found if reference]
+
+
+def transform_time(stage: Any) -> Any:
     """The default time, or the first sample if a transform has no default, which would count as identity."""
     from pxr import Usd, UsdGeom
 
@@ -78,7 +192,7 @@ def _placed(root: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple
         if prim.IsA(UsdGeom.PointInstancer):
             prims.PruneChildren()
             yield from _instances(UsdGeom.PointInstancer(prim), transforms, base, path)
-        elif prim.IsA(UsdGeom.Mesh):
+        elif prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in SHAPES:
             matrix = transforms.GetLocalToWorldTransform(prim)
             yield prim, matrix if base is None else matrix * base
 
@@ -126,7 +240,7 @@ def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterat
         yield from _placed(prototype, transforms, above * placement * world, path)
 
 
-def _body(mesh: Any, matrix: Any) -> Body | None:
+def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
     from pxr import Usd, UsdGeom
 
     points = mesh.GetPointsAttr().Get()
@@ -138,24 +252,78 @@ def _body(mesh: Any, matrix: Any) -> Body | None:
     indices = mesh.GetFaceVertexIndicesAttr().Get(time)
     if not points:
         return None
+    counts, indices = memoryview(counts or array("i")), memoryview(indices or array("i"))
+    vertex, polygon, corner = _primvars(mesh, time, len(points), len(counts), len(indices))
     return Body(
         memoryview(points),
-        memoryview(counts or array("i")),
-        memoryview(indices or array("i")),
+        counts,
+        indices,
         name=str(mesh.GetPath()),
-        # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
-        transform=[[float(matrix[column][row]) for column in range(4)] for row in range(4)],
+        transform=matrix,
         clockwise=mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded,
+        vertex_data=vertex,
+        polygon_data=polygon,
+        corner_data=corner,
     )
 
 
+def _primvars(
+    mesh: Any, time: Any, vertex_count: int, polygon_count: int, corner_count: int
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Normals and primvars of vertices, polygons and corners."""
+    from pxr import UsdGeom
+
+    found: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = {}, {}, {}
+    normals, primvars = mesh.GetNormalsAttr().Get(time), UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithValues()
+    if not normals and not primvars:
+        return found
+    import numpy as np
+
+    from geokit.formats.attributes.columns import from_columns
+
+    def add(name: str, interpolation: str, given: Any) -> None:
+        try:
+            values = np.array(given)
+        except (TypeError, ValueError):
+            return
+        if values.dtype.kind not in "fiub" or not values.ndim:
+            return
+        if interpolation == UsdGeom.Tokens.constant and len(values) == 1:
+            values, into, count = np.repeat(values, polygon_count, axis=0), found[1], polygon_count
+        else:
+            into, count = {
+                UsdGeom.Tokens.uniform: (found[1], polygon_count),
+                UsdGeom.Tokens.faceVarying: (found[2], corner_count),
+            }.get(interpolation, (found[0], vertex_count))
+        if len(values) == count and count:
+            into[name] = values
+
+    if normals:
+        add("normal", mesh.GetNormalsInterpolation(), normals)
+    textured = False
+    for primvar in primvars:
+        name = _NAMES.get(primvar.GetPrimvarName(), primvar.GetPrimvarName())
+        if str(primvar.GetTypeName()).startswith("texCoord2") and not textured:
+            name, textured = "uv", True
+        values = primvar.ComputeFlattened(time)
+        if values is not None:
+            add(name, primvar.GetInterpolation(), values)
+    for data in found:
+        colors, opacity = data.get("color"), data.get("displayOpacity")
+        if colors is not None and opacity is not None and colors.shape[1:] == (3,) and opacity.ndim == 1:
+            data["color"] = np.column_stack([colors, data.pop("displayOpacity")])
+    return from_columns(found[0]), from_columns(found[1]), from_columns(found[2])
+
+
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write one Mesh prim below a default root, through usd-core.
+    """Write one Mesh prim below a default root, through usd-core; arrays become primvars, colors of integers floats.
+
+    A .usdz holds it as its only layer.
 
     Raises:
         MissingDependencyError: usd-core is not installed.
     """
-    _require_usd()
+    require_package("pxr")
     import numpy as np
     from pxr import Tf, Usd, UsdGeom, Vt
 
@@ -171,4 +339,124 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     prim.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     if len(points):
         prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)])))
-    stage.GetRootLayer().Export(str(path))
+    if mesh.up_axis is not None:
+        stage.SetMetadata(UsdGeom.Tokens.upAxis, mesh.up_axis.upper())
+    if mesh.meters_per_unit is not None:
+        UsdGeom.SetStageMetersPerUnit(stage, mesh.meters_per_unit)
+    for data, interpolation in (
+        (mesh.vertex_data, UsdGeom.Tokens.vertex),
+        (mesh.face_data, UsdGeom.Tokens.uniform),
+        (mesh.corner_data, UsdGeom.Tokens.faceVarying),
+    ):
+        for name, values in data.items():
+            flat = values.reshape(-1, *values.shape[2:]) if interpolation == UsdGeom.Tokens.faceVarying else values
+            _write_array(prim, name, flat, interpolation)
+    export(stage, path, "mesh.usdc", {})
+
+
+def export(stage: Any, path: Path, inner: str, beside: Mapping[str, Path]) -> None:
+    """Write a stage in memory to a file; a .usdz holds it as its layer ``inner``, and files ``beside`` it by name.
+
+    Args:
+        stage: The stage.
+        path: The file.
+        inner: Name of the layer in a .usdz.
+        beside: Files of the same folder that go into a .usdz, by their names there.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    from pxr import Sdf, Tf
+
+    # usd-core takes only names in UTF-8, and a folder may have another; as a descriptor it has a plain name.
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        name = f"/proc/self/fd/{folder}/{path.name}"
+        packed = path.suffix.lower() == ".usdz"
+        exported = stage.GetRootLayer().Export(f"{name}.usdc" if packed else name)
+        if packed:
+            archive = Sdf.ZipFileWriter.CreateNew(name)
+            exported = bool(archive.AddFile(f"{name}.usdc", inner)) and all(
+                bool(archive.AddFile(f"/proc/self/fd/{folder}/{file.name}", label)) for label, file in beside.items()
+            )
+            exported = archive.Save() and exported and _is_whole(path)
+    except Tf.ErrorException as error:
+        raise OSError(f"usd-core: {getattr(error.args[0], 'commentary', error)}") from None
+    finally:
+        os.close(folder)
+    if not exported:
+        raise OSError("usd-core: not all was written")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether an archive has all its bytes: usd-core does not notice that the last ones find no room."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.testzip() is None
+    except zipfile.BadZipFile:
+        return False
+
+
+def _write_array(prim: Any, name: str, values: Any, interpolation: str) -> None:
+    """Write an array as normals, or as one primvar or more."""
+    import numpy as np
+    from pxr import Sdf, UsdGeom, Vt
+
+    from geokit.formats.attributes.columns import as_columns
+    from geokit.mesh._data import full_scale, has_meaning
+
+    primvars, types = UsdGeom.PrimvarsAPI(prim), Sdf.ValueTypeNames
+
+    def add(label: str, kind: Any, array: Any, rows: Any) -> None:
+        known = primvars.GetPrimvar(label).HasAuthoredValue()
+        # One name on vertices, faces and corners is one primvar; the first keeps it.
+        primvars.CreatePrimvar(f"{label}_{interpolation}" if known else label, kind, interpolation).Set(
+            array.FromNumpy(np.ascontiguousarray(rows))
+        )
+
+    wide = values.dtype == np.float64
+    if has_meaning(name, values) and name == "normal" and not prim.GetNormalsAttr().HasAuthoredValue():
+        prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32)))
+        prim.SetNormalsInterpolation(interpolation)
+    elif has_meaning(name, values) and name == "uv":
+        kind = (types.TexCoord2dArray, Vt.Vec2dArray) if wide else (types.TexCoord2fArray, Vt.Vec2fArray)
+        add("st", *kind, values if wide else values.astype(np.float32))
+    elif has_meaning(name, values) and name == "color":
+        colors = (values / full_scale(values.dtype)).astype(np.float32)
+        add("displayColor", types.Color3fArray, Vt.Vec3fArray, colors[:, :3])
+        if colors.shape[1] == 4:
+            add("displayOpacity", types.FloatArray, Vt.FloatArray, colors[:, 3])
+    else:
+        columns = values.shape[1] if values.ndim == 2 else 1
+        if values.dtype.kind == "f" and columns in (2, 3, 4):
+            letter = "d" if wide else "f"
+            kind = getattr(types, f"Double{columns}Array" if wide else f"Float{columns}Array")
+            add(_primvar_name(name), kind, getattr(Vt, f"Vec{columns}{letter}Array"), values.astype(letter))
+            return
+        label, dtype = _SCALARS[values.dtype.kind, values.dtype.itemsize]
+        kind, array = getattr(types, f"{label}Array"), getattr(Vt, f"{label}Array")
+        for part, column in as_columns({name: values}).items():
+            add(_primvar_name(part), kind, array, column.astype(dtype))
+
+
+def _primvar_name(name: str) -> str:
+    from pxr import Tf
+
+    return str(Tf.MakeValidIdentifier(name))
+
+
+# USD's names of attributes with a meaning.
+_NAMES = {"displayColor": "color", "normals": "normal"}
+# Types of single numbers by kind and bytes, and NumPy's that hold them.
+_SCALARS = {
+    ("b", 1): ("Bool", "?"),
+    ("u", 1): ("UChar", "u1"),
+    **{("i", size): ("Int", "i4") for size in (1, 2, 4)},
+    ("u", 2): ("Int", "i4"),
+    ("u", 4): ("UInt", "u4"),
+    ("i", 8): ("Int64", "i8"),
+    ("u", 8): ("UInt64", "u8"),
+    ("f", 2): ("Float", "f4"),
+    ("f", 4): ("Float", "f4"),
+    ("f", 8): ("Double", "f8"),
+}

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
+import threading
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,16 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._packages import require_package
+from geokit.core.forks import renew_after_fork
 from geokit.errors import FileFormatError
 from geokit.formats.body import Body
+from geokit.mesh._data import has_meaning
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["content_bytes", "lacks_faces", "read_mesh", "read_points", "write_mesh", "write_points"]
+__all__ = ["lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "write_mesh", "write_points"]
 
-# zlib expands a byte to a thousand at best; real arrays of numbers stay far below this factor.
-GROWTH = 100
 # VTK's cell types of lines and points, which are left out if there are faces.
 _LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
@@ -29,9 +33,29 @@ _CURVED = (22, 23, 28, 30, 32, 34, 36, 37, 69, 70, 76, 77)
 _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
 
 
+class _Window:
+    """VTK's output window, of which there is one for all threads."""
+
+    def __init__(self) -> None:
+        self._after_fork()
+        renew_after_fork(self)
+
+    def _after_fork(self) -> None:
+        self.lock = threading.Lock()
+
+
+_window = _Window()
+
+
 @contextmanager
 def _reports() -> Iterator[Any]:
     """Collect VTK's messages, which would otherwise only be printed to stderr."""
+    with _window.lock, _collected() as said:
+        yield said
+
+
+@contextmanager
+def _collected() -> Iterator[Any]:
     from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
 
     before, said = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
@@ -46,8 +70,21 @@ def _reports() -> Iterator[Any]:
         vtkLogger.SetStderrVerbosity(verbosity)
 
 
+def prepare() -> None:
+    """Import the readers and load their libraries."""
+    from vtkmodules.util import numpy_support  # noqa: F401
+    from vtkmodules.vtkIOLegacy import vtkGenericDataObjectReader
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+    vtkXMLPolyDataReader(), vtkGenericDataObjectReader()
+
+
 def read_mesh(path: Path) -> list[Body]:
-    """Read the triangles, quads, polygons and strips of the file; points, lines and volume cells are left out."""
+    """Read the triangles, quads, polygons and strips of the file; points, lines and volume cells are left out.
+
+    Arrays of points and cells come along. Those that VTK marks as normals and texture coordinates are called so.
+    """
+    require_package("vtkmodules")
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     with _reports() as said:
@@ -56,8 +93,10 @@ def read_mesh(path: Path) -> list[Body]:
     message = " ".join(said.GetOutput().split())
     if "ERR" in message or "Error" in message or data is None:
         raise FileFormatError(
-            f"{path}: cannot be read ({message[-300:] or 'no data'}); the file is damaged, export it again"
+            f"{path}: cannot be read ({_without_pointers(message) or 'no data'}); the file is damaged, export it again"
         )
+    if message:
+        warnings.warn(_without_pointers(message), UserWarning, stacklevel=2)
     if data.GetNumberOfPoints() == 0:
         raise FileFormatError(f"{path}: holds no points; a mesh needs faces, export the surface itself")
     kind = data.GetClassName()
@@ -68,8 +107,41 @@ def read_mesh(path: Path) -> list[Body]:
     else:
         raise FileFormatError(f"{path}: holds a {kind}, which is not a surface; extract its surface and export that")
     points = np.ascontiguousarray(vtk_to_numpy(data.GetPoints().GetData()), np.float64)
-    counts, indices = (np.ascontiguousarray(values, np.int64) for values in cells)
-    return [Body(points, counts, indices)]
+    counts, indices, rows = (np.ascontiguousarray(values, np.int64) for values in cells)
+    polygon = {name: values[rows] for name, values in _arrays(data.GetCellData(), vtk_to_numpy).items()}
+    vertex = _arrays(data.GetPointData(), vtk_to_numpy)
+    return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon)]
+
+
+def _arrays(data: Any, to_numpy: Any) -> dict[str, NDArray[Any]]:
+    """Arrays by name; those of strings are left out."""
+    active = {"normal": data.GetNormals(), "uv": data.GetTCoords()}
+    names = {array.GetName(): name for name, array in active.items() if array and not data.GetArray(name)}
+    found = {}
+    for at in range(data.GetNumberOfArrays()):
+        array = data.GetArray(at)
+        if array is not None:
+            name = names.get(array.GetName(), array.GetName() or "unnamed")
+            values = to_numpy(array)
+            # Texture coordinates of volumes have a third number.
+            found[name] = values[:, :2] if name == "uv" and values.ndim == 2 else values
+    return found
+
+
+def _without_pointers(message: str) -> str:
+    """What VTK says first, without places in its sources and addresses in memory."""
+    message = re.sub(r"\b(ERROR|Warning): In \S+, line \d+\s*|\s*\(0x[0-9a-fA-F]+\)", "", message)
+    message = message.split(" vtkCompositeDataPipeline:")[0].strip()
+    # Readers that call each other say the same.
+    return " ".join(dict.fromkeys(re.sub(r"^vtk\w+: ", "", part) for part in re.split(r"\s(?=vtk\w+: )", message)))[
+        :300
+    ]
+
+
+def _error_name(code: int) -> str:
+    from vtkmodules.vtkCommonMisc import vtkErrorCode
+
+    return str(vtkErrorCode.GetStringFromErrorCode(code))
 
 
 def _data_set(path: Path) -> Any:
@@ -83,17 +155,20 @@ def _data_set(path: Path) -> Any:
         reader = vtkIOXML.vtkXMLPolyDataReader()
     else:
         reader = vtkIOXML.vtkXMLUnstructuredGridReader()
-    reader.SetFileName(str(path))
+    reader.SetFileName(os.fsencode(path))
     reader.Update()
     if reader.GetErrorCode():
         raise FileFormatError(
-            f"{path}: cannot be read (VTK's error {reader.GetErrorCode()}); the file is damaged, export it again"
+            f"{path}: cannot be read (VTK: {_error_name(reader.GetErrorCode())}); the file is damaged, export it again"
         )
     return reader.GetOutput()
 
 
-def _poly_data(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _poly_data(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corner counts, indices, and the row of each polygon in the data of cells: vertices and lines come before."""
     polys = data.GetPolys()
+    first = data.GetVerts().GetNumberOfCells() + data.GetLines().GetNumberOfCells()
+    rows = first + np.arange(polys.GetNumberOfCells())
     counts = np.diff(to_numpy(polys.GetOffsetsArray()))
     indices = to_numpy(polys.GetConnectivityArray())
     strips = data.GetStrips()
@@ -103,14 +178,15 @@ def _poly_data(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.nda
         extra = np.concatenate(triangles)
         counts = np.concatenate([counts, np.full(len(extra), 3)])
         indices = np.concatenate([indices, extra.ravel()])
+        rows = np.append(rows, first + len(rows) + np.repeat(np.arange(len(triangles)), list(map(len, triangles))))
     if len(counts) == 0:
         raise FileFormatError(
             f"{path}: holds {data.GetNumberOfPoints()} points but no faces; export the surface itself"
         )
-    return counts, indices
+    return counts, indices, rows
 
 
-def _grid(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _grid(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     cells = data.GetCells()
     types = to_numpy(_cell_types(data)).astype(np.int64)
     offsets, connectivity = to_numpy(cells.GetOffsetsArray()), to_numpy(cells.GetConnectivityArray())
@@ -119,21 +195,23 @@ def _grid(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray]
         raise FileFormatError(
             f"{path}: holds curved cells (VTK type {types[curved][0]}); export first-order triangles or quads"
         )
-    counts, indices = [], []
+    counts, indices, rows = [], [], []
     for row in np.flatnonzero(np.isin(types, (_STRIP, _PIXEL))):
         corners = connectivity[offsets[row] : offsets[row + 1]]
         pieces = _strip(corners) if types[row] == _STRIP else corners[None, [0, 1, 3, 2]]
         counts.append(np.full(len(pieces), pieces.shape[1]))
         indices.append(pieces.ravel())
+        rows.append(np.full(len(pieces), row))
     plain = np.isin(types, (_TRIANGLE, _POLYGON, _QUAD))
     sizes = np.diff(offsets)
     counts.append(sizes[plain])
     indices.append(connectivity[np.repeat(plain, sizes)])
+    rows.append(np.flatnonzero(plain))
     if sum(map(len, counts)) == 0:
         solid = [_VOLUME_NAMES.get(int(kind), f"cells of VTK type {kind}") for kind in np.unique(types)]
         what = ", ".join(solid) or f"{data.GetNumberOfPoints()} points"
         raise FileFormatError(f"{path}: holds {what} but no surface cells; extract the surface and export that")
-    return np.concatenate(counts), np.concatenate(indices)
+    return np.concatenate(counts), np.concatenate(indices), np.concatenate(rows)
 
 
 def _cell_types(grid: Any) -> Any:
@@ -151,27 +229,55 @@ def _strip(corners: np.ndarray) -> np.ndarray:
     return triangles
 
 
-def write_mesh(
-    path: Path, mesh: TriangleMesh, point_data: Mapping[str, NDArray], cell_data: Mapping[str, NDArray]
-) -> None:
-    """Write poly data, .vtp (compressed) or legacy .vtk (binary), through pyvista, and .vtu through meshio.
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    """Write poly data, .vtp (compressed) or legacy .vtk (binary), by VTK, and .vtu through meshio.
 
     meshio is not used for all of them, because its legacy files name 32-bit integers in a way that VTK cannot read.
     """
     if path.suffix.lower() == ".vtu":
         from geokit.formats import meshio_files
 
-        meshio_files.write_mesh(path, mesh, point_data, cell_data)
+        meshio_files.write_mesh(path, mesh)
         return
-    import pyvista
+    surface = poly_data(mesh)
+    from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
+    writer: Any
+    if path.suffix.lower() == ".vtk":
+        writer = vtkPolyDataWriter()
+        writer.SetFileTypeToBinary()
+    else:
+        writer = vtkXMLPolyDataWriter()
+        writer.SetDataModeToBinary()
+    _write(writer, surface, path)
+
+
+def poly_data(mesh: TriangleMesh) -> Any:
+    """A ``pyvista.PolyData`` with the arrays of vertices and faces; normals and texture coordinates are marked."""
+    pyvista = require_package("pyvista")
     padded = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).ravel()
     surface = pyvista.PolyData(np.array(mesh.vertices), padded)
-    for name, values in point_data.items():
-        surface.point_data[name] = values
-    for name, values in cell_data.items():
-        surface.cell_data[name] = values
-    surface.save(path)
+    for into, data in ((surface.point_data, mesh.vertex_data), (surface.cell_data, mesh.face_data)):
+        for name, values in data.items():
+            into[name] = np.array(values, np.float32 if values.dtype == np.float16 else values.dtype)
+        for name, mark in (("normal", "active_normals_name"), ("uv", "active_texture_coordinates_name")):
+            if name in data and has_meaning(name, data[name]):
+                setattr(into, mark, name)
+    return surface
+
+
+def _write(writer: Any, data: Any, path: Path) -> None:
+    """Write through memory: on a full disk, VTK's own file writing ends the process, or reports no error."""
+    writer.SetInputData(data)
+    writer.SetWriteToOutputString(True)
+    with _reports() as said:
+        written = writer.Write()
+    if not written or writer.GetErrorCode():
+        raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
+    # The two writers call it differently, and it is text or bytes, depending on its content.
+    whole = writer.GetOutputStdString() if hasattr(writer, "GetOutputStdString") else writer.GetOutputString()
+    path.write_bytes(whole if isinstance(whole, bytes) else whole.encode())
 
 
 def lacks_faces(head: bytes) -> bool:
@@ -180,38 +286,32 @@ def lacks_faces(head: bytes) -> bool:
     return bool(counts) and all(int(count) == 0 for count in counts)
 
 
-def content_bytes(path: Path) -> int:
-    """Upper bound of the size of a .vtp file's arrays in bytes.
-
-    Raises:
-        FileFormatError: The file is truncated.
-    """
-    with open(path, "rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(size - 4096, 0))
-        # VTK reads a truncated file as a shorter one, without an error.
-        if not file.read().rstrip().endswith(b"</VTKFile>"):
-            raise FileFormatError(f"{path}: does not end as a VTK file does; it is truncated, get a whole copy")
-    return GROWTH * size
-
-
 def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.generic]]]:
     """Read the points and their arrays.
 
     Raises:
-        FileFormatError: VTK rejects the file.
+        FileFormatError: The file is truncated, or VTK rejects it.
     """
+    require_package("vtkmodules")
+    with open(path, "rb") as file:
+        file.seek(max(file.seek(0, 2) - 4096, 0))
+        # VTK reads a truncated file as a shorter one, without an error.
+        if not file.read().rstrip().endswith(b"</VTKFile>"):
+            raise FileFormatError(f"{path}: does not end as a VTK file does; it is truncated, get a whole copy")
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
     reader = vtkXMLPolyDataReader()
-    reader.SetFileName(str(path))
+    name: Any = os.fsencode(path)  # VTK's stubs know text only
+    reader.SetFileName(name)
     with _reports() as said:
         reader.Update()
     message = " ".join(said.GetOutput().split())
     found = reader.GetOutput()
     if reader.GetErrorCode() or "ERR" in message or "Error" in message or found is None:
-        raise FileFormatError(f"{path}: VTK cannot read it ({message[-200:] or 'no data'}); export it again")
+        raise FileFormatError(
+            f"{path}: VTK cannot read it ({_without_pointers(message) or 'no data'}); export it again"
+        )
     if found.GetNumberOfPoints() == 0:
         return np.empty((0, 3)), {}
     points = vtk_to_numpy(found.GetPoints().GetData()).astype(np.float64)
@@ -222,6 +322,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
     """Write points as vertex cells, so that viewers show them, with their arrays; binary, float64 kept."""
+    require_package("vtkmodules")
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
@@ -240,10 +341,4 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
         array.SetName(name)
         result.GetPointData().AddArray(array)
-    writer = vtkXMLPolyDataWriter()
-    writer.SetFileName(str(path))
-    writer.SetInputData(result)
-    with _reports() as said:
-        written = writer.Write()
-    if not written or writer.GetErrorCode():
-        raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
+    _write(vtkXMLPolyDataWriter(), result, path)

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.download import download
-from geokit.errors import InputError
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_mapping
 from geokit.mesh._device_mesh import vertices_near
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
@@ -19,8 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["sample_attributes"]
 
 
+@needs(lambda mesh, volumes, **_: 40 * mesh.vertex_count * len(volumes))
 def sample_attributes(
-    mesh: TriangleMesh, volumes: Mapping[str, SparseVolume], *, order: int = 1, device: Any = None
+    mesh: TriangleMesh, volumes: Mapping[str, SparseVolume], *, order: int | None = 1, device: Any = None
 ) -> dict[str, NDArray[Any]]:
     """Sample volumes at the vertices of a mesh, such as the temperature on an isosurface of the density.
 
@@ -30,7 +34,7 @@ def sample_attributes(
     Args:
         mesh: The mesh.
         volumes: A grid for each attribute's name.
-        order: Order of the interpolation, as in :func:`geokit.volume.sample`.
+        order: Order of the interpolation, as in :func:`geokit.volume.sample`; None for each volume's own.
         device: Where to compute; None for the first GPU, else the CPU.
 
     Returns:
@@ -50,11 +54,10 @@ def sample_attributes(
 
     Held by: tests/mesh/test_attributes.py
     """
+    mesh = require_mesh(mesh, "mesh")
+    volumes = require_mapping(volumes, "volumes")
     for name, volume in volumes.items():
-        if not isinstance(name, str) or not name:
-            raise InputError(f"volumes: {name!r} is not a name; use text that is not empty")
-        if not callable(getattr(volume, "sample", None)):
-            raise InputError(f"volumes: {name!r} is of type {type(volume).__name__}; give a SparseVolume")
+        require_volume(volume, f"volumes[{name!r}]")
     points = vertices_near(mesh, device) if volumes else None
     sampled = {name: volume.sample(points, order=order, device=device) for name, volume in volumes.items()}
     return {name: values if isinstance(values, np.ndarray) else download(values)[0] for name, values in sampled.items()}

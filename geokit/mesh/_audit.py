@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_flag
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
 from geokit.mesh.topology.audit import MeshAudit, audit_topology
 from geokit.mesh.topology.connectivity import mesh_topology
 
 __all__ = ["audit"]
 
 
+@needs(lambda mesh, **_: 118 * mesh.face_count)
 def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
     """Defects, topology and measures of a mesh; :class:`MeshAudit` describes each of them.
 
@@ -27,12 +31,16 @@ def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
             :class:`geokit.mesh.Surface` is built for it.
     Returns:
         MeshAudit.
+    Raises:
+        InputError: mesh is not a TriangleMesh, or self_intersections is neither True nor False.
     Example:
         >>> audit(geokit.mesh.load("data/samples/bracket.obj")).watertight
         True
 
     Held by: tests/mesh/topology/test_audit.py, tests/accuracy/stability/test_envelopes.py
     """
+    mesh = require_mesh(mesh, "mesh", images=False)
+    require_flag(self_intersections, "self_intersections")
     report = audit_topology(mesh, mesh_topology(mesh))
     return replace(report, self_intersection_count=_self_intersection_count(mesh)) if self_intersections else report
 

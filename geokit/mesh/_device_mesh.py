@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.download import download
-from geokit.core.pinned import host_arrays
+from geokit.core.forks import renew_after_fork
+from geokit.core.memory.pinned import host_arrays
 from geokit.mesh._model import TriangleMesh
 
 if TYPE_CHECKING:
@@ -30,10 +31,14 @@ class DeviceArrays:
         faces: Vertex indices, (3 F,) of int32.
     """
 
-    __slots__ = ("faces", "lock", "vertices")
+    __slots__ = ("__weakref__", "faces", "lock", "vertices")
 
     def __init__(self, vertices: "wp.array", faces: "wp.array") -> None:
         self.vertices, self.faces = vertices, faces
+        self._after_fork()
+        renew_after_fork(self)
+
+    def _after_fork(self) -> None:
         self.lock = threading.Lock()
 
     def download(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

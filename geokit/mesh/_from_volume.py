@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED
 from geokit.volume.nanovdb.types import ISOSURFACE_TYPES
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     from geokit.mesh._simplify import Simplified
@@ -22,6 +27,15 @@ METHODS = ("auto", "surface_nets", "marching_cubes", "dual_contouring", "openvdb
 LARGEST_INDEX = 2.0**31
 
 
+def _bytes(
+    volume: SparseVolume, isovalue: float = 0.0, *, tolerance: float | None = None, method: str = "auto", **_: Any
+) -> float:
+    """Of a band of three voxels on each side, which has three voxels for each face."""
+    faces = (volume.info.active_voxel_count or 0) / 3
+    return faces * (BYTES_PER_SIMPLIFIED if tolerance is not None else 140 if method == "openvdb" else 50)
+
+
+@needs(_bytes, late=True)
 def from_volume(
     volume: SparseVolume,
     *,
@@ -30,6 +44,7 @@ def from_volume(
     tolerance: float | None = None,
     method: str = "auto",
     device: Any = None,
+    progress: Progress | None = None,
 ) -> TriangleMesh:
     """Extract the isosurface of a sparse volume as a triangle mesh.
 
@@ -70,6 +85,7 @@ def from_volume(
         tolerance: Largest distance from the mesh with every face [world]; None keeps every face.
         method: One of the above.
         device: Where to compute; None for the first GPU, else the CPU. "openvdb" always runs on the CPU.
+        progress: Called as ``progress(percent, 100)`` while faces are merged within a tolerance.
 
     Returns:
         TriangleMesh with the grid's name. A mesh made on a GPU stays there until its arrays are read. Its kernels may
@@ -95,29 +111,30 @@ def from_volume(
     Held by: tests/volume/isosurface/test_from_volume.py, tests/volume/isosurface/test_from_volume_property.py,
     tests/volume/isosurface/test_from_volume_stability.py, tests/accuracy/stability/test_envelopes.py
     """
-    isovalue = _number(isovalue, "isovalue")
+    isovalue = require_number(isovalue, "isovalue")
     if not np.isfinite(isovalue):
         raise InputError(f"isovalue: {isovalue} is not finite; give a value between the grid's least and greatest")
-    adaptivity = _number(adaptivity, "adaptivity")
+    adaptivity = require_number(adaptivity, "adaptivity")
     if not 0.0 <= adaptivity <= 1.0:
         raise InputError(f"adaptivity: {adaptivity} is outside [0, 1]; 0 keeps every face, 1 merges the most")
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} does not exist; use one of {', '.join(METHODS)}")
+    require_choice(method, "method", METHODS)
     if adaptivity > 0.0 and method not in ("auto", "openvdb"):
         raise InputError(f"adaptivity: {method} cannot merge faces; use 0, or method 'openvdb'")
     if tolerance is not None:
         if adaptivity > 0.0:
             raise InputError("adaptivity: it merges faces by no known distance; leave it out where tolerance is given")
         return from_volume_with_deviation(
-            volume, tolerance=tolerance, isovalue=isovalue, method=method, device=device
+            volume, tolerance=tolerance, isovalue=isovalue, method=method, device=device, progress=progress
         ).mesh
+    if progress is not None:
+        require_callable(progress, "progress")
     _require_real(volume)
-    if method == "openvdb" or adaptivity > 0.0:
-        return _by_openvdb(volume, isovalue, adaptivity)
     from geokit.core import launcher
     from geokit.mesh._device_mesh import mesh_on_device
 
     target = launcher.resolve_device(device)
+    if method == "openvdb" or adaptivity > 0.0:
+        return _by_openvdb(volume, isovalue, adaptivity)
     transform = volume.info.transform
     is_mirrored = bool(np.linalg.slogdet(transform[:3, :3])[0] < 0.0)
     turned = is_mirrored != (volume.info.grid_class == "fog volume")
@@ -134,8 +151,15 @@ def from_volume(
     return mesh if np.isfinite(reach).all() else TriangleMesh(mesh.vertices, mesh.faces, name=mesh.name)
 
 
+@needs(_bytes, late=True)
 def from_volume_with_deviation(
-    volume: SparseVolume, *, tolerance: float, isovalue: float = 0.0, method: str = "auto", device: Any = None
+    volume: SparseVolume,
+    *,
+    tolerance: float,
+    isovalue: float = 0.0,
+    method: str = "auto",
+    device: Any = None,
+    progress: Progress | None = None,
 ) -> Simplified:
     """Extract an isosurface within a tolerance, and return how far it deviates from the mesh with every face.
 
@@ -148,6 +172,7 @@ def from_volume_with_deviation(
         isovalue: Value of the surface, in the grid's units.
         method: "auto", "surface_nets", "marching_cubes", "dual_contouring" or "openvdb", as in :func:`from_volume`.
         device: Where to compute; None for the first GPU, else the CPU.
+        progress: Called as ``progress(percent, 100)`` while faces are merged.
 
     Returns:
         Simplified with mesh, deviation and deviation_p999 [world].
@@ -169,17 +194,19 @@ def from_volume_with_deviation(
     from geokit.core import launcher
     from geokit.mesh._simplify import Simplified, within_tolerance
 
-    tolerance = _number(tolerance, "tolerance")
+    tolerance = require_number(tolerance, "tolerance")
+    if progress is not None:
+        require_callable(progress, "progress")
     if not 0.0 < tolerance < np.inf:
         raise InputError(f"tolerance: {tolerance} is not usable; give a finite distance greater than 0")
     mesh = from_volume(volume, isovalue=isovalue, method=method, device=device)
     if mesh.face_count == 0:
         return Simplified(mesh, 0.0, 0.0)
-    return within_tolerance(mesh, tolerance, launcher.resolve_device(device))
+    return within_tolerance(mesh, tolerance, launcher.resolve_device(device), progress)
 
 
 def _require_real(volume: SparseVolume) -> None:
-    grid_type = volume.info.grid_type
+    grid_type = require_volume(volume, "volume").info.grid_type
     if isinstance(volume.info.background, tuple) or "index" in grid_type:
         raise InputError(
             f"volume: grid {volume.info.name!r} of type {grid_type} is not scalar and has no isosurface; "
@@ -194,7 +221,11 @@ def _require_real(volume: SparseVolume) -> None:
 
 def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> TriangleMesh:
     from geokit import native
+    from geokit.volume.isosurface.nodes import topology_of
+    from geokit.volume.tree.estimates import require_openvdb_room
 
+    require_openvdb_room(volume)
+    topology_of(volume).large.require_countable(isovalue)
     surface = native.volume_to_mesh(_as_level_set(volume), isovalue=isovalue, adaptivity=adaptivity)
     faces = np.concatenate([surface.triangles, _split_quads(surface.points, surface.quads)])
     if volume.info.grid_class == "fog volume":
@@ -212,13 +243,6 @@ def _as_level_set(volume: SparseVolume) -> NDArray[np.uint8]:
     buffer[:] = volume.nanovdb
     grid_header(buffer)["grid_class"] = grid_class_code("level set")
     return buffer
-
-
-def _number(value: Any, name: str) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: {value!r} is not a number; give one") from error
 
 
 def _split_quads(points: NDArray[np.float64], quads: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_count
+from geokit.core.snapshot import snapshot
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh._model import TriangleMesh
-from geokit.mesh._sample_surface import require_whole, sample_surface, scaled_areas
-from geokit.mesh._surface import Surface
+from geokit.mesh._objects import require_mesh
+from geokit.mesh._sample_surface import BYTES_PER_SAMPLE, sample_surface, scaled_areas
+from geokit.mesh._surface import BYTES_PER_FACE, Surface
 from geokit.mesh.queries.hausdorff import DistanceSearch
-
-if TYPE_CHECKING:
-    pass
+from geokit.mesh.topology.size_limits import require_measurable
 
 __all__ = ["DirectedDistance", "HausdorffDistance", "hausdorff"]
 
@@ -82,6 +84,12 @@ class HausdorffDistance(NamedTuple):
     b_to_a: DirectedDistance
 
 
+def _bytes(a: TriangleMesh | Surface, b: TriangleMesh | Surface, *, samples: int = SAMPLES, **_: Any) -> float:
+    made = sum(mesh.face_count for mesh in (a, b) if isinstance(mesh, TriangleMesh))
+    return BYTES_PER_FACE * made + BYTES_PER_SAMPLE * samples
+
+
+@needs(_bytes)
 def hausdorff(
     a: TriangleMesh | Surface,
     b: TriangleMesh | Surface,
@@ -136,11 +144,13 @@ def hausdorff(
     """
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     meshes = [_mesh_of(a, "a"), _mesh_of(b, "b")]
-    samples = require_whole(samples, "samples")
-    drawn = [_samples(mesh, samples, seed) for mesh in meshes]
-    first = _surface_of(a, device)
-    second = first if b is a else _surface_of(b, device)
+    samples = require_count(samples, "samples")
+    first = _surface_of(a if isinstance(a, Surface) else meshes[0], device)
+    second = first if b is a else _surface_of(b if isinstance(b, Surface) else meshes[1], device)
+    for surface in (first, second):
+        require_measurable(surface.mesh, surface._frame)
     corners = np.concatenate([mesh.bounds for mesh in meshes])
+    drawn = [_samples(mesh, samples, seed) for mesh in meshes]
     diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
     size = float(np.abs(corners).max())
     gap = max(tolerance * diagonal, LEAST_TOLERANCE * diagonal, COORDINATE_ROUNDINGS * size)
@@ -158,15 +168,14 @@ def hausdorff(
 
 def _mesh_of(given: Any, name: str) -> TriangleMesh:
     mesh = given.mesh if isinstance(given, Surface) else given
-    if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"{name}: {type(given).__name__} is neither a TriangleMesh nor a Surface; make one of them")
+    mesh = require_mesh(mesh, name, images=False)
     if len(mesh.faces) == 0:
         raise InputError(f"{name}: {mesh.name or 'the mesh'} has no faces; distances need at least one triangle")
     return mesh
 
 
 def _surface_of(given: TriangleMesh | Surface, device: Any) -> Surface:
-    return given if isinstance(given, Surface) else Surface(given, device=device)
+    return snapshot(given) if isinstance(given, Surface) else Surface(given, device=device)
 
 
 def _samples(mesh: TriangleMesh, count: int, seed: int) -> NDArray[np.float64]:

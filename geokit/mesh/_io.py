@@ -3,22 +3,53 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from geokit.core.files import atomic_path, require_extension, require_file
-from geokit.errors import FileFormatError, GeokitError, InputError
+from geokit.core.content_limit import content_limit, require_content
+from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
+from geokit.core.memory.needs import file_size, needs
+from geokit.core.require import require_flag, require_path, require_text
+from geokit.core.user_arrays import require_finite_scalar
+from geokit.errors import InputError
+from geokit.formats.attributes.held import what_is_held
+from geokit.formats.foreign import require_format
+from geokit.formats.references import allowed_folders
 from geokit.formats.table import FORMATS, extensions, module_of, with_formats
+from geokit.formats.tessellation import default_tolerance
+from geokit.mesh._data import checked_data
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
+from geokit.mesh.attributes.derived import with_data
 
 __all__ = ["load", "save"]
 
+# VTK writes these into memory first, and ends the process where it gets none. Its libraries are mapped at first use.
+VTK_FORMATS, VTK_BYTES, VTK_MORE = (".vtp", ".vtu", ".vtk"), 220 << 20, 50 << 20
 
-@with_formats("mesh", "r")
-def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMesh:
+# Of what a writer makes on the way: for each face, and for each byte of attributes.
+SAVE_BYTES = {
+    ".ply": (80.0, 3.0), ".obj": (212.0, 0.0), ".off": (200.0, 0.0), ".stl": (250.0, 0.0), ".xdmf": (205.0, 7.0),
+    ".vtp": (97.0, 4.6), ".vtk": (225.0, 5.0), ".vtu": (97.0, 3.25),
+}  # fmt: skip
+
+
+@needs(lambda path, **_: 5 * file_size(path))
+@with_formats("mesh", "r", processed=[kind for kind in extensions("mesh", "r") if FORMATS[kind].process])
+def load(
+    path: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    tolerance: float | None = None,
+    reference_folders: Sequence[str | os.PathLike[str]] | None = None,
+    trusted: bool = False,
+    memory_limit: int | None = None,
+) -> TriangleMesh:
     """Load a triangle mesh from a file; the extension determines the format.
 
     Positions are those of the file in float64, in the file's own units and axes. Nothing is merged, moved or dropped:
@@ -26,46 +57,96 @@ def load(path: str | os.PathLike[str], *, name: str | None = None) -> TriangleMe
     exactly equal corners are merged. Polygons, also concave ones, are split into triangles that keep their winding. All
     bodies of a file are joined and named in ``parts``; each is moved by its transform (a mirrored body keeps its
     outside). From USD, visible prims of the default and render purposes are read at the default time. From files with
-    volume cells, only the surface cells are read.
+    volume cells, only the surface cells are read. Parts of CAD (.step, .iges) become triangles within 1e-4 of
+    the diagonal of their box of the true faces, in millimeters.
+
+    Normals, texture coordinates, colors and all other arrays of numbers come along, in the types of the file; only
+    normals are turned by transforms. Where a body lacks an array that another one has, it is NaN there, 0 in integers,
+    -1 in ``material``. Materials come from .obj (its .mtl), .glb or .gltf, .dae and .fbx. A UserWarning names what is
+    left out: images and .mtl files that are missing, arrays that do not fit the mesh.
+
+    .obj, .gltf, .xdmf, .dae, .fbx and USD files may refer to other files. Those are opened only if they are regular
+    files in the file's own folder (after following symbolic links) or in ``reference_folders``.
+
+    Other libraries read {processed}.
+    Unless the file is trusted, they do so in a process of its own, with a limit on time and memory. A process that has
+    imported the library is kept for a minute, so each further file takes some milliseconds longer than reading it does.
 
     Args:
         path: {formats}.
         name: The mesh's name; None is the file's name without its extension.
+        tolerance: Of .step and .iges: largest distance between a curved face and its triangles [mm], by Open CASCADE's
+            estimate; None for 1e-4 of the diagonal of the file's box.
+        reference_folders: Further folders in which files may lie that this one refers to.
+        trusted: Whether a file for another library is known to be sound. It is then read in this process (all but
+            .fbx), which saves a copy; a crash of the library is one of this process, and no limit on time and memory
+            applies.
+        memory_limit: Largest size of the decompressed content [bytes]; None is a hundred times the file's size, at
+            least 1 GiB, and at most half of the free memory.
     Returns:
         TriangleMesh with at least one face.
     Raises:
-        InputError: The extension is none of these.
-        FileAccessError: The file is missing or not readable.
+        InputError: The extension is none of these, or tolerance is not positive, or given for another format.
+        FileAccessError: The file is missing or not readable, or refers to a file outside the folders.
         FileFormatError: The file is truncated or damaged, has no faces, has an index out of range or a coordinate that
-            is not finite, or its content does not match its extension.
+            is not finite, its content does not match its extension, or reading it takes too much memory or time.
+        DeviceMemoryError: The content is larger than memory_limit.
         MissingDependencyError: A USD file without usd-core installed.
+        WorkerError: The separate process did not start, or was killed from outside.
     Example:
         >>> load("data/samples/bracket.obj")
         TriangleMesh('bracket', 76 vertices, 152 faces)
+
+    Held by: tests/formats/test_references.py, tests/formats/test_bombs_stability.py,
+    tests/formats/reader/test_server.py, tests/formats/reader/test_trusted.py, tests/formats/test_mesh_attributes.py
     """
     from geokit.formats.polygons import join
 
-    kind = require_extension(path, extensions("mesh", "r"), "mesh")
+    if name is not None:
+        require_text(name, "name")
+    require_flag(trusted, "trusted")
+    kind = require_format(path, "mesh", "r")
+    if tolerance is not None:
+        tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
+        if not FORMATS[kind].curved:
+            raise InputError(f"tolerance: {kind} has no curved faces; leave it out, or simplify what was loaded")
+    elif FORMATS[kind].curved:
+        tolerance = default_tolerance()
     path = require_file(path)
-    if path.stat().st_size == 0:
-        raise FileFormatError(f"{path}: is empty; get a whole copy")
-    try:
-        if FORMATS[kind].process:
-            from geokit.formats import reader_process
+    refuse_empty(path)
+    folders = allowed_folders(reference_folders)
+    limit = content_limit(path.stat().st_size, memory_limit)
+    with named_damage(path):
+        module = module_of(kind)
+        size = module.content_bytes(path) if hasattr(module, "content_bytes") else 0
+        require_content(path, size or path.stat().st_size, limit)
+        taken = folders if FORMATS[kind].references else None
+        if not FORMATS[kind].process:
+            bodies = module.read_mesh(path) if taken is None else module.read_mesh(path, taken)
+        elif trusted and getattr(module, "IN_PROCESS", True):
+            from geokit.formats.reader import trusted as in_process
 
-            bodies = reader_process.read_mesh(path, FORMATS[kind].module)
+            bodies = in_process.read_mesh(path, module, taken, tolerance)
         else:
-            bodies = module_of(kind).read_mesh(path)
+            from geokit.formats.reader import process as reader_process
+
+            bodies = reader_process.read_mesh(path, module.__name__, limit, taken, tolerance)
         return join(bodies, path, path.stem if name is None else name)
-    except (GeokitError, MemoryError):
-        raise
-    except Exception as error:
-        raise FileFormatError(
-            f"{path}: cannot be read as {kind} ({type(error).__name__}: {error}); the file is damaged, export it again"
-        ) from error
 
 
-@with_formats("mesh", "w")
+def _save_bytes(path: Any, mesh: TriangleMesh, point_data: Any = None, cell_data: Any = None) -> float:
+    kind = extension(path)
+    bytes_per_face, times_data = SAVE_BYTES.get(kind, (60.0, 1.0))
+    held = (mesh.vertex_data, mesh.face_data, mesh.corner_data, point_data or {}, cell_data or {})
+    data = sum(getattr(values, "nbytes", 0) for arrays in held for values in arrays.values())
+    need = bytes_per_face * mesh.face_count + times_data * data
+    if kind not in VTK_FORMATS or "pyvista" in sys.modules:
+        return need
+    return need + (VTK_MORE if "vtkmodules.vtkCommonCore" in sys.modules else VTK_BYTES)
+
+
+@needs(_save_bytes, fatal=True)
+@with_formats("mesh", "w", arrays=[kind for kind in extensions("mesh", "w") if FORMATS[kind].data])
 def save(
     path: str | os.PathLike[str],
     mesh: TriangleMesh,
@@ -76,14 +157,26 @@ def save(
     """Write a mesh, with optional data on its vertices and faces; the extension determines the format.
 
     The file is replaced atomically: a reader sees either the old file or the new one. Positions keep float64 except in
-    .stl, .glb and USD, which store float32 (relative precision 6e-8 of the largest coordinate). Only .obj keeps the
-    names of parts.
+    .stl, .glb, .gltf and USD, which store float32 (relative precision 6e-8 of the largest coordinate). Only .obj keeps
+    the names of parts.
+
+    The mesh's attributes are written where the format holds them:
+
+    - {arrays} hold any arrays, .glb and .gltf on vertices only, .obj and .off normals, texture coordinates and
+      colors.
+    - .obj, .glb and .gltf hold materials. An .obj with materials is written with an .mtl and the images beside it,
+      which are called after it and replace files of the same names.
+    - Where a format has no attributes of corners, a vertex is written once for each set of values of its corners.
+    - Types change only where a format lacks them: .obj, .msh, .xdmf and USD write colors of integers as floats up to 1,
+      .glb and .gltf numbers of 64 bits as float32, .msh all as float64.
+
+    One UserWarning names what the format does not hold. Arguments that it does not hold are an error.
 
     Args:
         path: {formats}.
         mesh: The mesh.
-        point_data: Arrays (V,) or (V, k) by name, for .vtk .vtp .vtu .msh .xdmf.
-        cell_data: Arrays (F,) or (F, k) by name, for the same formats.
+        point_data: Arrays (V,) or (V, k) by name, in place of those of the mesh with these names.
+        cell_data: Arrays (F,) or (F, k) by name, the same.
     Raises:
         InputError: An unknown extension, a mesh without faces, data for a format that cannot store it, data of a wrong
             shape or type, or coordinates that float32 cannot hold for a format of float32.
@@ -92,53 +185,34 @@ def save(
     Example:
         >>> bracket = load("data/samples/bracket.obj")
         >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
+
+    Held by: tests/formats/test_mesh_attributes.py
     """
-    kind = require_extension(path, extensions("mesh", "w"), "mesh")
+    kind = require_format(path, "mesh", "w")
     written = FORMATS[kind]
-    if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"mesh: a {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+    mesh = require_mesh(mesh, "mesh")
     if len(mesh.faces) == 0:
         raise InputError("mesh: has no faces; a mesh file without faces cannot be read back")
-    points = _checked(point_data, len(mesh.vertices), "point_data", "vertices")
-    cells = _checked(cell_data, len(mesh.faces), "cell_data", "faces")
-    if (points or cells) and not written.data:
+    points = checked_data(point_data, "point_data", (len(mesh.vertices),), "vertices")
+    cells = checked_data(cell_data, "cell_data", (len(mesh.faces),), "faces")
+    if (points and written.vertex != "*") or (cells and written.face != "*"):
         known = sorted(other for other in extensions("mesh", "w") if FORMATS[other].data)
         raise InputError(f"{path}: {kind} holds no data arrays; use one of {', '.join(known)}")
     if written.float32:
         _require_float32(mesh, kind)
+    if points or cells:
+        mesh = with_data(mesh, vertex_data={**mesh.vertex_data, **points}, face_data={**mesh.face_data, **cells})
+    module = module_of(kind)
+    mesh, lost = what_is_held(mesh, written, module)
+    if lost:
+        warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
+    target = require_path(path)
+    beside = module.companions(mesh, target.stem) if hasattr(module, "companions") else {}
+    for name, content in beside.items():
+        with atomic_path(target.parent / name) as part:
+            part.write_bytes(content)
     with atomic_path(path) as part:
-        module = module_of(kind)
-        if written.data:
-            module.write_mesh(part, mesh, points, cells)
-        else:
-            module.write_mesh(part, mesh)
-
-
-def _checked(data: Mapping[str, ArrayLike] | None, count: int, argument: str, rows: str) -> dict[str, NDArray[Any]]:
-    checked = {}
-    for name, given in (data or {}).items():
-        values = np.asarray(given)
-        if not isinstance(name, str) or not name.strip():
-            raise InputError(f"{argument}: the name {name!r} is not a text; give each array a name")
-        if values.ndim not in (1, 2) or len(values) != count:
-            raise InputError(
-                f"{argument}['{name}']: shape {values.shape} is neither ({count},) nor ({count}, k); "
-                f"give one row for each of the {count} {rows}"
-            )
-        checked[name] = _storable(values, f"{argument}['{name}']")
-    return checked
-
-
-def _storable(values: NDArray[Any], where: str) -> NDArray[Any]:
-    # The types that all of these formats support; .xdmf and legacy .vtk have neither bool nor 8-bit integers.
-    if values.dtype in (np.float32, np.float64):
-        return values
-    if values.dtype.kind in "bui":
-        wide = values.dtype.itemsize > 4 or values.dtype == np.uint32
-        if values.dtype == np.uint64 and values.size and values.max() > np.iinfo(np.int64).max:
-            raise InputError(f"{where}: {values.max()} is beyond int64; write smaller numbers")
-        return values.astype(np.int64 if wide else np.int32)
-    raise InputError(f"{where}: dtype {values.dtype} cannot be written; use float32, float64 or integers")
+        module.write_mesh(part, mesh, *([target.stem] if beside else []))
 
 
 def _require_float32(mesh: TriangleMesh, kind: str) -> None:

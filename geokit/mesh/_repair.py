@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_flag
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._model import MeshPart, TriangleMesh
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
+from geokit.mesh.attributes.derived import derived, moved_to_corners
 from geokit.mesh.topology.connectivity import collapsed_faces, position_corners
 from geokit.mesh.topology.measures import faces_without_area
 
@@ -32,6 +36,7 @@ class OrientedMesh(NamedTuple):
     consistent: bool
 
 
+@needs(lambda mesh: 104 * mesh.face_count)
 def orient(mesh: TriangleMesh) -> OrientedMesh:
     """Flip faces so that each component has one winding, solids outward and cavities inward.
 
@@ -46,10 +51,11 @@ def orient(mesh: TriangleMesh) -> OrientedMesh:
       where no other one winds around it is turned outward.
     - Open components keep the winding of the majority of their faces.
 
-    Copies of a face (the same three positions) turn along with the first of them. Faces with two equal corners stay as
-    they are. Vertices, the order of the faces, name and parts do not change. Meshes that are oriented already do not
-    change, and the result for closed components does not depend on their winding in the input. Flipped faces have their
-    corners in reverse order.
+    Copies of a face (the same three positions) turn along with the first of them, so that those that lie back to back
+    stay so; :func:`drop_degenerate` with ``duplicates=True`` leaves one of each. Faces with two equal corners stay as
+    they are. Vertices, the order of the faces, name, parts and attributes do not change; also normals are those of the
+    input. Meshes that are oriented already do not change, and the result for closed components does not depend on their
+    winding in the input. Flipped faces have their corners in reverse order, with the attributes of the corners.
 
     Open components come out right if fewer than half of their faces were flipped, closed ones always.
 
@@ -67,14 +73,16 @@ def orient(mesh: TriangleMesh) -> OrientedMesh:
     from geokit.mesh._surface import Surface
     from geokit.mesh.topology.orientation import orient_faces
 
+    mesh = require_mesh(mesh, "mesh")
     found = orient_faces(mesh, partial(Surface, device="cpu"))
     if not found.flipped.any():
         return OrientedMesh(mesh, found.flipped, found.consistent)
     faces = np.where(found.flipped[:, None], mesh.faces[:, ::-1], mesh.faces)
-    turned = TriangleMesh(mesh.vertices, faces, name=mesh.name, parts=mesh.parts)
+    turned = derived(mesh, mesh.vertices, faces, reversed_faces=found.flipped)
     return OrientedMesh(turned, found.flipped, found.consistent)
 
 
+@needs(lambda mesh, **_: 100 * mesh.vertex_count)
 def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMesh:
     """Merge vertices at the same position, or within a tolerance of each other.
 
@@ -84,7 +92,8 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
     collapse. A vertex within the tolerance of several remaining ones is merged into the first.
 
     Vertices that no face uses are merged like the others. The number, order and parts of the faces do not change; some
-    may have lost their area (see :func:`drop_degenerate`).
+    may have lost their area (see :func:`drop_degenerate`). An attribute in which merged vertices differ, such as
+    texture coordinates at a seam, moves to ``corner_data``, where each corner keeps its value.
 
     The result is right for tolerances between the distance of vertices that belong together and 0.9 of the shortest
     edge.
@@ -106,6 +115,7 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
 
     Held by: tests/mesh/topology/test_repair_property.py, tests/accuracy/stability/test_envelopes.py
     """
+    mesh = require_mesh(mesh, "mesh")
     tolerance = require_finite_scalar(tolerance, "tolerance")
     if tolerance < 0.0:
         raise InputError(f"tolerance: {tolerance:g} is not a distance; give 0 for equal positions only, or more")
@@ -115,9 +125,11 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
 
         stays, goes_to = merge_near_points(mesh.vertices[kept], tolerance)
         kept, group = kept[stays], goes_to[group]
-    return TriangleMesh(mesh.vertices[kept], group[mesh.faces], name=mesh.name, parts=mesh.parts)
+    mesh = moved_to_corners(mesh, kept, group)
+    return derived(mesh, mesh.vertices[kept], group[mesh.faces], vertex_source=kept)
 
 
+@needs(lambda mesh, **_: 36 * mesh.face_count)
 def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreferenced: bool = False) -> TriangleMesh:
     """Remove the faces without area.
 
@@ -126,11 +138,13 @@ def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreference
     Removing it leaves a slit of zero width between them: an open edge.
 
     The remaining faces keep their order and their parts; a part may become empty. Vertices are kept unless
-    ``unreferenced`` is True, so that data on vertices stays valid.
+    ``unreferenced`` is True. What remains keeps its attributes.
 
     Args:
         mesh: The mesh; it may be empty.
         duplicates: Also remove faces with the same three positions as an earlier one, in any order and either winding.
+            Of faces that lie back to back (``MeshAudit.back_to_back_count``) the earlier one stays; :func:`orient` then
+            gives all of them one winding.
         unreferenced: Also remove the vertices that no remaining face uses.
     Returns:
         TriangleMesh.
@@ -140,20 +154,17 @@ def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreference
 
     Held by: tests/mesh/topology/test_repair.py
     """
+    mesh = require_mesh(mesh, "mesh")
+    require_flag(duplicates, "duplicates")
+    require_flag(unreferenced, "unreferenced")
     corners, _ = position_corners(mesh)
     keep = ~(faces_without_area(mesh) | collapsed_faces(corners))
     if duplicates:
         keep[repeated_triples(corners)[0]] = False
-    faces, vertices = mesh.faces[keep], mesh.vertices
+    faces, vertices, used = mesh.faces[keep], mesh.vertices, None
     if unreferenced:
-        used = np.zeros(len(vertices), bool)
-        used[faces] = True
-        faces, vertices = (np.cumsum(used) - 1)[faces], vertices[used]
-    return TriangleMesh(vertices, faces, name=mesh.name, parts=_kept_parts(mesh.parts, keep))
-
-
-def _kept_parts(parts: tuple[MeshPart, ...], keep: NDArray[np.bool_]) -> tuple[MeshPart, ...]:
-    """The parts with the face ranges that remain of them."""
-    before = np.concatenate([[0], np.cumsum(keep)])
-    ends = [(int(before[p.first_face]), int(before[p.first_face + p.face_count])) for p in parts]
-    return tuple(MeshPart(p.name, begin, end - begin) for p, (begin, end) in zip(parts, ends, strict=True))
+        marked = np.zeros(len(vertices), bool)
+        marked[faces] = True
+        used = np.flatnonzero(marked)
+        faces, vertices = (np.cumsum(marked) - 1)[faces], vertices[used]
+    return derived(mesh, vertices, faces, vertex_source=used, face_source=np.flatnonzero(keep))

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import math
-import operator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
-from geokit.errors import InputError
+from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
 from geokit.mesh.queries import poisson_disk
 
-__all__ = ["SurfaceSamples", "require_whole", "sample_surface", "scaled_areas"]
+__all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas"]
 
 METHODS = ("uniform", "poisson_disk")
+# A point with its triangle, weights and corners, and the copies while they are made (220 measured). Not less: where
+# memory runs out in the buffers of a sum, NumPy ends the process.
+BYTES_PER_SAMPLE = 230
+# A point that is as far from the others as it must be, with the candidates and cells around it.
+BYTES_PER_DART = 1170
 
 
 class SurfaceSamples(NamedTuple):
@@ -31,6 +39,22 @@ class SurfaceSamples(NamedTuple):
     radius: float
 
 
+def samples_bytes(
+    mesh: TriangleMesh, count: int | None = None, *, method: str = "uniform", radius: float | None = None, **_: Any
+) -> float:
+    if method == "uniform":
+        return BYTES_PER_SAMPLE * (count or 0)
+    if radius is None:
+        return BYTES_PER_SAMPLE * poisson_disk.CANDIDATES_PER_POINT * (count or 0)
+    # The area by some of the faces: this is asked where there is no memory for all.
+    step = max(1, mesh.face_count // 4096)
+    with np.errstate(all="ignore"):
+        corners = mesh.vertices[mesh.faces[::step]] / radius
+        doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    return BYTES_PER_DART * poisson_disk.SATURATED_SHARE * 0.5 * step * float(doubled)
+
+
+@needs(samples_bytes, late=True)
 def sample_surface(
     mesh: TriangleMesh,
     count: int | None = None,
@@ -63,7 +87,7 @@ def sample_surface(
         InputError: mesh is not a TriangleMesh, or its area is zero; there is no such method; count is missing, negative
             or not a whole number; radius is not a positive finite number or does not go with the method and count; seed
             is negative or not a whole number; or float64 does not have ``count`` different points on the surface.
-        DeviceMemoryError: Points that far apart would not fit in memory.
+        DeviceMemoryError: That many points, or points that far apart, would not fit in memory.
     Source:
         Turk, "Generating random points in triangles" (1990), by folding the square. Cook, "Stochastic sampling in
         computer graphics" (1986); for a given count McCool and Fiume, "Hierarchical Poisson disk sampling
@@ -77,12 +101,18 @@ def sample_surface(
 
     Held by: tests/mesh/queries/test_sample_surface.py
     """
-    if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+    mesh = require_mesh(mesh, "mesh", images=False)
     count, radius = _checked(count, method, radius)
-    generator = np.random.default_rng(require_whole(seed, "seed"))
+    generator = np.random.default_rng(require_count(seed, "seed"))
     if count == 0:
         return SurfaceSamples(np.empty((0, 3)), np.empty(0, np.int32), np.empty((0, 3)), 0.0)
+    need, have = (count or 0) * BYTES_PER_SAMPLE, available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"count: {count} points need {need >> 20} MiB of the {have >> 20} MiB free; ask for "
+            f"{have // BYTES_PER_SAMPLE} or fewer",
+            need=need,
+        )
     scale, areas = scaled_areas(mesh)
     bounds = np.cumsum(areas)
     label = mesh.name or "the mesh"
@@ -107,8 +137,7 @@ def sample_surface(
 
 
 def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | None]:
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} is not a method; use one of {', '.join(map(repr, METHODS))}")
+    require_choice(method, "method", METHODS)
     if method == "uniform":
         if count is None:
             raise InputError("count: method 'uniform' needs the number of points; give one")
@@ -117,25 +146,9 @@ def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | 
     elif (count is None) == (radius is None):
         raise InputError("count: method 'poisson_disk' takes either count or radius; give one of them")
     return (
-        None if count is None else require_whole(count, "count"),
+        None if count is None else require_count(count, "count"),
         None if radius is None else require_finite_scalar(radius, "radius", low=0.0),
     )
-
-
-def require_whole(value: Any, name: str) -> int:
-    """``value`` as an int of 0 or more.
-
-    Raises:
-        InputError: The value is not a whole number of 0 or more.
-    """
-    try:
-        # To Python, True is a whole number.
-        number = -1 if isinstance(value, bool | np.bool_) else operator.index(value)
-    except TypeError:
-        number = -1
-    if number < 0:
-        raise InputError(f"{name}: {value!r} is not a whole number from 0 up; give one")
-    return number
 
 
 def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:

@@ -3,37 +3,43 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_callable, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh._model import TriangleMesh
-from geokit.mesh._sample_surface import require_whole
+from geokit.mesh._objects import require_mesh
+from geokit.mesh.attributes.derived import with_data
+
+if TYPE_CHECKING:
+    from geokit.mesh._surface import Surface
 
 __all__ = ["Simplified", "simplify"]
 
 # Mapping into the unit frame and back rounds coordinates a few times.
 FRAME_ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
-# The search over face counts ends at this ratio. A smaller one costs more trials, and counts change by more than that
-# when a mesh is rotated.
-COUNT_RATIO = 1.02
-# Ratio of the first round, whose trials start with the most faces and take longest; the next round makes up for it.
-FIRST_RATIO = 1.2
-# Before the search, meshes with this fraction of the faces are tried as starting points: trials take as long as the
-# start has faces. A start must have its vertices within this share of the tolerance. A larger share costs faces.
-STEP = 4
-STEP_SHARE = 0.1
-# Collapsing the result again, with new quadrics, continues where the previous round reached its worst place: up to a
-# third fewer faces. Rounds end when one gains less than this share.
-ROUND_GAIN = 0.03
+# Share of the tolerance that edges are collapsed within at first. The collapse looks at points only, so a place between
+# them may be too far. Then the share is less by as much, and a little more; below a share, more points are looked at.
+SHARE = 0.92
+LESS = 0.98
+COARSE_SHARE = 0.85
+# Such trials before the mesh is left as it is.
+TRIALS = 8
 # Width of the bounds of the deviation that is returned, as a share of the tolerance.
 BOUND_SHARE = 0.02
 # The same where only a number of faces is given, as a share of the mesh's size.
 BOUND_SIZE = 1e-4
+# Percent at the end of the search; then the result is measured.
+LAST_PERCENT = 95
+# Memory for each face, with its quadrics, its edges in a heap and both surfaces of the proof.
+BYTES_PER_SIMPLIFIED = 1750
 # Points on each surface for the percentile: fifty of them lie beyond it.
 SAMPLES = 50_000
 # Seed of these samples, unlike any that a user is likely to choose.
@@ -56,8 +62,14 @@ class Simplified(NamedTuple):
     deviation_p999: float
 
 
+@needs(lambda mesh, **_: BYTES_PER_SIMPLIFIED * mesh.face_count, fatal=True)
 def simplify(
-    mesh: TriangleMesh, *, tolerance: float | None = None, face_count: int | None = None, device: Any = None
+    mesh: TriangleMesh,
+    *,
+    tolerance: float | None = None,
+    face_count: int | None = None,
+    device: Any = None,
+    progress: Progress | None = None,
 ) -> Simplified:
     """Simplify a mesh: as few faces as found within a tolerance, or at most a given number of faces.
 
@@ -72,13 +84,15 @@ def simplify(
     - no face is flipped: for each face there is a face of the original within the tolerance with a similar normal (only
       checked where the original is oriented).
 
-    The search over the number of faces ends within 2%; the result is not the minimum over all possible meshes. If
+    The search ends where no edge can be collapsed any more; the result is not the minimum over all possible meshes. If
     nothing can be collapsed, the mesh is returned unchanged, with deviation 0. Faces may intersect where sheets are
     closer to each other than the tolerance.
 
-    Vertices at equal positions are merged, unreferenced vertices are removed, and parts are not kept. Vertices that
-    were not moved keep their coordinates to the bit. Others are exact to 5e-7 of the mesh's size, which the deviation
-    includes. Results do not depend on the number of threads.
+    Vertices at equal positions are merged, unreferenced vertices are removed, and parts are not kept. Attributes come
+    from the closest points of the original as in :func:`geokit.mesh.transfer_attributes`; edges at seams of texture
+    coordinates are collapsed like others, so a face may lie across one. Vertices that were not moved keep their
+    coordinates to the bit. Vertices at edges of more than two faces, or where several fans of faces meet, stay. Results
+    do not depend on the number of threads.
 
     Args:
         mesh: The mesh, with at least one face.
@@ -86,6 +100,7 @@ def simplify(
         face_count: Largest number of faces.
         device: Where distances are measured: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. Collapsing
             runs on one CPU thread.
+        progress: Called as ``progress(percent, 100)`` many times, with an estimate of the end.
     Returns:
         Simplified with mesh, deviation and deviation_p999 [world].
     Raises:
@@ -94,8 +109,8 @@ def simplify(
             topology (the message names the smallest count found); there is no such device.
         DeviceMemoryError: The device cannot hold the surfaces.
     Source:
-        Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), by VTK. Differs: the result
-        is checked, and bounds of the Hausdorff distance choose the number of faces.
+        Garland and Heckbert, "Surface simplification using quadric error metrics" (1997). Differs: each collapse keeps
+        the tolerance, the topology and the sides of the faces, and bounds of the Hausdorff distance prove the result.
     Example:
         >>> torus = gk.mesh.load("data/samples/torus.ply")
         >>> small = gk.mesh.simplify(torus, tolerance=0.01)
@@ -104,46 +119,65 @@ def simplify(
 
     Held by: tests/mesh/simplification/test_simplify.py, tests/house/test_tolerances_property.py
     """
-    if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+    mesh = require_mesh(mesh, "mesh")
     if (tolerance is None) == (face_count is None):
         given = "neither" if tolerance is None else "both"
         raise InputError(f"simplify: {given} given; give exactly one of tolerance and face_count")
     if tolerance is not None:
         tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
-    wanted = None if face_count is None else require_whole(face_count, "face_count")
+    wanted = None if face_count is None else require_count(face_count, "face_count")
+    if progress is not None:
+        require_callable(progress, "progress")
     target = launcher.resolve_device(device)
     if len(mesh.faces) == 0:
         raise InputError(f"mesh: {mesh.name or 'it'} has no faces; there is nothing to simplify")
     if wanted is not None:
-        return _with_face_count(mesh, wanted, target)
-    assert tolerance is not None
-    return within_tolerance(mesh, tolerance, target)
+        found = _with_face_count(mesh, wanted, target)
+        if progress:
+            progress(100, 100)
+    else:
+        assert tolerance is not None
+        found = within_tolerance(mesh, tolerance, target, progress)
+    return found if found.mesh is mesh else found._replace(mesh=_with_attributes(found.mesh, mesh, device))
 
 
-def within_tolerance(mesh: TriangleMesh, tolerance: float, device: Any) -> Simplified:
+def _with_attributes(simple: TriangleMesh, mesh: TriangleMesh, device: Any) -> TriangleMesh:
+    data = mesh.vertex_data or mesh.face_data or mesh.corner_data
+    if not (data or mesh.materials or mesh.meters_per_unit or mesh.up_axis):
+        return simple
+    from geokit.mesh._repair import merge_vertices
+    from geokit.mesh._transfer import transfer_attributes
+
+    simple = with_data(simple, materials=mesh.materials, meters_per_unit=mesh.meters_per_unit, up_axis=mesh.up_axis)
+    # The sides of a seam come to the corners where its vertices are one.
+    return transfer_attributes(simple, merge_vertices(mesh), device=device)
+
+
+def within_tolerance(mesh: TriangleMesh, tolerance: float, device: Any, progress: Progress | None = None) -> Simplified:
     """:func:`simplify` to a tolerance, with checked arguments."""
     original = _Original(mesh, device)
+    original.progress = progress
     limit = (tolerance - original.rounding) / original.scale
     found = original.fewest(limit) if limit > 0.0 else None
+    if progress:
+        progress(100, 100)
     if found is None:
         return Simplified(mesh, 0.0, 0.0)
-    simple, bound = original.measured(found, BOUND_SHARE * limit)
-    # Already proven to be within the limit; the measured bound is sometimes slightly wider.
-    return simple._replace(deviation=min(bound, tolerance), deviation_p999=min(simple.deviation_p999, tolerance))
+    # Proven to be within the limit; the measured bound is sometimes slightly wider.
+    deviation = min(found.deviation, tolerance)
+    return found._replace(deviation=deviation, deviation_p999=min(found.deviation_p999, deviation))
 
 
 def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified:
     if wanted >= len(mesh.faces):
         return Simplified(mesh, 0.0, 0.0)
     original = _Original(mesh, device)
-    found = original.collapsed(original.local, wanted)
+    found = original.collapsed(math.inf, wanted)
     if found is not None and len(found.faces) <= wanted:
-        simple, _ = original.measured(found, BOUND_SIZE)
-        if original.keeps_facing(found, simple.deviation / original.scale):
-            return simple
-    fewest = original.fewest(math.inf)
-    reachable = len(mesh.faces) if fewest is None else len(fewest.faces)
+        surface, bound = original.bounded(found, BOUND_SIZE)
+        if original.is_kept_by(found, bound):
+            return original.measured(surface, bound)
+    reachable = len(mesh.faces) if found is None else max(len(found.faces), wanted + 1)
     raise InputError(
         f"face_count: with {wanted} faces {mesh.name or 'the mesh'} would not hang together as it does; "
         f"ask for {reachable} or more"
@@ -152,6 +186,8 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
 
 class _Original:
     """The original mesh at unit size, with everything that candidates are compared against."""
+
+    progress: Progress | None = None
 
     def __init__(self, mesh: TriangleMesh, device: Any) -> None:
         from geokit.core.frame import Frame
@@ -171,88 +207,74 @@ class _Original:
         self.shape = shape_of(self.local)
         self.surface = Surface(self.local, device=device)
 
-    def fewest(self, limit: float) -> TriangleMesh | None:
-        """The mesh with the fewest faces found within the limit, at unit size; None if nothing could be collapsed."""
-        best, ratio = self._descended(limit), FIRST_RATIO
-        while True:
-            found = self._bisected(best, limit, ratio)
-            gain = 0.0 if found is None else 1.0 - len(found.faces) / len(best.faces)
-            best = best if found is None else found
-            if ratio == COUNT_RATIO and gain < ROUND_GAIN:
-                return None if best is self.local else best
-            ratio = COUNT_RATIO
-
-    def _descended(self, limit: float) -> TriangleMesh:
-        """A mesh well within the limit with fewer faces than the original, so that trials on it are faster."""
-        start = self.local
-        while True:
-            found = self.collapsed(start, len(start.faces) // STEP)
-            if found is None or not self._has_vertices_within_limit(found, STEP_SHARE * limit):
-                return start
-            start = found
-
-    def _has_vertices_within_limit(self, found: TriangleMesh, limit: float) -> bool:
-        from geokit.mesh._surface import Surface
-
-        there = self.surface.closest_point(found.vertices).distance.max()
-        back = Surface(found, device=self.device).closest_point(self.local.vertices).distance.max()
-        return bool(max(there, back) <= limit)
-
-    def _bisected(self, start: TriangleMesh, limit: float, ratio: float) -> TriangleMesh | None:
-        best: TriangleMesh | None = None
-        # One face is always too few. `low` is a count that failed, `high` the smallest that was accepted.
-        low, high = 1, len(start.faces)
-        while high > low * ratio and high > low + 1:
-            count = min(max(round(math.sqrt(low * high)), low + 1), high - 1)
-            found = self.collapsed(start, count)
-            if found is not None and len(found.faces) < high and self.has_within(found, limit):
-                best, high = found, len(found.faces)
-                low = min(low, high)
-            else:
-                low = count
-        return best
-
-    def collapsed(self, start: TriangleMesh, face_count: int) -> TriangleMesh | None:
-        """The mesh collapsed to that many faces, or None if its topology differs from the original's."""
-        from geokit.mesh.simplification.invariants import shape_of
-        from geokit.mesh.simplification.quadric import decimate
-
-        found = decimate(start, face_count)
-        if len(found.faces) == 0 or not self.shape.is_kept_by(shape_of(found)):
-            return None
-        return found
-
-    def has_within(self, found: TriangleMesh, limit: float) -> bool:
-        from geokit.mesh._surface import Surface
+    def fewest(self, limit: float) -> Simplified | None:
+        """The mesh with the fewest faces found within the limit; None if nothing could be collapsed."""
         from geokit.mesh.simplification.deviation import within
 
-        if math.isinf(limit):
-            return True
-        return within(self.surface, Surface(found, device=self.device), limit) and self.keeps_facing(found, limit)
+        share, fine = SHARE, False
+        for number in range(TRIALS):
+            found = self.collapsed(share * limit, 0, fine, number)
+            if found is None:
+                return None
+            surface, bound = self.bounded(found, BOUND_SHARE * limit)
+            nearly = (1.0 + 2.0 * BOUND_SHARE) * limit
+            proven = bound <= limit or (bound <= nearly and within(self.surface, surface, limit))
+            if proven and self.is_kept_by(found, limit):
+                return self.measured(surface, bound)
+            share *= LESS * limit / max(bound, limit)
+            if share < COARSE_SHARE and not fine:
+                share, fine = SHARE, True
+        return None
 
-    def keeps_facing(self, found: TriangleMesh, distance: float) -> bool:
-        from geokit.mesh.simplification.invariants import has_similar_normals
+    def collapsed(self, limit: float, face_count: int, fine: bool = False, number: int = 0) -> TriangleMesh | None:
+        """The mesh with edges collapsed within the limit, or None if there is none to collapse."""
+        from geokit.mesh.simplification.collapse import collapsed
 
+        most = len(self.local.faces)
+
+        def tell(left: int) -> None:
+            if self.progress is not None:
+                self.progress(int(LAST_PERCENT * (1.0 - 0.5**number * (0.5 + 0.5 * left / most))), 100)
+
+        found = collapsed(self.local, limit, face_count, fine=fine, tell=tell)
+        return None if len(found.faces) == most else found
+
+    def is_kept_by(self, found: TriangleMesh, distance: float) -> bool:
+        """Whether topology and sides of the faces are the original's, compared within a distance."""
+        from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
+
+        if not self.shape.is_kept_by(shape_of(found)):
+            return False
         return not self.shape.oriented or has_similar_normals(found, self.surface, distance)
 
-    def measured(self, found: TriangleMesh, width: float) -> tuple[Simplified, float]:
-        """The mesh in world coordinates with its deviation, and the deviation before it is clamped to the tolerance."""
+    def bounded(self, found: TriangleMesh, width: float) -> tuple[Surface, float]:
+        """The surface of a mesh at unit size, and an upper bound of its deviation."""
         from geokit.mesh._hausdorff import hausdorff
         from geokit.mesh._surface import Surface
-        from geokit.mesh.simplification.quadric import restored
 
         surface = Surface(found, device=self.device)
         corners = np.concatenate([self.local.bounds, found.bounds])
         diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
-        bound = hausdorff(self.surface, surface, tolerance=width / diagonal, samples=0).upper
+        return surface, hausdorff(self.surface, surface, tolerance=width / diagonal, samples=0).upper
+
+    def measured(self, surface: Surface, bound: float) -> Simplified:
+        """The mesh in world coordinates with its deviation."""
+        found = surface.mesh
         p999 = max(_percentile(self.local, surface), _percentile(found, self.surface))
-        vertices = restored(found.vertices, self.local.vertices, self.vertices, self._to_world)
+        vertices = self._restored(found.vertices)
         mesh = TriangleMesh(vertices, found.faces, name=self.name)
         deviation = bound * self.scale + self.rounding
-        return Simplified(mesh, deviation, min(p999 * self.scale + self.rounding, deviation)), deviation
+        return Simplified(mesh, deviation, min(p999 * self.scale + self.rounding, deviation))
 
-    def _to_world(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
-        return local * self.scale + self.origin
+    def _restored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions in the world; a point where a vertex was has the bits of that vertex."""
+        # Adding zero turns -0.0 into 0.0, which is the same position in other bytes.
+        rows = [np.ascontiguousarray(array) + 0.0 for array in (self.local.vertices, points)]
+        keys, wanted = (array.view(np.dtype((np.void, 24))).reshape(-1) for array in rows)
+        order = np.argsort(keys, kind="stable")
+        nearest = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+        same = keys[nearest] == wanted
+        return np.where(same[:, None], self.vertices[nearest], points * self.scale + self.origin)
 
 
 def _one_vertex_a_position(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

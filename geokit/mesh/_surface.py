@@ -8,11 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.blocks.several_devices import OnDevices, devices_of, shares
 from geokit.core.frame import Frame
+from geokit.core.gradients.rules import hold, split
+from geokit.core.interop.notebook import repr_html
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs
+from geokit.core.memory.unchecked import allocating
+from geokit.core.object_cache import CacheAttribute
+from geokit.core.require import read_array
+from geokit.core.snapshot import snapshot
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh._device_mesh import arrays_on
 from geokit.mesh._model import TriangleMesh
-from geokit.mesh.queries.overlaps import OverlapQueries
+from geokit.mesh._objects import require_mesh
+from geokit.mesh.attributes.derived import derived
+from geokit.mesh.queries.distance import DistanceQueries
 from geokit.mesh.queries.rays import RayQueries
 from geokit.mesh.sign.queries import SignQueries
 
@@ -26,6 +37,11 @@ __all__ = ["Surface"]
 
 # Triangles in a leaf of the warp Mesh. On a CPU a leaf of eight is one contiguous read; on a GPU one triangle per
 # thread diverges least.
+# Memory for building a surface, for each triangle of a closed mesh.
+BYTES_PER_FACE = 190
+BYTES_PER_FACE_CUDA = 660
+# What warp takes of it while it builds its tree on a GPU.
+WARP_BYTES_PER_FACE = 400
 LEAF_SIZE_CPU = 8
 LEAF_SIZE_CUDA = 1
 # Triangles in a leaf of the packed nodes that GPU queries walk (made from the tree of the warp Mesh). Closest points
@@ -34,17 +50,22 @@ POINT_LEAF = 6
 RAY_LEAF = 1
 
 
-class Surface(SignQueries, RayQueries, OverlapQueries):
+class Surface(SignQueries, RayQueries, DistanceQueries):
     """A mesh prepared once for many queries on one device.
+
+    A pickle or a copy carries the mesh and prepares it again, on the same device if there is one of that name.
 
     On a CPU queries walk a tree with eight children per node; on a GPU they walk the tree of a warp ``Mesh``. On either
     device the answers are those of float64 triangles.
 
-    Arrays of a mesh that was made on the same GPU are used in place.
+    Arrays of a mesh that was made on the same GPU are used in place. Of faces that lie back to back on a closed
+    component, one counts for signs and winding numbers (:meth:`signed_distance`); all other queries take both.
 
     Args:
-        mesh: The triangles; at least one.
-        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
+        mesh: The triangles; at least one. Of a pair (vertices, faces), vertices that are a torch tensor with gradients
+            are kept as such, as by :class:`geokit.torch.Surface`.
+        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices has the mesh
+            on each: they share queries of points and rays of 65,536 rows or more, and the first does all else.
     Attributes:
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).
@@ -55,14 +76,31 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
     Held by: tests/mesh/test_surface.py
     """
 
+    # Holds recordings of small queries.
+    _cache = CacheAttribute()
+
+    def __new__(cls, *_: Any, device: Any = None, **__: Any) -> Surface:
+        shared = cls is Surface and isinstance(device, (list, tuple))
+        return object.__new__(_SurfaceOnDevices if shared else cls)
+
+    @needs(lambda self, mesh, **_: BYTES_PER_FACE * mesh.face_count)
     def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
-        if not isinstance(mesh, TriangleMesh):
-            raise InputError(f"mesh: {type(mesh).__name__} is not a TriangleMesh; make one from vertices and faces")
+        # Of a pair (vertices, faces) whose vertices are a tensor with gradients.
+        given: Any = mesh
+        tracked = None
+        if isinstance(given, tuple) and len(given) == 2:
+            plain, tracked = split(given[0])
+            given = plain, given[1]
+        mesh = require_mesh(given, "mesh", images=False)
         if mesh.face_count == 0:
             raise InputError(f"mesh: {mesh.name or 'it'} has no faces; queries need at least one triangle")
         self._device = launcher.resolve_device(device)
         self._set_mesh(mesh)
+        size = (BYTES_PER_FACE if self._device.is_cpu else BYTES_PER_FACE_CUDA) * mesh.face_count
         try:
+            # Warp's native code builds the tree on a GPU, and does not check what it allocates.
+            if self._device.is_cuda and size > available_memory.available(self._device):
+                raise MemoryError("to allocate")
             self._upload()
             if self._device.is_cpu:
                 self._build_wide_tree()
@@ -71,11 +109,13 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         except (RuntimeError, MemoryError) as error:
             if "allocat" not in str(error).lower():
                 raise
-            size = 350 * mesh.face_count + 36 * mesh.vertex_count
             raise DeviceMemoryError(
                 f"mesh: {mesh.face_count} faces need about {size >> 20} MiB on {self.device}; "
-                "free some there or use another device"
+                "free some there or use another device",
+                need=size,
             ) from error
+        if tracked is not None:
+            hold(self, vertices=tracked)
 
     def _set_mesh(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
@@ -86,13 +126,26 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         self._vertices, self._faces = arrays_on(self.mesh, self._device)
 
     def _build_wide_tree(self) -> None:
-        from geokit.mesh.bvh.bvh8 import build_wide_tree
+        from geokit.mesh.bvh.bvh8 import build_wide_trees
         from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
+        begin = np.array([0, self.mesh.face_count])
+        built = build_wide_trees(self._vertices, self._faces, begin, *self._frames)
         self._tree = SurfaceTree()
-        for name, array in build_wide_tree(self._vertices, self._faces, self._frame).items():
-            setattr(self._tree, name, array)
+        self._tree.boxes, self._tree.children, self._tree.slot_triangle = built[:3]
         self._place_triangles()
+
+    def _refit_wide_tree(self) -> None:
+        import warp as wp
+
+        from geokit.mesh.bvh.bvh8 import refit_wide_tree
+        from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
+        former, self._tree = self._tree, SurfaceTree()
+        self._tree.slot_triangle, self._tree.children = former.slot_triangle, former.children
+        self._tree.boxes = wp.clone(former.boxes)
+        self._place_triangles()
+        refit_wide_tree(self._tree, self._frame)
 
     def _take_warp_tree(self) -> None:
         import warp as wp
@@ -111,22 +164,42 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         tree.boxes, tree.children = pack_nodes(self._warp_mesh, POINT_LEAF, 0.0, tree.leaves)
         tree.ray_boxes, tree.ray_children = pack_nodes(self._warp_mesh, RAY_LEAF, RAY_PADDING, tree.leaves)
 
+    @property
+    def _frames(self) -> tuple[np.ndarray, np.ndarray]:
+        """The local frame as one of many: origins (1, 3) and scales (1,)."""
+        return np.asarray(self._frame.origin)[None], np.array([self._frame.scale])
+
     def _place_triangles(self) -> None:
         """Store the frame, and the triangles in slot order: world corners in float64, and planes in float32."""
         import warp as wp
 
-        from geokit.mesh.bvh.bvh8 import fill_leaves
+        from geokit.mesh.bvh.bvh8 import place_triangles
+        from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS, leaf_planes_kernel
         from geokit.mesh.bvh.tree_kernels import gather_corners_kernel
-        from geokit.mesh.bvh.tree_memory import tree_array
 
         tree = self._tree
         tree.origin = wp.vec3d(*map(float, self._frame.origin))
         tree.scale = wp.float64(self._frame.scale)
         slots = len(tree.slot_triangle)
-        tree.corners = tree_array(3 * slots, wp.vec3d, self._device)
-        inputs = [tree.slot_triangle, self._vertices, self._faces]
-        launcher.launch(gather_corners_kernel, slots, inputs, [tree.corners], self._device)
-        tree.leaves = fill_leaves(tree.slot_triangle, tree.corners, self._frame, wide=not tree.mesh)
+        mesh = self._vertices, self._faces
+        if not tree.mesh:
+            placed = place_triangles(tree.slot_triangle, np.array([0, slots]), *mesh, *self._frames)
+            tree.corners, tree.leaves = placed
+            return
+        tree.corners = wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
+        launcher.launch(gather_corners_kernel, slots, [tree.slot_triangle, *mesh], [tree.corners], self._device)
+        tree.leaves = wp.empty(SLOT_WORDS * slots, dtype=wp.float32, device=self._device)
+        inputs = [tree.slot_triangle, tree.corners, tree.origin, tree.scale]
+        launcher.launch(leaf_planes_kernel, slots, inputs, [tree.leaves], self._device)
+
+    @classmethod
+    def _over(cls, mesh: TriangleMesh, device: Any, tree: Any) -> Surface:
+        """The surface of a mesh whose tree exists."""
+        surface = cls.__new__(cls)
+        surface._device, surface._tree = device, tree
+        surface._set_mesh(mesh)
+        surface._upload()
+        return surface
 
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":
@@ -143,19 +216,25 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
         corners = [wp.vec3d(*corner.tolist()) for corner in (*self.bounds, self._frame.origin)]
         inputs = [self._vertices, *corners, wp.float64(self._frame.scale)]
         launcher.launch(local_kernel, len(local), inputs, [local], self._device)
-        return wp.Mesh(
-            points=local,
-            indices=faces,
-            support_winding_number=True,
-            bvh_leaf_size=LEAF_SIZE_CPU if self._device.is_cpu else LEAF_SIZE_CUDA,
-        )
+        with allocating(self._device, WARP_BYTES_PER_FACE * (len(faces) // 3), fatal=True):
+            return wp.Mesh(
+                points=local,
+                indices=faces,
+                support_winding_number=True,
+                bvh_leaf_size=LEAF_SIZE_CPU if self._device.is_cpu else LEAF_SIZE_CUDA,
+            )
 
+    @needs(lambda self, *_, **__: BYTES_PER_FACE * self.mesh.face_count)
     def update(self, vertices: ArrayLike) -> None:
         """Move the vertices and refit the tree, which takes a fraction of the time of building it.
+
+        Attributes of the mesh stay as they are, also its normals.
 
         Afterwards answers equal those of a new Surface to the last bit, except for winding numbers: their clusters
         depend on the tree, and they stay within the error bound of :meth:`winding_number`. The tree of a new Surface
         fits the new shape and may be faster; build one after large deformations.
+
+        Queries that run in other threads meanwhile answer for the vertices that the surface had when they began.
 
         Args:
             vertices: New vertex positions [world], shape (V, 3), with the same number of vertices V.
@@ -170,24 +249,30 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
 
         Held by: tests/mesh/test_surface_update.py
         """
-        given, expected = np.shape(vertices), self.mesh.vertex_count
-        if len(given) == 2 and given[0] != expected:
+        vertices, tracked = split(vertices)
+        vertices, expected = read_array(vertices, "vertices"), self.mesh.vertex_count
+        if vertices.ndim == 2 and len(vertices) != expected:
             raise InputError(
-                f"vertices: {given[0]} rows for a mesh of {expected} vertices; make a new Surface for another mesh"
+                f"vertices: {len(vertices)} rows for a mesh of {expected} vertices; make a new Surface for another mesh"
             )
-        mesh = TriangleMesh(vertices, self.mesh.faces, name=self.mesh.name, parts=self.mesh.parts)
-        for name in self._cached_names():
-            self.__dict__.pop(name, None)
-        self._set_mesh(mesh)
-        self._upload()
-        if self._device.is_cpu:
-            from geokit.mesh.bvh.bvh8 import refit_wide_tree
-
-            self._place_triangles()
-            refit_wide_tree(self._tree, self._frame)
+        moving = TriangleMesh(vertices, self.mesh.faces)
+        mesh = derived(self.mesh, moving.vertices, moving.faces)
+        cached = [*self._cached_names(), "_cache", "_turned_mesh"]
+        moved = Surface.__new__(type(self))
+        moved.__dict__.update((name, value) for name, value in self.__dict__.items() if name not in cached)
+        moved._set_mesh(mesh)
+        moved._upload()
+        if moved._device.is_cpu:
+            moved._refit_wide_tree()
         else:
             # On a GPU a new build takes no longer than a refit and the copies for it.
-            self._take_warp_tree()
+            moved._take_warp_tree()
+        hold(moved, **({} if tracked is None else {"vertices": tracked}))
+        self.__dict__ = moved.__dict__  # at once: see snapshot
+
+    def __reduce__(self) -> Any:
+        # Trees hold addresses: the surface is prepared again where it arrives.
+        return _restored, (self.mesh, self.device)
 
     @classmethod
     def _cached_names(cls) -> list[str]:
@@ -231,5 +316,36 @@ class Surface(SignQueries, RayQueries, OverlapQueries):
 
         return audit_topology(self.mesh, self._topology)
 
+    _repr_html_ = repr_html
+
     def __repr__(self) -> str:
         return f"Surface({self.mesh!r}, device={self.device!r})"
+
+
+@shares(
+    closest_point=1, furthest_point=1, signed_distance=1, contains=1, winding_number=1, sign_confidence=1,
+    raycast=2, raycast_all=2, crossing_count=2, occluded=2,
+)  # fmt: skip
+class _SurfaceOnDevices(OnDevices, Surface):
+    """A surface with a replica on each of several devices."""
+
+    def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
+        self._parts = tuple(Surface(mesh, device=one) for one in devices_of(device) or ())
+
+    def update(self, vertices: ArrayLike) -> None:
+        moved = [snapshot(part) for part in self._parts]
+        for part in moved:
+            part.update(vertices)
+        self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
+
+    def __reduce__(self) -> Any:
+        return _restored, (self.mesh, self._aliases)
+
+    def __repr__(self) -> str:
+        return f"Surface({self.mesh!r}, device={self._aliases!r})"
+
+
+def _restored(mesh: TriangleMesh, device: str | list[str]) -> Surface:
+    if isinstance(device, list):
+        return Surface(mesh, device=[launcher.device_or_default(one) for one in device])
+    return Surface(mesh, device=launcher.device_or_default(device))

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import functools
 import importlib
+import itertools
 import json
-import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,14 +21,21 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit.core.files import atomic_path, require_file
+from geokit.core.content_limit import content_limit
+from geokit.core.files import atomic_path, refuse_empty, require_file
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import file_size, needs
+from geokit.core.private_folder import private_folder
+from geokit.core.require import read_array, require_choice, require_count, require_flag, require_items
+from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import (
     DeviceMemoryError,
     FileAccessError,
     InputError,
     MissingDependencyError,
 )
-from geokit.native import _worker
+from geokit.formats.reader.process import reading_seconds
+from geokit.native import _served, _worker
 from geokit.native._failures import raise_failure
 from geokit.native._metadata import RawMetadata, decode_all, decode_header, encode_all
 
@@ -37,6 +44,7 @@ __all__ = [
     "RawMetadata",
     "VdbGrid",
     "available",
+    "build_facts",
     "inspect_vdb",
     "mesh_to_level_set",
     "read_vdb",
@@ -48,8 +56,19 @@ __all__ = [
 
 _PACKAGES = "g++ libopenvdb-dev libnanovdb-dev libtbb-dev libblosc-dev libboost-iostreams-dev libimath-dev"
 
+# Time limit above which no limit is meant [s]: eleven days. The system counts milliseconds in 31 bits.
+LONGEST_SECONDS = 1e6
 # Alignment of a NanoVDB buffer.
 _ALIGNMENT = 32
+
+# Small files are read by forks of a process that has OpenVDB ready, once there are so many that its start pays: linking
+# OpenVDB takes a new worker longer than reading them.
+SMALL_BYTES = 1 << 20
+FIRST_FILES = 5
+_small_files = itertools.count()
+
+# The worker holds a grid twice, as OpenVDB's tree and as a NanoVDB buffer.
+WORKER_COPIES = 2
 
 _Result = TypeVar("_Result")
 
@@ -110,9 +129,9 @@ def require() -> None:
     module, reason = _load()
     if module is None:
         raise MissingDependencyError(
-            f"geokit was built without OpenVDB ({reason}), which .vdb files and OpenVDB operations need; on Debian or "
-            f"Ubuntu: apt install {_PACKAGES}; then, in geokit's source folder: pip install --force-reinstall "
-            "--no-deps --config-settings=cmake.define.GEOKIT_REQUIRE_OPENVDB=ON ."
+            f"this geokit came without OpenVDB ({reason}), which .vdb files and OpenVDB operations need; install its "
+            "wheel for Linux x86-64, which has OpenVDB inside; or, on Debian or Ubuntu: apt install "
+            f"{_PACKAGES}; then, in geokit's source folder: pip install --force-reinstall --no-deps ."
         )
 
 
@@ -126,12 +145,32 @@ def versions() -> dict[str, str]:
     return {"openvdb": openvdb, "nanovdb": nanovdb}
 
 
+def build_facts() -> dict[str, str]:
+    """How the extension was built: "extension" ("yes", or why it cannot be loaded), and if it can, "openvdb",
+    "nanovdb", "tbb", "compiler", "python" ("stable ABI" or "this version only") and "libraries" ("inside the wheel" or
+    "of the system").
+    """
+    module, reason = _load()
+    if module is None:
+        return {"extension": reason}
+    path = Path(str(module.__file__))
+    return {
+        "extension": "yes",
+        **versions(),
+        **dict(module.build_facts()),
+        "python": "stable ABI" if ".abi3." in path.name else "this version only",
+        # auditwheel puts them beside the package.
+        "libraries": "inside the wheel" if (path.parents[2] / "geokit.libs").is_dir() else "of the system",
+    }
+
+
+@needs(lambda path, **_: 4 * file_size(path), fatal=True)
 def read_vdb(
     path: str | os.PathLike[str],
     *,
     grids: Sequence[str] | None = None,
     trusted: bool = False,
-    time_limit: float = 120.0,
+    time_limit: float | None = None,
     memory_limit: int | None = None,
 ) -> list[VdbGrid]:
     """Read grids of a .vdb file as NanoVDB buffers.
@@ -144,9 +183,9 @@ def read_vdb(
             reads every grid.
         trusted: Read in this process. This is slightly faster, but a damaged file can crash the process. The limits do
             not apply.
-        time_limit: Wall-clock limit of the worker [s].
-        memory_limit: Limit for the memory of the worker and for the size of its results [bytes]; by default three
-            quarters of the machine's memory.
+        time_limit: Wall-clock limit of the worker [s]; by default 15 s and 2 s for each megabyte of the file.
+        memory_limit: Limit for the memory of the worker and for the size of its results [bytes]; by default two hundred
+            times the file's size, at least 2 GiB, and at most the free memory.
 
     Returns:
         The grids in the order of the file.
@@ -172,12 +211,15 @@ def _read_unchecked(
     *,
     grids: Sequence[str] | None = None,
     trusted: bool = False,
-    time_limit: float = 120.0,
+    time_limit: float | None = None,
     memory_limit: int | None = None,
 ) -> list[VdbGrid]:
     """As :func:`read_vdb`, for callers that check the buffers themselves before anything follows their offsets."""
     source = require_file(path)
+    refuse_empty(source)
+    require_flag(trusted, "trusted")
     names = _checked_names(grids)
+    limits = _checked_limits(source, time_limit, memory_limit)
     if grids is not None and not names:
         return []
     if trusted:
@@ -185,26 +227,27 @@ def _read_unchecked(
         output, buffers = _call(source, lambda: extension.read(os.fsencode(source), names))
         descriptions = json.loads(output.decode("utf-8", "surrogateescape"))["grids"]
     else:
-        descriptions, buffers = _read_in_worker(source, names, time_limit, memory_limit)
+        descriptions, buffers = _read_in_worker(source, names, *limits)
     return [
         VdbGrid(buffer, decode_all(description["metadata"]))
         for buffer, description in zip(buffers, descriptions, strict=True)
     ]
 
 
+@needs(fatal=True)
 def inspect_vdb(
-    path: str | os.PathLike[str], *, time_limit: float = 120.0, memory_limit: int | None = None
+    path: str | os.PathLike[str], *, time_limit: float | None = None, memory_limit: int | None = None
 ) -> list[dict[str, Any]]:
     """Read the headers of a .vdb file's grids, without the voxels, in the worker.
 
     Args:
         path: The file.
-        time_limit: Wall-clock limit of the worker [s].
+        time_limit: Wall-clock limit of the worker [s]; by default 15 s and 2 s for each megabyte of the file.
         memory_limit: Memory limit of the worker [bytes].
 
     Returns:
-        A dict per grid, in the order of the file: "name", "grid_type" ("float", "vec3f", ...; OpenVDB's own name
-        for a type that geokit does not read), "grid_class", "transform" ((4, 4) float64, None for a frustum),
+        A dict per grid, in the file's order: "name", "grid_type" ("float", "vec3f", ..., or "points"; OpenVDB's
+        own name for a type that geokit does not read), "grid_class", "transform" ((4, 4) float64, None for a frustum),
         "background" (None if unknown), "active_voxel_count" and "index_bounds" ((2, 3) int64; both None if the file
         does not hold them), "compression" (text from the file), "half", "convertible", "byte_count" (in the file),
         "metadata".
@@ -213,13 +256,15 @@ def inspect_vdb(
         FileAccessError, FileFormatError, InputError, MissingDependencyError: As :func:`read_vdb`.
     """
     source = require_file(path)
-    limits = _checked_limits(time_limit, memory_limit)
+    refuse_empty(source)
+    limits = _checked_limits(path, time_limit, memory_limit)
     result = _worker.run_worker(_worker_path(), "inspect", source, [], time_limit=limits[0], memory_limit=limits[1])
     if "error" in result:
         raise_failure(result["error"], str(source))
     return [decode_header(description) for description in result["grids"]]
 
 
+@needs(lambda path, grids, **_: 3 * sum(len(grid.nanovdb) for grid in grids), fatal=True)
 def write_vdb(
     path: str | os.PathLike[str], grids: Sequence[VdbGrid], *, compression: str = "blosc", half: bool = False
 ) -> None:
@@ -242,15 +287,17 @@ def write_vdb(
         MissingDependencyError: The extension is not available.
     """
     extension = _extension()
+    grids = require_items(grids, "grids", VdbGrid)
     if not grids:
         raise InputError(f"{path}: no grids to write; pass at least one")
-    if compression not in ("blosc", "zip", "none"):
-        raise InputError(f"compression is {compression!r}; use 'blosc', 'zip' or 'none'")
+    require_choice(compression, "compression", ("blosc", "zip", "none"))
+    half = require_flag(half, "half")
     prepared = [(_aligned(grid.nanovdb), encode_all(grid.metadata)) for grid in grids]
     with atomic_path(path) as part:
-        _call(path, lambda: extension.write(os.fsencode(part), prepared, compression, bool(half)), is_argument=True)
+        _call(path, lambda: extension.write(os.fsencode(part), prepared, compression, half), is_argument=True)
 
 
+@needs(lambda nanovdb, **_: 3 * len(nanovdb), fatal=True)
 def volume_to_mesh(nanovdb: NDArray[np.uint8], *, isovalue: float = 0.0, adaptivity: float = 0.0) -> PolygonMesh:
     """Extract an isosurface with OpenVDB's dual contouring.
 
@@ -272,18 +319,26 @@ def volume_to_mesh(nanovdb: NDArray[np.uint8], *, isovalue: float = 0.0, adaptiv
         MissingDependencyError: The extension is not available.
     """
     extension = _extension()
-    if not math.isfinite(isovalue):
-        raise InputError(f"isovalue is {isovalue}; pass a finite number")
+    isovalue = require_finite_scalar(isovalue, "isovalue")
+    adaptivity = require_finite_scalar(adaptivity, "adaptivity")
     if not 0.0 <= adaptivity <= 1.0:
-        raise InputError(f"adaptivity is {adaptivity}; pass a number from 0 to 1")
+        raise InputError(f"adaptivity: {adaptivity} is not from 0 to 1; pass such a number")
     buffer = _aligned(nanovdb)
     return PolygonMesh(
-        *_call(
-            "nanovdb", lambda: extension.volume_to_mesh(buffer, float(isovalue), float(adaptivity)), is_argument=True
-        )
+        *_call("nanovdb", lambda: extension.volume_to_mesh(buffer, isovalue, adaptivity), is_argument=True)
     )
 
 
+def _field_bytes(vertices: Any, faces: Any, *, voxel_size: float, half_width: float = 3.0) -> float:
+    """By the area of the surface in voxels."""
+    step = max(1, len(faces) // 4096)
+    a, b, c = (np.asarray(vertices)[np.asarray(faces)[::step]] / voxel_size).transpose(1, 0, 2)
+    area = 0.5 * step * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    # Where indices of voxels would pass 2^30, the voxel size is refused instead.
+    return 400 * len(faces) + (60 * half_width * area if max(np.abs(one).max() for one in (a, b, c)) < 2**30 else 0)
+
+
+@needs(_field_bytes, fatal=True)
 def mesh_to_level_set(
     vertices: ArrayLike, faces: ArrayLike, *, voxel_size: float, half_width: float = 3.0
 ) -> NDArray[np.uint8]:
@@ -307,8 +362,8 @@ def mesh_to_level_set(
         MissingDependencyError: The extension is not available.
     """
     extension = _extension()
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
-    triangles = np.asarray(faces)
+    points = np.ascontiguousarray(read_array(vertices, "vertices"), dtype=np.float64)
+    triangles = read_array(faces, "faces")
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
         raise InputError(f"vertices {points.shape} and faces {triangles.shape} must have shapes (V, 3) and (F, 3)")
     if triangles.dtype.kind not in "iu":
@@ -320,32 +375,43 @@ def mesh_to_level_set(
     bad = ((triangles < 0) | (triangles >= len(points))).any(axis=1)
     if bad.any():
         raise InputError(f"faces: row {int(np.argmax(bad))} names a vertex outside 0..{len(points) - 1}; correct it")
-    if not (math.isfinite(voxel_size) and voxel_size > 0.0):
-        raise InputError(f"voxel_size is {voxel_size}; pass a positive number")
-    if not (math.isfinite(half_width) and half_width >= 1.0):
+    voxel_size = require_finite_scalar(voxel_size, "voxel_size", low=0.0)
+    half_width = require_finite_scalar(half_width, "half_width")
+    if half_width < 1.0:
         raise InputError(f"half_width is {half_width}; pass a number of voxels of at least 1")
     # OpenVDB's voxel coordinates are 32-bit integers; beyond their range its flood fill writes out of bounds.
-    if np.abs(points).max() / voxel_size + half_width > 2**30:
+    if float(np.abs(points).max()) / voxel_size + half_width > 2**30:
         raise InputError(
             f"voxel_size {voxel_size} is too small for vertices this far from the origin; use a larger one"
+        )
+    # Whatever the mesh, its band is no smaller than a ball of that radius.
+    need, have = 4.0 * 4.18 * half_width**3, available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"half_width: a band of {half_width:g} voxels needs {need / 2**20:.3g} MiB or more of the {have >> 20} MiB "
+            "free; use a smaller one",
+            need=need,
         )
     indices = np.ascontiguousarray(triangles, dtype=np.int32)
     return _call(
         "mesh",
-        lambda: extension.mesh_to_level_set(points, indices, float(voxel_size), float(half_width)),
+        lambda: extension.mesh_to_level_set(points, indices, voxel_size, half_width),
         is_argument=True,
     )
 
 
 def _read_in_worker(
-    path: Path, names: list[str], time_limit: float, memory_limit: int | None
+    path: Path, names: list[str], time_limit: float, memory_limit: int
 ) -> tuple[list[dict[str, Any]], list[NDArray[np.uint8]]]:
     worker = _worker_path()
-    limits = _checked_limits(time_limit, memory_limit)
+    # Names that are no Unicode text go to the program as they are.
+    small = path.stat().st_size <= SMALL_BYTES and "".join(names).isascii()
+    if small and next(_small_files) >= FIRST_FILES:
+        return _served.read(path, names, time_limit, memory_limit)
     for parent in _worker.spool_folders(path.stat().st_size):
-        with _worker.spool(parent) as folder:
+        with private_folder(parent) as folder:
             result = _worker.run_worker(
-                worker, "read", path, [folder, *names], time_limit=limits[0], memory_limit=limits[1]
+                worker, "read", path, [str(folder), *names], time_limit=time_limit, memory_limit=memory_limit
             )
             if "error" not in result:
                 buffers = [_worker.map_file(grid["path"], grid["size"]) for grid in result["grids"]]
@@ -361,23 +427,30 @@ def _read_in_worker(
 def _checked_names(grids: Sequence[str] | None) -> list[str]:
     if isinstance(grids, str):
         raise InputError(f"grids is the string {grids!r}; pass a list of names")
-    names = list(grids or [])
+    names = [] if grids is None else require_items(grids, "grids", str)
     for name in names:
-        if not isinstance(name, str) or "\0" in name:
+        try:
+            name.encode("utf-8", "surrogateescape")
+        except UnicodeEncodeError as error:
+            raise InputError(f"grids: {name!r} has characters that no file can hold; use others") from error
+        if "\0" in name:
             raise InputError(f"grids: {name!r} is not a grid name; pass strings")
     return names
 
 
-def _checked_limits(time_limit: float, memory_limit: int | None) -> tuple[float, int]:
-    if not (math.isfinite(time_limit) and time_limit > 0.0):
-        raise InputError(f"time_limit is {time_limit}; pass a positive number of seconds")
-    if memory_limit is not None and memory_limit <= 0:
-        raise InputError(f"memory_limit is {memory_limit}; pass a positive number of bytes")
-    return float(time_limit), int(memory_limit or _worker.default_memory_limit())
+def _checked_limits(
+    path: str | os.PathLike[str], time_limit: float | None, memory_limit: int | None
+) -> tuple[float, int]:
+    seconds = reading_seconds(Path(os.fsdecode(path)))
+    if time_limit is not None:
+        seconds = min(require_finite_scalar(time_limit, "time_limit", low=0.0), LONGEST_SECONDS)
+    if memory_limit is None:
+        return seconds, WORKER_COPIES * content_limit(os.stat(path).st_size)
+    return seconds, require_count(memory_limit, "memory_limit", 1)
 
 
 def _aligned(nanovdb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    buffer = np.ascontiguousarray(nanovdb)
+    buffer = np.ascontiguousarray(read_array(nanovdb, "nanovdb"))
     if buffer.dtype != np.uint8 or buffer.ndim != 1:
         raise InputError(f"nanovdb has type {buffer.dtype} and shape {buffer.shape}; pass one dimension of uint8")
     if buffer.ctypes.data % _ALIGNMENT == 0:
@@ -401,3 +474,7 @@ def _call(what: str | os.PathLike[str], function: Callable[[], _Result], *, is_a
         raise DeviceMemoryError(
             f"{os.fspath(what)}: more memory is needed than there is; use a coarser grid"
         ) from error
+    except (RuntimeError, ValueError, ArithmeticError, LookupError) as error:
+        # OpenVDB's own exceptions: a transform or a background that it cannot hold.
+        message = f"OpenVDB refuses the grid ({error}); correct its transform or its background"
+        raise_failure({"kind": "damaged", "message": message}, os.fspath(what), is_argument)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NoReturn
 
+from geokit.core.files import in_one_line
 from geokit.errors import (
     DeviceMemoryError,
     FileAccessError,
@@ -23,10 +24,12 @@ def raise_failure(error: dict[str, Any], what: str, is_argument: bool = False) -
         what: The file or the argument at fault.
         is_argument: Whether the caller passed the data itself rather than a file name.
     """
-    kind, message = error["kind"], error["message"]
+    kind, message = error["kind"], in_one_line(error["message"])
     if kind == "missing":
         there = ", ".join(repr(name) for name in error["names"])
         raise InputError(f"{what}: {message}; the file holds {there}")
+    if kind == "points":
+        raise UnsupportedGridError(f"{what}: {message}; load them with geokit.points.load")
     if kind == "unsupported":
         raise UnsupportedGridError(f"{what}: {message}; leave it out or convert it in the program that made it")
     if kind == "access":

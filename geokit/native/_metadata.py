@@ -25,7 +25,7 @@ import numpy as np
 
 from geokit.errors import InputError
 
-__all__ = ["RawMetadata", "decode_all", "decode_header", "encode_all"]
+__all__ = ["POINTS", "RawMetadata", "decode_all", "decode_header", "encode_all"]
 
 
 class RawMetadata(NamedTuple):
@@ -35,6 +35,8 @@ class RawMetadata(NamedTuple):
     data: bytes
 
 
+# OpenVDB's name of a grid of points with attributes.
+POINTS = "Tree_ptdataidx32_5_4_3"
 # OpenVDB's value types whose names geokit.volume.GridInfo spells differently.
 _GRID_TYPES = {"vec3s": "vec3f", "vec4s": "vec4f"}
 
@@ -96,6 +98,8 @@ def decode_header(description: dict[str, Any]) -> dict[str, Any]:
     if description["convertible"]:
         value_type = description["grid_type"].split("_")[1]
         header["grid_type"] = _GRID_TYPES.get(value_type, value_type)
+    elif description["grid_type"] == POINTS:
+        header["grid_type"] = "points"
     for key, shape, dtype in (("transform", (4, 4), np.float64), ("index_bounds", (2, 3), np.int64)):
         if header[key] is not None:
             header[key] = np.array(header[key], dtype=dtype).reshape(shape)
@@ -108,10 +112,17 @@ def encode_all(metadata: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Encode metadata as (name, OpenVDB type, bytes) for each item.
 
     Raises:
-        InputError: The table of this module does not list the type of a value, or an integer does not fit its type.
+        InputError: The table of this module does not list the type of a value, an integer does not fit its type, or a
+            name is not UTF-8, as a damaged file may hold it.
     """
     items = []
     for name, value in metadata.items():
+        if (
+            isinstance(name, str)
+            and not name.isascii()
+            and any("\ud800" <= character <= "\udfff" for character in name)
+        ):
+            raise InputError(f"metadata {name!r}: the name holds bytes that are not UTF-8; give it another one")
         try:
             items.append((name, *_encode(value)))
         except (TypeError, struct.error, OverflowError) as error:

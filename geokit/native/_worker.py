@@ -10,20 +10,17 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
+from geokit.errors import FileFormatError, WorkerError
 from geokit.native._metadata import raw
 
-__all__ = ["default_memory_limit", "map_file", "run_worker", "spool_folders"]
-
-# Default memory limit of the worker, as a share of the machine's memory.
-_MEMORY_SHARE = 0.75
+__all__ = ["map_file", "run_worker", "spool_folders"]
 
 # A compressed .vdb becomes a NanoVDB buffer several times its size. If shared memory has less than this times the file
 # size free, the buffers go through a folder on disk from the start.
@@ -34,11 +31,6 @@ _EXPANSION = 8
 _MAX_THREADS = 8
 
 
-def default_memory_limit() -> int:
-    """Default memory limit of a worker, in bytes."""
-    return int(_MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-
-
 def spool_folders(file_size: int) -> list[str]:
     """Parent folders for the worker's results, best first: shared memory if it has room, then the temporary folder."""
     folders = [tempfile.gettempdir()]
@@ -46,13 +38,6 @@ def spool_folders(file_size: int) -> list[str]:
         if shutil.disk_usage("/dev/shm").free > _EXPANSION * file_size and os.access("/dev/shm", os.W_OK):
             folders.insert(0, "/dev/shm")
     return folders
-
-
-@contextlib.contextmanager
-def spool(parent: str) -> Iterator[str]:
-    """Provide a folder for the worker's results and delete it afterwards; mapped files stay readable."""
-    with tempfile.TemporaryDirectory(prefix="geokit-vdb-", dir=parent) as folder:
-        yield folder
 
 
 def map_file(path: str, size: int) -> NDArray[np.uint8]:
@@ -68,6 +53,7 @@ def run_worker(
 
     Raises:
         FileFormatError: The worker crashed, timed out, or wrote anything but JSON.
+        WorkerError: It was killed from outside.
     """
     cpu_seconds = int(time_limit * min(os.cpu_count() or 1, _MAX_THREADS)) + 2
     command: list[str | bytes] = [str(worker), verb, str(memory_limit), str(cpu_seconds), os.fsencode(path)]
@@ -96,6 +82,11 @@ def _parse(path: Path, output: bytes, status: int) -> dict[str, Any]:
             result = json.loads(output.decode("utf-8", "surrogateescape"))
             if isinstance(result, dict) and ("grids" in result if status == 0 else "error" in result):
                 return result
+    if -status in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        raise WorkerError(
+            f"{path}: the process that reads it was killed from outside ({signal.Signals(-status).name}), perhaps for "
+            "want of memory; read the file again"
+        )
     what = f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
     raise FileFormatError(
         f"{path}: damaged: OpenVDB crashed on it, in a separate process ({what}); restore the file from its source"

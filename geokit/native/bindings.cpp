@@ -6,17 +6,22 @@
 #include "errors.h"
 #include "mesh.h"
 #include "operations.h"
+#include "points.h"
 #include "write.h"
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <array>
+#include <atomic>
+#include <chrono>
 #include <new>
+#include <thread>
 #include <tuple>
 
 namespace nb = nanobind;
@@ -27,6 +32,10 @@ using Bytes = nb::ndarray<nb::numpy, uint8_t, nb::ndim<1>>;
 using ConstBytes = nb::ndarray<const uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Points = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 using Triangles = nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Corners = nb::ndarray<const int32_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Starts = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Voxels = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Places = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
 using Item = std::tuple<std::string, std::string, nb::bytes>; // name, OpenVDB type, value
 
 // One array that owns its memory.
@@ -35,6 +44,13 @@ Bytes to_array(geokit::MappedBuffer&& buffer)
     auto* owned = new geokit::MappedBuffer(std::move(buffer));
     nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<geokit::MappedBuffer*>(pointer); });
     return Bytes(owned->data(), {owned->size()}, owner);
+}
+
+nb::ndarray<nb::numpy, double, nb::ndim<1>> to_array(std::vector<double>&& values)
+{
+    auto* owned = new std::vector<double>(std::move(values));
+    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::vector<double>*>(pointer); });
+    return nb::ndarray<nb::numpy, double, nb::ndim<1>>(owned->data(), {owned->size()}, owner);
 }
 
 template<typename T, size_t N>
@@ -84,6 +100,50 @@ void write_grids(nb::bytes path, const std::vector<std::pair<ConstBytes, std::ve
     geokit::write_vdb(target, sources, compression, half);
 }
 
+Bytes to_array(std::string&& text)
+{
+    auto* owned = new std::string(std::move(text));
+    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::string*>(pointer); });
+    return Bytes(reinterpret_cast<uint8_t*>(owned->data()), {owned->size()}, owner);
+}
+
+nb::bytes to_bytes(const std::string& text) { return nb::bytes(text.data(), text.size()); }
+
+auto read_points(nb::bytes path, nb::bytes name)
+{
+    geokit::PointTable table;
+    {
+        const std::string source(path.c_str(), path.size()), grid(name.c_str(), name.size());
+        nb::gil_scoped_release release;
+        table = geokit::read_points(source, grid);
+    }
+    std::vector<std::tuple<nb::bytes, std::string, uint64_t, Bytes>> columns;
+    for (auto& column : table.columns) {
+        columns.emplace_back(to_bytes(column.name), column.type, column.width, to_array(std::move(column.bytes)));
+    }
+    std::vector<nb::bytes> left_out;
+    for (const auto& one : table.left_out) left_out.push_back(to_bytes(one));
+    return std::make_tuple(
+        to_array(std::move(table.positions)), std::move(columns), std::move(left_out), to_bytes(table.note));
+}
+
+void write_points(nb::bytes path, nb::bytes name, double voxel_size, const std::array<double, 3>& origin,
+    Corners corners, Starts starts, Voxels voxels, Places places,
+    const std::vector<std::tuple<nb::bytes, std::string, uint64_t, ConstBytes>>& columns, nb::bytes note,
+    const std::string& compression)
+{
+    geokit::PointLeaves points{std::string(name.c_str(), name.size()), voxel_size, {origin[0], origin[1], origin[2]},
+        corners.shape(0), corners.data(), starts.data(), voxels.data(), places.data(), {}, {},
+        std::string(note.c_str(), note.size())};
+    for (const auto& [label, type, width, bytes] : columns) {
+        points.columns.push_back({std::string(label.c_str(), label.size()), type, width, ""});
+        points.bytes.push_back(bytes.data());
+    }
+    const std::string target(path.c_str(), path.size());
+    nb::gil_scoped_release release;
+    geokit::write_points(target, points, compression);
+}
+
 auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
 {
     geokit::PolygonMesh mesh;
@@ -122,15 +182,44 @@ auto translated(Op&& op)
     }
 }
 
+// Thrown where a signal handler of Python has raised; its error is set in the thread that called. No std::exception, so
+// that nothing on the way takes it for an error of OpenVDB.
+struct Interrupted {};
+
+// The pulse of an operation: Ctrl-C ends it. Only the thread that called may run Python's handlers, and it takes part
+// in all of OpenVDB's loops.
+class SignalCheck {
+public:
+    void operator()()
+    {
+        if (raised_) throw Interrupted();
+        if (std::this_thread::get_id() != caller_) return;
+        const auto now = std::chrono::steady_clock::now();
+        if (now - last_ < std::chrono::milliseconds(50)) return;
+        last_ = now;
+        const nb::gil_scoped_acquire acquire;
+        if (PyErr_CheckSignals() == 0) return;
+        raised_ = true;
+        throw Interrupted();
+    }
+
+private:
+    const std::thread::id caller_ = std::this_thread::get_id();
+    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+    std::atomic<bool> raised_{false};
+};
+
 // Runs an operation that takes one or two checked buffers and returns one.
 template<typename Op>
 Bytes operate(ConstBytes a, Op&& op)
 {
     geokit::MappedBuffer result;
-    {
+    try {
         nb::gil_scoped_release release;
         geokit::check_nanovdb(a.data(), a.size());
         result = translated([&] { return op(a.data()); });
+    } catch (const Interrupted&) {
+        throw nb::python_error();
     }
     return to_array(std::move(result));
 }
@@ -151,25 +240,16 @@ Bytes csg(ConstBytes a, ConstBytes b, const std::string& kind)
 
 Bytes smooth_csg(ConstBytes a, ConstBytes b, const std::string& kind, double blend)
 {
-    return operate(a, b, [&](auto* first, auto* second) { return geokit::smooth_csg(first, second, kind, blend); });
+    SignalCheck check;
+    return operate(a, b,
+        [&](auto* first, auto* second) { return geokit::smooth_csg(first, second, kind, blend, std::ref(check)); });
 }
 
 Bytes smooth(ConstBytes buffer, const std::string& method, int width, int iterations, double voxel_size)
 {
-    return operate(buffer, [&](auto* data) { return geokit::smooth(data, method, width, iterations, voxel_size); });
-}
-
-std::vector<Bytes> segment(ConstBytes buffer, double voxel_size, double memory_limit)
-{
-    std::vector<geokit::MappedBuffer> parts;
-    {
-        nb::gil_scoped_release release;
-        geokit::check_nanovdb(buffer.data(), buffer.size());
-        parts = translated([&] { return geokit::segment(buffer.data(), voxel_size, memory_limit); });
-    }
-    std::vector<Bytes> arrays;
-    for (auto& part : parts) arrays.push_back(to_array(std::move(part)));
-    return arrays;
+    SignalCheck check;
+    return operate(buffer,
+        [&](auto* data) { return geokit::smooth(data, method, width, iterations, voxel_size, std::ref(check)); });
 }
 
 std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
@@ -195,9 +275,12 @@ NB_MODULE(_bridge, module)
     });
 
     module.def("versions", [] { return std::make_pair(geokit::openvdb_version(), geokit::nanovdb_version()); });
+    module.def("build_facts", &geokit::build_facts);
     module.def("read", &read_grids, nb::arg("path"), nb::arg("names"));
     module.def("check", &check_buffer, nb::arg("buffer").noconvert());
     module.def("write", &write_grids, nb::arg("path"), nb::arg("grids"), nb::arg("compression"), nb::arg("half"));
+    module.def("read_points", &read_points, nb::arg("path"), nb::arg("name"));
+    module.def("write_points", &write_points);
     module.def(
         "volume_to_mesh", &volume_to_mesh, nb::arg("buffer").noconvert(), nb::arg("isovalue"), nb::arg("adaptivity"));
     module.def("mesh_to_level_set", &mesh_to_level_set, nb::arg("points").noconvert(), nb::arg("triangles").noconvert(),
@@ -207,6 +290,5 @@ NB_MODULE(_bridge, module)
         nb::arg("blend"));
     module.def("smooth", &smooth, nb::arg("buffer").noconvert(), nb::arg("method"), nb::arg("width"),
         nb::arg("iterations"), nb::arg("voxel_size"));
-    module.def("segment", &segment, nb::arg("buffer").noconvert(), nb::arg("voxel_size"), nb::arg("memory_limit"));
     module.def("measure", &measure, nb::arg("buffer").noconvert(), nb::arg("voxel_size"));
 }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.native import _aligned, _call, _extension
 
-__all__ = ["csg", "measure", "segment", "smooth", "smooth_csg"]
+__all__ = ["csg", "measure", "smooth", "smooth_csg"]
 
 Buffer = NDArray[np.uint8]
 _Result = TypeVar("_Result")
@@ -44,14 +44,9 @@ def smooth(buffer: Buffer, *, method: str, width: int, iterations: int, voxel_si
     return _run(lambda bridge: bridge.smooth(first, method, int(width), int(iterations), float(voxel_size)))
 
 
-def segment(buffer: Buffer, *, voxel_size: float, memory_limit: int) -> list[Buffer]:
-    """Connected components of a level set's inside, or of another grid's active voxels, largest first."""
-    first = _aligned(buffer)
-    return list(_run(lambda bridge: bridge.segment(first, float(voxel_size), float(memory_limit))))
-
-
 def measure(buffer: Buffer, voxel_size: float) -> tuple[float, float]:
     """Area and enclosed volume of a level set on cubic voxels, in the unit of ``voxel_size``."""
     first = _aligned(buffer)
     area, volume = _run(lambda bridge: bridge.measure(first, float(voxel_size)))
-    return float(area) * voxel_size**2, float(volume) * voxel_size**3
+    # Products become infinite where powers of Python's floats raise OverflowError.
+    return float(area) * voxel_size * voxel_size, float(volume) * voxel_size * voxel_size * voxel_size

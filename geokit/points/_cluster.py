@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from geokit.core import launcher
-from geokit.core.user_arrays import read_vectors
-from geokit.errors import InputError
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_count
+from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from geokit.points._neighbors import NeighborGrid
 
 __all__ = ["cluster"]
@@ -17,6 +16,7 @@ __all__ = ["cluster"]
 NO_INDEX = 2**31 - 1
 
 
+@needs(lambda points, **_: 48 * rows(points))
 def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any = None) -> Any:
     """Cluster points by density (DBSCAN).
 
@@ -54,8 +54,8 @@ def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any =
 
     from geokit.points.clouds import cluster_kernels as kernels
 
-    if isinstance(minimum_count, bool) or not isinstance(minimum_count, (int, np.integer)) or minimum_count < 1:
-        raise InputError(f"minimum_count: {minimum_count!r} is not a whole number of 1 or more; give one")
+    minimum_count = require_count(minimum_count, "minimum_count", 1)
+    radius = require_finite_scalar(radius, "radius")
     target = launcher.resolve_device(device)
     batch = read_vectors(points, "points", target)
     neighbors = NeighborGrid(batch.array, radius, device=target)
@@ -64,7 +64,7 @@ def cluster(points: Any, *, radius: float, minimum_count: int = 5, device: Any =
     grid = neighbors._cells_for(radius).grid
     core = wp.empty(count, dtype=wp.uint8, device=target)
     parent = wp.empty(count, dtype=wp.int32, device=target)
-    given = [grid, counts, min(int(minimum_count), NO_INDEX)]
+    given = [grid, counts, min(minimum_count, NO_INDEX)]
     launcher.launch(kernels.start_kernel, count, given, [core, parent], target)
     launcher.launch(kernels.join_kernel, count, [grid, radius, core], [parent], target)
     root = wp.empty(count, dtype=wp.int32, device=target)

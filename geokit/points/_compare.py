@@ -8,8 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.gradients.differentiable import differentiable, library_of
+from geokit.core.gradients.rules import is_tracked
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import described
 from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError
+from geokit.points.search.groups import read_offsets
 from geokit.points.search.nearest import build_tree, nearest
 
 if TYPE_CHECKING:
@@ -21,6 +26,8 @@ __all__ = ["ChamferDistance", "DirectedDistance", "HausdorffDistance", "chamfer"
 class DirectedDistance(NamedTuple):
     """Distances from the points of one cloud to their nearest points in another [world].
 
+    Of groups each is an array (G,), and indices count all points.
+
     Attributes:
         max: Largest distance, at the point ``index_from``: the directed Hausdorff distance.
         mean: Mean distance.
@@ -29,15 +36,15 @@ class DirectedDistance(NamedTuple):
         index_to: Its nearest point in the other cloud; the lowest index among ties.
     """
 
-    max: float
-    mean: float
-    rms: float
-    index_from: int
-    index_to: int
+    max: Any
+    mean: Any
+    rms: Any
+    index_from: Any
+    index_to: Any
 
 
 class ChamferDistance(NamedTuple):
-    """Mean distances between two clouds.
+    """Mean distances between two clouds. Of groups ``distance`` and ``squared`` are arrays (G,).
 
     Attributes:
         distance: Mean of the two directed means, ``(a_to_b.mean + b_to_a.mean) / 2`` [world].
@@ -46,8 +53,8 @@ class ChamferDistance(NamedTuple):
         b_to_a: From the points of the second cloud to the first.
     """
 
-    distance: float
-    squared: float
+    distance: Any
+    squared: Any
     a_to_b: DirectedDistance
     b_to_a: DirectedDistance
 
@@ -75,7 +82,8 @@ class HausdorffDistance(NamedTuple):
     b_to_a: DirectedDistance
 
 
-def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
+@needs(lambda a, b, **_: 48 * (rows(a) + rows(b)))
+def chamfer(a: Any, b: Any, *, groups: Any = None, device: Any = None) -> ChamferDistance:
     """Chamfer distance between two clouds: the mean distance of a point from the other cloud.
 
     Both common definitions are returned: ``distance`` is the mean of the two directed means of the distances,
@@ -86,11 +94,15 @@ def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
     Args:
         a: Positions of the first cloud [world], shape (N, 3), float32 or float64; at least one.
         b: Positions of the second cloud [world], shape (M, 3).
+        groups: For the distances of G pairs of clouds in one call: the offsets of the clouds in a and those in b, each
+            (G + 1,); cloud g of a is the rows ``groups[0][g] .. groups[0][g + 1] - 1``. None for one pair.
         device: Where to compute: "cpu", "cuda:0", ...; None for the first GPU, else the CPU.
     Returns:
-        ChamferDistance with distance [world], squared [world squared], a_to_b and b_to_a.
+        ChamferDistance with distance [world], squared [world squared], a_to_b and b_to_a. With groups their numbers are
+        arrays (G,) in the container of a (float32 for float32), with the bits of a call for each pair.
     Raises:
-        InputError: a or b is not (N, 3), not finite, or empty; there is no such device.
+        InputError: a or b is not (N, 3), not finite, or empty; groups are not two arrays of offsets, as many in both;
+            one of the clouds is empty; there is no such device.
     Source:
         Barrow, Tenenbaum, Bolles, Wolf, "Parametric correspondence and chamfer matching" (1977); ``squared`` is that of
         Fan, Su, Guibas, "A point set generation network for 3D object reconstruction from a single image" (2017), with
@@ -99,15 +111,18 @@ def chamfer(a: Any, b: Any, *, device: Any = None) -> ChamferDistance:
         >>> distance = gk.points.chamfer([[0, 0, 0], [1, 0, 0]], [[0, 0, 2]], device="cpu")
         >>> distance.squared, distance.a_to_b.max, distance.b_to_a.mean
         (8.5, 2.23606797749979, 2.0)
+        >>> a, b, each = [[0, 0, 0], [1, 0, 0]], [[0, 0, 2], [1, 0, 3]], [0, 1, 2]
+        >>> gk.points.chamfer(a, b, groups=(each, each), device="cpu").distance.tolist()
+        [2.0, 3.0]
 
     Held by: tests/points/test_compare.py
     """
-    there, back = _directed(a, b, device)
-    return ChamferDistance(
-        distance=0.5 * (there.mean + back.mean), squared=there.rms**2 + back.rms**2, a_to_b=there, b_to_a=back
-    )
+    if groups is not None:
+        return _chamfer_of_groups(a, b, groups, device)
+    return _chamfer_of(*_directed(a, b, device))
 
 
+@needs(lambda a, b, **_: 48 * (rows(a) + rows(b)))
 def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
     """Hausdorff distance between two clouds: the largest distance of a point of either cloud from the other cloud.
 
@@ -144,20 +159,170 @@ def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
 
 
 def _directed(a: Any, b: Any, device: Any) -> tuple[DirectedDistance, DirectedDistance]:
+    if is_tracked(a) or is_tracked(b):
+        found = _between(a, b, device)
+        return _summed(found.a_to_b, found.index_b), _summed(found.b_to_a, found.index_a)
     target = launcher.resolve_device(device)
     clouds = [read_vectors(points, name, target).array for points, name in ((a, "a"), (b, "b"))]
     for points, name in zip(clouds, ("a", "b"), strict=True):
         if len(points) == 0:
             raise InputError(f"{name}: a cloud without points is not at any distance; give at least one")
-    return _from(clouds[0], clouds[1]), _from(clouds[1], clouds[0])
+    return _from(clouds[0], clouds[1], "a"), _from(clouds[1], clouds[0], "b")
 
 
-def _from(points: "wp.array", others: "wp.array") -> DirectedDistance:
+def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDistance:
+    import warp as wp
+
+    if not isinstance(groups, (tuple, list)) or len(groups) != 2:
+        raise InputError(f"groups: {described(groups)} is not a pair; give the offsets of a and those of b")
+    target = launcher.resolve_device(device)
+    tracked = is_tracked(a) or is_tracked(b)
+    batches = [] if tracked else [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
+    sizes = [rows(a), rows(b)] if tracked else [len(batch) for batch in batches]
+    first, second = (read_offsets(groups[i], sizes[i], f"rows of {'ab'[i]}", f"groups[{i}]") for i in range(2))
+    if len(first) != len(second) or len(first) == 1:
+        raise InputError(f"groups: {len(first) - 1} clouds in a and {len(second) - 1} in b; give as many, at least one")
+    for name, offsets in (("a", first), ("b", second)):
+        if not np.diff(offsets).all():
+            number = int(np.argmin(np.diff(offsets)))
+            raise InputError(f"{name}: cloud {number} has no points, so it is not at any distance; leave the pair out")
+    if tracked:
+        found = _between_groups(a, b, (first, second), device)
+        library = library_of(found.a_to_b)
+        there = _summed_groups(library, found.a_to_b, found.index_b, found.far_a, first)
+        back = _summed_groups(library, found.b_to_a, found.index_a, found.far_b, second)
+        return _chamfer_of(there, back)
+    there = _from_groups(batches[0].array, batches[1].array, first, second, "a")
+    back = _from_groups(batches[1].array, batches[0].array, second, first, "b")
+    chamfer_of = _chamfer_of(there, back)
+
+    def given(values: NDArray[Any]) -> Any:
+        kind = wp.float64 if values.dtype == np.float64 else wp.int32
+        return batches[0].to_caller(wp.array(values, dtype=kind, device=target))
+
+    directed = (DirectedDistance(*map(given, one)) for one in (there, back))
+    return ChamferDistance(given(chamfer_of.distance), given(chamfer_of.squared), *directed)
+
+
+def _chamfer_of(there: DirectedDistance, back: DirectedDistance) -> ChamferDistance:
+    squared = there.rms * there.rms + back.rms * back.rms
+    return ChamferDistance(distance=0.5 * (there.mean + back.mean), squared=squared, a_to_b=there, b_to_a=back)
+
+
+class _BetweenGroups(NamedTuple):
+    """As _Between, with the point of each group that is farthest from the other cloud."""
+
+    a_to_b: Any
+    index_b: Any
+    far_a: Any
+    b_to_a: Any
+    index_a: Any
+    far_b: Any
+
+
+@differentiable("geokit.points.search.gradients:BETWEEN_GROUPS", "a", "b", single=False)
+def _between_groups(a: Any, b: Any, offsets: Any, device: Any) -> _BetweenGroups:
+    import warp as wp
+
+    target = launcher.resolve_device(device)
+    batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
+    found: list[Any] = []
+    for asked, other, pair in zip(batches, batches[::-1], (offsets, offsets[::-1]), strict=True):
+        distance, index = nearest(build_tree(other.array, pair[1]), 1, asked.array, groups=(pair[1], pair[0]))
+        far = _by_size(distance.numpy().reshape(-1), pair[0], lambda table: table.argmax(axis=1)) + pair[0][:-1]
+        numbers = wp.array(far, dtype=wp.int32, device=target)
+        found += [asked.to_caller(out) for out in (distance.flatten(), index.flatten(), numbers)]
+    return _BetweenGroups(*found)
+
+
+def _summed_groups(library: Any, distance: Any, index: Any, far: Any, offsets: NDArray[np.int64]) -> DirectedDistance:
+    """Tensors of one number for each group."""
+    sizes = np.diff(offsets)
+    group = library.constant(np.repeat(np.arange(len(sizes)), sizes), distance)
+    count = library.constant(sizes.astype(np.float64), distance)
+
+    def mean(values: Any) -> Any:
+        return library.add(values, group, len(sizes)) / count
+
+    square = mean(distance * distance)
+    # A root has no slope at 0.
+    rms = (square + (square == 0.0)) ** 0.5 * (square > 0.0)
+    at = library.whole(far)
+    return DirectedDistance(library.take(distance, at), mean(distance), rms, far, index[at])
+
+
+def _by_size(values: NDArray[Any], offsets: NDArray[np.int64], reduce: Any) -> NDArray[Any]:
+    """``reduce`` of the values of each group, applied to tables (R, n) of the R groups of n values.
+
+    NumPy sums a row of a table as it sums the same values alone.
+    """
+    sizes = np.diff(offsets)
+    parts = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+    found = [reduce(values[offsets[part][:, None] + np.arange(sizes[part[0]])]) for part in parts]
+    return np.concatenate(found)[np.argsort(np.concatenate(parts))]
+
+
+def _from_groups(
+    points: "wp.array", others: "wp.array", own: NDArray[np.int64], theirs: NDArray[np.int64], name: str
+) -> DirectedDistance:
+    distances, indices = nearest(build_tree(others, theirs), 1, points, groups=(theirs, own))
+
+    def measures(table: NDArray[np.float64]) -> NDArray[np.float64]:
+        index = table.argmax(axis=1)
+        largest = table[np.arange(len(table)), index]
+        share = table / np.where(largest > 0.0, largest, 1.0)[:, None]
+        rms = largest * np.sqrt(np.mean(share * share, axis=1))
+        return np.stack([largest, table.mean(axis=1), rms, index], axis=1)
+
+    with np.errstate(invalid="ignore"):
+        found = _by_size(distances.numpy().reshape(-1), own, measures)
+    far = found[:, 3].astype(np.int64) + own[:-1]
+    if (found[:, 0] == np.inf).any():
+        row = int(far[np.argmax(found[:, 0])])
+        raise InputError(f"{name}: row {row} is so far away that its squared distance is not a float64; scale both")
+    largest, mean, rms = (np.ascontiguousarray(found[:, column]) for column in range(3))
+    return DirectedDistance(largest, mean, rms, far.astype(np.int32), indices.numpy().reshape(-1)[far])
+
+
+class _Between(NamedTuple):
+    """Distance of each point of a cloud to the other cloud, and the index of the point there."""
+
+    a_to_b: Any
+    index_b: Any
+    b_to_a: Any
+    index_a: Any
+
+
+@differentiable("geokit.points.search.gradients:BETWEEN", "a", "b", single=False)
+def _between(a: Any, b: Any, device: Any) -> _Between:
+    target = launcher.resolve_device(device)
+    batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
+    found: list[Any] = []
+    for (asked, other), name in zip((batches, batches[::-1]), ("a", "b"), strict=True):
+        if len(asked) == 0:
+            raise InputError(f"{name}: a cloud without points is not at any distance; give at least one")
+        distance, index = nearest(build_tree(other.array), 1, asked.array)
+        found += [asked.to_caller(distance.flatten()), asked.to_caller(index.flatten())]
+    return _Between(*found)
+
+
+def _summed(distance: Any, index: Any) -> DirectedDistance:
+    """Tensors of one number each."""
+    number = distance.argmax()
+    square = (distance * distance).mean()
+    # A root has no slope at 0.
+    rms = (square + (square == 0.0)) ** 0.5 * (square > 0.0)
+    return DirectedDistance(distance[number], distance.mean(), rms, number, index[number])
+
+
+def _from(points: "wp.array", others: "wp.array", name: str) -> DirectedDistance:
     distances, indices = nearest(build_tree(others), 1, points)
     distance: NDArray[np.float64] = distances.numpy().reshape(-1)
     # argmax returns the first of several equal values, hence the lowest index.
     index = int(distance.argmax())
     largest = float(distance[index])
+    if largest == np.inf:
+        raise InputError(f"{name}: row {index} is so far away that its squared distance is not a float64; scale both")
     # Scale by the largest distance before squaring, so that squares neither overflow nor vanish.
     share = distance / largest if largest > 0.0 else distance
     return DirectedDistance(

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.user_arrays import require_finite_scalar
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_choice
+from geokit.core.user_arrays import read_numbers, require_finite_scalar
 from geokit.errors import InputError
 from geokit.points._neighbors import NeighborGrid
 
@@ -23,6 +26,8 @@ KERNELS = {
 }
 
 
+@differentiable("geokit.points.clouds.gradients:DENSITY", "points", "queries", single=False)
+@needs(lambda points, **_: 48 * rows(points))
 def density(
     points: Any,
     *,
@@ -81,8 +86,7 @@ def density(
 
     from geokit.points.clouds import density_kernels as kernels
 
-    if kernel not in KERNELS:
-        raise InputError(f"kernel: {kernel!r} is not known; give one of {', '.join(map(repr, KERNELS))}")
+    require_choice(kernel, "kernel", KERNELS)
     radius = require_finite_scalar(radius, "radius", low=0.0)
     factor = _factor(KERNELS[kernel][0], radius)
     target = launcher.resolve_device(device)
@@ -108,13 +112,9 @@ def _factor(norm: float, radius: float) -> float:
 
 
 def _require_masses(mass: Any, count: int) -> np.ndarray:
-    try:
-        values = np.atleast_1d(np.asarray(mass.numpy() if hasattr(mass, "numpy") else mass, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"mass: cannot be read as numbers ({error})") from error
-    if np.ndim(mass) == 0 and not hasattr(mass, "__len__"):
-        require_finite_scalar(mass, "mass")
-        return values
+    values = read_numbers(mass, "mass")
+    if values.ndim == 0:
+        return np.array([require_finite_scalar(values, "mass")])
     if values.shape != (count,):
         raise InputError(f"mass: shape {values.shape} is not one number, nor one for each of the {count} points")
     bad = ~np.isfinite(values)

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_count
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from geokit.errors import InputError
 
@@ -36,6 +38,7 @@ class Cover(NamedTuple):
     deviation_p999: float
 
 
+@needs(lambda points, **_: 80 * rows(points))
 def downsample(
     points: Any,
     *,
@@ -106,6 +109,7 @@ def downsample(
             f"downsample: {' and '.join(chosen) or 'nothing'} given; give exactly one of voxel_size, count, radius and "
             "tolerance"
         )
+    seed, start = require_count(seed, "seed"), require_count(start, "start")
     target = launcher.resolve_device(device)
     if chosen[0] == "voxel_size":
         size = require_finite_scalar(voxel_size, "voxel_size", low=0.0)
@@ -115,21 +119,21 @@ def downsample(
         return Downsampled(*map(batch.to_caller, voxel_centroids(batch.array, size)))
     if chosen[0] in ("radius", "tolerance"):
         distance = require_finite_scalar(given[chosen[0]], chosen[0], low=0.0)
-        seed = _require_whole(seed, "seed", 0)
         batch = read_vectors(points, "points", target)
         from geokit.points.clouds.poisson_disk import poisson_disk_subset
 
         return Downsampled(*map(batch.to_caller, poisson_disk_subset(batch.array, distance, seed)))
-    wanted = _require_whole(count, "count", 1)
+    wanted = require_count(count, "count", 1)
     batch = read_vectors(points, "points", target)
     if wanted > len(batch):
         raise InputError(f"count: {wanted} of {len(batch)} points; ask for as many as there are at most")
-    start = _require_whole(start, "start", 0, len(batch) - 1)
+    start = require_count(start, "start", 0, len(batch) - 1)
     from geokit.points.clouds.farthest_points import farthest_points
 
     return Downsampled(*map(batch.to_caller, farthest_points(batch.array, wanted, start)))
 
 
+@needs(lambda points, **_: 90 * rows(points))
 def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -> Cover:
     """Downsample to a tolerance and return the distances reached.
 
@@ -158,7 +162,7 @@ def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -
     """
     target = launcher.resolve_device(device)
     distance = require_finite_scalar(tolerance, "tolerance", low=0.0)
-    seed = _require_whole(seed, "seed", 0)
+    seed = require_count(seed, "seed", 0)
     batch = read_vectors(points, "points", target)
     if len(batch) == 0:
         raise InputError("points: a cloud without points has nothing to cover; give at least one")
@@ -169,12 +173,3 @@ def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -
     apart = nearest(build_tree(kept), 1, batch.array)[0].numpy().reshape(-1)
     percentile = float(np.quantile(apart, 0.999, method="higher"))
     return Cover(batch.to_caller(kept), batch.to_caller(indices), float(apart.max()), percentile)
-
-
-def _require_whole(value: Any, name: str, low: int, high: int | None = None) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise InputError(f"{name}: {value!r} is not a whole number; give one")
-    if value < low or (high is not None and value > high):
-        bounds = f"{low} or more" if high is None else f"one from {low} to {high}"
-        raise InputError(f"{name}: {value} is out of range; give {bounds}")
-    return int(value)

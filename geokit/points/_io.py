@@ -5,17 +5,34 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import NamedTuple
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit.core.files import atomic_path, require_extension, require_file
+from geokit.core.content_limit import content_limit, require_content
+from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
+from geokit.core.interop.arrays import import_array, is_exporter
+from geokit.core.interop.notebook import repr_html, show
+from geokit.core.interop.objects import points_of
+from geokit.core.memory.needs import file_size, needs, rows
+from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.table import FORMATS, extensions, module_of, with_formats
+from geokit.formats.foreign import require_format
+from geokit.formats.table import FORMATS, module_of, with_formats
 
 __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
+
+
+# Copies of a .vdb's content: OpenVDB's tree, columns, the cloud; bytes of a point while it is sorted into a tree; and
+# those that OpenVDB and its compression take for any file, without which they end the process.
+TREE_COPIES, TREE_ROW, TREE_BYTES = 6, 200, 16 << 20
+# Of VTK's libraries, which are mapped at first use and end the process where there is no room for them.
+VTK_BYTES = 20 << 20
+# Text without a header: no rows are no points.
+_MAY_BE_EMPTY = (".csv", ".txt", ".xyz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +49,22 @@ class PointCloud:
     points: NDArray[np.float64]
     data: Mapping[str, NDArray[np.generic]]
 
+    @needs()
     def __init__(self, points: ArrayLike, data: Mapping[str, ArrayLike] | None = None) -> None:
         table = _points(points)
-        arrays = {name: _data(values, name, len(table)) for name, values in (data or {}).items()}
+        given = {} if data is None else require_mapping(data, "data", blank=True)
+        arrays = {name: _data(values, name, len(table)) for name, values in given.items()}
         object.__setattr__(self, "points", table)
         object.__setattr__(self, "data", MappingProxyType(arrays))
 
+    def __reduce__(self) -> Any:
+        return PointCloud, (self.points, dict(self.data))
+
     def __len__(self) -> int:
         return len(self.points)
+
+    _repr_html_ = repr_html
+    show = show
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self.points)} points, data: {', '.join(self.data) or 'none'})"
@@ -52,13 +77,29 @@ class Rays(NamedTuple):
     directions: NDArray[np.float64]
 
 
+def _load_bytes(path: Any, *, trusted: bool = False, **_: Any) -> float:
+    kind = extension(path)
+    if kind == ".vdb":
+        return TREE_BYTES + TREE_COPIES * file_size(path)
+    return 2 * file_size(path) + (VTK_BYTES if trusted and kind == ".vtp" else 0)
+
+
+@needs(_load_bytes, fatal=True)
 @with_formats("points", "r")
-def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointCloud:
+def load(
+    path: str | os.PathLike[str],
+    *,
+    grid: str | None = None,
+    finite_only: bool = False,
+    trusted: bool = False,
+    memory_limit: int | None = None,
+) -> PointCloud:
     """Read points and their data arrays from a file.
 
     Formats: .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (columns named x, y,
     z, else the first three), .pts, .npy ((N, K), the first three columns), .npz (the array ``points``, else the only
-    one of shape (N, 3); other arrays with N rows are data) and .obj (vertices).
+    one of shape (N, 3); other arrays with N rows are data), .e57 (with pye57), .bin (KITTI's x, y, z and reflectance in
+    float32; of nuScenes if the name ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices).
 
     Columns ``name_x, name_y, name_z`` become one array (N, 3), ``nx, ny, nz`` the array ``normals``, and
     ``red, green, blue`` of one type the array ``rgb``; unnamed columns are called ``column_3``, ``column_4``, ... Text
@@ -67,36 +108,88 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
     In .pcd files ``normal_x, normal_y, normal_z`` become ``normals``, and a packed ``rgb`` or ``rgba`` becomes an array
     of uint8; width, height and viewpoint are not kept, and the viewpoint is not applied. In .pts files the color
     becomes ``rgb`` uint8. Coordinates of .las files are the integers of the file times its scale in float64, within 2
-    roundings.
+    roundings. The scans of an .e57 are moved to their poses and joined, without the points that it declares invalid;
+    ``scan`` is the number of a point's scan where there are several.
+
+    Points of a .vdb come in the order of its voxels, with all attributes that are numbers; ``N`` becomes ``normals``,
+    ``Cd`` becomes ``rgb``, and a group becomes an array of bool. Other attributes are left out with a warning.
 
     Args:
         path: {formats}.
+        grid: Of a .vdb: name of the grid of points; None if there is one.
         finite_only: Leave out points that are not finite, as scanners write them for rays without an echo, with their
             rows of data. Otherwise such points raise FileFormatError.
+        trusted: Whether a .vtp, .laz, .e57 or .vdb file is known to be sound. It is then read in this process, which
+            saves a copy; a crash of the library is one of this process, and no limit on time and memory applies.
+        memory_limit: Largest size of the decompressed content [bytes]; None is a hundred times the file's size, at
+            least 1 GiB, and at most half of the free memory.
     Returns:
         PointCloud.
     Raises:
-        InputError: The extension is not one of these.
+        InputError: The extension is not one of these, the .vdb has no such grid of points, or several and none is
+            named.
         FileAccessError: The file is missing or not readable.
         FileFormatError: The content is damaged or has no coordinates, or a point is not finite; the message gives the
             row.
-        MissingDependencyError: The file is .las or .laz and laspy is not installed.
+        DeviceMemoryError: The content is larger than memory_limit.
+        MissingDependencyError: The file is .las or .laz and laspy is not installed, or .e57 and pye57 is not, or .vdb
+            without the OpenVDB extension.
+        WorkerError: The separate process that reads a .vtp, .laz, .e57 or .vdb file did not start, or was killed from
+            outside.
     Example:
         >>> load("data/samples/cloud.ply")
         PointCloud(20000 points, data: normals)
 
-    Held by: tests/formats/test_damaged_points_stability.py
+    Held by: tests/formats/test_damaged_points_stability.py, tests/formats/test_bombs_stability.py,
+    tests/formats/reader/test_trusted.py, tests/native/test_points.py
     """
-    kind = require_extension(path, extensions("points", "r"), "point")
-    path = require_file(path)
-    module = module_of(kind)
-    size = module.content_bytes(path) if FORMATS[kind].process else None
-    if size is None:
-        points, data = module.read_points(path)
-    else:
-        from geokit.formats import reader_process
+    return load_counted(path, grid=grid, finite_only=finite_only, trusted=trusted, memory_limit=memory_limit)[0]
 
-        points, data = reader_process.read_points(path, FORMATS[kind].module, size)
+
+def load_counted(
+    path: str | os.PathLike[str],
+    *,
+    grid: str | None = None,
+    finite_only: bool = False,
+    trusted: bool = False,
+    memory_limit: int | None = None,
+) -> tuple[PointCloud, int]:
+    """The points of :func:`load`, and the number of those that were left out."""
+    require_flag(finite_only, "finite_only")
+    require_flag(trusted, "trusted")
+    kind = require_format(path, "points", "r", "point")
+    if grid is not None:
+        require_text(grid, "grid")
+        if kind != ".vdb":
+            raise InputError(f"grid: {kind} holds one cloud; leave it out")
+    path = require_file(path)
+    if kind not in _MAY_BE_EMPTY:
+        refuse_empty(path)
+    if kind == ".vdb":
+        from geokit.native import _points as vdb_points
+
+        limit = content_limit(path.stat().st_size, memory_limit)
+        return _finite(path, *vdb_points.read(path, grid, limit, trusted), finite_only=finite_only)
+    module = module_of(kind)
+    with named_damage(path):
+        size, limit = _sizes(path, module, memory_limit)
+        if size is None or not FORMATS[kind].process:
+            points, data = module.read_points(path)
+        elif trusted:
+            from geokit.formats.reader import trusted as in_process
+
+            points, data = in_process.read_points(path, module)
+        else:
+            from geokit.formats.reader import process as reader_process
+
+            points, data = reader_process.read_points(path, module.__name__, limit)
+    return _finite(path, points, data, finite_only=finite_only)
+
+
+def _finite(
+    path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], *, finite_only: bool
+) -> tuple[PointCloud, int]:
+    """The cloud of the finite points, and the number of the others."""
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         if not finite_only:
@@ -106,11 +199,20 @@ def load(path: str | os.PathLike[str], *, finite_only: bool = False) -> PointClo
                 f"{int(bad.sum())} such points with finite_only=True"
             )
         points, data = points[~bad], {name: values[~bad] for name, values in data.items()}
-    return PointCloud(points, data)
+    return PointCloud(points, data), int(bad.sum())
 
 
+def _sizes(path: Path, module: ModuleType, memory_limit: int | None) -> tuple[int | None, int]:
+    """Size of the content, as the module's ``content_bytes`` tells it, and the limit that it keeps."""
+    limit = content_limit(path.stat().st_size, memory_limit)
+    size = module.content_bytes(path) if hasattr(module, "content_bytes") else 0
+    require_content(path, size or path.stat().st_size, limit)
+    return size, limit
+
+
+@needs(lambda path, **_: 2 * file_size(path))
 @with_formats("rays", "r")
-def load_rays(path: str | os.PathLike[str]) -> Rays:
+def load_rays(path: str | os.PathLike[str], *, memory_limit: int | None = None) -> Rays:
     """Read rays from a .csv, .txt, .xyz, .npy or .npz file.
 
     Columns are named ox, oy, oz, dx, dy, dz; without these names the first six columns are used. An .npz file holds the
@@ -118,6 +220,7 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
 
     Args:
         path: {formats}.
+        memory_limit: As for :func:`load`.
     Returns:
         Rays(origins, directions), each (N, 3) float64.
     Raises:
@@ -125,10 +228,14 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
         FileAccessError: The file is missing or not readable.
         FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has a direction of
             length zero; the message gives the row.
+        DeviceMemoryError: The content is larger than memory_limit.
     """
-    kind = require_extension(path, extensions("rays", "r"), "ray")
+    kind = require_format(path, "rays", "r", "ray")
     path = require_file(path)
-    table = module_of(kind).read_rays(path)
+    module = module_of(kind)
+    with named_damage(path):
+        _sizes(path, module, memory_limit)
+        table = module.read_rays(path)
     bad = ~np.isfinite(table).all(axis=1) | ~(table[:, 3:] != 0.0).any(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
@@ -136,6 +243,7 @@ def load_rays(path: str | os.PathLike[str]) -> Rays:
     return Rays(np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:]))
 
 
+@needs(lambda path, points, **_: (TREE_ROW if extension(path) == ".vdb" else 48) * rows(points), fatal=True)
 @with_formats("points", "w")
 def save(
     path: str | os.PathLike[str],
@@ -150,7 +258,9 @@ def save(
 
     .vtp, .csv, .npz, .pcd, .ply (binary), .pts and .xyz all keep float64. .las and .laz hold integers times a scale,
     the least power of ten that covers the extent: coordinates are kept within 1.2e-9 of the extent along their axis
-    (plus two roundings).
+    (plus two roundings). A .vdb holds one grid of points called "points", in the order of its voxels. Their edge is
+    chosen for about 8 points each, and is at least 1.6e-5 and 1.5e-8 of the largest coordinate; a position is kept
+    within 1.5e-8 of an edge. ``rgb`` of integers is stored as Houdini's ``Cd`` from 0 to 1 and read back unchanged.
 
     In .csv, .ply and .xyz an array (N, 3) becomes the columns ``name_x, name_y, name_z`` (``normals``: nx, ny, nz;
     ``rgb``: red, green, blue); an array of another width becomes ``name_0, name_1, ...``. In .pcd ``normals`` become
@@ -168,21 +278,29 @@ def save(
         InputError: The extension is not one of these, points or data is invalid, the format does not allow a name, or
             the format does not have this encoding.
         FileAccessError: The folder is missing or the file cannot be written.
-        MissingDependencyError: The file is .las or .laz and laspy is not installed.
+        MissingDependencyError: The file is .las or .laz and laspy is not installed, or .vdb without the OpenVDB
+            extension.
     Example:
         >>> save("grains.pcd", [[0, 0, 0], [1, 0, 0]], data={"radius": [0.5, 0.25]}, encoding="ascii")
 
-    Held by: tests/formats/test_points_pcd_pts_las.py
+    Held by: tests/formats/test_points_pcd_pts_las.py, tests/native/test_points.py
     """
-    kind = require_extension(path, extensions("points", "w"), "point")
+    kind = require_format(path, "points", "w", "point")
     encodings = FORMATS[kind].encodings
-    if encoding is not None and encoding not in encodings:
+    if encoding is not None and (not isinstance(encoding, str) or encoding not in encodings):
         known = ", ".join(["None", *map(repr, encodings)])
-        raise InputError(f"encoding: {encoding!r} is not one of {kind}; use one of {known}")
+        raise InputError(f"encoding: {described(encoding)} is not one of {kind}; use one of {known}")
+    if isinstance(points, PointCloud):
+        points, data = points.points, points.data if data is None else data
     cloud = PointCloud(points, data)
     single = FORMATS[kind].single and _is_single(points)
     coordinates = cloud.points.astype(np.float32) if single else cloud.points
     with atomic_path(path) as part:
+        if kind == ".vdb":
+            from geokit.native import _points as vdb_points
+
+            vdb_points.write(part, cloud.points, cloud.data, require_path(path))
+            return
         module = module_of(kind)
         if encodings:
             module.write_points(part, coordinates, cloud.data, encoding or encodings[0])
@@ -194,12 +312,16 @@ def _is_single(points: ArrayLike) -> bool:
     return getattr(points, "dtype", None) == np.float32
 
 
+def _host(values: Any) -> NDArray[Any]:
+    """Points of any library in host memory."""
+    if not isinstance(values, np.ndarray) and is_exporter(values):
+        values = import_array(values, "points").numpy()
+    return read_array(values, "points")
+
+
 def _points(values: ArrayLike) -> NDArray[np.float64]:
-    try:
-        table = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"points: cannot be read as an (N, 3) table of numbers ({error})") from None
-    if table.size == 0:
+    table = np.array(_host(points_of(values, "points")), dtype=np.float64)
+    if table.size == 0 and table.ndim <= 2:
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"points: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
@@ -212,9 +334,7 @@ def _points(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _data(values: ArrayLike, name: str, count: int) -> NDArray[np.generic]:
-    array = np.array(values)
-    if array.dtype.kind not in "fiub":
-        raise InputError(f"data: '{name}' has dtype {array.dtype}; give numbers")
+    array = np.array(read_array(values, f"data['{name}']", kinds="fiub"))
     if array.ndim not in (1, 2) or len(array) != count:
         raise InputError(f"data: '{name}' has shape {array.shape}; give one row for each of the {count} points")
     array.flags.writeable = False

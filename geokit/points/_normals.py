@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from geokit.errors import InputError
 from geokit.points._neighbors import NeighborGrid
@@ -17,7 +19,7 @@ from geokit.points.search.nearest_tree import build_tree
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["PointNormals", "normals"]
+__all__ = ["PointNormals", "normals", "planes", "turn_towards"]
 
 ORIENTATIONS = ("propagation", "viewpoint", "none")
 # Fewer points do not define a plane.
@@ -39,6 +41,11 @@ class PointNormals(NamedTuple):
     curvature: Any
 
 
+def _bytes(points: Any, *, k: int = 16, orientation: str = "propagation", **_: Any) -> float:
+    return rows(points) * (120 + (26 if orientation == "propagation" else 12) * k)
+
+
+@needs(_bytes)
 def normals(
     points: Any,
     *,
@@ -58,9 +65,11 @@ def normals(
 
     ``orientation`` sets the sign of a normal:
 
-    - "propagation": signs propagate along a minimum spanning tree of the graph of the ``k`` nearest points, whose edges
-      weigh 1 - abs(n_i . n_j). In each connected component the normal of the point with the largest z (lowest index
-      among ties) points up. Well-sampled closed surfaces get outward normals.
+    - "propagation": neighbors in the graph of the ``k`` nearest points agree. An edge compares two normals as they are
+      and after reflection in the plane halfway between the points, and counts where both say the same: not through a
+      thin body. Clusters of points join by the votes of all edges between them. Each connected component is turned so
+      that the volume above its lowest point, or above the clearest of three heights, is positive: closed surfaces get
+      outward normals, height fields upward ones. Surfaces that no edge joins are separate components.
     - "viewpoint": towards the viewpoint.
     - "none": the component of largest magnitude is positive.
 
@@ -71,6 +80,12 @@ def normals(
 
     Against the true surface: noise of a tenth of the spacing tilts normals by at most 15 degrees at k = 16. A
     neighborhood with a radius of up to 1.2 radii of curvature gives normals to 30 degrees at worst, 4 rms.
+
+    Propagated signs, for random points at k = 16, lengths in spacings (the side of a point's share of the surface):
+    closed plates of thickness 2.4 and more have at most 0.6 % wrong signs, 0.3 % from 2.7 on, 4 % at 2.1; tubes of
+    diameter 3 have 0.1 %; noise of 0.3 leaves 0.6 % wrong on plates of 3.2, noise of 0.5 leaves 3 % on boxes. Spheres
+    2.5 and sheets 3 apart have one sign each but for 0.6 and 1.5 %; whether it is the same is open. Thinner bodies, and
+    edges sharper than about 60 degrees, whose sides have their normals averaged, may have half of their signs wrong.
 
     Args:
         points: Positions [world], shape (N, 3), float32 or float64.
@@ -88,44 +103,60 @@ def normals(
             given with another orientation; there is no such device.
         DeviceMemoryError: The nearest points of all points do not fit in memory: 12 k bytes a point.
     Source:
-        Hoppe, DeRose, Duchamp, McDonald, Stuetzle, Surface reconstruction from unorganized points (1992). Differs: the
-        connected components of the graph of nearest points are not joined; each has its own upward point. Curvature:
-        Pauly, Gross, Kobbelt, Efficient simplification of point-sampled surfaces (2002).
+        Hoppe, DeRose, Duchamp, McDonald, Stuetzle, Surface reconstruction from unorganized points (1992). Differs:
+        edges count as above, with the reflection of Xie, Wang, Hua, Qin, Kaufman, Piecewise C1 continuous surface
+        reconstruction of noisy point clouds via local implicit quadric regression (2003); clusters vote; components
+        are not joined. Curvature: Pauly, Gross, Kobbelt, Efficient simplification of point-sampled surfaces (2002).
     Example:
         >>> square = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
         >>> gk.points.normals(square, k=4, device="cpu").normals[0].tolist()
         [0.0, 0.0, 1.0]
 
     Held by: tests/points/clouds/test_normals.py, tests/points/clouds/test_normals_envelope.py,
-    tests/accuracy/stability/test_envelopes.py
+    tests/points/clouds/test_normals_stability.py, tests/accuracy/stability/test_envelopes.py
     """
-    import warp as wp
-
-    from geokit.points.clouds import normals_kernels as kernels
-
-    k = _require_k(k)
+    k = require_count(k, "k", MIN_K, MAX_K)
     if radius is not None:
         radius = require_finite_scalar(radius, "radius", low=0.0)
     towards = _require_viewpoint(orientation, viewpoint)
     target = launcher.resolve_device(device)
     batch = read_vectors(points, "points", target)
-    rows, count = batch.array, len(batch)
-    normal = wp.zeros(count, dtype=wp.vec3d, device=target)
-    curvature = wp.zeros(count, dtype=wp.float64, device=target)
-    graph = None
-    if count and (radius is None or orientation == "propagation"):
-        graph = _graph(rows, min(k, count), target)
-    if radius is not None:
-        grid = NeighborGrid(rows, radius, device=target)._cells_for(radius).grid
-        given = [grid, wp.float64(radius), wp.float64(_scale(grid, radius))]
-        launcher.launch(kernels.within_plane_kernel, count, given, [normal, curvature], target)
-    elif graph is not None:
-        launcher.launch(kernels.nearest_plane_kernel, count, list(graph), [normal, curvature], target)
+    normal, curvature, graph = planes(batch.array, k, radius, target, graph_too=orientation == "propagation")
     if towards is not None:
-        launcher.launch(kernels.towards_kernel, count, [rows, wp.vec3d(*towards)], [normal], target)
+        turn_towards(normal, batch.array, towards, target)
     elif graph is not None and orientation == "propagation":
-        propagate_signs(rows, normal, graph.order, graph.neighbor, target)
+        propagate_signs(graph.points, normal, graph.order, graph.distance, graph.neighbor, target)
     return PointNormals(batch.to_caller(normal), batch.to_caller(curvature))
+
+
+def planes(
+    rows: "wp.array", k: int, radius: float | None, device: "wp.Device", *, graph_too: bool = False
+) -> tuple["wp.array", "wp.array", "_Graph | None"]:
+    """Normals and curvatures of vec3d points, unoriented, and the graph where the nearest points are used."""
+    import warp as wp
+
+    from geokit.points.clouds import normals_kernels as kernels
+
+    count = len(rows)
+    normal = wp.zeros(count, dtype=wp.vec3d, device=device)
+    curvature = wp.zeros(count, dtype=wp.float64, device=device)
+    graph = _graph(rows, min(k, count), device) if count and (radius is None or graph_too) else None
+    if radius is not None:
+        grid = NeighborGrid(rows, radius, device=device)._cells_for(radius).grid
+        given = [grid, wp.float64(radius), wp.float64(_scale(grid, radius))]
+        launcher.launch(kernels.within_plane_kernel, count, given, [normal, curvature], device)
+    elif graph is not None:
+        launcher.launch(kernels.nearest_plane_kernel, count, list(graph), [normal, curvature], device)
+    return normal, curvature, graph
+
+
+def turn_towards(normal: "wp.array", rows: "wp.array", viewpoint: list[float], device: "wp.Device") -> None:
+    """Turn the normals of vec3d points towards a viewpoint."""
+    import warp as wp
+
+    from geokit.points.clouds import normals_kernels as kernels
+
+    launcher.launch(kernels.towards_kernel, len(rows), [rows, wp.vec3d(*viewpoint)], [normal], device)
 
 
 class _Graph(NamedTuple):
@@ -168,25 +199,12 @@ def _scale(grid: Any, radius: float) -> float:
     return min(1.0 / longest, MAX_INVERSE)
 
 
-def _require_k(k: Any) -> int:
-    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not MIN_K <= k <= MAX_K:
-        raise InputError(f"k: {k!r} is not a whole number from {MIN_K} to {MAX_K}; give one")
-    return int(k)
-
-
 def _require_viewpoint(orientation: str, viewpoint: Any) -> list[float] | None:
-    if orientation not in ORIENTATIONS:
-        raise InputError(f"orientation: {orientation!r} is not known; give 'propagation', 'viewpoint' or 'none'")
+    require_choice(orientation, "orientation", ORIENTATIONS)
     if orientation != "viewpoint":
         if viewpoint is not None:
             raise InputError(f"viewpoint: orientation {orientation!r} takes none; give orientation='viewpoint'")
         return None
     if viewpoint is None:
         raise InputError("viewpoint: missing; orientation 'viewpoint' needs one")
-    try:
-        values = np.asarray(viewpoint, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"viewpoint: cannot be read as numbers ({error})") from error
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise InputError(f"viewpoint: {viewpoint!r} is not three finite numbers; give x, y and z")
-    return [float(value) for value in values]
+    return [float(value) for value in require_table(viewpoint, "viewpoint", (3,))]

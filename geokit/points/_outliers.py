@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.user_arrays import read_vectors, require_finite_scalar
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_choice, require_count
+from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
 from geokit.points._neighbors import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
@@ -21,6 +23,7 @@ __all__ = ["outliers"]
 METHODS = ("statistical", "radius")
 
 
+@needs(lambda points, **_: 210 * rows(points))
 def outliers(
     points: Any,
     *,
@@ -70,20 +73,18 @@ def outliers(
 
     Held by: tests/points/clouds/test_outliers.py, tests/points/clouds/test_clouds_property.py
     """
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} is not known; give 'statistical' or 'radius'")
+    require_choice(method, "method", METHODS)
     target = launcher.resolve_device(device)
+    k, ratio = require_count(k, "k", 1, MAX_K), require_finite_scalar(ratio, "ratio")
+    fewest = require_count(minimum_count, "minimum_count", 1, 2**31 - 1)
     if method == "radius":
         if radius is None:
             raise InputError("radius: missing; method 'radius' needs one")
-        fewest = _require_whole(minimum_count, "minimum_count", 1, 2**31 - 1)
-        batch = read_vectors(points, "points", target)
+        batch = read_vectors(points, "points", target, largest=LARGEST_MEASURED)
         return batch.to_caller(_sparse(batch.array, radius, fewest, target))
     if radius is not None:
         raise InputError("radius: method 'statistical' takes none; give method='radius', or k and ratio")
-    k = _require_whole(k, "k", 1, MAX_K)
-    ratio = require_finite_scalar(ratio, "ratio")
-    batch = read_vectors(points, "points", target)
+    batch = read_vectors(points, "points", target, largest=LARGEST_MEASURED)
     return batch.to_caller(_unusual(batch.array, k, ratio, target))
 
 
@@ -123,9 +124,3 @@ def _threshold(means: np.ndarray, ratio: float) -> float:
     greatest = above.max() or 1.0
     above /= greatest
     return float(least + greatest * (above.mean() + ratio * above.std(ddof=1)))
-
-
-def _require_whole(value: Any, name: str, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
-        raise InputError(f"{name}: {value!r} is not a whole number from {low} to {high}; give one")
-    return int(value)

@@ -9,10 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.user_arrays import read_vectors, require_finite_scalar
+from geokit.core.memory.needs import needs, rows
+from geokit.core.require import require_choice, require_count, require_table
+from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._surface import BYTES_PER_FACE
 from geokit.points._register_targets import Pairs, Target, make_target
-from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_step, point_step
+from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_rank, plane_step, point_step
+from geokit.volume._model import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp
@@ -25,10 +30,16 @@ METHODS = ("point_to_plane", "point_to_point")
 LEAST_PAIRS = {"point_to_plane": 6, "point_to_point": 3}
 # Tolerance on the orthonormality of a given start: six digits, as files store them.
 ROTATION_TOLERANCE = 1e-5
+# Steps halve errors or better; a pair that has not converged by then never will.
+MOST_ITERATIONS = 10_000
 # Steps shorter than this many roundings of the coordinates are rounding noise.
 STEP_ROUNDINGS = 16.0 * np.finfo(np.float64).eps
 # Runs of sums that are worth a thread; each run has 256 points.
 RUN_GRAIN = 4
+# Normals that are uncertain by so many times the median, squared, are at edges and tips: nothing there tells the rank.
+MOST_TILT = 3.0
+# A line is free to turn about itself, and to slide if its points are no samples of the same places.
+SLIDING_LINE_RANK = 4
 
 
 class Registration(NamedTuple):
@@ -40,8 +51,8 @@ class Registration(NamedTuple):
         fitness: Share of the source points that have a partner, from 0 to 1.
         iterations: Number of steps taken.
         converged: Whether the last step moved no point by more than the tolerance.
-        rank: Number of the six degrees of freedom that the last pairs determine. Below 6 there are motions that change
-            no distance, as of a plane along itself; the steps make none of them.
+        rank: Number of the six degrees of freedom that the shapes determine. Below 6 there are motions that change the
+            distances by no more than the sampling does, as of a plane along itself.
     """
 
     transform: NDArray[np.float64]
@@ -71,6 +82,15 @@ class _Pose(NamedTuple):
         return _Pose(orthonormal(step.rotation @ self.rotation), self.center, self.place + step.shift)
 
 
+def _bytes(source: Any, target: Any, *, target_normals: Any = None, **_: Any) -> float:
+    if isinstance(target, TriangleMesh):
+        return 360 * rows(source) + BYTES_PER_FACE * target.face_count
+    if isinstance(target, SparseVolume):
+        return 168 * rows(source)
+    return 100 * rows(source) + (312 if target_normals is None else 72) * rows(target)
+
+
+@needs(_bytes)
 def register(
     source: Any,
     target: Any,
@@ -104,8 +124,17 @@ def register(
     roundings of the coordinates. Sums are float64, about a center near the points, in a fixed order: the transform is
     the same for any number of threads.
 
-    Motions that the pairs do not determine are not made: a plane does not slide along itself, a line does not rotate
-    about itself. ``rank`` is the number of degrees of freedom determined.
+    Motions that change no distance are not made: a plane does not slide along itself, a line does not rotate about
+    itself.
+
+    ``rank`` is the number of degrees of freedom that the shapes determine. Against a cloud, a motion counts if it
+    changes the squared distances from the target's planes by more than three times what the uncertainty of the normals
+    explains, which is estimated from the normals around each partner: their noise, and their change over the distance
+    of the pair. Disjoint samples of a sphere have rank 3, of a plane 3, of an open cylinder 4, of a torus 5, of a line
+    (by points) 4, for given and estimated normals and noise up to 0.3 spacings. Bodies of full rank keep it from about
+    1,500 points on; below that, features of a few spacings may count as noise. If source and target are samples of the
+    same places (pairs a tenth as far apart as neighbors), or the target is a mesh or level set, normals are exact, and
+    all motions that change a distance count; with "point_to_point" those along the surface, too.
 
     Convergence: a noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45
     degrees; from 90 degrees on some runs end at another pose, which rmse shows.
@@ -140,17 +169,15 @@ def register(
         (0.1, 6, True)
 
     Held by: tests/points/clouds/test_register.py, tests/points/clouds/test_register_envelope.py,
-    tests/accuracy/stability/test_envelopes.py
+    tests/points/clouds/test_register_stability.py, tests/accuracy/stability/test_envelopes.py
     """
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} is not known; use one of {', '.join(map(repr, METHODS))}")
+    require_choice(method, "method", METHODS)
     limit = require_finite_scalar(max_distance, "max_distance", low=0.0, infinite=True)
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
-    if isinstance(max_iterations, bool) or not isinstance(max_iterations, (int, np.integer)) or max_iterations < 1:
-        raise InputError(f"max_iterations: {max_iterations!r} is not usable; give a whole number of 1 or more")
+    max_iterations = require_count(max_iterations, "max_iterations", 1, MOST_ITERATIONS)
     start = _require_rigid(initial)
     goal = make_target(target, target_normals, method == "point_to_plane", device)
-    points = read_vectors(source, "source", goal.device).array
+    points = read_vectors(source, "source", goal.device, largest=LARGEST_MEASURED).array
     if len(points) == 0:
         raise InputError("source: it has no points; give at least one")
     center, size, radius = _measure(points)
@@ -166,7 +193,7 @@ def register(
         rounding = STEP_ROUNDINGS * float(np.abs([pose.center, pose.place]).max() + radius)
         converged = bool(moved <= tolerance * size + rounding)
     sums = search.sums(pose)
-    rank = search.solve(sums).rank
+    rank = search.rank(pose, sums)
     rmse, fitness = math.sqrt(sums[1] / sums[0]), float(sums[0]) / len(points)
     return Registration(pose.matrix, rmse, fitness, steps, converged, rank)
 
@@ -177,12 +204,40 @@ class _Search:
     def __init__(self, points: "wp.array", target: Target, method: str, limit: float, size: float) -> None:
         self._points, self._target, self._method = points, target, method
         self._limit, self._size = limit, size
+        self._moved: Any = None
+        self._pairs: Any = None
 
     def step(self, pose: _Pose) -> Step:
         return self.solve(self.sums(pose))
 
     def solve(self, sums: NDArray[np.float64]) -> Step:
         return plane_step(sums, self._size) if self._method == "point_to_plane" else point_step(sums)
+
+    def rank(self, pose: _Pose, sums: NDArray[np.float64]) -> int:
+        """Number of determined motions, from the sums of the last pairs."""
+        import warp as wp
+
+        from geokit.points.clouds.register_kernels import tangents_kernel
+
+        rank = self.solve(sums).rank
+        found = self._target.tilts(self._moved, self._pairs) if rank > 3 else None
+        if found is None:
+            return rank
+        if rank == 5 and self._method == "point_to_point":
+            return SLIDING_LINE_RANK
+        pairs, tilt = found
+        paired = pairs.paired.numpy() == 1
+        most = MOST_TILT * float(np.median(tilt.numpy()[paired]))
+        device, count = self._target.device, len(self._moved)
+        sides = [wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2)]
+        kept = wp.empty(count, dtype=wp.int32, device=device)
+        given = [pairs.normal, pairs.paired, tilt, wp.float64(most)]
+        launcher.launch(tangents_kernel, count, given, [*sides, kept], device)
+        planes, *noise = (
+            self._summed(self._moved, Pairs(pairs.partner, along, kept), wp.vec3d(*pose.place), "point_to_plane")
+            for along in (pairs.normal, *sides)
+        )
+        return plane_rank(planes, noise[0] + noise[1])
 
     def sums(self, pose: _Pose) -> NDArray[np.float64]:
         """Sums over the pairs of the source in a pose."""
@@ -194,7 +249,8 @@ class _Search:
         moved = wp.empty(len(self._points), dtype=wp.vec3d, device=device)
         given = [wp.mat33d(*pose.rotation.ravel().tolist()), wp.vec3d(*pose.center), wp.vec3d(*pose.place)]
         launcher.launch(move_kernel, len(moved), [self._points, *given], [moved], device)
-        sums = self._summed(moved, self._target.pairs(moved, self._limit), given[2])
+        self._moved, self._pairs = moved, self._target.pairs(moved, self._limit)
+        sums = self._summed(moved, self._pairs, given[2], self._method)
         least = LEAST_PAIRS[self._method]
         if sums[0] < least:
             raise InputError(
@@ -204,14 +260,14 @@ class _Search:
             )
         return sums
 
-    def _summed(self, moved: "wp.array", pairs: Pairs, center: Any) -> NDArray[np.float64]:
+    def _summed(self, moved: "wp.array", pairs: Pairs, center: Any, method: str) -> NDArray[np.float64]:
         import warp as wp
 
         from geokit.points.clouds import register_kernels as kernels
 
         device = self._target.device
         runs = -(-len(moved) // int(kernels.SUM_RUN))
-        if self._method == "point_to_plane":
+        if method == "point_to_plane":
             kernel, width = kernels.plane_sums_kernel, int(kernels.PLANE_SUMS)
             inputs = [moved, *pairs, center, wp.float64(1.0 / self._size)]
         else:
@@ -249,12 +305,7 @@ def _in_order(points: "wp.array", center: NDArray[np.float64], radius: float) ->
 def _require_rigid(initial: Any) -> NDArray[np.float64]:
     if initial is None:
         return np.eye(4)
-    try:
-        matrix = np.asarray(initial, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"initial: cannot be read as a (4, 4) matrix of numbers ({error})") from error
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"initial: shape {matrix.shape} is not a finite (4, 4) matrix; give one")
+    matrix = require_table(initial, "initial", (4, 4))
     rotation = matrix[:3, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0 or (matrix[3] != [0.0, 0.0, 0.0, 1.0]).any():

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.user_arrays import read_vectors
+from geokit.core.interop.objects import has_faces
+from geokit.core.snapshot import snapshot
+from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors
 from geokit.errors import InputError
 from geokit.points.search.nearest import build_tree, nearest
 
@@ -24,6 +26,8 @@ __all__ = ["Pairs", "Target", "make_target"]
 NORMAL_NEIGHBORS = 16
 # Within a voxel of the band's edge, interpolation reads the constant background beyond it.
 BAND_MARGIN = 1.0
+# Points whose partners are nearer than this share of the second nearest are samples of the same places.
+SAME_PLACES = 0.1
 
 
 class Pairs(NamedTuple):
@@ -49,6 +53,13 @@ class Target(ABC):
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
         """Partners within the distance for moved points, vec3d (N,) [world]; the next call overwrites them."""
 
+    def tilts(self, moved: "wp.array", pairs: Pairs) -> tuple[Pairs, "wp.array"] | None:
+        """The last pairs with normals, and the squared uncertainty of each normal [rad^2], float64 (N,).
+
+        None if the normals are exact at the moved points: a surface's, or a cloud's with samples of the same places.
+        """
+        return None
+
     def room(self, count: int) -> Pairs:
         """Arrays for so many pairs, reused by every step."""
         import warp as wp
@@ -69,16 +80,17 @@ def make_target(target: Any, target_normals: Any, wants_normals: bool, device: A
         InputError: The argument is not a valid target, or the normals do not fit it.
     """
     from geokit.mesh._model import TriangleMesh
+    from geokit.mesh._objects import require_mesh
     from geokit.mesh._surface import Surface
     from geokit.volume._model import SparseVolume
 
-    if isinstance(target, TriangleMesh):
-        target = Surface(target, device=device)
+    if isinstance(target, TriangleMesh) or has_faces(target, "target"):
+        target = Surface(require_mesh(target, "target", images=False), device=device)
     if isinstance(target, (Surface, SparseVolume)):
         if target_normals is not None:
             kind = type(target).__name__
             raise InputError(f"target_normals: a {kind} has its own; give them with a cloud only")
-        return _SurfaceTarget(target) if isinstance(target, Surface) else _VolumeTarget(target, device)
+        return _SurfaceTarget(snapshot(target)) if isinstance(target, Surface) else _VolumeTarget(target, device)
     return _CloudTarget(target, target_normals, wants_normals, launcher.resolve_device(device))
 
 
@@ -87,7 +99,7 @@ class _CloudTarget(Target):
         import warp as wp
 
         super().__init__(device)
-        self._points = read_vectors(points, "target", device).array
+        self._points = read_vectors(points, "target", device, largest=LARGEST_MEASURED).array
         if len(self._points) == 0:
             raise InputError("target: it has no points; give at least one")
         self._normals = wp.empty(0, dtype=wp.vec3d, device=device)
@@ -99,10 +111,8 @@ class _CloudTarget(Target):
                 )
             self._normals = _unit(self._normals)
         elif wants_normals:
-            from geokit.points._normals import normals as estimated
-
-            # Signs do not affect distances from planes.
-            self._normals = estimated(self._points, k=NORMAL_NEIGHBORS, orientation="none", device=device).normals
+            self._estimate_normals()
+        self._wants_normals = wants_normals
         self._tree = build_tree(self._points)
         self._partner: Any = None
 
@@ -123,6 +133,33 @@ class _CloudTarget(Target):
         inputs = [self._partner, self._points, self._normals]
         launcher.launch(cloud_partner_kernel, len(moved), inputs, [*room], self.device)
         return room
+
+    def tilts(self, moved: "wp.array", pairs: Pairs) -> tuple[Pairs, "wp.array"] | None:
+        import warp as wp
+
+        from geokit.points.clouds import register_kernels as kernels
+
+        if len(self._points) < int(kernels.AROUND):
+            return None
+        distance, around = nearest(self._tree, int(kernels.AROUND), moved)
+        near = distance.numpy()[:, :2]
+        if np.median(near[:, 0] - SAME_PLACES * near[:, 1]) <= 0.0:
+            return None
+        if not self._wants_normals:
+            if not len(self._normals):
+                self._estimate_normals()
+            inputs = [self._partner, self._points, self._normals]
+            launcher.launch(kernels.cloud_partner_kernel, len(moved), inputs, [*pairs], self.device)
+        tilt = wp.empty(len(moved), dtype=wp.float64, device=self.device)
+        inputs = [moved, self._points, self._normals, around]
+        launcher.launch(kernels.tilt_kernel, len(moved), inputs, [tilt], self.device)
+        return pairs, tilt
+
+    def _estimate_normals(self) -> None:
+        from geokit.points._normals import normals
+
+        # Signs do not affect distances from planes.
+        self._normals = normals(self._points, k=NORMAL_NEIGHBORS, orientation="none", device=self.device).normals
 
 
 class _SurfaceTarget(Target):

@@ -6,12 +6,16 @@ window, among the libraries that can be loaded.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import glob
+import importlib.util
 import os
+from pathlib import Path
 from typing import Any
 
+from geokit._packages import require_package
 from geokit.errors import MissingDependencyError
 
 __all__ = ["BACKENDS", "gl_backend", "pyvista"]
@@ -37,6 +41,7 @@ def gl_backend() -> str:
     Raises:
         MissingDependencyError: Neither EGL nor OSMesa works here.
     """
+    _load_triton()
     preferred = (EGL, OSMESA) if any(glob.glob(pattern) for pattern in _GPU_NODES) else (OSMESA, EGL)
     wanted = os.environ.get(_VARIABLE, "")
     for name in dict.fromkeys([*([wanted] if wanted in _LIBRARIES else []), *preferred]):
@@ -44,9 +49,22 @@ def gl_backend() -> str:
             os.environ[_VARIABLE] = name
             return name
     raise MissingDependencyError(
-        "off-screen figures need EGL or OSMesa, and neither works here; "
-        "install the Debian packages libgl1 libegl1 (or libosmesa6)"
+        "off-screen figures need EGL or OSMesa, and neither works here; apt install libegl1 libgl1 (or libosmesa6)"
     )
+
+
+def _load_triton() -> None:
+    """Loads triton's library, if torch brought one, before the first window loads Mesa's.
+
+    Both hold a copy of LLVM. Mesa makes its own visible to every library that is loaded later, and triton 3.7 and
+    later then call it: `import torch._dynamo` after a figure ended the process. In this order each keeps its own.
+    """
+    found = importlib.util.find_spec("triton")
+    if found is None or found.origin is None:
+        return
+    library = Path(found.origin).parent / "_C" / "libtriton.so"
+    with contextlib.suppress(OSError):  # absent, or built for another system: triton's import says so better
+        ctypes.CDLL(str(library))
 
 
 def _loads(name: str) -> bool:
@@ -81,7 +99,6 @@ def _egl_draws() -> bool:
 
 def pyvista() -> Any:
     """The pyvista module, with a working OpenGL library chosen before its first window."""
+    module = require_package("pyvista")
     gl_backend()
-    import pyvista as module
-
     return module

@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geokit.core.memory.needs import needs
+from geokit.core.require import read_array, require_flag, require_items
 from geokit.errors import InputError
-from geokit.render._checks import checked_size, checked_target
+from geokit.render._checks import FLAT, chart_bytes, checked_label, checked_size, checked_target
 from geokit.render._image import new_axes, save_figure
 
 __all__ = ["Series", "chart"]
@@ -37,6 +39,7 @@ class Series(NamedTuple):
     notes: Sequence[str] = ()
 
 
+@needs(chart_bytes, fatal=True)
 def chart(
     path: str | os.PathLike[str],
     series: Sequence[Series],
@@ -50,7 +53,7 @@ def chart(
     """Draw series of numbers as lines with markers, by default on logarithmic axes.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png, .svg or .pdf file.
         series: The lines to draw, at least one.
         x_label: Label of the horizontal axis, with its unit.
         y_label: Label of the vertical axis, with its unit.
@@ -61,16 +64,20 @@ def chart(
         The path that was written.
     Raises:
         InputError: No series, different lengths of x and y, numbers that are not finite or, on logarithmic axes, not
-            positive, a wrong size, or a file name without .png.
+            positive, a wrong size, or another file name.
         FileAccessError: The target cannot be written.
     """
-    target = checked_target(path)
+    target = checked_target(path, FLAT)
     size = checked_size(size)
-    if not series:
+    for text, name in ((x_label, "x_label"), (y_label, "y_label"), (title, "title")):
+        checked_label(text, name)
+    require_flag(logarithmic, "logarithmic")
+    lines = require_items(series, "series", Series)
+    if not lines:
         raise InputError("series: empty; give at least one")
     figure, (axis,) = new_axes(size, 1)
-    for index, line in enumerate(series):
-        x, y = (np.asarray(values, dtype=np.float64) for values in (line.x, line.y))
+    for index, line in enumerate(lines):
+        x, y = (read_array(values, f"series[{index}]", np.float64) for values in (line.x, line.y))
         if x.ndim != 1 or x.shape != y.shape or (line.notes and len(line.notes) != len(x)):
             raise InputError(f"series {line.name!r}: x has shape {x.shape}, y {y.shape}; give equally many numbers")
         if not (np.isfinite(x).all() and np.isfinite(y).all()):

@@ -47,8 +47,8 @@ def dense_field(volume: "SparseVolume", *, resolution: int, margin: float = 0.0)
     finest = float(np.min(volume.info.voxel_size))
     step = max(longest / max(resolution - 1, 1), finest)
     counts = np.maximum(np.ceil(extent / step).astype(int) + 1 + 2 * int(margin), 2)
-    centre = bounds.mean(axis=0)
-    origin = centre - 0.5 * (counts - 1) * step
+    center = bounds.mean(axis=0)
+    origin = center - 0.5 * (counts - 1) * step
     axes = [origin[axis] + step * np.arange(counts[axis]) for axis in range(3)]
     positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     values = np.asarray(volume.sample(positions), dtype=np.float64)

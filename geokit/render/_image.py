@@ -10,9 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._packages import require_package
 from geokit.core.files import atomic_path
+from geokit.core.memory.needs import needs
+from geokit.core.require import read_array, require_mapping
 from geokit.errors import InputError
-from geokit.render._checks import SEQUENTIAL, checked_size, checked_target, value_range
+from geokit.render._checks import (
+    FLAT,
+    SEQUENTIAL,
+    chart_bytes,
+    checked_colormap,
+    checked_label,
+    checked_size,
+    checked_target,
+    require_drawable,
+    value_range,
+)
 
 __all__ = ["DPI", "image", "new_axes", "save_figure"]
 
@@ -20,6 +33,7 @@ __all__ = ["DPI", "image", "new_axes", "save_figure"]
 DPI = 100
 
 
+@needs(chart_bytes, fatal=True)
 def image(
     path: str | os.PathLike[str],
     panels: Mapping[str, Any] | Any,
@@ -32,7 +46,7 @@ def image(
     """Draw pixel arrays side by side; the first row of an array is at the top.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png, .svg or .pdf file.
         panels: One array, or a mapping from titles to arrays. An array holds values, shape (H, W), NaN where there is
             none, or colors in [0, 1], shape (H, W, 3).
         size: Width and height of the figure in pixels.
@@ -45,9 +59,12 @@ def image(
         InputError: A wrong shape, size, range or file name.
         FileAccessError: The target cannot be written.
     """
-    target = checked_target(path)
+    target = checked_target(path, FLAT)
     width, height = checked_size(size)
-    named = dict(panels) if isinstance(panels, Mapping) else {"": panels}
+    checked_label(label, "label")
+    checked_colormap(colormap)
+    value_range(np.empty(0), value_limits)
+    named = require_mapping(panels, "panels") if isinstance(panels, Mapping) else {"": panels}
     if not named:
         raise InputError("panels: empty; give at least one array")
     arrays = {title: _pixels(array, title) for title, array in named.items()}
@@ -65,14 +82,16 @@ def image(
 
 
 def _pixels(array: Any, title: str) -> NDArray[np.float64]:
-    pixels = np.asarray(array, dtype=np.float64)
+    pixels = read_array(array, f"panels[{title!r}]" if title else "panels", np.float64, kinds="fiub")
     if pixels.ndim not in (2, 3) or 0 in pixels.shape or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise InputError(f"panels: {title or 'the array'} has shape {pixels.shape}, not (H, W) or (H, W, 3)")
+    require_drawable(pixels, f"panels[{title!r}]" if title else "panels")
     return pixels
 
 
 def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
     """Create a figure without a window, with ``count`` axes in a row."""
+    require_package("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -84,6 +103,11 @@ def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
 
 
 def save_figure(figure: Any, target: Path) -> Path:
-    with atomic_path(target) as part:
-        figure.savefig(part, dpi=DPI, format="png")
+    """Write a figure in the format of its target. One figure gives the same bytes each time: files hold no date."""
+    import matplotlib
+
+    kind = target.suffix[1:].lower()
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with atomic_path(target) as part, matplotlib.rc_context({"svg.hashsalt": "geokit"}):
+        figure.savefig(part, dpi=DPI, format=kind, metadata=dates.get(kind))
     return target

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geokit._packages import require_package
 from geokit.errors import InputError
 from geokit.render._chart import COLORS, MARKERS
-from geokit.render._checks import checked_size, checked_target
+from geokit.render._checks import FLAT, checked_size, checked_target
 from geokit.render._image import DPI, save_figure
 
 __all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "power_text"]
@@ -71,7 +72,7 @@ def pareto_chart(
     """Draw settings as marks on logarithmic axes, and each Pareto front as a step line with a letter at each setting.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png, .svg or .pdf file.
         clouds: The marks.
         fronts: Name in the legend ("" for none), x, y and letters of each line, the fastest first.
         x_label: Label of the horizontal axis, with its unit.
@@ -91,7 +92,7 @@ def pareto_chart(
         InputError: Different lengths of x and y, numbers that are not finite and positive, a wrong size or file name.
         FileAccessError: The target cannot be written.
     """
-    target = checked_target(path)
+    target = checked_target(path, FLAT)
     names = sum(bool(name) for name in (*(cloud.name for cloud in clouds), *(front[0] for front in fronts)))
     figure, axis = _new_axis(checked_size(size), names + len(entries))
     axis.set_xscale("log")
@@ -147,6 +148,7 @@ def power_text(value: float) -> str:
 
 def _new_axis(size: tuple[int, int], list_length: int) -> tuple[Any, Any]:
     """Create a figure without a window, high enough for its list, with axes to the left of the list."""
+    require_package("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

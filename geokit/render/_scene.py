@@ -10,10 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
+from geokit.core.interop.objects import points_of
+from geokit.core.memory.needs import needs
+from geokit.core.require import read_array, require_choice, require_flag, require_instance
+from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, MissingDependencyError
 from geokit.render._backend import pyvista
-from geokit.render._checks import SEQUENTIAL, checked_size, checked_target, checked_values, value_range
+from geokit.render._camera import UP, View, camera_of, up_of, up_of_points, view_of
+from geokit.render._checks import (
+    SEQUENTIAL,
+    checked_colormap,
+    checked_label,
+    checked_size,
+    checked_target,
+    checked_values,
+    figure_bytes,
+    require_drawable,
+    value_range,
+)
 from geokit.render._grid import dense_field
+from geokit.render._painted import bytes_of, is_painted, own_colors, painted, shaded
+from geokit.render._passes import smooth_edges
+from geokit.render._shadow import add_shadow
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -23,21 +41,17 @@ __all__ = ["figure"]
 
 SURFACE_COLOR = "#b9c4cf"
 POINT_COLOR = "#c0392b"
-# Edges sharper than this [degrees] stay sharp under smooth shading.
-FEATURE_ANGLE = 35.0
 # Samples along the longest side: enough for 800 pixels, at most 10 MB.
 SURFACE_RESOLUTION = 160
 FOG_RESOLUTION = 128
 # Share of the longest side over which the densest fog hides what is behind it.
 FOG_DEPTH = 0.05
-# Direction from the scene to the camera, in units of right, up and towards the viewer.
-VIEW = (0.55, 0.35, 1.0)
-VIEW_ANGLE = 28.0
-# Share of the picture's height or width that the scene's bounding box may fill; a plate reaches to its corners.
-FILL = 0.97
 # Share of the width for the color bar.
 BAR_SHARE = 0.14
-UP = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# Between labels of a color bar.
+MOST_SPACES = 5
+EDGE_COLOR = "#2c3e50"
+LOOKS = ("values", "smoke")
 
 
 class _Look(NamedTuple):
@@ -75,6 +89,7 @@ class _Look(NamedTuple):
         }
 
 
+@needs(figure_bytes, fatal=True)
 def figure(
     path: str | os.PathLike[str],
     *,
@@ -90,21 +105,29 @@ def figure(
     value_limits: tuple[float, float] | None = None,
     opacity: float = 1.0,
     point_size: float | None = None,
-    up: str = "y",
+    up: str | None = None,
     transparent: bool = False,
+    azimuth: float | None = None,
+    elevation: float | None = None,
+    distance: float | None = None,
+    zoom: float = 1.0,
+    edges: bool = False,
+    shadow: bool = False,
+    look: str = "values",
 ) -> Path:
     """Draw a mesh, a volume, points, or several of them into a PNG file, without a display.
 
-    A level set is drawn as its surface at ``isovalue``. Any other grid is drawn as fog (vectors by their length), or as
-    its surface at ``isovalue`` if one is given.
+    A mesh is drawn with its textures, colors, materials' colors and normals where it has them, unless ``color`` is
+    given; what has alpha is seen through. A level set is drawn as its surface at ``isovalue``. Any other grid is drawn
+    as fog (vectors by their length), or as its surface at ``isovalue`` if one is given.
 
     Args:
         path: Target, a .png file.
         mesh: Triangles to draw.
         volume: A grid to draw.
-        points: Points to draw [world], shape (N, 3).
+        points: Points to draw [world], shape (N, 3), or a cloud, which is drawn in its own colors.
         color: A color name ("steelblue", "#336699"), or one value for each vertex or face of the mesh, or for each
-            point if only points are drawn.
+            point if only points are drawn; None for the own colors of the mesh or the cloud.
         point_color: A color name or one value for each point, if points are drawn together with a mesh or a volume.
         size: Width and height in pixels.
         isovalue: Value of the volume's surface; None means 0 for level sets, and fog for other grids.
@@ -113,41 +136,87 @@ def figure(
         value_limits: Values at the ends of the color map; None uses the range of the values.
         opacity: Opacity of the mesh or the volume's surface, in (0, 1].
         point_size: Diameter of a point in pixels; None chooses it by the number of points.
-        up: The world axis that points up in the picture: "x", "y" or "z".
+        up: The world axis that points up in the picture: "x", "y", "z", or "-x", "-y", "-z" for its other end. None is
+            the ``up_axis`` of the mesh, else z for a mesh that stands on a base along z and not along y, "-y" for
+            points in the frame of a depth camera, and y for all else.
         transparent: Leave the background transparent instead of white.
+        azimuth: Angle around the up axis from the front to the camera, to the right [degrees]; None is 28.8.
+        elevation: Angle of the camera above the horizon [degrees], from -90 to 90; None is 17.
+        distance: From the middle of the scene to the camera [world]; None fits the whole scene.
+        zoom: Size in the picture; 2 draws twice as large.
+        edges: Draw the edges of the triangles, of a volume's surface too.
+        shadow: Draw the soft shadow that surfaces and points throw on the ground below them under an even sky. Its
+            darkness is the share of the sky that the darkest horizontal slice of the scene hides, times 0.8.
+        look: How fog is drawn: "values" by the color map; "smoke" in white (or ``color``), lit from above left, with
+            its own shadow, in front of the dark. Smoke is drawn alone, and without OpenGL.
     Returns:
         The path that was written.
     Raises:
-        InputError: Nothing to draw, values that match no vertices, faces or points, a wrong size, axis, color or file
-            name.
+        InputError: Nothing to draw, values that match no vertices, faces or points, a wrong size, axis, color, look or
+            file name, smoke beside a mesh, points or a volume's surface, or a shadow of fog.
         FileAccessError: The target cannot be written.
         MissingDependencyError: No OpenGL library works here; the message names the packages.
+
+    Held by: tests/render/test_figures.py, tests/render/test_painted.py, tests/render/test_shadow.py
     """
+    from geokit.mesh._objects import require_mesh
+    from geokit.volume._model import SparseVolume
+
     target = checked_target(path)
     width, height = checked_size(size)
-    if up not in UP:
-        raise InputError(f"up: {up!r} is not one of x, y, z")
+    if up is not None:
+        require_choice(up, "up", UP)
+    checked_label(label, "label")
+    checked_colormap(colormap)
+    require_flag(transparent, "transparent")
+    require_flag(edges, "edges")
+    require_flag(shadow, "shadow")
+    require_choice(look, "look", LOOKS)
+    view = view_of(up or "y", azimuth, elevation, distance, zoom)
+    value_range(np.empty(0), value_limits)
+    opacity = require_finite_scalar(opacity, "opacity", low=0.0)
+    if isovalue is not None:
+        isovalue = require_finite_scalar(isovalue, "isovalue")
+    if point_size is not None:
+        point_size = require_finite_scalar(point_size, "point_size", low=0.0)
     if mesh is None and volume is None and points is None:
         raise InputError("nothing to draw: give mesh=, volume= or points=")
-    if not 0.0 < opacity <= 1.0:
-        raise InputError(f"opacity: {opacity!r} is outside (0, 1]")
+    if point_color is not None and points is None:
+        raise InputError("point_color: there are no points to color; give points=, or leave it out")
+    if opacity > 1.0:
+        raise InputError(f"opacity: {opacity} is outside (0, 1]; give a share")
+    if mesh is not None:
+        mesh = require_mesh(mesh, "mesh")
+    if volume is not None:
+        require_instance(volume, "volume", SparseVolume, "load or make one first")
+    if up is None and mesh is not None:
+        view = view._replace(up=up_of(mesh))
+    elif up is None and points is not None and volume is None:
+        view = view._replace(up=up_of_points(_positions(points)))
+    if shadow and volume is not None and not _is_surface(volume, isovalue):
+        raise InputError("shadow: fog throws none here; give an isovalue, or look='smoke', which shades itself")
+    if look == "smoke":
+        if volume is None or mesh is not None or points is not None or _is_surface(volume, isovalue):
+            raise InputError("look: smoke is drawn alone; give a volume= that is no level set, and no isovalue")
+        return _write_smoke(target, volume, color, view, (width, height), value_limits, transparent)
     pv = pyvista()
     plotter = pv.Plotter(off_screen=True, window_size=(width, height), lighting="light kit")
-    look = _Look(colormap, value_limits, label, height)
+    shown = _Look(colormap, value_limits, label, height)
     try:
         plotter.set_background("white")
         if mesh is not None:
-            _add_mesh(pv, plotter, mesh, color, opacity, look)
+            _add_mesh(pv, plotter, mesh, color, opacity, shown, edges)
         if volume is not None:
-            _add_volume(pv, plotter, volume, color if mesh is None else None, isovalue, opacity, look)
+            _add_volume(pv, plotter, volume, color if mesh is None else None, isovalue, opacity, shown, edges)
         if points is not None:
             alone = mesh is None and volume is None
             chosen = color if alone and point_color is None else point_color
-            _add_points(pv, plotter, points, chosen, point_size, look)
+            _add_points(pv, plotter, points, chosen, point_size, shown)
         for bar in plotter.scalar_bars.values():
             bar.SetVerticalTitleSeparation(height // 50)
-        _aim(plotter, up)
-        plotter.enable_anti_aliasing("ssaa")
+            _label_round_values(pv, bar)
+        _aim(plotter, view, add_shadow(pv, plotter, view.up) if shadow else np.array(plotter.bounds).reshape(3, 2))
+        smooth_edges(plotter)
         with atomic_path(target) as part:
             plotter.screenshot(str(part), transparent_background=transparent)
     finally:
@@ -155,50 +224,118 @@ def figure(
     return target
 
 
-def _add_mesh(pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, opacity: float, look: _Look) -> None:
+def _label_round_values(pv: Any, bar: Any) -> None:
+    """Label a color bar at round values, in place of fifths of its range."""
+    values = round_values(*bar.GetLookupTable().GetRange())
+    if len(values) > 1:
+        bar.SetUseCustomLabels(True)
+        bar.SetCustomLabels(pv.convert_array(values))
+
+
+def round_values(low: float, high: float) -> NDArray[np.float64]:
+    """Up to six multiples of 1, 2 or 5 times a power of ten between two limits."""
+    from matplotlib.ticker import MaxNLocator
+
+    values = np.asarray(MaxNLocator(MOST_SPACES, steps=[1, 2, 5, 10]).tick_values(low, high))
+    slack = 1e-6 * (values[1] - values[0])
+    values[np.abs(values) < slack] = 0.0
+    return values[(values >= low - slack) & (values <= high + slack)]
+
+
+def _add_mesh(
+    pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, opacity: float, look: _Look, edges: bool
+) -> None:
     if len(mesh.faces) == 0:
         raise InputError("mesh: has no faces: there is nothing to draw")
+    require_drawable(mesh.bounds, "mesh.bounds")
+    shown = {"opacity": opacity, **_MATERIAL, **_edges(edges, look)}
+    if color is None and is_painted(mesh):
+        for part in painted(pv, mesh, pv.Color(SURFACE_COLOR).float_rgb):
+            plotter.add_mesh(part.surface, scalars="rgb", rgb=True, texture=part.texture, **shown)
+        return
     surface = pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
     if color is None or isinstance(color, str):
-        plotter.add_mesh(_shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), opacity=opacity, **_MATERIAL)
+        plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **shown)
         return
     counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
     what, values = checked_values(color, "color", counts)
     data = surface.point_data if what == "vertices" else surface.cell_data
     data["value"] = values
     # Splitting at sharp edges copies vertices together with their values.
-    shaded = _shaded(surface)
     arguments = look.colored(values)
     arguments["scalars"] = "value"
-    plotter.add_mesh(shaded, opacity=opacity, **arguments, **_MATERIAL)
+    plotter.add_mesh(shaded(surface), **arguments, **shown)
 
 
 _MATERIAL = {"smooth_shading": True, "specular": 0.15, "specular_power": 20.0, "ambient": 0.08}
 
 
-def _shaded(surface: Any) -> Any:
-    """The surface with vertex normals, split at sharp edges."""
-    return surface.compute_normals(
-        cell_normals=False,
-        split_vertices=True,
-        feature_angle=FEATURE_ANGLE,
-        consistent_normals=False,
-        auto_orient_normals=False,
-    )
+def _edges(drawn: bool, look: _Look) -> dict[str, Any]:
+    # Super-sampling halves the width that VTK is given.
+    width = 2.0 * max(1.0, look.height / 900)
+    return {"show_edges": True, "edge_color": EDGE_COLOR, "line_width": width} if drawn else {}
 
 
 def _add_volume(
-    pv: Any, plotter: Any, volume: "SparseVolume", color: Any, isovalue: float | None, opacity: float, look: _Look
+    pv: Any,
+    plotter: Any,
+    volume: "SparseVolume",
+    color: Any,
+    isovalue: float | None,
+    opacity: float,
+    look: _Look,
+    edges: bool,
 ) -> None:
-    if color is not None and not isinstance(color, str):
-        raise InputError("color: a volume is drawn in one colour; give a colour name")
-    if isovalue is None and volume.info.grid_class != "level set":
+    _require_one_color(color)
+    if not _is_surface(volume, isovalue):
         _add_fog(pv, plotter, volume, look)
         return
-    surface = _isosurface(pv, volume, 0.0 if isovalue is None else float(isovalue))
+    surface = _isosurface(pv, volume, 0.0 if isovalue is None else isovalue)
     if surface.n_cells == 0:
         raise InputError(f"isovalue: grid {volume.info.name!r} has no surface at {isovalue or 0.0:g}; choose another")
-    plotter.add_mesh(_shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), opacity=opacity, **_MATERIAL)
+    plotter.add_mesh(
+        shaded(surface),
+        color=_named_color(pv, color, SURFACE_COLOR),
+        opacity=opacity,
+        **_MATERIAL,
+        **_edges(edges, look),
+    )
+
+
+def _is_surface(volume: "SparseVolume", isovalue: float | None) -> bool:
+    return isovalue is not None or volume.info.grid_class == "level set"
+
+
+def _require_one_color(color: Any) -> None:
+    if color is not None and not isinstance(color, str):
+        raise InputError("color: a volume is drawn in one color; give a color name")
+
+
+def _write_smoke(
+    target: Path,
+    volume: "SparseVolume",
+    color: Any,
+    view: View,
+    size: tuple[int, int],
+    limits: tuple[float, float] | None,
+    transparent: bool,
+) -> Path:
+    from geokit.render._smoke import draw_smoke
+
+    _require_one_color(color)
+    bounds = volume.info.world_bounds
+    if bounds is None:
+        raise InputError(f"grid {volume.info.name!r} has no active voxels: there is nothing to draw")
+    limits = None if limits is None else value_range(np.empty(0), limits)
+    camera = camera_of(view, bounds.T, size)
+    pixels = draw_smoke(volume, camera, size, limits=limits, color=color, transparent=transparent)
+    from matplotlib.image import imsave
+
+    anonymous: Any = {"Software": None}  # the same bytes with every matplotlib
+
+    with atomic_path(target) as part:
+        imsave(part, pixels if transparent else pixels[..., :3], format="png", metadata=anonymous)
+    return target
 
 
 def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
@@ -216,7 +353,7 @@ def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
 def _add_fog(pv: Any, plotter: Any, volume: "SparseVolume", look: _Look) -> None:
     field = dense_field(volume, resolution=FOG_RESOLUTION, margin=1)
     low, high = value_range(field.values, look.limits or _fog_limits(field.values))
-    named = look._replace(label=look.label or volume.info.name)
+    named = look._replace(label=look.label or volume.info.name.encode("utf-8", "replace").decode())
     depth = float(np.max(np.multiply(field.spacing, field.values.shape)))
     actor = plotter.add_volume(
         _image_data(pv, field),
@@ -250,15 +387,17 @@ def _image_data(pv: Any, field: Any) -> Any:
 
 
 def _add_points(pv: Any, plotter: Any, points: Any, color: Any, point_size: float | None, look: _Look) -> None:
-    table = np.asarray(points, dtype=np.float64)
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise InputError(f"points: shape {table.shape} is not (N, 3)")
-    if len(table) == 0:
-        raise InputError("points: empty: there is nothing to draw")
-    cloud = pv.PolyData(np.ascontiguousarray(table))
+    table = _positions(points)
     # Many points are drawn small, few large. Super-sampling halves the size that VTK is given.
     size = 2.0 * (point_size or float(np.clip(0.45 * look.height / np.sqrt(len(table)), 1.0, look.height / 80)))
     shape = {"point_size": size, "render_points_as_spheres": True, "ambient": 0.25}
+    cloud = pv.PolyData(np.ascontiguousarray(table))
+    own = own_colors(points, len(table)) if color is None else None
+    if own is not None:
+        cloud.point_data["rgb"] = bytes_of(own)
+        # Their light is in the colors already.
+        plotter.add_mesh(cloud, style="points", scalars="rgb", rgb=True, lighting=False, **shape)
+        return
     if color is None or isinstance(color, str):
         plotter.add_mesh(cloud, style="points", color=_named_color(pv, color, POINT_COLOR), **shape)
         return
@@ -266,39 +405,34 @@ def _add_points(pv: Any, plotter: Any, points: Any, color: Any, point_size: floa
     plotter.add_mesh(cloud, style="points", **look.colored(values), **shape)
 
 
+def _positions(points: Any) -> NDArray[np.float64]:
+    table: NDArray[np.float64] = read_array(points_of(points, "points"), "points", np.float64)
+    if table.ndim != 2 or table.shape[1] != 3:
+        raise InputError(f"points: shape {table.shape} is not (N, 3)")
+    if len(table) == 0:
+        raise InputError("points: empty: there is nothing to draw")
+    if not np.isfinite(table).all():
+        row = int(np.argmin(np.isfinite(table).all(axis=1)))
+        raise InputError(f"points: row {row} is not finite ({table[row].tolist()}); remove or replace such rows")
+    require_drawable(table, "points")
+    return table
+
+
 def _named_color(pv: Any, color: str | None, default: str) -> Any:
     try:
         return pv.Color(color or default)
     except ValueError as error:
-        raise InputError(f"color: {color!r} is not a colour; use a name such as 'steelblue' or '#336699'") from error
+        raise InputError(f"color: {color!r} is not a color; use a name such as 'steelblue' or '#336699'") from error
 
 
-def _aim(plotter: Any, up: str) -> None:
-    """Look at the whole scene from the front, a little from the right and from above."""
-    axis = np.array(UP[up])
-    # The right-hand direction in world axes, so that right, up and towards the viewer are a right-handed frame.
-    right = np.array((0.0, 0.0, 1.0) if up == "x" else (1.0, 0.0, 0.0))
-    view = VIEW[0] * right + VIEW[1] * axis + VIEW[2] * np.cross(right, axis)
-    view /= np.linalg.norm(view)
-    side = np.cross(axis, view)
-    side /= np.linalg.norm(side)
-    frame = np.stack([side, np.cross(view, side), view])
-
-    bounds = np.array(plotter.bounds).reshape(3, 2)
-    centre = bounds.mean(axis=1)
-    corners = np.array(np.meshgrid(*bounds, indexing="ij")).reshape(3, -1).T - centre
-    x, y, depth = frame @ corners.T
+def _aim(plotter: Any, view: View, bounds: NDArray[np.float64]) -> None:
     # A color bar takes its share of the width, and the scene shifts by half of that.
     share = 1.0 - BAR_SHARE if plotter.scalar_bars else 1.0
-    width, height = plotter.window_size
-    tangent = np.tan(np.radians(VIEW_ANGLE) / 2.0) * FILL
-    reach = np.maximum(np.abs(x) / (tangent * share * width / height), np.abs(y) / tangent)
-    distance = float(np.max(depth + reach)) or 1.0
-
+    placed = camera_of(view, bounds, plotter.window_size, share)
     camera = plotter.camera
-    camera.focal_point = centre
-    camera.position = centre + view * distance
-    camera.up = axis
-    camera.view_angle = VIEW_ANGLE
+    camera.focal_point = placed.center
+    camera.position = placed.position
+    camera.up = placed.frame[1]
+    camera.view_angle = np.degrees(2.0 * np.arctan(placed.tangent))
     camera.SetWindowCenter(1.0 - share, 0.0)
     plotter.reset_camera_clipping_range()

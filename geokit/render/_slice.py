@@ -9,9 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.memory.needs import needs
+from geokit.core.require import described, read_array, require_choice
+from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.render._checks import DIVERGING, SEQUENTIAL, checked_size, checked_target, value_range
+from geokit.render._checks import (
+    DIVERGING,
+    FLAT,
+    SEQUENTIAL,
+    chart_bytes,
+    checked_label,
+    checked_size,
+    checked_target,
+    value_range,
+)
 from geokit.render._image import new_axes, save_figure
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
@@ -30,6 +43,7 @@ BAND_EDGE = 1.0 - 1e-6
 INSIDE, OUTSIDE = 0.82, 1.0
 
 
+@needs(chart_bytes, fatal=True)
 def slice_figure(
     path: str | os.PathLike[str],
     volume: "SparseVolume",
@@ -48,7 +62,7 @@ def slice_figure(
     gray and the outside white. Other grids are colored from low to high, vectors by their length.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png, .svg or .pdf file.
         volume: The grid.
         axis: The axis that the plane is perpendicular to: "x", "y" or "z".
         position: Coordinate of the plane on the axis [world]; None uses the middle of the active voxels.
@@ -63,16 +77,21 @@ def slice_figure(
         InputError: An unknown axis, a grid without active voxels, a wrong size or file name.
         FileAccessError: The target cannot be written.
     """
-    target = checked_target(path)
+    target = checked_target(path, FLAT)
     width, height = checked_size(size)
-    if axis not in AXES:
-        raise InputError(f"axis: {axis!r} is not one of x, y, z")
+    require_choice(axis, "axis", tuple(AXES))
+    for text, name in ((label, "label"), (title, "title")):
+        checked_label(text, name)
+    require_volume(volume, "volume")
+    levels = None if contours is None else read_array(contours, "contours", np.float64)
+    if levels is not None and (levels.ndim != 1 or not np.isfinite(levels).all()):
+        raise InputError(f"contours: {described(levels.tolist())} is not a list of finite numbers; give one")
     bounds = volume.info.world_bounds
     if bounds is None:
         raise InputError(f"grid {volume.info.name!r} has no active voxels: there is nothing to draw")
     across = AXES.index(axis)
     right, up = [other for other in range(3) if other != across]
-    where = float(bounds[:, across].mean()) if position is None else float(position)
+    where = float(bounds[:, across].mean()) if position is None else require_finite_scalar(position, "position")
     u, v = _samples(bounds[:, right], bounds[:, up], width, height)
     positions = np.empty((len(v), len(u), 3))
     positions[..., right], positions[..., up] = np.meshgrid(u, v)
@@ -83,7 +102,7 @@ def slice_figure(
     values = values.reshape(len(v), len(u))
 
     signed = volume.info.grid_class == "level set"
-    low, high = value_range(values, None, centred=signed)
+    low, high = value_range(values, None, centered=signed)
     figure, (panel,) = new_axes((width, height), 1)
     placed: dict[str, Any] = {"origin": "lower", "extent": (u[0], u[-1], v[0], v[-1])}
     beyond = _beyond_band(values, volume.info.background) if signed else np.zeros(values.shape, dtype=bool)
@@ -98,9 +117,10 @@ def slice_figure(
     if beyond.any():
         shade = np.ma.array(np.where(values < 0.0, INSIDE, OUTSIDE), mask=~beyond)
         panel.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest", **placed)
-    _draw_contours(panel, u, v, values, contours, (low, high), signed)
-    panel.set(xlabel=AXES[right], ylabel=AXES[up], title=title or f"{volume.info.name} at {axis} = {where:.4g}")
-    figure.colorbar(drawn, ax=panel, label=label or volume.info.name)
+    name = volume.info.name.encode("utf-8", "replace").decode()
+    _draw_contours(panel, u, v, values, levels, (low, high), signed)
+    panel.set(xlabel=AXES[right], ylabel=AXES[up], title=title or f"{name} at {axis} = {where:.4g}")
+    figure.colorbar(drawn, ax=panel, label=label or name)
     return save_figure(figure, target)
 
 
@@ -118,10 +138,10 @@ def _samples(u_bounds: Any, v_bounds: Any, width: int, height: int) -> tuple[Any
 
 
 def _draw_contours(
-    panel: Any, u: Any, v: Any, values: Any, contours: Sequence[float] | None, limits: tuple[float, float], signed: bool
+    panel: Any, u: Any, v: Any, values: Any, contours: np.ndarray | None, limits: tuple[float, float], signed: bool
 ) -> None:
     low, high = limits
-    levels = np.linspace(low, high, CONTOUR_COUNT + 2)[1:-1] if contours is None else np.asarray(contours, dtype=float)
+    levels = np.linspace(low, high, CONTOUR_COUNT + 2)[1:-1] if contours is None else contours
     # A level that no sample reaches would make matplotlib warn.
     inside = np.unique(levels[(levels > values.min()) & (levels < values.max())])
     if signed:

@@ -7,6 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from geokit.core import launcher
+from geokit.core.forks import renew_after_fork
+from geokit.core.launches import warp_private
+from geokit.core.require import require_callable, require_count, require_instance, require_items
 from geokit.errors import InputError
 
 __all__ = ["Team"]
@@ -51,10 +54,15 @@ class Team:
         import warp as wp
 
         self.device = launcher.resolve_device(device)
-        if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-            raise InputError(f"threads: {threads!r} is not a positive whole number; leave it out for all processors")
+        if threads is not None:
+            threads = require_count(threads, "threads", 1)
         self.threads = 1 if self.device.is_cuda else threads or launcher.thread_count()
         self._meeting = wp.zeros(MEETING_SIZE, dtype=wp.int32, device=self.device)
+        self._after_fork()
+        renew_after_fork(self)
+
+    def _after_fork(self) -> None:
+        self._meeting.zero_()  # a launch of the parent may have been under way
         # One thread makes the launches, one after the other. The caller's thread must not: if it were interrupted after
         # starting some of the threads only, these would wait at their barrier forever.
         self._first = ThreadPoolExecutor(1, thread_name_prefix="geokit-team")
@@ -80,11 +88,14 @@ class Team:
 
         from geokit.threads._team_kernels import Share
 
-        arguments = kernel.adj.args
-        if not arguments or arguments[0].type is not Share:
+        require_instance(kernel, "kernel", wp.Kernel, "decorate a function with @wp.kernel")
+        inputs = require_items(inputs, "inputs")
+        parameters = warp_private.parameters(kernel)
+        if parameters is not None and (not parameters or parameters[0][1] is not Share):
             raise InputError(f"kernel: the first parameter of {kernel.key} is no gk.threads.Share; put one there")
-        if count < 0 or block < 1:
-            raise InputError(f"count, block: {count} and {block}; give 0 items or more, in blocks of 1 or more")
+        count, block = require_count(count, "count", 0, 2**31 - 1), require_count(block, "block", 1, 2**31 - 1)
+        if self.device.is_cuda and count == 0:
+            return lambda: None  # warp records no launch of nothing
         threads = max(1, min(self.threads, -(-count // block)))
         shares = [Share() for _ in range(threads)]
         for k, share in enumerate(shares):
@@ -93,9 +104,13 @@ class Team:
             if self.device.is_cpu:
                 share.count, share.step, share.block = _items_of(k, threads, count, block), 1, block
         items = count if self.device.is_cuda else 1
-        calls = [
-            wp.launch(kernel, items, [share, *inputs], device=self.device, record_cmd=True).launch for share in shares
-        ]
+        try:
+            calls = [
+                wp.launch(kernel, items, [share, *inputs], device=self.device, record_cmd=True).launch
+                for share in shares
+            ]
+        except Exception as error:  # of warp, which does not know the type of an input
+            raise InputError(f"inputs: {kernel.key} cannot take them ({error}); give what follows its share") from error
 
         def run() -> None:
             if threads == 1:
@@ -132,6 +147,8 @@ class Team:
         """
         import warp as wp
 
+        items: list[Any] = require_items(calls, "calls")
+        calls = [require_callable(call, "calls") for call in items]
         has_run, graph = False, None
 
         def run() -> None:

@@ -9,11 +9,16 @@ from ._from_mesh import (
     from_mesh_with_triangles as from_mesh_with_triangles,
     MeshBand as MeshBand,
 )
+from .streamed.from_mesh_file import from_mesh_file as from_mesh_file
 from ._plan import plan as plan, PlannedField as PlannedField
 from ._from_points import from_points as from_points
 from ._from_function import from_function as from_function
 from ._dense import from_dense as from_dense, to_dense as to_dense, DenseGrid as DenseGrid
+from ._convert import to_pyvista as to_pyvista, to_xarray as to_xarray
 from ._from_channel import from_channel as from_channel, channel_names as channel_names
+
+# The active voxels and their values as flat arrays.
+from ._values import active_voxels as active_voxels, with_values as with_values, ActiveVoxels as ActiveVoxels
 
 # Queries at points and along rays.
 from ._sample import sample as sample, gradient as gradient
@@ -44,7 +49,12 @@ from ._differential import (
 )
 from ._resample import resample as resample
 from ._quantize import quantize as quantize
-from ._topology import clip as clip, prune as prune, segment as segment
+from ._topology import clip as clip, prune as prune
+from ._components import (
+    connected_components as connected_components,
+    segment as segment,
+    ConnectedComponents as ConnectedComponents,
+)
 
 # Distance fields of several voxel sizes: small voxels only where edges need them.
 from ._adaptive import (

@@ -5,13 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 from geokit.core import launcher
+from geokit.core.blocks.several_devices import over_devices
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import read_vectors
 from geokit.volume._model import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
+from geokit.volume.tree.leaves import require_volume
 
 __all__ = ["active_at"]
 
 
+@over_devices()
+@replayed()
+@needs(lambda volume, points, **_: 5 * rows(points), late=True)
 def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device: Any = None) -> Any:
     """Return whether the voxel nearest to each point is active.
 
@@ -22,7 +29,7 @@ def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device
         volume: A grid of any type, index grids included.
         points: Query points [world], shape (N, 3).
         space: Space of ``points``: "world", or "index", where voxel centers lie at whole numbers.
-        device: Where to compute; None for the first GPU, else the CPU.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
 
     Returns:
         bool (N,) in the container of ``points``.
@@ -43,9 +50,10 @@ def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device
 
     from geokit.volume.sampling.active_kernels import active_kernel
 
+    require_volume(volume, "volume")
     require_space(space)
     target = launcher.resolve_device(device)
-    batch = read_vectors(points, "points", target)
+    batch = read_vectors(points, "points", target, single=True)
     out = wp.empty(len(batch), dtype=wp.bool, device=target)
     launcher.launch(active_kernel, len(batch), query_inputs(volume, batch.array, space), [out], target)
     return batch.to_caller(out)

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
-from geokit.core.pinned import host_flags
-from geokit.errors import FileFormatError, InputError
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import file_size, needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.object_cache import CacheAttribute
+from geokit.core.require import require_count, require_items, require_text
+from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.volume._io import load_all, save
 from geokit.volume._model import SparseVolume
+from geokit.volume._quantize import CODECS
+from geokit.volume._sample import gradient as volume_gradient
+from geokit.volume._sample import sample as volume_sample
 from geokit.volume.adaptive.build import build_band_level, build_finer_level
+from geokit.volume.adaptive.cells import CellLattice
 from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
-from geokit.volume.adaptive.level_sizes import choose
+from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels_or_one
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
-from geokit.volume.band.fields import hash_of, resolve_surface
-from geokit.volume.nanovdb.provenance import VOXEL_SIZE, provenance, with_more
+from geokit.volume.band.fields import hash_of
+from geokit.volume.nanovdb.provenance import ORDER, VOXEL_SIZE, provenance, with_more
 from geokit.volume.sampling.space import world_to_index
-from geokit.volume.tolerance.zone import checked_within
+from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within
+from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
+from geokit.volume.tolerance.search import Search, Setting
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -30,11 +43,10 @@ if TYPE_CHECKING:
 
 __all__ = ["LEVEL", "LEVEL_COUNT", "AdaptiveSDF", "adaptive_from_mesh", "load_adaptive"]
 
+# Largest number of levels, if the caller does not say.
+MOST_LEVELS = 12
 LEVEL = "geokit:level"
 LEVEL_COUNT = "geokit:level_count"
-# Share of the tolerance up to which a cell is accepted. Between the checked places the error is a little larger, and
-# each cell that fails a later check costs another round.
-ACCEPTED_SHARE = 0.97
 # Rounds of checks on fresh points. Each round finds fewer failing cells than the one before, since those are refined.
 MOST_ROUNDS = 12
 # Random points of a round for each cell, up to the limit on draws.
@@ -55,30 +67,50 @@ GRAIN = 16
 class AdaptiveSDF:
     """A distance field in levels of grids, where each level has half the voxel size of the one before.
 
-    A cell (the box between eight voxels) is answered by the next finer level where all 27 voxels of its eight halves
-    are active in that level, else by its own level. So the finest level that has a point's cell answers the point, and
-    the field is everywhere the trilinear interpolant of eight exact distances. Between cells of different levels it
-    jumps by no more than their errors.
+    A cell (the box between eight voxels) is answered by the next finer level where all voxels that the interpolants of
+    its eight halves read are active in that level (3^3, 4^3 and 5^3 voxels at orders 1, 2 and 3), else by its own
+    level. So the finest level that has a point's cell answers the point, and the field is everywhere an interpolant of
+    exact distances, rounded to the level's codec. Between cells of different levels it jumps by no more than their
+    errors. The order of interpolation is that which level 0 records ("geokit:order"), else 1.
 
     Args:
-        levels: Float grids, the coarsest first. Level 0 is a level set around the whole surface.
+        levels: Float or quantized grids, the coarsest first. Level 0 is a level set around the whole surface.
     Raises:
-        InputError: There are no levels, they are not float grids, or the voxels of a level are not half the size of
-            those of the level before.
+        InputError: There are no levels, they are neither float nor quantized grids, or the voxels of a level are not
+            half the size of those of the level before.
     """
 
     levels: tuple[SparseVolume, ...]
     _tables: dict[str, AdaptiveTable] = field(default_factory=dict, repr=False, compare=False)
+    # Holds recordings of small queries.
+    _cache: ClassVar[CacheAttribute] = CacheAttribute()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "levels", tuple(require_items(self.levels, "levels")))
         if not self.levels:
             raise InputError("levels: none given; give at least one grid")
         for number, level in enumerate(self.levels):
             if not isinstance(level, SparseVolume):
                 raise InputError(f"levels[{number}]: {type(level).__name__} is not a SparseVolume; give float grids")
-            if level.info.grid_type != "float":
-                raise InputError(f"levels[{number}]: a grid of type {level.info.grid_type}; give float grids")
+            if level.info.grid_type not in CODECS:
+                raise InputError(
+                    f"levels[{number}]: a grid of type {level.info.grid_type}; give float or quantized grids"
+                )
         shifts_of(self.levels)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in self.__dict__.items() if name != "_cache"}
+        return {**kept, "_tables": {}}  # they belong to devices
+
+    @property
+    def order(self) -> int:
+        """Order of interpolation: 1, 2 or 3. Level 0 records it; without a record it is 1."""
+        return self.levels[0].info.order or 1
+
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Storage of the values of each level: "float", "fp16", "fp8", "fp4" or "fpn"."""
+        return tuple(level.info.grid_type for level in self.levels)
 
     @property
     def level_count(self) -> int:
@@ -110,6 +142,9 @@ class AdaptiveSDF:
         """The 99.9th percentile of those errors [world], or None if unknown."""
         return self.levels[0].info.achieved_error_999
 
+    @differentiable("geokit.volume.sampling.gradients:ADAPTIVE", "points")
+    @replayed()
+    @needs(lambda self, points, **_: 12 * rows(points), late=True)
     def sample(self, points: Any, *, device: Any = None) -> Any:
         """Signed distance at each point, negative inside.
 
@@ -128,10 +163,13 @@ class AdaptiveSDF:
         """
         return self._answer(points, device, gradient=False)
 
+    @replayed()
+    @needs(lambda self, points, **_: 28 * rows(points), late=True)
     def gradient(self, points: Any, *, device: Any = None) -> Any:
         """Gradient of the interpolant of :meth:`sample` at each point; next to the surface it is close to the normal.
 
-        It is exact for the interpolant and jumps between cells. Outside the box of level 0 it is 0.
+        It is exact for the interpolant. It jumps between cells, at order 3 only between levels. Outside the box of
+        level 0 it is 0.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -145,8 +183,12 @@ class AdaptiveSDF:
         """
         return self._answer(points, device, gradient=True)
 
+    @needs(lambda self, *_, **__: 2 * sum(len(level.nanovdb) for level in self.levels))
     def save(self, path: str | os.PathLike[str], *, codec: str | None = None) -> None:
         """Write all levels into one .vdb or .nvdb file, which :func:`load_adaptive` reads.
+
+        A .nvdb file keeps the levels as they are. OpenVDB has no quantized grids, so a .vdb file holds the same values
+        as floats. Both keep the order of interpolation.
 
         Args:
             path: Target file.
@@ -160,22 +202,28 @@ class AdaptiveSDF:
     def _answer(self, points: Any, device: Any, *, gradient: bool) -> Any:
         import warp as wp
 
-        from geokit.volume.adaptive import sample_kernels as kernels
+        from geokit.volume.adaptive import sample_kernels, stencil_kernels
 
         target = launcher.resolve_device(device)
+        is_plain = self.order == 1 and set(self.codecs) == {"float"}
+        if self.level_count == 1 and not is_plain:
+            query = volume_gradient if gradient else volume_sample
+            return query(self.levels[0], points, order=self.order, device=target)
         table = self._table(target)
-        batch = user_arrays.read_vectors(points, "points", target, defer=True, keep_float32=True)
-        count, grouped = len(batch), target.is_cpu
+        batch = user_arrays.read_vectors(points, "points", target, defer=True, keep_float32=True, single=True)
+        count, grouped = len(batch), is_plain and target.is_cpu
         if gradient:
-            choices = kernels.GRADIENT_GROUPS if grouped else kernels.GRADIENT_SINGLES
+            choices = sample_kernels.GRADIENT_CPU if grouped else sample_kernels.GRADIENT_CUDA
             kinds, outside = (wp.vec3f, wp.vec3d), wp.vec3d(0.0, 0.0, 0.0)
         else:
-            choices = kernels.SAMPLE_GROUPS if grouped else kernels.SAMPLE_SINGLES
+            choices = sample_kernels.SAMPLE_CPU if grouped else sample_kernels.SAMPLE_CUDA
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
+        if not is_plain:
+            choices = stencil_kernels.STENCILS[self.order][gradient]
         out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
         bad = host_flags(1, target)
         inputs = [table.levels, batch.rows, *world_to_index(self.levels[0]), outside]
-        items = -(-count // kernels.GROUP) if grouped else count
+        items = -(-count // sample_kernels.GROUP) if grouped else count
         launcher.launch(choices[batch.is_float32], items, inputs, [out, bad], target, grain=GRAIN if grouped else 0)
         if count and bad.numpy()[0]:
             user_arrays.require_finite(batch, "points")
@@ -183,7 +231,7 @@ class AdaptiveSDF:
 
     def _table(self, device: Any) -> AdaptiveTable:
         if device.alias not in self._tables:
-            self._tables[device.alias] = adaptive_table(self.levels, device)
+            self._tables[device.alias] = adaptive_table(self.levels, self.order, device)
         return self._tables[device.alias]
 
     def __repr__(self) -> str:
@@ -191,36 +239,47 @@ class AdaptiveSDF:
         return f"AdaptiveSDF({self.levels[0].info.name!r}, voxel sizes {sizes}, {self.byte_count} bytes)"
 
 
+@needs()
 def adaptive_from_mesh(
     mesh: TriangleMesh | Surface,
     tolerance: float,
     *,
     within: float | None = None,
-    max_levels: int = 12,
+    order: int | None = None,
+    codec: str | None = None,
+    max_levels: int = MOST_LEVELS,
     sign: str = "auto",
     name: str | None = None,
     device: Any = None,
 ) -> AdaptiveSDF:
     """Signed distance field of a mesh, negative inside, with voxels only as small as the tolerance requires.
 
-    A trilinear interpolant needs small voxels next to sharp edges, while large voxels are enough on flat faces. Every
-    cell that contains a point of the zone (all points no farther than ``within`` from the surface) is checked: on the
-    edges and corners of the mesh, halfway between the faces of its edges, along the way to the surface from the cell's
-    voxels and center, and, where gradients differ, at up to 125 more points. Cells that miss the tolerance are refined
-    to voxels of half the size. Of the voxel sizes that were tried, those that take the least memory are kept. Where the
-    faces of a part lie on a common lattice, its voxels do too.
+    Next to sharp edges an interpolant needs small voxels, while large voxels are enough on flat and gently curved
+    faces. Every cell that contains a point of the zone (all points no farther than ``within`` from the surface) is
+    checked: on the edges and corners of the mesh, halfway between the faces of its edges, along the way to the surface
+    from the cell's voxels and center, and, where gradients differ, at up to 125 more points. Cells that miss the
+    tolerance, less what the codec may change, are refined to voxels of half the size. Orders 3 and 1 and several voxel
+    sizes are tried, and each level has the codec that suits its voxels. Where the faces of a part lie on a common
+    lattice, its voxels do too.
+
+    One voxel size is a choice as well: if several do not promise at most 0.95 of its bytes, the field has one level,
+    the grid that ``from_mesh(tolerance=)`` would make. The checks below are at other points than those of
+    ``from_mesh``, so a grid that keeps the tolerance only just may fail one of them, and the next best one takes up to
+    1.15 times as many bytes in the tests. :func:`geokit.volume.plan` says beforehand which of both is smaller.
 
     Then random points of the zone that took no part in the refinement are compared with the exact distance: 250,000 on
     faces, edges and corners, or three for each cell where that is more (at most 3 million), and others around the worst
-    of them. While one of them misses the tolerance, its cell is refined and new points are drawn. ``achieved_error``
-    and ``achieved_error_999`` are measured in the last round, in which no point missed. The metadata of each level
-    holds both of them, the entries that :func:`from_mesh` describes, and the level's number as "geokit:level" and
-    "geokit:level_count". The error is measured, not proven: a crease that cuts off next to nothing of a cell can stay
-    undetected. In all property tests it stays within the tolerance at yet other points.
+    of them. While one of them misses the tolerance, its cell is refined (or one voxel size is searched again) and new
+    points are drawn. ``achieved_error`` and ``achieved_error_999`` are measured in the last round, in which no point
+    missed. The metadata of each level holds both of them, the entries that :func:`from_mesh` describes, and the level's
+    number as "geokit:level" and "geokit:level_count". The error is measured, not proven: a crease that cuts off next to
+    nothing of a cell can stay undetected (1.01 tolerances at one of 600,000 points, where bodies overlap). In all
+    property tests it stays within the tolerance at yet other points.
 
-    Compared with the grid of a single voxel size that keeps the same tolerance, at 1e-3 of the box the bracket of
-    data/samples takes a fifth of the bytes and a scanned bunny half; at 1e-4 they take a seventieth and a seventh
-    (docs/design/adaptive.md). A smooth body gains nothing.
+    Several levels pay where the scale of a body differs from place to place: a ball with twenty small cubes on it at
+    1e-3 of the diagonal takes 0.43 of the bytes of one voxel size. Each level costs an upper node of 270 kB, so at
+    coarse tolerances, and on smooth bodies, one level is the smallest (docs/design/adaptive.md). Fields of order 1 and
+    codec "float" take more memory and are sampled over ten times as fast on a CPU.
 
     Args:
         mesh: Triangles, or a Surface of them, whose tree (and device) is then used.
@@ -228,6 +287,8 @@ def adaptive_from_mesh(
         within: Distance from the surface up to which the tolerance holds [world]. None for the tolerance itself, or a
             quarter of it if the mesh is open: beside an open border the sign jumps, and so does the field, by twice the
             distance.
+        order: Order of interpolation, 1, 2 or 3; None for the best.
+        codec: Storage of the values of all levels, as in :func:`geokit.volume.quantize`; None for the best of each.
         max_levels: Largest number of levels.
         sign: Method that tells inside from outside, as for ``Surface.signed_distance``.
         name: Name of level 0, and prefix of the names of the others; None for the mesh's name.
@@ -248,29 +309,40 @@ def adaptive_from_mesh(
         >>> bool(abs(field.sample([[0.25, 0.25, 0.0]], device="cpu")[0]) <= 0.01)
         True
 
-    Held by: tests/volume/adaptive/test_adaptive_property.py
+    Held by: tests/volume/adaptive/test_adaptive_property.py, tests/volume/adaptive/test_adaptive_stability.py,
+        tests/volume/adaptive/test_adaptive_envelope.py
     """
-    if sign == "none":
+    if name is not None:
+        require_text(name, "name")
+    if require_text(sign, "sign") == "none":
         raise InputError("sign: 'none' makes no signed field; use from_mesh for unsigned distances")
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
-    if isinstance(max_levels, bool) or not isinstance(max_levels, (int, np.integer)) or max_levels < 1:
-        raise InputError(f"max_levels: {max_levels!r} is not a whole number of levels; give 1 or more")
-    surface, method, _ = resolve_surface(mesh, sign, None, device)
-    within = checked_within(within, tolerance, jumps=not surface.is_closed)
+    max_levels = require_count(max_levels, "max_levels", 1)
+    search = tolerance_search(
+        mesh,
+        tolerance,
+        within=within,
+        order=order,
+        half_width=None,
+        sign=sign,
+        thickness=None,
+        codec=codec,
+        device=device,
+    )
+    surface = search.memory.surface
     name = surface.mesh.name if name is None else name
-    tree = choose(surface, method, within, ACCEPTED_SHARE * tolerance, int(max_levels))
-    made, largest, p999 = _checked(tree, name, tolerance)
+    made, achieved = _least(search, name, max_levels)
     found = {
         **provenance(
             surface.mesh.name,
             hash_of(surface.mesh),
             tolerance=tolerance,
-            achieved_error=largest,
-            achieved_error_999=p999,
-            checked_within=within,
-            order=1,
+            achieved_error=achieved.largest,
+            achieved_error_999=achieved.p999,
+            checked_within=search.zone.within,
+            order=made.order,
         ),
-        "geokit:sign_method": method,
+        "geokit:sign_method": search.sign_method,
         "geokit:sign_reason": surface.sign_reason if sign == "auto" else "asked for",
     }
     sizes, count = made.voxel_sizes, made.level_count
@@ -279,19 +351,22 @@ def adaptive_from_mesh(
     return made
 
 
-def load_adaptive(path: str | os.PathLike[str]) -> AdaptiveSDF:
+@needs(lambda path, **_: 2 * file_size(path))
+def load_adaptive(path: str | os.PathLike[str], *, memory_limit: int | None = None) -> AdaptiveSDF:
     """Load the adaptive field in a .vdb or .nvdb file; other grids of the file are ignored.
 
     Args:
         path: File written by :meth:`AdaptiveSDF.save`, or one that holds the same grids.
+        memory_limit: As for :func:`load`, for all grids together.
     Returns:
         AdaptiveSDF with the levels and the metadata of the file, the coarsest level first.
     Raises:
         FileFormatError: The file is damaged, or its levels do not belong to one field.
         InputError: The extension is neither .vdb nor .nvdb, or there is no such file.
         MissingDependencyError: .vdb without the OpenVDB extension.
+        DeviceMemoryError: The content is larger than memory_limit.
     """
-    grids = [(grid.info.metadata.get(LEVEL), grid) for grid in load_all(path).values()]
+    grids = [(grid.info.metadata.get(LEVEL), grid) for grid in load_all(path, memory_limit=memory_limit).values()]
     levels = {number: grid for number, grid in grids if isinstance(number, int)}
     if not levels:
         raise FileFormatError(f"{path}: no grid has {LEVEL!r} in its metadata; save an AdaptiveSDF there")
@@ -311,18 +386,64 @@ def _numbered(grids: list[tuple[Any, SparseVolume]]) -> int:
     return sum(isinstance(number, int) for number, _ in grids)
 
 
-def _checked(tree: Refinement, name: str, tolerance: float) -> tuple[AdaptiveSDF, float, float]:
-    """Correct the field until a round of fresh points passes; returns it, that round's largest error and 99.9 %."""
+def _least(search: Search, name: str, max_levels: int) -> tuple[AdaptiveSDF, Achieved]:
+    """The field of fewest bytes: several levels, or one voxel size as from_mesh makes it, and its errors."""
+    one, levels = levels_or_one(search, max_levels)
+    tree, single = levels.tree, None
+    if one is not None and (tree is None or levels.byte_count > CLOSE * one.byte_count):
+        with contextlib.suppress(InputError, DeviceMemoryError):
+            # The checks may find what the search had not seen, until nothing is left.
+            single = _single(search, name)
+        if single is not None and (tree is None or levels.byte_count > WORTH_LEVELS * single[0].byte_count):
+            return single
+    tree = tree or levels_of(search, max_levels).tree
+    assert tree is not None
+    try:
+        made = _checked(tree, name, search.tolerance)
+    except InputError:
+        if one is None:
+            raise
+        return single or _single(search, name)
+    return single if single is not None and single[0].byte_count <= made[0].byte_count else made
+
+
+def _single(search: Search, name: str) -> tuple[AdaptiveSDF, Achieved]:
+    """The field of one voxel size of least memory that passes the checks of an adaptive field."""
+    surface = search.memory.surface
+
+    def make(setting: Setting) -> SparseVolume:
+        return with_more(make_setting(search, setting, name), {ORDER: setting.option.order})
+
+    def check(volume: SparseVolume, setting: Setting, trial: int) -> Achieved:
+        size = setting.voxel_size
+        lattice = CellLattice(surface, search.sign_method, search.zone.bounds[0], size, search.zone.within)
+        draws = _draws(volume.info.active_voxel_count or 0)
+        seeds = range(SEED + MOST_DRAWS * trial, SEED + MOST_DRAWS * trial + draws)
+        alone = AdaptiveSDF((volume,))
+        found, points, drawn = _errors_of(alone, lattice, lambda p: np.full(len(p), size), seeds, search.tolerance)
+        worst = points[np.argsort(found)[-TOLD * len(CLIMBING_RADII) :]]
+        return Achieved(float(found.max()), float(np.quantile(found[:drawn], 0.999)), worst)
+
+    _, volume, achieved = made_within(search, make, check=check)
+    assert volume is not None
+    assert achieved is not None
+    return AdaptiveSDF((volume,)), achieved
+
+
+def _checked(tree: Refinement, name: str, tolerance: float) -> tuple[AdaptiveSDF, Achieved]:
+    """Correct the field until a round of fresh points passes; returns it and that round's errors."""
     made, seed = _built(tree, name, None), SEED
+
+    def sizes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(tree.lattice.size / 2.0 ** tree.locate(points)[0], np.float64)
+
     for _ in range(MOST_ROUNDS):
         _require_reached(tree, tolerance)
-        cells = made.levels[0].info.active_voxel_count or 0
-        cells += 8 * sum(map(len, tree.refined))
-        draws = min(MOST_DRAWS, 1 + POINTS_PER_CELL * cells // DRAWN_POINTS)
-        found, points, drawn = _errors_of(made, tree, range(seed, seed + draws), tolerance)
+        draws = _draws((made.levels[0].info.active_voxel_count or 0) + 8 * sum(map(len, tree.refined)))
+        found, points, drawn = _errors_of(made, tree.lattice, sizes, range(seed, seed + draws), tolerance)
         seed += draws
         if found.max() <= tolerance:
-            return made, float(found.max()), float(np.quantile(found[:drawn], 0.999))
+            return made, Achieved(float(found.max()), float(np.quantile(found[:drawn], 0.999)), points[:0])
         missed = found > tolerance
         tree.correct(points[missed], found[missed])
         made = _built(tree, name, made)
@@ -331,11 +452,26 @@ def _checked(tree: Refinement, name: str, tolerance: float) -> tuple[AdaptiveSDF
     raise AssertionError("unreachable")
 
 
+def _draws(cells: int) -> int:
+    return min(MOST_DRAWS, 1 + POINTS_PER_CELL * cells // DRAWN_POINTS)
+
+
 def _errors_of(
-    made: AdaptiveSDF, tree: Refinement, seeds: range, tolerance: float
+    made: AdaptiveSDF,
+    lattice: CellLattice,
+    sizes: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    seeds: range,
+    tolerance: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Errors (N,) at fresh points of the zone and around the worst of them, these points, and how many are fresh."""
-    lattice = tree.lattice
+    """Errors (N,) at fresh points of the zone and around the worst of them, these points, and how many are fresh.
+
+    Args:
+        made: The field.
+        lattice: The surface and its zone.
+        sizes: Returns the size of the cell around each point [world].
+        seeds: Random seeds, one for each draw.
+        tolerance: Points whose errors come near it are moved about.
+    """
     device = lattice.surface.device
     places, errors = [], []
     for seed in seeds:
@@ -348,10 +484,9 @@ def _errors_of(
         high = np.flatnonzero(found > CLIMBING_SHARE * tolerance)
         if len(high) > MOST_CLIMBING:
             high = high[np.argpartition(found[high], -MOST_CLIMBING)[-MOST_CLIMBING:]]
-        level, _ = tree.locate(points[high])
-        sizes = radius * lattice.size / 2.0**level
         around = np.repeat(points[high], CLIMBING_MOVES, axis=0)
-        moved = around + random.uniform(-1.0, 1.0, around.shape) * np.repeat(sizes, CLIMBING_MOVES)[:, None]
+        reach = np.repeat(radius * sizes(points[high]), CLIMBING_MOVES)
+        moved = around + random.uniform(-1.0, 1.0, around.shape) * reach[:, None]
         exact = np.asarray(lattice.surface.signed_distance(moved, sign=lattice.sign).distance)
         kept = np.abs(exact) <= lattice.within
         points = np.concatenate([points, moved[kept]])
@@ -370,10 +505,10 @@ def _require_reached(tree: Refinement, tolerance: float) -> None:
 
 def _built(tree: Refinement, name: str, before: AdaptiveSDF | None) -> AdaptiveSDF:
     """The grids of a refinement; level 0 is taken from ``before`` if that is given."""
-    coarsest = build_band_level(tree.lattice, name) if before is None else before.levels[0]
+    coarsest = build_band_level(tree.lattice, tree.storage, name) if before is None else before.levels[0]
     background = float(coarsest.info.background)
     finer = [
-        build_finer_level(tree.lattice_of(number), keys, background, f"{name} level {number}".strip())
-        for number, keys in enumerate(tree.refined, 1)
+        build_finer_level(tree, number, background, f"{name} level {number}".strip())
+        for number in range(1, tree.level_count)
     ]
     return AdaptiveSDF((coarsest, *finer))

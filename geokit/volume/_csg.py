@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from geokit.core.memory.needs import needs
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
+from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.mask_csg import combined_masks
 from geokit.volume.tree.openvdb_call import call_openvdb
 
@@ -23,6 +25,7 @@ WIDEST_BLEND = 256.0
 BLEND_MARGIN = 1.0
 
 
+@needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Union of level sets, or of masks: the region inside at least one of them.
 
@@ -59,6 +62,7 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     return _combined("union", (a, b, *more), smooth)
 
 
+@needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Intersection of level sets, or of masks: the region inside all of them.
 
@@ -82,6 +86,7 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     return _combined("intersection", (a, b, *more), smooth)
 
 
+@needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Difference of level sets, or of masks: the region inside the first and outside all others.
 

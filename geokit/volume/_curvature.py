@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
+from geokit.core.blocks.several_devices import over_devices
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import Batch, read_vectors
 from geokit.errors import UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import is_scalar, require_order, view_as
 from geokit.volume.sampling.space import query_inputs, require_space
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     import warp as wp
@@ -31,6 +35,9 @@ class Curvatures(NamedTuple):
     principal: Any
 
 
+@over_devices()
+@replayed()
+@needs(lambda volume, points, **_: 96 * rows(points), late=True)
 def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
     """Hessian (matrix of second derivatives) of a volume at each point.
 
@@ -44,7 +51,7 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
         order: 2 (triquadratic) or 3 (tricubic).
         space: Space of ``points`` and of the derivatives: "world", or "index", where voxel centers lie at whole
             numbers.
-        device: Where to compute; None for the first GPU, else the CPU.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
 
     Returns:
         Symmetric matrices [value / world^2] in the container of ``points``, shape (N, 3, 3), float64 (float32 where the
@@ -67,6 +74,9 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
     return batch.to_caller(view_as(second, wp.float64, (len(batch), 3, 3)))
 
 
+@over_devices()
+@replayed()
+@needs(lambda volume, points, **_: 128 * rows(points), late=True)
 def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
     """Curvatures of the level set through each point.
 
@@ -84,7 +94,7 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
         volume: A scalar grid, such as a level set.
         points: Query points [world], shape (N, 3).
         order: 2 (triquadratic) or 3 (tricubic).
-        device: Where to compute; None for the first GPU, else the CPU.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
 
     Returns:
         Curvatures with mean (N,) [1 / world], gaussian (N,) [1 / world^2] and principal (N, 2) [1 / world], in the
@@ -127,6 +137,7 @@ def _derivatives(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
+    require_volume(volume, "volume")
     order = require_order(order, lowest=2)
     require_space(space)
     if not is_scalar(volume):
@@ -134,7 +145,7 @@ def _derivatives(
             f"volume: grid {volume.info.name!r} of type {volume.info.grid_type} has no Hessian here; use a scalar grid"
         )
     target = launcher.resolve_device(device)
-    batch = read_vectors(points, "points", target)
+    batch = read_vectors(points, "points", target, single=True)
     slope = wp.empty(len(batch), dtype=wp.vec3d, device=target)
     second = wp.empty(len(batch), dtype=wp.mat33d, device=target)
     kernel, _ = query_kernel("hessian", order, 1, False)

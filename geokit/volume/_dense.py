@@ -8,22 +8,31 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher, user_arrays
+from geokit.core import launcher, user_arrays
+from geokit.core.interop.objects import image_of
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs
+from geokit.core.require import described, read_array, require_text
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
-from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, layout_of
-from geokit.volume.nanovdb.types import FLOAT, INDEX_TYPES
-from geokit.volume.tree.dense_tiles import VOXELS_AT_A_TIME, DenseTiles, block_keys
+from geokit.volume.nanovdb.header import info_of
+from geokit.volume.nanovdb.layout import LAYOUTS
+from geokit.volume.nanovdb.types import INDEX_TYPES
+from geokit.volume.tree.dense_tiles import (
+    BYTES_PER_FILLED_LEAF,
+    BYTES_PER_LEAF,
+    VOXELS_AT_A_TIME,
+    DenseTiles,
+    mark_inside,
+)
 from geokit.volume.tree.dense_typed import DenseRule, background_of, layout_for, tree_of_dense
-from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.device_leaves import fill_leaves
 from geokit.volume.tree.grid_head import GridHead, checked_head
+from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.typed_writer import build_grid
 
 __all__ = ["DenseGrid", "from_dense", "to_dense"]
 
-# A float leaf; its values and mask before it is written; its origin and place.
-BYTES_PER_LEAF = 2144 + 2112 + 96
 # Fewest rows of voxels that are worth a slice of a launch.
 ROW_GRAIN = 16
 INT32 = np.iinfo(np.int32)
@@ -44,12 +53,21 @@ class DenseGrid(NamedTuple):
     transform: NDArray[np.float64]
 
 
+def _dense_bytes(values: Any, *, grid_type: str | None = None, **_: Any) -> float:
+    shape = np.shape(values)
+    leaves = math.prod(-(-length // 8) for length in shape[:3])
+    own = "float" if getattr(values, "dtype", None) == np.float32 and len(shape) == 3 else ""
+    is_filled = (grid_type or own) == "float"
+    return leaves * (BYTES_PER_FILLED_LEAF if is_filled else BYTES_PER_LEAF) * math.prod(shape[3:])
+
+
+@needs(_dense_bytes, late=True)
 def from_dense(
     values: Any,
     *,
     transform: Any = None,
     voxel_size: Any = None,
-    origin: Any = (0, 0, 0),
+    origin: Any = None,
     background: Any = 0,
     tolerance: float = 0.0,
     name: str = "",
@@ -65,17 +83,20 @@ def from_dense(
     grid's type. An array returned by ``to_dense`` is not rounded in a grid of its type.
 
     Without ``grid_type``, floats of any size become "float", "vec3f" or "vec4f", bools become "bool", and whole numbers
-    keep their own type: "int16", "int32", "int64", "uint8", "uint32", "vec3u8", "vec3u16" or "rgba8" (int8 becomes
-    "int16", uint16 "int32"). In a level set or fog volume, whole numbers become "float". The types "double", "vec3d",
-    "vec4d", "half" and "mask" must be requested by name. OpenVDB's files cannot store int16, uint8, half, vec3u8,
-    vec3u16 and rgba8.
+    keep their own type where NanoVDB has it (int8 becomes "int16", uint16 "int32"; four uint8 are "rgba8"). In a level
+    set or fog volume, whole numbers become "float". Other types must be requested by name. OpenVDB's files store the
+    types that OpenVDB has; saving another as .vdb is an error that says so.
 
     Args:
         values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) with C = 3 or 4 components: a NumPy array or
-            anything that NumPy can read, a warp array, or a DLPack exporter.
+            anything that NumPy can read, a warp array, or a DLPack exporter. Or an object with values, a place and a
+            name, which hold where no arguments are given: a DenseGrid, pyvista's ImageData (its active scalars; those
+            of cells lie at their centers), or xarray's DataArray (dims x, y, z in any order, else by place; evenly
+            spaced coordinates).
         transform: Index to world, shape (4, 4); give this or ``voxel_size``.
         voxel_size: Edge length of a voxel [world], or three of them; index (0, 0, 0) then lies at the world's origin.
-        origin: Index of the voxel ``values[0, 0, 0]``, three whole numbers.
+            None, and no transform, is 1.
+        origin: Index of the voxel ``values[0, 0, 0]``, three whole numbers; None is (0, 0, 0).
         background: Value of all voxels that are not stored: a number, or one for each component. Positive for a level
             set, False for a mask.
         tolerance: Largest difference from the background, in each component, that still counts as background [value
@@ -104,10 +125,19 @@ def from_dense(
     Held by: tests/volume/tree/test_dense.py, tests/volume/tree/test_dense_types.py,
         tests/volume/tree/test_dense_property.py
     """
+    if grid_type is not None:
+        require_text(grid_type, "grid_type")
+    require_text(grid_class, "grid_class")
+    placed = values if isinstance(values, DenseGrid) else image_of(values, "values")
+    if placed is not None:
+        values = placed.values
+        origin = placed.origin if origin is None else origin
+        transform = placed.transform if transform is None and voxel_size is None else transform
+        name = name or getattr(placed, "name", "")
     dense = _read_dense(values)
     layout = layout_for(dense, grid_type, grid_class)
     matrix = _transform_of(transform, voxel_size)
-    start = _whole_numbers(origin, "origin", (3,))
+    start = _whole_numbers((0, 0, 0) if origin is None else origin, "origin", (3,))
     last = start + np.array(dense.shape[:3])
     if (start < INT32.min).any() or (last - 1 > INT32.max).any():
         raise InputError(f"origin: {start.tolist()} puts voxels beyond int32; use a smaller one")
@@ -115,7 +145,8 @@ def from_dense(
     if tolerance < 0.0:
         raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
     if layout.name == "float":
-        background = float(np.float32(user_arrays.require_finite_scalar(background, "background")))
+        with np.errstate(over="ignore"):
+            background = float(np.float32(user_arrays.require_finite_scalar(background, "background")))
     else:
         background = background_of(background, layout)
     level_set = grid_class == "level set"
@@ -132,18 +163,19 @@ def from_dense(
 
 def _float_grid(tiles: DenseTiles, head: GridHead) -> NDArray[np.uint8]:
     leaves, inside = tiles.sort_out()
-    need, have = len(leaves) * BYTES_PER_LEAF, available_memory.available_host()
+    need, have = len(leaves) * BYTES_PER_FILLED_LEAF, available_memory.available_host()
     if need > have:
         raise DeviceMemoryError(
             f"values: {len(leaves)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger tolerance, "
-            "or parts of the array"
+            "or parts of the array",
+            need=need,
         )
-    values, masks = tiles.contents(leaves)
-    buffer = build_leaves(head, leaves.astype(np.int32), values, masks, signed=False)
-    _mark_inside(buffer, inside, head.background)
+    buffer = fill_leaves(head, leaves.astype(np.int32), lambda *rows: tiles.fill(leaves, *rows))
+    mark_inside(buffer, inside, head.background)
     return buffer
 
 
+@needs()
 def to_dense(
     volume: SparseVolume,
     *,
@@ -182,11 +214,12 @@ def to_dense(
 
     Held by: tests/volume/tree/test_dense.py
     """
+    require_volume(volume, "volume")
     if channel is not None or volume.info.grid_type in INDEX_TYPES:
         from geokit.volume._from_channel import from_channel
 
         volume = from_channel(volume, 0 if channel is None else channel)
-    native, components = _native_of(volume)
+    native, components = native_of(volume)
     wanted = native if dtype is None else _dtype(dtype, native)
     box = volume.info.index_bounds if bounds is None else _whole_numbers(bounds, "bounds", (2, 3))
     if box is None:
@@ -199,7 +232,8 @@ def to_dense(
     if need > have:
         raise DeviceMemoryError(
             f"bounds: {' x '.join(map(str, size))} voxels of {wanted} need {need >> 20} MiB of the {have >> 20} MiB "
-            "free; ask for a smaller box, or sample() the points that matter"
+            "free; ask for a smaller box, or sample() the points that matter",
+            need=need,
         )
     values = np.empty((*size, components), wanted)
     _read_box(volume, box[0], values, launcher.resolve_device(device))
@@ -249,23 +283,6 @@ def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
     return DENSE_KERNELS[components], {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components]
 
 
-def _mark_inside(buffer: NDArray[np.uint8], inside: NDArray[np.int64], background: float) -> None:
-    """Write the value of the inner tiles into their slots; each has a lower node. The checksum does not cover nodes."""
-    if not len(inside):
-        return
-    layout, tree = layout_of(FLOAT, "float grid"), tree_header(buffer)
-    begin, count = TREE_OFFSET + int(tree["node_offset"][1]), int(tree["node_count"][1])
-    # A node's box lies within the node and starts at its first active voxel, or at the node's first voxel if none is
-    # active.
-    node_keys = block_keys(np.ndarray((count, 3), "<i4", buffer, begin, (layout.lower_size, 4)).astype(np.int64))
-    order = np.argsort(node_keys, kind="stable")
-    node = order[np.searchsorted(node_keys[order], block_keys(inside))]
-    slot = inside >> 3 & 15
-    strides = (layout.lower_size, layout.table_stride)
-    tiles = np.ndarray((count, LOWER_SLOTS), "<f4", buffer, begin + layout.lower_table, strides)
-    tiles[node, slot[:, 0] << 8 | slot[:, 1] << 4 | slot[:, 2]] = -background
-
-
 def _read_dense(values: Any) -> NDArray[Any]:
     import warp as wp
 
@@ -275,8 +292,10 @@ def _read_dense(values: Any) -> NDArray[Any]:
         elif not isinstance(values, np.ndarray) and hasattr(values, "__dlpack__"):
             array = wp.from_dlpack(values).numpy()
         else:
-            array = np.asarray(values)
-    except (TypeError, ValueError, RuntimeError, AttributeError, BufferError) as error:
+            array = read_array(values, "values", kinds="fiub")
+    except InputError:
+        raise
+    except Exception as error:  # of the other library, or warp
         raise InputError(f"values: cannot be read as an array of numbers ({error}); pass a NumPy array") from error
     if array.ndim not in (3, 4) or array.dtype.kind not in "fiub":
         raise InputError(
@@ -287,32 +306,26 @@ def _read_dense(values: Any) -> NDArray[Any]:
 
 
 def _transform_of(transform: Any, voxel_size: Any) -> NDArray[np.float64]:
-    if (transform is None) == (voxel_size is None):
+    if transform is not None and voxel_size is not None:
         raise InputError("transform: give either a transform or a voxel_size")
-    try:
-        if transform is not None:
-            return np.asarray(transform, np.float64)
-        sizes = np.broadcast_to(np.asarray(voxel_size, np.float64), 3)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{'transform' if voxel_size is None else 'voxel_size'}: {error}; give numbers") from None
-    if not (np.isfinite(sizes) & (sizes > 0.0)).all():
-        raise InputError(f"voxel_size: {voxel_size} is not positive and finite; give one edge length or three")
-    return np.diag([*sizes, 1.0])
+    if transform is not None:
+        return read_array(transform, "transform", np.float64)
+    sizes = read_array(1.0 if voxel_size is None else voxel_size, "voxel_size", np.float64)
+    if sizes.shape not in ((), (1,), (3,)) or not (np.isfinite(sizes) & (sizes > 0.0)).all():
+        raise InputError(f"voxel_size: {sizes.tolist()} is not positive and finite; give one edge length or three")
+    return np.diag([*np.broadcast_to(sizes, 3), 1.0])
 
 
 def _whole_numbers(value: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    try:
-        numbers = np.asarray(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: {value!r} is no array of numbers; give whole numbers {shape}") from error
+    numbers = read_array(value, name, np.float64)
     if numbers.shape != shape or not np.isfinite(numbers).all() or (numbers != np.floor(numbers)).any():
-        raise InputError(f"{name}: {value!r} is not an array {shape} of whole numbers; give voxel indices")
+        raise InputError(f"{name}: {described(value)} is not an array {shape} of whole numbers; give voxel indices")
     if (np.abs(numbers) > 2.0**53).any():
-        raise InputError(f"{name}: {value!r} is beyond int32; give voxel indices")
+        raise InputError(f"{name}: {described(value)} is beyond int32; give voxel indices")
     return numbers.astype(np.int64)
 
 
-def _native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
+def native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
     """Type in which the values of a grid are stored, and number of components of a voxel."""
     layout = LAYOUTS.get(volume.info.grid_type)
     if layout is None:
@@ -325,9 +338,11 @@ def _native_of(volume: SparseVolume) -> tuple[np.dtype[Any], int]:
 
 def _dtype(dtype: Any, native: np.dtype[Any]) -> np.dtype[Any]:
     try:
+        if isinstance(dtype, (np.generic, np.ndarray)):
+            raise TypeError("a value, not a type")
         wanted = np.dtype(dtype)
-    except TypeError as error:
-        raise InputError(f"dtype: {dtype!r} is no NumPy type; use one that holds {native}") from error
+    except Exception as error:  # of the caller's own type
+        raise InputError(f"dtype: {described(dtype)} is no NumPy type; use one that holds {native}") from error
     if wanted.kind not in "fiub" or not np.can_cast(native, wanted, "same_kind"):
         raise InputError(f"dtype: {wanted} does not hold the grid's {native}; use a float type or {native}")
     return wanted

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.needs import needs
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
+from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import LEAF_VOXELS, assemble, leaves_of, require_volume, voxelized
 
 __all__ = ["curl", "divergence", "gradient_field", "laplacian"]
@@ -22,6 +24,7 @@ LEAVES_AT_A_TIME = 16384
 METRIC_ROUNDING = 1e-15
 
 
+@needs(lambda volume, *_, **__: 26300 * leaf_count(volume))
 def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space gradient at every active voxel.
 
@@ -47,6 +50,7 @@ def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     return _derived(require_volume(volume, "volume", SCALARS), kernels.gradient_kernel, 3, device)
 
 
+@needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
 def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space divergence at every active voxel.
 
@@ -76,6 +80,7 @@ def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     return _derived(volume, kernels.staggered_divergence_kernel, 1, device)
 
 
+@needs(lambda volume, *_, **__: 26300 * leaf_count(volume))
 def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space curl at every active voxel.
 
@@ -102,6 +107,7 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     return _derived(volume, kernels.curl_kernel, 3, device)
 
 
+@needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
 def laplacian(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
     """World-space Laplacian at every active voxel.
 
@@ -142,7 +148,8 @@ def _derived(volume: SparseVolume, kernel: Any, components: int, device: Any, *,
         origins = wp.array(leaves.origins[rows], dtype=wp.vec3i, device=target)
         masks = wp.array(leaves.masks[rows], dtype=wp.uint8, device=target)
         launcher.launch(kernel, count, [handle, origins, masks, given], [out], target)
-        values[rows] = out.numpy().reshape(-1, *shape)
+        with np.errstate(over="ignore"):  # derivatives beyond float32 are infinite
+            values[rows] = out.numpy().reshape(-1, *shape)
     return assemble(leaves, values, source, background=0.0)
 
 

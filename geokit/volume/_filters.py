@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_count, require_text
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
 
@@ -21,6 +20,7 @@ WIDEST = 64
 MOST_ITERATIONS = 10_000
 
 
+@needs(lambda volume, *_, **__: 7800 * leaf_count(volume), fatal=True)
 def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, iterations: int = 1) -> SparseVolume:
     """Smooth a level set or another scalar volume.
 
@@ -41,22 +41,24 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
         Volume of the same class and background.
     Raises:
         InputError: The method is unknown, or is for level sets and the grid is none; width or iterations is out of
-            range; or the voxels of a level set are not cubes.
+            range; the voxels of a level set are not cubes, or its background is not positive and finite; or the grid
+            lies within 8,192 voxels of index 2^31.
         UnsupportedGridError: Values are not real numbers.
+        DeviceMemoryError: OpenVDB's copies of the grid do not fit into memory.
         MissingDependencyError: geokit was built without OpenVDB.
     Source:
         OpenVDB's LevelSetFilter and Filter.
 
-    Held by: tests/accuracy/stability/test_envelopes.py
+    Held by: tests/accuracy/stability/test_envelopes.py, tests/volume/test_interrupt.py
     """
     require_volume(volume, "volume", ("float", "double"))
     is_level_set = volume.info.grid_class == "level set"
     known = LEVEL_SET_METHODS if is_level_set else FIELD_METHODS
-    if method not in known:
+    if require_text(method, "method") not in known:
         kind = "a level set" if is_level_set else f"a grid of class {volume.info.grid_class}"
         raise InputError(f"method: {method!r} does not smooth {kind}; use one of {', '.join(known)}")
-    width = _checked_count(width, "width", WIDEST)
-    iterations = _checked_count(iterations, "iterations", MOST_ITERATIONS)
+    width = require_count(width, "width", 1, WIDEST)
+    iterations = require_count(iterations, "iterations", 1, MOST_ITERATIONS)
     voxel_size = require_level_set(volume, "volume") if is_level_set else 1.0
     from geokit.native import operations
 
@@ -64,9 +66,3 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
         operations.smooth, volume, method=method, width=width, iterations=iterations, voxel_size=voxel_size
     )
     return result
-
-
-def _checked_count(value: Any, name: str, largest: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= largest:
-        raise InputError(f"{name}: {value!r} is not usable; give a whole number from 1 to {largest}")
-    return int(value)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory.needs import needs
+from geokit.core.require import described, whole_number
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
@@ -16,29 +18,18 @@ from geokit.volume.nanovdb.header import (
     BLIND_DATA,
     FLAG_BREADTH_FIRST,
     FLAG_HAS_BBOX,
-    TREE_OFFSET,
     decoded_name,
     encoded_name,
     grid_header,
     info_of,
-    tree_header,
 )
-from geokit.volume.nanovdb.index_checks import (
-    LEAF_MASK,
-    leaf_offsets,
-    masks_of,
-    value_count_of,
-)
-from geokit.volume.nanovdb.layout import (
-    GRID_TYPES,
-    INDEX_LAYOUTS,
-    LAYOUTS,
-    LEAF_VOXELS,
-    GridLayout,
-    type_name,
-)
+from geokit.volume.nanovdb.index_checks import leaf_offsets, value_count_of
+from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS, LAYOUTS, LEAF_VOXELS, type_name
+from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes
 from geokit.volume.nanovdb.types import CHANNEL_TYPES
-from geokit.volume.tree.retype_tree import RetypedTree, retype_tree
+from geokit.volume.tree.estimates import leaf_count
+from geokit.volume.tree.leaves import require_volume
+from geokit.volume.tree.retype_tree import retype_tree
 
 __all__ = ["channel_names", "from_channel"]
 
@@ -48,6 +39,7 @@ LONGEST_NAME = 255
 LEAVES_AT_A_TIME = 1024
 
 
+@needs()
 def channel_names(volume: SparseVolume) -> list[str]:
     """Names of the channels of an index grid, in order; ``""`` for a channel without a name.
 
@@ -66,12 +58,13 @@ def channel_names(volume: SparseVolume) -> list[str]:
         >>> channel_names(load("data/samples/torus.vdb"))
         []
     """
-    if volume.info.grid_type not in INDEX_LAYOUTS:
+    if require_volume(volume, "volume").info.grid_type not in INDEX_LAYOUTS:
         return []
     check_volume(volume)
     return [decoded_name(bytes(entry["name"])) for _, entry in _channels(volume.nanovdb)]
 
 
+@needs(lambda volume, *_: 4300 * leaf_count(volume))
 def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
     """Build the volume that an index grid and one of its channels represent.
 
@@ -98,7 +91,7 @@ def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
 
     Held by: tests/volume/test_from_channel.py
     """
-    if volume.info.grid_type not in INDEX_LAYOUTS:
+    if require_volume(volume, "volume").info.grid_type not in INDEX_LAYOUTS:
         raise InputError(
             f"channel: {volume.info.grid_type} grids hold their values themselves, only index grids have channels; "
             "leave it out"
@@ -135,10 +128,10 @@ def _number_of(channel: int | str, names: list[str]) -> int:
     if isinstance(channel, str):
         if channel in names:
             return names.index(channel)
-    elif isinstance(channel, (int, np.integer)) and not isinstance(channel, bool) and 0 <= channel < len(names):
-        return int(channel)
+    elif (number := whole_number(channel)) is not None and 0 <= number < len(names):
+        return number
     known = ", ".join(f"{i} ({name!r})" for i, name in enumerate(names))
-    raise InputError(f"channel: {channel!r} is not a channel of the grid; use one of {known}")
+    raise InputError(f"channel: {described(channel)} is not a channel of the grid; use one of {known}")
 
 
 def _values(buffer: NDArray[np.uint8], at: int, entry: Any, where: str) -> NDArray[Any]:
@@ -162,12 +155,11 @@ def _values(buffer: NDArray[np.uint8], at: int, entry: Any, where: str) -> NDArr
 
 def _valued(volume: SparseVolume, values: NDArray[Any], entry: Any) -> SparseVolume:
     source, kind = volume.nanovdb, type_name(int(entry["data_type"]))
-    old, new = INDEX_LAYOUTS[volume.info.grid_type], LAYOUTS[kind]
-    count = int(tree_header(source)["node_count"][0])
-    target = retype_tree(source, GRID_TYPES.index(kind), np.full(count, new.leaf_size), values)
+    leaf = grid_nodes(source).leaf
+    target = retype_tree(source, GRID_TYPES.index(kind), np.full(leaf.count, LAYOUTS[kind].leaf_size), values)
     name = decoded_name(bytes(entry["name"])) or volume.info.name
     _write_header(target.buffer, name)
-    _write_leaves(source, target, old, new, values)
+    _write_leaves(leaf, grid_nodes(target.buffer).leaf, values)
     target.buffer.setflags(write=False)
     info = info_of(target.buffer, volume.info.metadata, name=name)
     return SparseVolume(target.buffer, replace(info, grid_class="unknown"))
@@ -184,26 +176,14 @@ def _write_header(buffer: NDArray[np.uint8], name: str) -> None:
     grid["blind_offset"], grid["blind_count"], grid["data_1"] = len(buffer), 0, 0
 
 
-def _write_leaves(
-    source: NDArray[np.uint8], target: RetypedTree, old: GridLayout, new: GridLayout, values: NDArray[Any]
-) -> None:
-    base, size = new.background, new.leaf_size
-    table = size - LEAF_VOXELS * base.itemsize
-    count = len(target.leaf_starts)
-    old_begin = TREE_OFFSET + int(tree_header(source)["node_offset"][0])
-    for first in range(0, count, LEAVES_AT_A_TIME):
-        some = min(LEAVES_AT_A_TIME, count - first)
-        begin = old_begin + first * old.leaf_size
-        here = int(target.leaf_starts[first])
-        head = masks_of(target.buffer, here, some, size, 0, 80 * 8)
-        head[:] = masks_of(source, begin, some, old.leaf_size, 0, 80 * 8)
+def _write_leaves(source: NodeLevel, target: NodeLevel, values: NDArray[Any]) -> None:
+    for (_, old), (_, new) in zip(source.parts(LEAVES_AT_A_TIME), target.parts(LEAVES_AT_A_TIME), strict=True):
+        head = new.column(np.uint8, 0, 80)
+        head[:] = old.column(np.uint8, 0, 80)
         head[:, 15] &= FLAG_HAS_BBOX  # the other bits describe statistics and quantization
-        offset, _ = leaf_offsets(source, begin, some, old)
-        index = offset[:, None] + np.arange(LEAF_VOXELS, dtype=np.uint64)
-        if old.name.startswith("on"):
-            mask = masks_of(source, begin, some, old.leaf_size, LEAF_MASK, LEAF_VOXELS)
-            on = np.unpackbits(mask, axis=1, bitorder="little").astype(np.uint64)
-            index = np.where(on, offset[:, None] + np.cumsum(on, axis=1) - on, np.uint64(0))  # 0: the background's
-        strides = (size, base.itemsize, *([base.base.itemsize] if base.shape else []))
-        leaves = np.ndarray((some, LEAF_VOXELS, *base.shape), base.base, target.buffer, here + table, strides)
-        leaves[:] = values[index]
+        offset = leaf_offsets(old)[:, None]
+        index = offset + np.arange(LEAF_VOXELS, dtype=np.uint64)
+        if old.layout.name.startswith("on"):
+            on = bits_of(old.value_mask).astype(np.uint64)
+            index = np.where(on, offset + np.cumsum(on, axis=1) - on, np.uint64(0))  # 0: the background's
+        new.values[:] = values[index]

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, user_arrays
+from geokit.core import user_arrays
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs
+from geokit.core.require import described, read_array, require_count
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.band.lattice_origin import checked_band, index_translation
@@ -29,6 +32,8 @@ FIRST_BLOCKS = 64
 LARGEST_INDEX = (1 << 31) - 1 - LARGEST_BLOCK
 # A value and a mask, in the arrays of leaves and in the grid, plus the memory for a leaf's points during evaluation.
 BYTES_PER_LEAF = 2 * (4 * LEAF_VOXELS + LEAF_VOXELS // 8) + 256
+# A point and what a function of a few steps makes of it.
+BYTES_PER_POINT = 85
 # Slopes may exceed the bound by rounding: that of the function's own arithmetic is some 1e-15 of its values and of the
 # coordinates, divided by a voxel; sums of squares add a relative error.
 SLOPE_MARGIN = 1e-6
@@ -37,6 +42,14 @@ ROUNDINGS = 64.0 * np.finfo(np.float64).eps
 Function = Callable[[NDArray[np.float64]], Any]
 
 
+def _bytes(function: Function, bounds: Any, voxel_size: float, *, block: int = 1 << 20, **_: Any) -> float:
+    """Of the points of one call, and of a band as large as the three sides of the box."""
+    size = np.diff(np.asarray(bounds, np.float64), axis=0)[0] / voxel_size
+    sides = size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+    return min(block, float(size.prod())) * BYTES_PER_POINT + 1.5 * sides / 64.0 * BYTES_PER_LEAF
+
+
+@needs(_bytes, late=True)
 def from_function(
     function: Function,
     bounds: Any,
@@ -112,9 +125,7 @@ class _Refinement:
                 f"half_width: {half_width} voxels cannot hold a sign change of slope {self.lipschitz:g} on each side; "
                 f"use at least {self.lipschitz:g}"
             )
-        if isinstance(block, bool) or not isinstance(block, (int, np.integer)) or block < LEAF_VOXELS:
-            raise InputError(f"block: {block!r} points do not hold a leaf; use at least {LEAF_VOXELS}")
-        self.block = int(block)
+        self.block = require_count(block, "block", LEAF_VOXELS)
         self.band = half_width * self.voxel_size
         self.background = float(np.float32(self.band))
         # Leaves cover the bounds plus one voxel, so that the outer faces show the values outside.
@@ -256,15 +267,13 @@ class _Refinement:
         if need > have:
             raise DeviceMemoryError(
                 f"voxel_size: {self.voxel_size:g} needs about {need >> 20} MiB of the {have >> 20} MiB free; use a "
-                "larger one, smaller bounds, or a smaller half_width"
+                "larger one, smaller bounds, or a smaller half_width",
+                need=need,
             )
 
 
 def _checked_bounds(bounds: Any) -> NDArray[np.float64]:
-    try:
-        box = np.array(bounds, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"bounds: {error}; give the lower and the upper corner") from None
+    box = read_array(bounds, "bounds", np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
-        raise InputError(f"bounds: {np.asarray(bounds).tolist()} is no finite box; give its lower and its upper corner")
+        raise InputError(f"bounds: {described(box.tolist())} is no finite box; give its lower and its upper corner")
     return box

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher, user_arrays
+from geokit.core import launcher, user_arrays
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.band.lattice_origin import checked_band, index_translation
@@ -40,6 +42,18 @@ NEAR = 1
 MOST_LISTED = 1 << 24
 
 
+def _bytes(points: Any, radius: Any, voxel_size: float, *, half_width: float = 3.0, **_: Any) -> float:
+    """Of the tiles that balls cover, at most those of the points' box, and of those that are computed together."""
+    rows = np.asarray(points)
+    reach = float(np.max(radius)) / voxel_size + half_width
+    within = np.prod(np.ptp(rows, axis=0) / (8.0 * voxel_size) + reach / 4.0 + 1.0)
+    tiles = min(float(within), len(rows) * (reach / 4.0 + 1.5) ** 3)
+    # Distances are there three times, and the lists of a tile hold two thousand balls at most, usually.
+    together = min(tiles, TILES_AT_A_TIME) * 3 * 8 * LEAF_VOXELS
+    return together + 4.0 * min(2000.0 * tiles, MOST_LISTED) + 1000.0 * tiles
+
+
+@needs(_bytes, late=True)
 def from_points(
     points: Any,
     radius: Any,
@@ -125,6 +139,9 @@ def _in_voxels(
             f"voxel_size: {voxel_size:g} gives {tiles_across:.3g} tiles of 8 voxels along an axis, more than "
             f"{1 << KEY_BITS}; use a larger one or a volume per cluster"
         )
+    # Whatever the points, the outer half of their band is no smaller than that of the largest ball.
+    ball = reach.max() ** 3 - (reach.max() - half_width) ** 3
+    _require_memory(4.18 * float(ball) / LEAF_VOXELS, voxel_size)
     return translation, index, reach
 
 
@@ -278,10 +295,7 @@ def _distances(
 
 
 def _checked_radii(radius: Any, count: int) -> NDArray[np.float64]:
-    try:
-        given = np.asarray(radius.numpy() if hasattr(radius, "numpy") else radius, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"radius: {error}; give a number or one for each point") from None
+    given = user_arrays.read_numbers(radius, "radius")
     if given.shape not in ((), (count,)):
         raise InputError(
             f"radius: shape {given.shape} is neither () nor ({count},); give a number or one for each point"
@@ -293,10 +307,11 @@ def _checked_radii(radius: Any, count: int) -> NDArray[np.float64]:
     return np.broadcast_to(given, count)
 
 
-def _require_memory(tiles: int, voxel_size: float) -> None:
+def _require_memory(tiles: float, voxel_size: float) -> None:
     need, have = tiles * BYTES_PER_TILE, available_memory.available_host()
     if need > have:
         raise DeviceMemoryError(
-            f"voxel_size: {voxel_size:g} needs about {need >> 20} MiB of the {have >> 20} MiB free; use "
-            f"{voxel_size * (need / max(have, 1)) ** 0.5 * 1.05:.2g} or more, or a smaller half_width"
+            f"voxel_size: {voxel_size:g} needs about {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use "
+            f"{voxel_size * (need / max(have, 1)) ** 0.5 * 1.05:.2g} or more, or a smaller half_width",
+            need=need,
         )

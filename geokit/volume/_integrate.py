@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher, user_arrays
-from geokit.core.pinned import host_flags
+from geokit.core.blocks.several_devices import over_devices
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     import warp as wp
@@ -26,6 +30,9 @@ class Transmittance(NamedTuple):
     emission: Any
 
 
+@over_devices(rows=2)
+@differentiable("geokit.volume.rays.gradients:INTEGRATE", "origins", "directions", single=False, holders=("emission",))
+@needs(lambda volume, origins, *_, **__: 24 * rows(origins), late=True)
 def integrate(
     volume: SparseVolume,
     origins: Any,
@@ -49,6 +56,9 @@ def integrate(
     The borders of a fog are known to half a voxel each: transmittances are right to exp(1 / mean free path in voxels) -
     1, which is 7 % at 16.
 
+    Both carry gradients with respect to the rays and to the active values of both grids (:func:`with_values`); see
+    docs/gradients.md.
+
     Args:
         volume: Density, a grid of one component with a background of 0. Negative values amplify.
         origins: Start points of the rays [world], shape (N, 3).
@@ -58,7 +68,7 @@ def integrate(
             emission.
         t_min: Start of the integral, in units of the direction.
         max_distance: Length of the rays [world].
-        device: Where to compute; None for the first GPU, else the CPU.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
     Returns:
         Transmittance in the container of ``origins``: transmittance (N,) and emission (N,).
     Raises:
@@ -73,7 +83,7 @@ def integrate(
         (1,)
 
     Held by: tests/volume/rays/test_integrate.py, tests/volume/rays/test_rays_property.py,
-        tests/accuracy/stability/test_envelopes.py
+        tests/volume/rays/test_integrate_gradients.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -83,6 +93,9 @@ def integrate(
     reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
     target = launcher.resolve_device(device)
     rays, heading = read_rays(origins, directions, target)
+    require_volume(volume, "volume")
+    if emission is not None:
+        require_volume(emission, "emission")
     field = _field(volume, emission, target)
     found = Transmittance(
         transmittance=user_arrays.empty(len(rays), wp.float64, rays.rows),

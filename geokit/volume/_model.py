@@ -7,11 +7,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.interop.notebook import repr_html, show
+from geokit.core.memory.needs import needs
 from geokit.core.object_cache import CacheAttribute
+from geokit.core.require import described, require_instance
+from geokit.errors import InputError
 from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.grid_info import GridInfo
+from geokit.volume.nanovdb.header import aligned_buffer, is_aligned
 
 if TYPE_CHECKING:
     import warp as wp
@@ -28,6 +33,8 @@ __all__ = ["SparseVolume"]
 class SparseVolume:
     """A sparse volume: one NanoVDB grid.
 
+    A pickle or a deep copy carries the buffer, without the copies on devices.
+
     A grid made on a GPU stays there; ``nanovdb`` downloads it on first access.
 
     Args:
@@ -41,6 +48,12 @@ class SparseVolume:
     # Holds whether the buffer was checked, its nodes, its box, crossed blocks, and volumes of channels.
     _cache: ClassVar[CacheAttribute] = CacheAttribute()
 
+    def __post_init__(self) -> None:
+        buffer = self.nanovdb
+        if not isinstance(buffer, np.ndarray) or buffer.dtype != np.uint8 or buffer.ndim != 1:
+            raise InputError(f"nanovdb: {described(buffer)} is not an array (N,) of uint8; give the bytes of one grid")
+        require_instance(self.info, "info", GridInfo, "take that of another volume, or load the grid from a file")
+
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
@@ -52,12 +65,14 @@ class SparseVolume:
             object.__setattr__(self, "nanovdb", download(self))
             return self.nanovdb
 
+    @needs()
     def on(self, device: Any = None) -> "wp.Volume":
         """The grid as a ``warp.Volume`` on ``device``, uploaded once and cached while this volume lives."""
         from geokit.volume.nanovdb.upload import upload
 
         return upload(self, device)
 
+    @needs()
     def id(self, device: Any = None) -> int:
         """Handle of the grid for custom kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
         return int(self.on(device).id)
@@ -69,12 +84,13 @@ class SparseVolume:
         order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
+        transform: ArrayLike | None = None,
         device: Any = None,
     ) -> Any:
         """See :func:`geokit.volume.sample`."""
         from geokit.volume._sample import sample
 
-        return sample(self, points, order=order, space=space, channel=channel, device=device)
+        return sample(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
     def gradient(
         self,
@@ -83,12 +99,13 @@ class SparseVolume:
         order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
+        transform: ArrayLike | None = None,
         device: Any = None,
     ) -> Any:
         """See :func:`geokit.volume.gradient`."""
         from geokit.volume._sample import gradient
 
-        return gradient(self, points, order=order, space=space, channel=channel, device=device)
+        return gradient(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
     def hessian(self, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
         """See :func:`geokit.volume.hessian`."""
@@ -132,13 +149,14 @@ class SparseVolume:
         isovalue: float = 0.0,
         t_min: float = 0.0,
         max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
         device: Any = None,
     ) -> VolumeHits:
         """See :func:`geokit.volume.raycast`."""
         from geokit.volume._raycast import raycast
 
         limits = {"isovalue": isovalue, "t_min": t_min, "max_distance": max_distance}
-        return raycast(self, origins, directions, **limits, device=device)
+        return raycast(self, origins, directions, **limits, transform=transform, device=device)
 
     def integrate(
         self,
@@ -157,12 +175,27 @@ class SparseVolume:
         limits = {"t_min": t_min, "max_distance": max_distance}
         return integrate(self, origins, directions, extinction=extinction, emission=emission, **limits, device=device)
 
+    def __reduce__(self) -> Any:
+        return _restored, (self.nanovdb, self.info)
+
+    _repr_html_ = repr_html
+    show = show
+
     def __repr__(self) -> str:
         size = " x ".join(f"{s:.6g}" for s in self.info.voxel_size)
         return (
             f"SparseVolume({self.info.name!r}, {self.info.grid_type}, {self.info.grid_class}, "
             f"{self.info.active_voxel_count} active voxels of {size})"
         )
+
+
+def _restored(nanovdb: NDArray[np.uint8], info: GridInfo) -> SparseVolume:
+    """A volume from a pickle, which keeps no alignment."""
+    buffer = nanovdb
+    if not is_aligned(nanovdb):
+        buffer = aligned_buffer(len(nanovdb))
+        buffer[:] = nanovdb
+    return SparseVolume(buffer, info)
 
 
 def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
@@ -172,10 +205,10 @@ def made_on_device(grid: "wp.array", info: GridInfo) -> SparseVolume:
         grid: The grid's bytes, uint8, on a GPU.
         info: Its description.
     """
-    import warp as wp
+    from geokit.volume.nanovdb.grid_array import made_volume
 
     volume = SparseVolume.__new__(SparseVolume)
-    made: Any = wp.Volume(grid, copy=False)
+    made: Any = made_volume(grid, info.byte_count)
     made._geokit_source = grid  # it does not own its memory
     uploads = {grid.device.alias: (made, grid, None)}
     for name, value in (("info", info), ("_uploads", uploads)):

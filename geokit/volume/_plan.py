@@ -5,8 +5,16 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_callable
+from geokit.volume._adaptive import MOST_LEVELS
+from geokit.volume.adaptive.choice import WORTH_LEVELS, fewer_bytes
+from geokit.volume.adaptive.refine import Refinement
+from geokit.volume.adaptive.storage import ACCEPTED_SHARE
 from geokit.volume.tolerance.checked_fields import made_within
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
+from geokit.volume.tolerance.interpolation_errors import REACH
 from geokit.volume.tolerance.search import Search, Setting, quickest
 
 if TYPE_CHECKING:
@@ -17,21 +25,25 @@ __all__ = ["PlannedField", "plan"]
 
 # Leaves of the small band that is built to measure the time.
 TIMED_LEAVES = 2000.0
+# Of the time of a plan, about the part before several voxel sizes are tried.
+SEARCH_SHARE = 0.7
 # A field of at most this many leaves is built and checked, as in from_mesh: that takes a second or two.
 CHECKED_LEAVES = 20_000.0
 
 
 class PlannedField(NamedTuple):
-    """A setting of :func:`geokit.volume.from_mesh` that keeps a tolerance, with its predicted cost.
+    """A field that keeps a tolerance, with its predicted cost.
 
     Attributes:
         order: Order of interpolation, 1, 2 or 3.
-        codec: Codec of the values.
-        voxel_size: Edge length of a voxel [world].
-        half_width: Width of the band on either side of the surface [voxels].
+        codec: Codec of the values; if levels differ, those of all levels, such as "fp16+fp8".
+        voxel_size: Edge length of a voxel [world], of level 0 if there are several.
+        half_width: Width of the band on either side of the surface [voxels], of level 0 if there are several.
         error: Predicted largest error of the interpolated distance [world].
-        byte_count: Predicted size of the grid in bytes.
+        byte_count: Predicted size of all grids in bytes.
         seconds: Predicted time to build it [s], without the search.
+        method: The function that makes it, "from_mesh" or "adaptive_from_mesh".
+        level_count: Number of voxel sizes.
     """
 
     order: int
@@ -41,8 +53,11 @@ class PlannedField(NamedTuple):
     error: float
     byte_count: int
     seconds: float
+    method: str = "from_mesh"
+    level_count: int = 1
 
 
+@needs()
 def plan(
     mesh: TriangleMesh | Surface,
     tolerance: float,
@@ -54,14 +69,20 @@ def plan(
     thickness: float | None = None,
     codec: str | None = None,
     device: Any = None,
+    progress: Progress | None = None,
 ) -> list[PlannedField]:
-    """List settings with which a mesh's distance field keeps a tolerance; ``from_mesh`` tries the first one first.
+    """List fields with which a mesh's distances keep a tolerance, and what each of them costs.
 
-    There is one setting for each order and codec that can compete; all others need more memory than the best, whatever
-    their other settings. No error is above the tolerance. If the first setting has no more than 20,000 leaves, it is
-    built and checked. Otherwise it is predicted like the others, and a check may still lead ``from_mesh`` to another
-    one near it. The memory is that of the grid to a quarter. The time is extrapolated from a small band of the same
-    mesh by the number of leaves.
+    Of :func:`from_mesh` there is one setting for each order and codec that can compete; all others need more memory
+    than the best, whatever their other settings. The first of them is what ``from_mesh`` tries first. If it has no more
+    than 20,000 leaves, it is built and checked. Otherwise it is predicted like the others, and a check may still lead
+    ``from_mesh`` to another one near it. The memory is that of the grid to a quarter. The time is extrapolated from a
+    small band of the same mesh by the number of leaves.
+
+    One more row has the method "adaptive_from_mesh": several voxel sizes if they promise at most 0.95 of the bytes of
+    one, else the field of one, which ``adaptive_from_mesh`` then makes as well. So where its ``level_count`` is 1, one
+    voxel size is the smaller. Its memory is exact up to the cells that the checks of the made field refine. There is no
+    such row with ``thickness``, ``half_width`` or sign "none". No error is above the tolerance.
 
     Args:
         mesh: Triangles, or a Surface of them.
@@ -73,8 +94,9 @@ def plan(
         thickness: Thickness [world] of a solid shell around the surface.
         codec: Codec of the values; None for all.
         device: Where to compute.
+        progress: Called as ``progress(percent, 100)``, with an estimate of the end.
     Returns:
-        The settings, least memory first; of equal memory (to 5 %) the fastest to read.
+        The fields, least memory first; of equal memory (to 5 %) the fastest to read.
     Raises:
         InputError: An argument is out of range, or no setting keeps the tolerance; the message names one that can be
             kept.
@@ -82,10 +104,10 @@ def plan(
     Example:
         >>> torus = gk.mesh.load("data/samples/torus.ply")
         >>> best = gk.volume.plan(torus, 0.01, device="cpu")[0]
-        >>> best.error <= 0.01, best.byte_count < 1_000_000
-        (True, True)
+        >>> best.method, best.error <= 0.01, best.byte_count < 1_000_000
+        ('from_mesh', True, True)
 
-    Held by: tests/volume/tolerance/test_from_mesh.py
+    Held by: tests/volume/tolerance/test_from_mesh.py, tests/volume/adaptive/test_adaptive_envelope.py
     """
     search = tolerance_search(
         mesh,
@@ -98,12 +120,17 @@ def plan(
         codec=codec,
         device=device,
     )
+    if progress is not None:
+        require_callable(progress, "progress")
+        search.progress = lambda percent, _: progress(int(SEARCH_SHARE * percent), 100)
     made = made_within(search, lambda s: make_setting(search, s), most_leaves=CHECKED_LEAVES)
     settings = _best_of_each(search)
     if made.achieved is not None:
         settings[0] = made.setting._replace(error=made.achieved.largest)
     per_leaf: dict[str, float] = {}
     planned = []
+    if progress:
+        progress(int(100 * SEARCH_SHARE), 100)
     for setting in settings:
         kind = setting.option.codec
         if kind not in per_leaf:
@@ -119,7 +146,31 @@ def plan(
                 per_leaf[kind] * setting.counts.leaves,
             )
         )
-    return planned
+    if made.volume is not None:
+        planned[0] = planned[0]._replace(byte_count=made.volume.info.byte_count)
+    if thickness is not None or half_width is not None or search.sign_method == "none":
+        return planned
+    levels = fewer_bytes(search, MOST_LEVELS, WORTH_LEVELS * planned[0].byte_count)
+    if levels.tree is None:
+        return [planned[0], planned[0]._replace(method="adaptive_from_mesh"), *planned[1:]]
+    leaves = levels.byte_count / levels.tree.storage.leaf_bytes(levels.tree.lattice.size)
+    return [_adaptive(levels.tree, levels.byte_count, max(per_leaf.values()) * leaves), *planned]
+
+
+def _adaptive(tree: Refinement, byte_count: float, seconds: float) -> PlannedField:
+    storage, size = tree.storage, tree.lattice.size
+    codecs = [storage.codec_of(tree.lattice_of(level).size) for level in range(tree.level_count)]
+    return PlannedField(
+        storage.order,
+        codecs[0] if len(set(codecs)) == 1 else "+".join(codecs),
+        size,
+        REACH[storage.order] + storage.within / size,
+        ACCEPTED_SHARE * storage.tolerance,
+        round(byte_count),
+        seconds,
+        "adaptive_from_mesh",
+        tree.level_count,
+    )
 
 
 def _best_of_each(search: Search) -> list[Setting]:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import user_arrays
+from geokit.core.memory.needs import needs
+from geokit.core.require import require_choice, require_flag
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
@@ -14,7 +16,9 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, grid_header, info_of
 from geokit.volume.nanovdb.layout import GRID_TYPES
 from geokit.volume.nanovdb.provenance import with_error
 from geokit.volume.nanovdb.types import BY_NAME, FIXED_BITS, QUANTIZED
+from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaf_codecs import HEADER, LeafReader, fewest_bits, thresholds, write_codes, write_floats
+from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.retype_tree import retype_tree, tile_values
 
 __all__ = ["quantize"]
@@ -27,6 +31,7 @@ LARGEST_ERROR = 2.0 * float(np.finfo(np.float32).max)
 UNQUANTIZED_CLASSES = tuple(set(BY_NAME["float"].classes).difference(*(BY_NAME[name].classes for name in QUANTIZED)))
 
 
+@needs(lambda volume, *_, **__: 2200 * leaf_count(volume))
 def quantize(
     volume: SparseVolume, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
 ) -> SparseVolume:
@@ -71,7 +76,8 @@ def quantize(
     Held by: tests/volume/tree/test_quantize.py, tests/volume/tree/test_quantize_property.py,
         tests/volume/tree/test_quantize_stability.py, tests/accuracy/stability/test_envelopes.py
     """
-    tolerance = _checked(volume, codec, tolerance)
+    require_flag(dither, "dither")
+    tolerance = _checked(require_volume(volume, "volume"), codec, tolerance)
     check_volume(volume)
     reader = LeafReader(volume.nanovdb)
     rounding = thresholds(dither)
@@ -99,8 +105,8 @@ def quantize(
 
 
 def _checked(volume: SparseVolume, codec: str | None, tolerance: float | None) -> float | None:
-    if codec is not None and codec not in CODECS:
-        raise InputError(f"codec: {codec!r} is unknown; use one of {', '.join(CODECS)}, or None with a tolerance")
+    if codec is not None:
+        require_choice(codec, "codec", CODECS)
     if tolerance is not None:
         tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance")
         if tolerance < 0.0:

@@ -6,12 +6,19 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geokit.core import launcher, user_arrays
-from geokit.core.pinned import host_flags
+from geokit.core.blocks.several_devices import over_devices
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.poses.placed import placed
 from geokit.volume._model import SparseVolume
 from geokit.volume.rays.crossing_blocks import crossing_blocks
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
+from geokit.volume.tree.leaves import require_volume
 
 __all__ = ["VolumeHits", "raycast"]
 
@@ -30,6 +37,11 @@ class VolumeHits(NamedTuple):
     normals: Any
 
 
+@over_devices(rows=2)
+@placed("origins", "directions", directions=("directions",), moved=("points",), turned=("normals",))
+@differentiable("geokit.volume.sampling.gradients:RAYCAST", "origins", "directions")
+@replayed(rows=2)
+@needs(lambda volume, origins, *_, **__: 80 * rows(origins), late=True)
 def raycast(
     volume: SparseVolume,
     origins: Any,
@@ -38,6 +50,7 @@ def raycast(
     isovalue: float = 0.0,
     t_min: float = 0.0,
     max_distance: float = math.inf,
+    transform: ArrayLike | None = None,
     device: Any = None,
 ) -> VolumeHits:
     """First point on each ray where the volume's value equals the isovalue, from either side.
@@ -63,14 +76,17 @@ def raycast(
         isovalue: The value to find.
         t_min: Crossings nearer than this are ignored, in units of the direction.
         max_distance: Length of the rays [world]; farther crossings are misses.
-        device: Where to compute; None for the first GPU, else the CPU.
+        transform: Where the volume is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in world
+            coordinates; moving them rounds each to 1e-15 of its size. None leaves the volume in place.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
     Returns:
         VolumeHits in the container of ``origins``: t (N,) in units of the direction, points (N, 3), and normals (N, 3):
             unit gradients of the interpolant, towards larger values, in the cell of the hit; zero where the interpolant
             is constant. A miss has t inf and NaN elsewhere.
     Raises:
         InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, the isovalue is not
-            finite, t_min is negative or not finite, or max_distance is negative or not a number.
+            finite, t_min is negative or not finite, max_distance is negative or not a number, or the transform is not
+            rigid (to 1e-6) or is given beside tensors with gradients.
         UnsupportedGridError: The grid has several components, or stores indices or points.
     Source:
         Marmitt et al., "Fast and Accurate Ray-Voxel Intersection Techniques for Iso-Surface Ray Tracing" (VMV 2004),
@@ -96,7 +112,7 @@ def raycast(
     reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
     target = launcher.resolve_device(device)
     rays, heading = read_rays(origins, directions, target)
-    field = ray_field(volume, target)
+    field = ray_field(require_volume(volume, "volume"), target)
     found = VolumeHits(
         t=user_arrays.empty(len(rays), wp.float64, rays.rows),
         points=user_arrays.empty(len(rays), wp.vec3d, rays.rows),

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.needs import needs
+from geokit.core.memory.row_products import row_product
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
@@ -20,6 +22,7 @@ from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.sampling.resample_leaves import filled_leaves, target_leaves, way_between
 from geokit.volume.sampling.space import query_inputs
+from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import (
     CUBE_TOLERANCE,
     Leaves,
@@ -44,6 +47,16 @@ STENCIL = 2.0
 WIDEST_BAND = 512.0
 
 
+def _bytes(volume: SparseVolume, *, voxel_size: float | None = None, transform: Any = None, **_: Any) -> float:
+    def edge(matrix: Any) -> float:
+        return float(abs(np.linalg.det(np.asarray(matrix, np.float64)[:3, :3])) ** (1.0 / 3.0))
+
+    ratio = edge(volume.info.transform) / (edge(transform) if voxel_size is None else voxel_size)
+    # A band keeps its width in voxels.
+    return 19500 * leaf_count(volume) * ratio ** (2 if volume.info.grid_class == "level set" else 3)
+
+
+@needs(_bytes, late=True)
 def resample(
     volume: SparseVolume,
     *,
@@ -173,7 +186,7 @@ def _sampled(
     outside = np.asarray(background, dtype)
 
     def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        points = voxels @ transform[:3, :3].T + transform[:3, 3]
+        points = row_product(voxels, transform[:3, :3].T, transform[:3, 3])
         sampled = np.asarray(sample(source, points, order=order, device=device)).astype(dtype)
         active = np.asarray(active_at(source, points, device=device))
         if band is not None:
@@ -212,7 +225,7 @@ def _resampled_nearest(volume: SparseVolume, transform: NDArray[np.float64], dev
 
     def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         # Directly from index to index: a detour through world space would round exact halves to either side.
-        points = voxels @ linear.T + shift
+        points = row_product(voxels, linear.T, shift)
         active = np.asarray(active_at(volume, points, space="index", device=device))
         values = _values_at(volume, points, device).astype(layout.background.base)
         values[~active] = background

@@ -5,14 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geokit.core import launcher
+from geokit.core.blocks.several_devices import over_devices
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
+from geokit.core.poses.placed import placed
+from geokit.core.require import described, whole_number
 from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linear
+from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     import warp as wp
@@ -22,6 +30,23 @@ __all__ = ["gradient", "is_scalar", "require_order", "sample", "view_as"]
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}
 
 
+def _require_placeable(volume: Any, *, space: str = "world", channel: int | str | None = None, **_: Any) -> None:
+    """Refuse what a transform has no meaning for: points of the index space, and values that may have to turn."""
+    require_space(space)
+    if space != "world":
+        raise InputError("space: index coordinates move with the volume; beside transform give world points")
+    values = _valued(require_volume(volume, "volume"), channel).info.grid_type
+    if COMPONENTS.get(values, 1) != 1:
+        raise InputError(
+            f"transform: vectors of type {values} may have to turn too; move the points, and turn the values"
+        )
+
+
+@over_devices()
+@placed("points", check=_require_placeable)
+@differentiable("geokit.volume.sampling.gradients:SAMPLE", "points")
+@replayed()
+@needs(lambda volume, points, **_: 16 * rows(points), late=True)
 def sample(
     volume: SparseVolume,
     points: Any,
@@ -29,6 +54,7 @@ def sample(
     order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
+    transform: ArrayLike | None = None,
     device: Any = None,
 ) -> Any:
     """Interpolate a volume at each point.
@@ -60,12 +86,16 @@ def sample(
         order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
         space: Space of ``points``: "world", or "index", where voxel centers lie at whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
-        device: Where to compute; None for the first GPU, else the CPU.
+        transform: Where the volume is: a rigid map for column vectors, shape (4, 4), beside scalar grids and world
+            points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
+            leaves the volume in place.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
     Returns:
         Values in the container of ``points``, float64 (float32 if the points are): shape (N,) for scalar grids, bool
             and mask grids as 0 and 1, (N, 3) and (N, 4) for vector and color grids. Integers keep their stored range.
     Raises:
-        InputError: points is not (N, 3) or not finite, the order or space is unknown, or there is no such channel.
+        InputError: points is not (N, 3) or not finite, the order or space is unknown, there is no such channel, or the
+            transform is not rigid (to 1e-6) or is given beside tensors with gradients, vectors or index coordinates.
         FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
     Source:
@@ -85,6 +115,7 @@ def sample(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
+    require_volume(volume, "volume")
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
@@ -92,7 +123,7 @@ def sample(
     target = launcher.resolve_device(device)
     if order == 1 and (answer := sample_linear(volume, points, space, target)) is not None:
         return answer
-    batch = read_vectors(points, "points", target)
+    batch = read_vectors(points, "points", target, single=True)
     dtype = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components]
     background = dtype(*np.atleast_1d(volume.info.background).astype(np.float64).tolist())
     out = wp.empty(len(batch), dtype=dtype, device=target)
@@ -102,6 +133,11 @@ def sample(
     return batch.to_caller(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
 
 
+@over_devices()
+@placed("points", turned=("gradient",), check=_require_placeable)
+@differentiable("geokit.volume.sampling.gradients:GRADIENT", "points")
+@replayed()
+@needs(lambda volume, points, **_: 32 * rows(points), late=True)
 def gradient(
     volume: SparseVolume,
     points: Any,
@@ -109,6 +145,7 @@ def gradient(
     order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
+    transform: ArrayLike | None = None,
     device: Any = None,
 ) -> Any:
     """Gradient of a volume at each point.
@@ -131,12 +168,16 @@ def gradient(
         order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
         space: Space of ``points`` and of the gradients: "world", or "index", where voxel centers lie at whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
-        device: Where to compute; None for the first GPU, else the CPU.
+        transform: Where the volume is: a rigid map for column vectors, shape (4, 4), beside scalar grids and world
+            points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
+            leaves the volume in place.
+        device: Where to compute; None for the first GPU, else the CPU. Devices of a list share 65,536 rows or more.
     Returns:
         Gradients [value / world] in the container of ``points``, float64 (float32 where the points are): shape (N, 3)
         for scalar grids; for grids of C components the Jacobian, shape (N, C, 3), last axis the world axis.
     Raises:
-        InputError: points is not (N, 3) or not finite, the order or space is unknown, or there is no such channel.
+        InputError: points is not (N, 3) or not finite, the order or space is unknown, there is no such channel, or the
+            transform is not rigid (to 1e-6) or is given beside tensors with gradients, vectors or index coordinates.
         FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
 
@@ -148,6 +189,7 @@ def gradient(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
+    require_volume(volume, "volume")
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
@@ -155,7 +197,7 @@ def gradient(
     target = launcher.resolve_device(device)
     if order == 1 and (answer := gradient_linear(volume, points, space, target)) is not None:
         return answer
-    batch = read_vectors(points, "points", target)
+    batch = read_vectors(points, "points", target, single=True)
     count = len(batch)
     out = wp.empty((count, components, 3), dtype=wp.float64, device=target)
     zero = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}[components](0.0)
@@ -190,10 +232,11 @@ def require_order(order: Any, lowest: int = 0) -> int:
         InputError: It is not an order from ``lowest`` on.
     """
     allowed = {number: name for number, name in ORDERS.items() if number >= lowest}
-    if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or int(order) not in allowed:
+    number = whole_number(order)
+    if number not in allowed:
         known = ", ".join(f"{number} ({name})" for number, name in allowed.items())
-        raise InputError(f"order: {order!r} is not supported; use one of {known}")
-    return int(order)
+        raise InputError(f"order: {described(order)} is not supported; use one of {known}")
+    return number
 
 
 def _require_components(volume: SparseVolume) -> int:

@@ -9,12 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory.needs import needs
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.nanovdb.types import BY_NAME
+from geokit.volume.tree.estimates import leaf_count, require_openvdb_room
 from geokit.volume.tree.leaves import dequantized, is_cubic, require_volume
 from geokit.volume.tree.openvdb_call import scale_factor, scaled_up
-from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, tree_of
+from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, tree_of
 
 __all__ = ["Statistics", "statistics"]
 
@@ -46,6 +49,8 @@ class Statistics(NamedTuple):
     volume: float | None = None
 
 
+@needs(lambda volume, *_, **__: 7000 * leaf_count(volume), fatal=True)
+@np.errstate(over="ignore", invalid="ignore")  # squares of numbers beyond 1e154
 def statistics(volume: SparseVolume) -> Statistics:
     """Compute count, extrema, mean and spread of a volume's active voxels, and area and volume of a level set.
 
@@ -104,6 +109,7 @@ def _measures(volume: SparseVolume) -> tuple[float | None, float | None]:
     from geokit.native import operations
 
     voxel_size = require_level_set(volume, "volume")
+    require_openvdb_room(volume)
     if not volume.info.active_voxel_count:
         return 0.0, 0.0
     factor = scale_factor(volume.info.transform)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from geokit.cli._app import VERBS
+from geokit.cli._app import GROUPS, VERBS
+from geokit.cli._examples import EXAMPLES, examples_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,8 +36,38 @@ def test_each_verb_has_help(geokit, verb: str) -> None:
     done = geokit(verb, "--help")
     assert done.returncode == 0
     assert f"geokit {verb}" in done.stdout
+    assert f"\nExamples:\n  geokit {verb}" in done.stdout
     for question in ("closest", "signed", "ray", "sample", "neighbors") if verb == "query" else ():
         assert question in done.stdout
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_verb_has_a_row_in_the_page(verb: str) -> None:
+    assert f"\n| `geokit {verb}" in (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+
+
+def test_each_command_has_an_example_of_its_own() -> None:
+    commands = [[verb] for verb in VERBS if verb not in GROUPS]
+    for group in GROUPS:
+        app = importlib.import_module(f"geokit.cli.{group}").app
+        commands += [[group, name] for name in app if not name.startswith("-")]
+    assert len(commands) > 40
+    for command in commands:
+        found = examples_of([*command, "--help"])
+        assert found, command
+        assert all(line.split()[1 : 1 + len(command)] == command for line in found), command
+    assert examples_of([]) == examples_of(["--help"]) == examples_of(["help"])
+    assert set(examples_of([])) < set(EXAMPLES.splitlines())
+    assert examples_of(["--memory-limit", "9", "info", "-h"]) == examples_of(["help", "info"])
+    assert examples_of(["volume"]) == examples_of(["volume", "--help"])
+    assert examples_of(["info", "a.obj"]) == []
+
+
+def test_the_page_has_the_same_examples() -> None:
+    page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("geokit ")]
+    assert sorted(lines) == sorted(EXAMPLES.splitlines())
 
 
 def test_version(geokit) -> None:
@@ -112,7 +145,9 @@ def test_a_missing_package_is_named(cube: Path, tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=60)
     assert done.returncode == 1
-    assert done.stderr == "geokit: the Python package trimesh is not installed; pip install geokit brings it along\n"
+    assert done.stderr == (
+        "geokit: a .glb, .gltf or .3mf file needs the package trimesh; install it with: pip install trimesh\n"
+    )
     assert not list(tmp_path.iterdir())
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from geokit import native
 from geokit.mesh import load as load_mesh
+from geokit.points import downsample
+from geokit.points import load as load_points
 from geokit.volume import load as load_volume
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -25,6 +27,57 @@ def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
     before, after = load_mesh(cube), load_mesh(target)
     corners = [np.sort(mesh.vertices[mesh.faces].reshape(-1, 9), axis=0) for mesh in (before, after)]
     np.testing.assert_array_equal(*corners)
+
+
+@pytest.mark.slow
+def test_mesh_to_volume_block_after_block(geokit, cube: Path, tmp_path: Path) -> None:
+    plain, target = tmp_path / "cube.stl", tmp_path / "cube.nvdb"
+    assert geokit("convert", cube, plain).returncode == 0
+    limit = ("--stream", "--memory-limit", "300000000")
+    done = geokit("convert", plain, target, "--voxel-size", "0.13", *limit, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["active_voxels"] == load_volume(target).info.active_voxel_count
+    for more, text in (
+        ((), "--voxel-size: is missing"),
+        (("--voxel-size", "0.1", "--codec", "zip"), "--codec: has no"),
+        (("--voxel-size", "0.1", "--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers there"),
+    ):
+        done = geokit("convert", plain, target, *limit, *more, "--force")
+        assert done.returncode != 0
+        assert text in done.stderr
+    done = geokit("convert", plain, target, "--force", "--scheduler", "local")
+    assert "--scheduler: goes with --stream" in done.stderr
+    there = tmp_path / "there" / target.name
+    there.parent.mkdir()
+    done = geokit("convert", plain, there, "--voxel-size", "0.13", *limit, "--scheduler", "local")
+    assert done.returncode == 0, done.stderr
+    assert there.read_bytes() == target.read_bytes()
+
+
+@pytest.mark.slow
+def test_cloud_to_cloud_block_after_block(geokit, tmp_path: Path) -> None:
+    source, target = tmp_path / "a.ply", tmp_path / "b.ply"
+    points = np.random.default_rng(0).random((500, 3))
+    points[7] = np.nan
+    source.write_bytes(
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 500\nproperty double x\nproperty double y\n"
+        b"property double z\nend_header\n" + points.tobytes()
+    )
+    how = ("--stream", "--voxel-size", "0.2", "--normals", "8", "--density", "0.3")
+    done = geokit("convert", source, target, *how)
+    assert done.returncode == 0, done.stderr
+    assert "1 of its 500 points are not finite" in done.stderr
+    found = load_points(target)
+    np.testing.assert_array_equal(found.points, downsample(np.delete(points, 7, 0), voxel_size=0.2).points)
+    assert set(found.data) == {"normals", "curvature", "density"}
+    for more, text in (
+        (("--normals", "8"), "--normals: of a cloud to a cloud goes with --stream"),
+        (("--stream", "--radius", "1"), "--radius: has no effect"),
+        (("--stream", "--no-finite-only"), "point 7 is not finite"),
+    ):
+        done = geokit("convert", source, target, *more, "--force")
+        assert done.returncode != 0
+        assert text in done.stderr
 
 
 @pytest.mark.slow
@@ -62,7 +115,7 @@ def test_nothing_is_replaced_without_force(geokit, fails, cube: Path, tmp_path: 
 def test_options_without_effect_are_refused(geokit, fails, cube: Path, cube_sdf: Path, tmp_path: Path) -> None:
     fails(geokit("convert", cube, tmp_path / "a.ply", "--voxel-size", "1"), 1, "--voxel-size", "no effect")
     fails(geokit("convert", cube_sdf, tmp_path / "a.nvdb", "--isovalue", "1"), 1, "--isovalue", "no effect")
-    fails(geokit("convert", cube, tmp_path / "a.csv"), 1, "mesh cannot be converted into a cloud")
+    fails(geokit("convert", cube_sdf, tmp_path / "a.csv"), 1, "volume cannot be converted into a cloud")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -116,7 +169,7 @@ def test_without_openvdb_the_packages_are_named(geokit, fails, cube_sdf: Path, t
         (["--codec", "fpn, blosc", "--tolerance", "0.002"], "fpn"),
     ],
 )
-def test_quantised(geokit, cube_sdf: Path, tmp_path: Path, options, grid_type) -> None:
+def test_quantized(geokit, cube_sdf: Path, tmp_path: Path, options, grid_type) -> None:
     target = tmp_path / "small.nvdb"
     done = geokit("convert", cube_sdf, target, *options, "--json")
     assert done.returncode == 0, done.stderr
@@ -197,3 +250,33 @@ def test_a_tolerance_takes_faces_away(geokit, cube_sdf: Path, tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["deviation"] <= 0.1
     assert len(load_mesh(fewer).faces) < len(load_mesh(full).faces)
+
+
+@pytest.mark.slow
+def test_several_files(geokit, cube: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.stl").write_text("solid\nnonsense")
+    again = tmp_path / "again.obj"
+    again.write_text(cube.read_text())
+    out = tmp_path / "new" / "folder"
+    given = [cube, tmp_path / "missing.obj", tmp_path / "other.stl", again]
+    done = geokit("convert", *given, "--out-dir", out, "--to", "off", "--jobs", "2", "--json")
+    assert done.returncode == 1
+    assert [line["target"] for line in json.loads(done.stdout)] == [str(out / "cube.off"), str(out / "again.off")]
+    lines = done.stderr.splitlines()
+    assert len(lines) == 3
+    assert "missing.obj" in lines[0]
+    assert "other.stl" in lines[1]
+    assert lines[2] == "geokit: 2 of 4 files were not converted"
+    assert sorted(path.name for path in out.iterdir()) == ["again.off", "cube.off"]
+    assert load_mesh(out / "again.off").faces.shape == (12, 3)
+
+
+@pytest.mark.slow
+def test_refused_lists_of_files(geokit, fails, cube: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "cube.ply"
+    fails(geokit("convert", cube, twin, "--out-dir", tmp_path, "--to", "off"), 1, "cube.ply", "cube.off", "cube.obj")
+    fails(geokit("convert", cube, "--out-dir", tmp_path), 1, "--out-dir", "--to")
+    fails(geokit("convert", cube, "--out-dir", tmp_path, "--to", "off", "--jobs", "0"), 1, "--jobs", "from 1")
+    fails(geokit("convert", cube, tmp_path / "a.off", "--to", "off"), 1, "--to", "--out-dir")
+    fails(geokit("convert", cube), 2, "1 file", "--out-dir")
+    assert list(tmp_path.iterdir()) == []

@@ -14,13 +14,13 @@ import pytest
 
 from geokit import native
 from geokit.accuracy.reference import mesh as reference
-from geokit.cli._demo_input import camera_rays, points_on
+from geokit.cli._demo.input import camera_rays, points_on
 from geokit.mesh import TriangleMesh
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=[pytest.param("demo", marks=pytest.mark.slow)])
 def demo(geokit, tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("demo") / "out"
     if Path(sys.prefix) == ROOT / ".venv":
@@ -32,7 +32,6 @@ def demo(geokit, tmp_path_factory: pytest.TempPathFactory):
     return folder, json.loads(done.stdout)
 
 
-@pytest.mark.slow
 def test_every_step_is_right(demo) -> None:
     _, entries = demo
     steps = {entry["step"]: entry for entry in entries}
@@ -71,6 +70,16 @@ def test_the_files_are_there(demo) -> None:
     table = list(csv.DictReader(io.StringIO((folder / "summary.csv").read_text())))
     assert [row["step"] for row in table] == [entry["step"] for entry in demo[1]]
     assert len((folder / "summary.md").read_text().splitlines()) == len(table) + 2
+
+
+def test_the_chart_as_lines(tmp_path: Path) -> None:
+    from geokit.cli._demo.figures import accuracy_chart
+    from geokit.cli._demo.steps import AccuracyPoint
+
+    numbers = dict.fromkeys(AccuracyPoint.__dataclass_fields__, 0.1)
+    accuracy_chart(tmp_path / "accuracy.svg", [AccuracyPoint(**numbers)], 0.5, 100)
+    assert (tmp_path / "accuracy.svg").read_bytes().startswith(b"<?xml")
+    assert (tmp_path / "accuracy.csv").read_text().startswith("voxel_size")
 
 
 def test_smaller_voxels_are_more_accurate(demo) -> None:

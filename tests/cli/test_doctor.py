@@ -8,7 +8,7 @@ import json
 import pytest
 
 from geokit import native
-from geokit.cli._compile import kernel_modules
+from geokit.core.compiled.modules import kernel_modules
 
 
 @pytest.mark.slow

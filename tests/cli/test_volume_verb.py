@@ -11,9 +11,10 @@ import pytest
 from geokit import native
 from geokit.volume import from_dense, load, load_all, save
 
-pytestmark = pytest.mark.slow
-
-pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +72,7 @@ def test_other_combinations(geokit, bodies, tmp_path: Path, operation: str) -> N
         ("gradient", ["--device", "cpu"]),
         ("laplacian", ["--device", "cpu"]),
         ("segment", []),
+        ("connected-components", ["--device", "cpu"]),
     ],
 )
 def test_one_volume_into_another(geokit, bodies, tmp_path: Path, operation: str, options: list[str]) -> None:
@@ -109,7 +111,7 @@ def test_labels_are_resampled_with_order_0(geokit, tmp_path: Path) -> None:
     assert (fine.info.grid_type, fine.info.name, fine.info.active_voxel_count) == ("int32", "labels", 64)
 
 
-def test_parts_are_grids_of_one_file(geokit, bodies, tmp_path: Path) -> None:
+def test_components_are_grids_of_one_file(geokit, bodies, tmp_path: Path) -> None:
     apart, both, parts = (tmp_path / name for name in ("apart.vdb", "both.vdb", "parts.vdb"))
     assert geokit("volume", "erode", bodies[0], apart, "--distance", "0.56").returncode == 0
     assert geokit("volume", "erode", bodies[1], parts, "--distance", "0.56").returncode == 0
@@ -131,7 +133,7 @@ def test_statistics(geokit, bodies) -> None:
 
 def test_refusals(geokit, fails, bodies, cube: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.vdb"
-    fails(geokit("volume", "union", bodies[0], target), 1, "two to read")
+    fails(geokit("volume", "union", bodies[0], target), 2, "two to read")
     fails(geokit("volume", "offset", bodies[0], target, "--distance", "inf"), 1, "distance")
     fails(geokit("volume", "offset", cube, target, "--distance", "1"), 1, "cube.obj", "not a volume")
     fails(geokit("volume", "prune", bodies[0], tmp_path / "out.ply"), 1, "out.ply", ".vdb")

@@ -1,4 +1,4 @@
-"""Minima that the threads of a launch share, against NumPy's."""
+"""Minima and sums that the threads of a launch share, against NumPy's."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from geokit.core import launcher, user_arrays
-from geokit.core.atomic_kernels import lower_to
+from geokit.core.atomic_kernels import add_to, lower_to
 from tests.support.devices import DEVICES
 
 wp.set_module_options({"enable_backward": False})
@@ -21,6 +21,42 @@ def lowest_kernel(
     i = first + wp.tid()
     lower_to(out_int, at[i], wp.int32(value[i] >> wp.int64(20)))
     lower_to(out_long, at[i], value[i])
+
+
+@wp.kernel
+def sums_kernel(
+    first: int, at: wp.array(dtype=wp.int32), value: wp.array(dtype=wp.int64), out_int: wp.array(dtype=wp.int32),
+    out_long: wp.array(dtype=wp.int64), out_table: wp.array(dtype=wp.int64, ndim=2), out_old: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    i = first + wp.tid()
+    add_to(out_long, at[i], value[i])
+    add_to(out_table, at[i], 1, value[i])
+    out_old[i] = add_to(out_int, at[i], 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", DEVICES)
+def test_sums_and_old_values(device, monkeypatch):
+    monkeypatch.setenv("GEOKIT_THREADS", "4")
+    rng = np.random.default_rng(62)
+    count, slots = 200_000, 3
+    at = rng.integers(0, slots, count).astype(np.int32)
+    value = rng.integers(-(2**40), 2**40, count)
+    counts, sums, old = (
+        wp.zeros(size, dtype=kind, device=device)
+        for size, kind in ((slots, wp.int32), (slots, wp.int64), (count, wp.int32))
+    )
+    table = wp.zeros((slots, 2), dtype=wp.int64, device=device)
+    inputs = [wp.array(at, dtype=wp.int32, device=device), wp.array(value, dtype=wp.int64, device=device)]
+    launcher.launch(sums_kernel, count, inputs, [counts, sums, table, old], wp.get_device(device))
+    expected = np.zeros(slots, np.int64)
+    np.add.at(expected, at, value)
+    np.testing.assert_array_equal(sums.numpy(), expected)
+    np.testing.assert_array_equal(table.numpy(), np.stack([np.zeros(slots, np.int64), expected], axis=1))
+    np.testing.assert_array_equal(counts.numpy(), np.bincount(at))
+    # Each old value is handed out once.
+    for slot in range(slots):
+        np.testing.assert_array_equal(np.sort(old.numpy()[at == slot]), np.arange(counts.numpy()[slot]))
 
 
 @pytest.mark.slow

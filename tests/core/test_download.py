@@ -11,7 +11,7 @@ import warp as wp
 
 from geokit.core import download as _download
 from geokit.core.download import _Stage, download, download_into
-from geokit.core.memory_pool import MemoryPool
+from geokit.core.memory.memory_pool import MemoryPool
 from tests.support.devices import DEVICES
 
 KINDS = [(wp.vec3d, np.float64, (3,)), (wp.float64, np.float64, ()), (wp.int32, np.int32, ()), (wp.bool, np.bool_, ())]

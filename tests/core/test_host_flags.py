@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import launcher, pinned
-from geokit.core.pinned import Pinned, host_flags
+from geokit.core import launcher
+from geokit.core.memory import pinned
+from geokit.core.memory.pinned import Pinned, host_flags
 from geokit.mesh.sign.parity_kernels import missed_kernel
 from tests.support.devices import DEVICES
 

@@ -10,7 +10,8 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit.core import launch_cache, launcher
+from geokit.core import launcher
+from geokit.core.launches import launch_cache
 
 COUNT = 5000
 
@@ -213,32 +214,44 @@ def test_blocks(cpu, monkeypatch):
         assert sorted(block.tolist()) == list(range(len(block)))
 
 
-def test_on_compile_is_told_of_slow_builds_only(cpu, monkeypatch):
-    told = []
+class Named:
+    def __init__(self, name: str) -> None:
+        self.name = name
 
-    class Module:
-        name = "a module"
 
-        def load(self, device, block_dim):
-            assert block_dim == 1
-            waited.wait(5.0)
+@pytest.fixture
+def compiles(monkeypatch):
+    """Modules named "new" are compiled, others are found in the cache."""
 
-    waited = threading.Event()
+    def load(module, device, block_dim, announce):
+        assert block_dim == 1
+        if module.name.startswith("new"):
+            announce(module.name)
+
+    monkeypatch.setattr(launcher.kernel_cache, "load", load)
     monkeypatch.setattr(launcher, "_loaded", set())
-    monkeypatch.setattr(launcher, "COMPILE_NOTICE_SECONDS", 0.02)
-    launcher.on_compile(lambda name: (told.append(name), waited.set()))
-    try:
-        launcher.load_module(Module(), cpu)
-        assert told == ["a module"]
-        launcher.load_module(Module(), cpu)  # loaded by now: nothing to tell
-        assert told == ["a module"]
-        quick = Module()
-        quick.name = "another"
-        monkeypatch.setattr(launcher, "COMPILE_NOTICE_SECONDS", 60.0)
-        launcher.load_module(quick, cpu)
-        assert told == ["a module"]
-    finally:
-        launcher.on_compile(None)
+    launcher._log_compiling.cache_clear()
+    yield
+    launcher.on_compile(None)
+    launcher._log_compiling.cache_clear()
+
+
+def test_on_compile_is_told_of_what_is_compiled(cpu, compiles, caplog):
+    told = []
+    launcher.on_compile(told.append)
+    for name in ("new", "found", "new"):  # loaded by the third time: nothing to tell
+        launcher.load_module(Named(name), cpu)
+    assert told == ["new"]
+    assert caplog.text == ""
+
+
+def test_the_log_says_once_that_kernels_are_compiled(cpu, compiles, caplog):
+    launcher.load_module(Named("found"), cpu)
+    assert caplog.text == ""
+    for name in ("new", "new one"):
+        launcher.load_module(Named(name), cpu)
+    assert [record.getMessage() for record in caplog.records] == [f"geokit: {launcher.compile_notice()}"]
+    assert str(wp.config.kernel_cache_dir) in launcher.compile_notice()
 
 
 def test_warp_speaks_as_before_afterwards(cpu):

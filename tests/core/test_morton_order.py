@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geokit.core import launcher
-from geokit.core.host_array import HostArray
+from geokit.core.memory.host_array import HostArray
 
 LOWER, EXTENT = np.array([-2.0, -2.0, -2.0]), 4.0
 

@@ -12,8 +12,9 @@ import warp as wp
 
 import geokit as gk
 from geokit.core import launcher, user_arrays
-from geokit.core.device_arena import ScratchArray
-from geokit.core.host_array import HostArray
+from geokit.core.interop import arrays
+from geokit.core.memory.device_arena import ScratchArray
+from geokit.core.memory.host_array import HostArray
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from tests.support.devices import DEVICES
 
@@ -420,3 +421,17 @@ def test_a_row_that_is_not_finite_is_named_though_answers_are_made_first(device)
         for rows in (points, wp.array(points, dtype=wp.vec3d, device=device)):
             with pytest.raises(gk.InputError, match="points: row 3 is not finite"):
                 ask(rows)
+
+
+@pytest.mark.parametrize(
+    ("torch_stream", "warp_stream", "is_blocking", "expected"),
+    [(0, 7, True, True), (7, 7, False, True), (0, None, True, True), (0, 7, False, False), (5, 7, True, False)],
+)
+def test_streams_in_order_need_no_events(torch_stream, warp_stream, is_blocking, expected) -> None:
+    assert isinstance(wp.Stream.is_blocking, property)
+    stream = types.SimpleNamespace(cuda_stream=warp_stream, is_blocking=is_blocking)
+    device = types.SimpleNamespace(is_cpu=False, ordinal=0, stream=stream)
+    torch = types.SimpleNamespace(
+        cuda=types.SimpleNamespace(current_stream=lambda ordinal: types.SimpleNamespace(cuda_stream=torch_stream))
+    )
+    assert arrays._in_order(torch, device) is expected

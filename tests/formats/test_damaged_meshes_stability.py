@@ -14,6 +14,10 @@ import pytest
 
 import geokit as gk
 from tests.support import mesh_catalog
+from tests.support.attributed import painted
+
+# Attributes that damage makes unusable are left out with a warning.
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:.*test_damaged_meshes.*")
 
 MESH = mesh_catalog.l_profile()
 # A hang, not a time: a good run takes milliseconds, also on a busy machine far less than this.
@@ -84,7 +88,9 @@ def ascii_stl() -> bytes:
 
 
 OWN = {".obj", ".off", ".ply", ".stl"}
+PAINTED = {f"painted.{kind}": None for kind in ("obj", "off", "ply")}
 SOURCES = {"obj": None, "off": None, "ply": None, "stl": None, "ascii.ply": quads_as_ply, "ascii.stl": ascii_stl}
+SOURCES |= PAINTED
 
 
 @pytest.mark.slow
@@ -93,7 +99,7 @@ def test_three_hundred_mutants(tmp_path, source):
     make = SOURCES[source]
     path = tmp_path / f"mutant.{source}"
     if make is None:
-        gk.mesh.save(path, MESH)
+        gk.mesh.save(path, painted(MESH) if source in PAINTED else MESH)
     else:
         path.write_bytes(make())
     whole = path.read_bytes()
@@ -124,10 +130,13 @@ def test_every_truncation_is_found(tmp_path, source):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["glb", "3mf", "vtk", "vtp", "vtu", "msh", "xdmf", "usda", "usdc"])
+@pytest.mark.parametrize(
+    "kind",
+    ["painted.glb", "painted.usdc", "painted.vtp", "glb", "3mf", "vtk", "vtp", "vtu", "msh", "xdmf", "usda", "usdc"],
+)
 def test_mutants_of_other_formats(tmp_path, kind, capfd):
     path = tmp_path / f"mutant.{kind}"
-    gk.mesh.save(path, MESH)
+    gk.mesh.save(path, painted(MESH) if kind.startswith("painted") else MESH)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     assert not survives(path)

@@ -96,7 +96,7 @@ def survives(path) -> bool:
     cloud, refusal = None, ""
     try:
         cloud = load(path)
-    except gk.FileFormatError as error:
+    except (gk.FileFormatError, gk.DeviceMemoryError) as error:
         refusal = str(error)
     assert time.monotonic() - start < SLOWEST_SECONDS
     if cloud is None:

@@ -75,7 +75,7 @@ def test_merging_survives_equal_hashes(monkeypatch):
     assert (first.tolist(), group.tolist()) == ([0, 1, 3], [0, 1, 0, 2, 1])
 
 
-def test_merging_points_tells_neighbours_apart():
+def test_merging_points_tells_neighbors_apart():
     points = np.array([[1.0, 0, 0], [np.nextafter(1.0, 2), 0, 0], [1.0, -0.0, 0]])
     assert merge_equal_points(points)[1].tolist() == [0, 1, 0]
 

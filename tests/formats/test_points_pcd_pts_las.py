@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_pcd_binary_by_hand(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "shown"), [("U", "4286578768"), ("I", "-8388528"), ("F", "-1.1754943e-38")])
-def test_pcd_colours_are_bits_whatever_their_type(kind, shown, tmp_path):
+def test_pcd_colors_are_bits_whatever_their_type(kind, shown, tmp_path):
     # 0xFF800050, 0xFF800050 as a signed integer, 0x80800000 as a float: an alpha, then red, green and blue.
     head = header("x y z rgba", "4 4 4 4", f"F F F {kind}", points=1)
     cloud = load(write(tmp_path / "a.pcd", f"{head}1 2 3 {shown}\n"))
@@ -196,7 +196,6 @@ def test_finite_only_takes_the_rows_of_data_along(tmp_path):
 
 COMPRESSED = header(data="binary_compressed").encode()
 DAMAGED_PCD = [
-    ("", "no DATA line"),
     ("# .PCD\nVERSION .7\nFIELDS x y z\n", "no DATA line"),
     ("solid ground\nDATA ascii\n", r"'solid ground' \(byte 0\) is not understood"),
     (header(extra="WIDTH 2\n"), r"'WIDTH 2' \(byte \d+\) is not understood"),
@@ -308,7 +307,6 @@ def test_no_points_as_pts(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"line 1 \(''\) is not the number of points"),
         ("1 2 3\n4 5 6\n", r"line 1 \('1 2 3'\) is not the number of points.* call the file .xyz"),
         ("3\n1 2 3\n4 5 6\n", "ends in point 2 of the 3"),
         ("9" * 18 + "\n1 2 3\n", "ends in point 1 of the 9+ it declares"),
@@ -336,11 +334,11 @@ def test_data_that_pts_cannot_hold(data, tmp_path):
         save(tmp_path / "a.pts", POINTS, data=data)
 
 
-# Colours in the formats with columns.
+# Colors in the formats with columns.
 
 
 @pytest.mark.parametrize("kind", ["ply", "csv", "xyz"])
-def test_colours_are_red_green_and_blue(kind, tmp_path):
+def test_colors_are_red_green_and_blue(kind, tmp_path):
     save(tmp_path / f"a.{kind}", POINTS, data={"rgb": RGB})
     head = (tmp_path / f"a.{kind}").read_bytes()[:300]
     assert all(name in head for name in (b"red", b"green", b"blue"))
@@ -492,14 +490,7 @@ def test_damaged_las_is_named(tmp_path):
 
 
 def test_without_laspy(tmp_path, monkeypatch):
-    original = builtins.__import__
-
-    def without(name, *arguments, **named):
-        if name == "laspy":
-            raise ImportError(name)
-        return original(name, *arguments, **named)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "laspy", None)
     write(tmp_path / "a.las", b"LASF")
     with pytest.raises(gk.MissingDependencyError, match=r"pip install 'geokit\[las\]'"):
         load(tmp_path / "a.las")

@@ -71,13 +71,13 @@ def test_point_cloud_is_checked_and_read_only():
     for points, message in [
         (POINTS[:, :2], r"points: shape \(40, 2\)"),
         ([[0, 0, 0], [0, np.inf, 0]], "points: row 1 is not finite"),
-        ([["a", "b", "c"]], "points: cannot be read"),
+        ([["a", "b", "c"]], "points: dtype"),
     ]:
         with pytest.raises(gk.InputError, match=message):
             gk.points.PointCloud(points)
     for data, message in [
         ({"a": [1, 2]}, r"'a' has shape \(2,\); give one row for each of the 40"),
-        ({"a": ["x"] * 40}, "'a' has dtype"),
+        ({"a": ["x"] * 40}, "'a'.*dtype"),
         ({"a": np.zeros((40, 2, 2))}, "'a' has shape"),
     ]:
         with pytest.raises(gk.InputError, match=message):
@@ -216,7 +216,7 @@ def test_arrays_that_are_no_points(tmp_path):
 
 
 def test_paths_that_cannot_be_used(tmp_path):
-    with pytest.raises(gk.InputError, match=r"'\.stl' is not a point format; use one of \.csv"):
+    with pytest.raises(gk.InputError, match=r"'\.stl' is not a point format; use one of .*\.csv"):
         gk.points.load("a.stl")
     with pytest.raises(gk.InputError, match=r"'\.npy' is not a point format"):
         gk.points.save(tmp_path / "a.npy", POINTS)
@@ -318,8 +318,10 @@ def test_archives_that_are_no_rays(tmp_path):
 
 def test_public_names():
     results = {"ChamferDistance", "Cover", "DirectedDistance", "Downsampled", "HausdorffDistance", "KNearest"}
-    results |= {"NeighborBlock", "Neighbors", "Pairs", "PointCloud", "PointNormals", "Registration"}
+    results |= {"NeighborBlock", "NeighborList", "Neighbors", "Pairs", "PointCloud", "PointNormals", "Registration"}
+    results |= {"Candidates", "PointTile", "ProcessedFile"}
     functions = {"chamfer", "cluster", "cover", "density", "downsample", "hausdorff", "normals", "outliers", "register"}
+    functions |= {"load_tiles", "process_file", "sample", "to_open3d", "to_pyvista", "to_trimesh"}
     assert set(dir(gk.points)) == {"NeighborGrid", "load", "load_rays", "save"} | functions | results
     for name in gk.points.__all__:
         assert getattr(gk.points, name).__name__ == name

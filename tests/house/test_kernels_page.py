@@ -38,7 +38,7 @@ def run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleTyp
 
 
 def test_every_block_is_checked():
-    assert set(BLOCKS) == {"mesh", "volume", "grid", "team", "all"}
+    assert set(BLOCKS) == {"mesh", "volume", "grid", "moving", "team", "all"}
     assert PAGE.count("```python") == len(BLOCKS)
 
 
@@ -109,6 +109,18 @@ def test_grid(tmp_path, monkeypatch):
     np.testing.assert_array_equal(page.count.numpy(), np.diff(found.offsets))
     total = np.add.reduceat(page.points[found.indices, 2], found.offsets[:-1])
     np.testing.assert_allclose(page.mean.numpy(), total / np.diff(found.offsets), atol=SINGLE)
+
+
+def test_moving(tmp_path, monkeypatch):
+    page = run("moving", tmp_path, monkeypatch)
+    points = np.random.default_rng(4).uniform(0.0, 1.0, (2000, 3))
+    for _ in range(10):
+        away = points[:, None] - points
+        distance = np.linalg.norm(away, axis=2)
+        np.fill_diagonal(distance, np.inf)
+        share = np.where(distance < 0.1, 0.02 * (0.1 / distance - 1.0), 0.0)
+        points = points + (share[:, :, None] * away).sum(axis=1)
+    np.testing.assert_allclose(page.points.numpy(), points, atol=1e-12)
 
 
 def test_all_three(tmp_path, monkeypatch):

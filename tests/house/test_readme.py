@@ -35,7 +35,7 @@ def test_python(folder: Path) -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines() == ["True"]
-    assert {path.name for path in folder.iterdir()} == {"data", "torus.vdb", "closest.vtp", "torus.png"}
+    assert {path.name for path in folder.iterdir()} == {"data", "torus.vdb", "closest.vtp", "torus.png", "scene.html"}
 
 
 @pytest.mark.slow
@@ -57,6 +57,7 @@ def test_commands(folder: Path) -> None:
         "distances.csv",
         "neighbors.npz",
         "figure.png",
+        "scene.html",
     }
 
 

@@ -146,7 +146,7 @@ def test_covers_are_within(seed, count, share, exponent, order_seed):
 
 
 @pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16"])
-def test_what_quantisation_refuses_names_what_it_reaches(codec):
+def test_what_quantization_refuses_names_what_it_reaches(codec):
     volume = from_mesh(bumpy(), 0.08, device="cpu")
     with pytest.raises(InputError, match="reaches") as caught:
         quantize(volume, codec, tolerance=1e-9)

@@ -53,7 +53,7 @@ BAD = [
     (POINTS, np.array([[0, 1, 2**63]], np.uint64), "faces: row 0"),
     (POINTS, [[0.0, 1.0, 2.0]], "faces: dtype float64"),
     ([[0, 0, 0], [0, np.nan, 0], [np.inf, 0, 0]], [[0, 1, 2]], "vertices: row 1 is not finite"),
-    ([["a", 0, 0]], np.zeros((0, 3), int), "vertices: cannot be read as numbers"),
+    ([["a", 0, 0]], np.zeros((0, 3), int), "vertices: dtype .* is not a real number type"),
 ]
 
 

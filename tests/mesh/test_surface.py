@@ -161,7 +161,7 @@ def test_handle_works_in_the_user_s_own_kernel(box):
 
 @wp.kernel
 def inside_kernel(mesh: wp.uint64, out: wp.array(dtype=wp.bool)):
-    # The local frame of a unit box is centred on it.
+    # The local frame of a unit box is centered on it.
     query = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(0.1, 0.2, 0.3), 10.0)
     out[0] = query.result and query.sign < 0.0
 

@@ -21,23 +21,17 @@ from geokit.errors import (
     UnsupportedGridError,
 )
 from geokit.native import RawMetadata, VdbGrid
+from geokit.volume.nanovdb.types import TYPES
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
 # --- An independent writer of NanoVDB 32.x buffers, from the published layout -----------------------------------------
 
+# Types that OpenVDB has too.
 GRID_TYPES = {
-    "float": (1, "<f4", ()),
-    "double": (2, "<f8", ()),
-    "int32": (4, "<i4", ()),
-    "int64": (5, "<i8", ()),
-    "vec3f": (6, "<f4", (3,)),
-    "vec3d": (7, "<f8", (3,)),
-    "mask": (8, "?", ()),
-    "uint32": (10, "<u4", ()),
-    "bool": (11, "?", ()),
-    "vec4f": (17, "<f4", (4,)),
-    "vec4d": (18, "<f8", (4,)),
+    kind.name: (kind.number, kind.value.base, kind.value.shape)
+    for kind in TYPES
+    if kind.openvdb and kind.family != "quantized"
 }
 CLASSES = {"unknown": 0, "level set": 1, "fog volume": 2, "staggered": 3, "topology": 6}
 IDENTITY = np.eye(4)
@@ -429,7 +423,7 @@ def test_half_stores_sixteen_bits(tmp_path: Path) -> None:
 
 
 @needs_openvdb
-def test_quantised_sample_becomes_float(tmp_path: Path) -> None:
+def test_quantized_sample_becomes_float(tmp_path: Path) -> None:
     buffer = make_buffer("float")
     layout = Layout("float")
     leaf = 672 + int(get(buffer, 672, "<u8")[0])
@@ -438,10 +432,10 @@ def test_quantised_sample_becomes_float(tmp_path: Path) -> None:
     codes = np.random.default_rng(3).integers(0, 256, 512, dtype=np.uint8)
     body = np.zeros(16, np.uint8)
     put(body, 0, [-1.5, 0.01], "<f4")
-    quantised = np.concatenate([head, mask, body, codes])
-    put(quantised, 32, [len(quantised)], "<u8")
-    put(quantised, 636, [14], "<u4")
-    (result,) = round_trip(tmp_path, VdbGrid(quantised, {}))
+    quantized = np.concatenate([head, mask, body, codes])
+    put(quantized, 32, [len(quantized)], "<u8")
+    put(quantized, 636, [14], "<u4")
+    (result,) = round_trip(tmp_path, VdbGrid(quantized, {}))
     leaf = 672 + int(get(result.nanovdb, 672, "<u8")[0])
     values = get(result.nanovdb, leaf + layout.leaf_values, "<f4", 512)
     # One rounding of the product, or none where the compiler fuses it with the sum.
@@ -495,6 +489,13 @@ def test_metadata_without_an_openvdb_type(tmp_path: Path, value: object) -> None
     with pytest.raises(InputError, match="'bad'"):
         native.write_vdb(tmp_path / "a.vdb", [VdbGrid(make_buffer("float"), {"bad": value})])
     assert list(tmp_path.iterdir()) == []
+
+
+@needs_openvdb
+def test_a_metadata_name_that_is_not_utf8(tmp_path: Path) -> None:
+    # A damaged file can hold one.
+    with pytest.raises(InputError, match=r"metadata 'a\\udcff': the name holds bytes that are not UTF-8"):
+        native.write_vdb(tmp_path / "a.vdb", [VdbGrid(make_buffer("float"), {"a\udcff": 1})])
 
 
 @needs_openvdb
@@ -571,8 +572,8 @@ def test_surface_follows_the_transform_in_double(tmp_path: Path, name: str) -> N
     moved = native.volume_to_mesh(moved_field)
     expected = plain.points @ transform[:3, :3].T + transform[:3, 3]
     np.testing.assert_allclose(moved.points, expected, rtol=1e-15, atol=1e-13)
-    centred = moved.points - transform[:3, 3]
-    assert signed_volume(centred, split(moved)) > 0
+    centered = moved.points - transform[:3, 3]
+    assert signed_volume(centered, split(moved)) > 0
 
 
 @pytest.mark.slow
@@ -875,3 +876,20 @@ def test_errors_of_a_file_that_is_none(tmp_path: Path) -> None:
 def test_ci_runs_with_the_extension() -> None:
     # Without it, every test that needs OpenVDB would be skipped and the run still be green.
     assert native.available()
+
+
+def test_small_files_of_a_batch_are_read_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the worker program, and by a fork of the process that is kept for them."""
+    path = tmp_path / "a.vdb"
+    native.write_vdb(path, [VdbGrid(make_buffer("float"), METADATA), VdbGrid(make_buffer("vec3f"), {"name": "b"})])
+    found = []
+    for first in (sys.maxsize, 0):
+        monkeypatch.setattr(native, "FIRST_FILES", first)
+        found.append([native.read_vdb(path), native.read_vdb(path, grids=["b"])])
+        with pytest.raises(InputError, match=r"the file holds .*'b'"):
+            native.read_vdb(path, grids=["c"])
+    for ours, theirs in zip(*found, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
+            assert np.array_equal(one.nanovdb, other.nanovdb)
+            assert one.nanovdb.ctypes.data % 32 == 0
+            assert repr(one.metadata) == repr(other.metadata)

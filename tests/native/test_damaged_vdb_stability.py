@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from geokit import native
-from geokit.errors import FileAccessError, FileFormatError, UnsupportedGridError
+from geokit.errors import FileAccessError, FileFormatError, UnsupportedGridError, WorkerError
 from geokit.native import VdbGrid, _worker
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -46,6 +46,19 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         native.write_vdb(path, grids, compression=compression)
         contents[compression] = path.read_bytes()
     return contents
+
+
+@pytest.fixture(autouse=True)
+def program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker program reads all files."""
+    monkeypatch.setattr(native, "FIRST_FILES", sys.maxsize)
+
+
+@pytest.fixture(params=["program", "server"])
+def either(program: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker program reads all files, or a fork of the process that is kept for small ones does."""
+    if request.param == "server":
+        monkeypatch.setattr(native, "FIRST_FILES", 0)
 
 
 @pytest.fixture
@@ -76,6 +89,7 @@ def outcome(path: Path) -> str:
     return result
 
 
+@pytest.mark.usefixtures("either")
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", ["blosc", "zip", "none"])
 def test_every_truncation_is_refused(
@@ -90,6 +104,7 @@ def test_every_truncation_is_refused(
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.usefixtures("either")
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", ["blosc", "zip", "none"])
 @pytest.mark.parametrize("seed", range(2))
@@ -113,6 +128,7 @@ def test_flipped_bytes(
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.usefixtures("either")
 def test_overwritten_blocks(samples: dict[str, bytes], tmp_path: Path, spool_root: Path) -> None:
     content = samples["blosc"]
     rng = np.random.default_rng(11)
@@ -126,6 +142,7 @@ def test_overwritten_blocks(samples: dict[str, bytes], tmp_path: Path, spool_roo
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.usefixtures("either")
 @pytest.mark.parametrize("content", [b"", b"#!/bin/sh\necho hello\n" * 50, b"\0" * 5000, b"\xff" * 5000])
 def test_files_that_are_none(tmp_path: Path, spool_root: Path, content: bytes) -> None:
     path = tmp_path / "other.vdb"
@@ -154,6 +171,7 @@ def test_inspecting_damaged_files(samples: dict[str, bytes], tmp_path: Path) -> 
     assert refused > 0
 
 
+@pytest.mark.usefixtures("either")
 def test_a_file_without_grids(samples: dict[str, bytes], tmp_path: Path, spool_root: Path) -> None:
     content = bytearray(samples["none"])
     # The count of grids stands in front of the first descriptor: the length of its name, then the name.
@@ -167,6 +185,7 @@ def test_a_file_without_grids(samples: dict[str, bytes], tmp_path: Path, spool_r
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.usefixtures("either")
 def test_sound_files_still_load(samples: dict[str, bytes], tmp_path: Path, spool_root: Path) -> None:
     for name, content in samples.items():
         path = tmp_path / f"{name}.vdb"
@@ -209,12 +228,13 @@ def test_every_end_of_the_worker_has_a_name(
     path.write_bytes(samples["blosc"])
     monkeypatch.setattr(native, "_worker_path", lambda: stub_worker(tmp_path, body))
     start = time.monotonic()
-    with pytest.raises(FileFormatError, match=match):
+    with pytest.raises(WorkerError if match == "SIGKILL" else FileFormatError, match=match):
         native.read_vdb(path, time_limit=1.5)
     assert time.monotonic() - start < 40.0  # the worker sleeps for 60
     assert list(spool_root.iterdir()) == []
 
 
+@pytest.mark.usefixtures("either")
 @pytest.mark.slow
 def test_memory_limit(tmp_path: Path, spool_root: Path) -> None:
     """A file of a few kilobytes that grows a thousandfold is stopped at the limit, and loads with more."""
@@ -280,6 +300,30 @@ def test_arrays_outlive_the_spool(samples: dict[str, bytes], tmp_path: Path, spo
     for ours, theirs in zip(worker_grids, trusted_grids, strict=True):
         assert np.array_equal(ours.nanovdb, theirs.nanovdb)
         assert ours.nanovdb.flags.writeable
+
+
+def test_the_spool_of_a_killed_process_is_removed_by_the_next_read(
+    samples: dict[str, bytes], tmp_path: Path, spool_root: Path
+) -> None:
+    path = tmp_path / "fine.vdb"
+    path.write_bytes(samples["zip"])
+    code = textwrap.dedent(
+        f"""
+        import time
+        from geokit import native
+        from geokit.native import _worker
+        _worker.spool_folders = lambda file_size: [{str(spool_root)!r}]
+        _worker.run_worker = lambda *arguments, **options: print(flush=True) or time.sleep(60)
+        native.read_vdb({str(path)!r})
+        """
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.kill()
+    assert len(list(spool_root.iterdir())) == 1
+    native.read_vdb(path)
+    assert list(spool_root.iterdir()) == []
 
 
 def test_default_folders_prefer_shared_memory() -> None:

@@ -80,7 +80,42 @@ def test_a_cloud_is_0_away_from_itself_in_any_order():
     assert chamfer(a, a[::-1], device="cpu")[:2] == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("kind", ["random", "equal", "one"])
+def test_pairs_of_groups_are_as_one_by_one(kind):
+    random = np.random.default_rng(3)
+    sizes = [random.integers(1, 300, 40) if kind == "random" else np.full(40, 1 if kind == "one" else 200)] * 2
+    if kind == "random":
+        sizes[1] = random.permutation(sizes[0])
+    groups = [np.concatenate([[0], np.cumsum(some)]) for some in sizes]
+    a, b = (random.random((each[-1], 3)) for each in groups)
+    a[groups[0][3] : groups[0][3] + 1] = b[groups[1][3]]
+    found = chamfer(a, b, groups=groups, device="cpu")
+    for i, (p, q, s, t) in enumerate(zip(groups[0], groups[1], groups[0][1:], groups[1][1:], strict=False)):
+        alone = chamfer(a[p:s], b[q:t], device="cpu")
+        assert (found.distance[i], found.squared[i]) == alone[:2]
+        for parts, one, first, other in ((found.a_to_b, alone.a_to_b, p, q), (found.b_to_a, alone.b_to_a, q, p)):
+            moved = (*one[:3], one.index_from + first, one.index_to + other)
+            assert tuple(part[i] for part in parts) == moved
+
+
+def test_groups_of_pairs_are_checked():
+    each = [0, 1, 2]
+    for groups, message in (
+        (each, "groups: .* is not a pair"),
+        (([0, 3], each), "groups: 1 clouds in a and 2 in b"),
+        (([0], [0, 2]), r"groups\[0\]: from 0 to 0, which are not all 3 rows of a"),
+        (([0, 1, 3], [0, 1]), r"groups\[1\]: from 0 to 1, which are not all 2 rows of b"),
+        (([0, 3, 3], each), "a: cloud 1 has no points"),
+        (([0, 2, 3], [0, 0, 2]), "b: cloud 0 has no points"),
+    ):
+        with pytest.raises(gk.InputError, match=message):
+            chamfer(A, B, groups=groups, device="cpu")
+
+
 def test_containers():
+    of_groups = chamfer(wp.array(A, dtype=wp.vec3f, device="cpu"), B, groups=([0, 1, 3], [0, 1, 2]), device="cpu")
+    assert isinstance(of_groups.b_to_a.index_to, wp.array)
+    assert of_groups.distance.dtype == wp.float32
     given = wp.array(A, dtype=wp.vec3d, device="cpu")
     assert hausdorff(given, B.astype(np.float32), device="cpu") == hausdorff(A, B, device="cpu")
     assert all(type(value) in (float, int) for value in hausdorff(given, B, device="cpu")[:5])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from geokit import render
 from geokit.errors import FileAccessError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.render import _backend
+from geokit.render._scene import round_values
 
 SIZE = (400, 300)
 
@@ -74,7 +77,7 @@ def test_a_mesh_is_drawn_in_the_middle_on_white(tmp_path: Path, sphere: Triangle
     assert (picture[[0, -1], :, :3] == 1.0).all()
     mask = drawn(target)
     rows, columns = np.nonzero(mask)
-    # A sphere in perspective is round: as wide as high, centred, and filled to pi / 4 of its box.
+    # A sphere in perspective is round: as wide as high, centered, and filled to pi / 4 of its box.
     width, height = np.ptp(columns) + 1, np.ptp(rows) + 1
     assert abs(width - height) <= 4
     assert abs(rows.mean() - 149.5) < 3
@@ -101,18 +104,32 @@ def test_up_points_up(tmp_path: Path, sphere: TriangleMesh, up: str) -> None:
     assert left[rows[0] + 20, column] > left[rows[-1] - 20, column] + 0.2
 
 
-def test_values_colour_vertices_or_faces(tmp_path: Path, sphere: TriangleMesh) -> None:
+def test_values_color_vertices_or_faces(tmp_path: Path, sphere: TriangleMesh) -> None:
     by_vertex = render.figure(tmp_path / "v.png", mesh=sphere, color=sphere.vertices[:, 1], label="height", size=SIZE)
     by_face = render.figure(
         tmp_path / "f.png", mesh=sphere, color=sphere.vertices[sphere.faces[:, 0], 1], label="height", size=SIZE
     )
     for path in (by_vertex, by_face):
         picture = pixels(path)[..., :3]
-        # The colour bar stands at the right; viridis runs from violet to yellow.
+        # The color bar stands at the right; viridis runs from violet to yellow.
         assert drawn(path)[:, 340:].any()
         spread = (picture.max(axis=-1) - picture.min(axis=-1))[:, :320]
         assert spread.max() > 0.4
     assert np.abs(pixels(by_vertex) - pixels(by_face))[..., :3].mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("limits", "labels"),
+    [
+        ((-0.02, 0.0200001), [-0.02, -0.01, 0.0, 0.01, 0.02]),
+        ((8.98e-06, 0.0161), [0.005, 0.01, 0.015]),
+        ((0.86, 146.0), [50, 100]),
+        ((-4.0, 4.0), [-4, -2, 0, 2, 4]),
+        ((1e9, 1e9 + 3), [1e9, 1e9 + 1, 1e9 + 2, 1e9 + 3]),
+    ],
+)
+def test_color_bars_are_labeled_at_round_values(limits: tuple[float, float], labels: list[float]) -> None:
+    assert round_values(*limits) == pytest.approx(labels, rel=1e-12)
 
 
 def test_points_are_drawn_over_a_mesh(tmp_path: Path, sphere: TriangleMesh) -> None:
@@ -136,7 +153,7 @@ def test_other_grids_are_drawn_as_fog(tmp_path: Path, ball) -> None:
 
     fog = dataclasses.replace(ball, info=dataclasses.replace(ball.info, grid_class="fog volume"), _uploads={})
     target = render.figure(tmp_path / "fog.png", volume=fog, size=SIZE)
-    # Fog brings a colour bar along, and covers its box.
+    # Fog brings a color bar along, and covers its box.
     mask = drawn(target)
     assert mask[:, 340:].any()
     assert mask[:, :320].mean() > 0.1
@@ -184,14 +201,14 @@ def test_bad_requests_are_named(tmp_path: Path, sphere: TriangleMesh) -> None:
         ("nothing to draw", {}),
         ("outside 64 to 8192", {"mesh": sphere, "size": (10, 10)}),
         ("is not \\(width, height\\)", {"mesh": sphere, "size": "big"}),
-        ("is not one of x, y, z", {"mesh": sphere, "up": "w"}),
-        ("is not a colour", {"mesh": sphere, "color": "no such colour"}),
+        ("is not known; use one of", {"mesh": sphere, "up": "w"}),
+        ("is not a color", {"mesh": sphere, "color": "no such color"}),
         ("does not match", {"mesh": sphere, "color": [1.0, 2.0]}),
-        ("cannot be read as numbers", {"mesh": sphere, "color": ["a"] * 3}),
+        ("is not a real number type", {"mesh": sphere, "color": ["a"] * 3}),
         ("is not \\(N, 3\\)", {"points": [[1.0, 2.0]]}),
         ("empty", {"points": np.zeros((0, 3))}),
         ("has no faces", {"mesh": TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))}),
-        ("is outside \\(0, 1\\]", {"mesh": sphere, "opacity": 0.0}),
+        ("greater than 0", {"mesh": sphere, "opacity": 0.0}),
         ("low < high", {"mesh": sphere, "color": sphere.vertices[:, 0], "value_limits": (1.0, 1.0)}),
     ]
     for message, arguments in cases:
@@ -204,8 +221,8 @@ def test_bad_requests_are_named(tmp_path: Path, sphere: TriangleMesh) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_volume_takes_one_colour(tmp_path: Path, ball) -> None:
-    with pytest.raises(InputError, match="drawn in one colour"):
+def test_a_volume_takes_one_color(tmp_path: Path, ball) -> None:
+    with pytest.raises(InputError, match="drawn in one color"):
         render.figure(tmp_path / "x.png", volume=ball, color=[1.0], size=SIZE)
 
 
@@ -221,7 +238,7 @@ def test_slice_shows_the_zero_contour(tmp_path: Path, ball) -> None:
 
 
 def test_slice_refuses(tmp_path: Path, ball) -> None:
-    with pytest.raises(InputError, match="is not one of x, y, z"):
+    with pytest.raises(InputError, match="is not known; use one of"):
         render.slice(tmp_path / "s.png", ball, axis="q")
     with pytest.raises(InputError, match="not a figure format"):
         render.slice(tmp_path / "s.gif", ball)
@@ -254,6 +271,25 @@ def test_chart_draws_each_series(tmp_path: Path) -> None:
     assert orange > 100
 
 
+@pytest.mark.parametrize("kind", ["svg", "pdf"])
+def test_flat_figures_are_lines_of_any_size(tmp_path: Path, kind: str, ball) -> None:
+    lines = [render.Series("first", [1, 10, 100], [3, 2, 1])]
+    labels = {"x_label": "s", "y_label": "m"}
+    first, second = (render.chart(tmp_path / f"{n}.{kind}", lines, **labels).read_bytes() for n in "ab")
+    assert first == second
+    cut = render.slice(tmp_path / f"cut.{kind.upper()}", ball, size=SIZE).read_bytes()
+    for data in (first, cut):
+        if kind == "svg":
+            drawing = ElementTree.fromstring(data)
+            assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+            assert len(list(drawing.iter("{http://www.w3.org/2000/svg}path"))) > 20
+        else:
+            assert (data[:5], data.rstrip()[-5:]) == (b"%PDF-", b"%%EOF")
+    assert (b"<image" in first, b"<image" in cut) == (False, kind == "svg")
+    with pytest.raises(InputError, match=r"'.svg' is not a figure format; use one of .png"):
+        render.figure(tmp_path / "a.svg", volume=ball)
+
+
 @pytest.mark.parametrize(
     ("message", "series"),
     [
@@ -281,7 +317,7 @@ def test_backend_follows_the_variable_and_names_what_is_missing() -> None:
         "except MissingDependencyError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert "install the Debian packages libgl1 libegl1" in done.stdout
+    assert "apt install libegl1 libgl1" in done.stdout
     working = [name for name in _backend.BACKENDS.values() if _backend._loads(name)]
     for name in working:
         if name == _backend.EGL and not _backend._egl_draws():
@@ -291,3 +327,37 @@ def test_backend_follows_the_variable_and_names_what_is_missing() -> None:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=environment)
         assert done.stdout.strip() == name
     assert working, "neither EGL nor OSMesa can be loaded: figures cannot be tested here"
+
+
+@pytest.mark.slow
+def test_triton_is_imported_after_a_figure(tmp_path: Path) -> None:
+    """torch imports triton late. After Mesa's LLVM that ended the process, wherever torch brought triton."""
+    code = (
+        "from geokit import mesh, render\n"
+        f"render.figure({str(tmp_path / 'a.png')!r}, mesh=mesh.sphere(), size=(64, 64))\n"
+        "import torch._dynamo\n"
+        "print('imported')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "imported\n", done.stderr
+
+
+def test_triton_is_loaded_before_mesa(tmp_path: Path) -> None:
+    """A stand-in for triton, so that the order is also tested where torch has none: a copy of another library."""
+    native = tmp_path / "triton" / "_C"
+    native.mkdir(parents=True)
+    (tmp_path / "triton" / "__init__.py").write_text("raise ImportError('only its library is loaded')")
+    with open("/proc/self/maps") as maps:
+        libm = next(line.split()[-1] for line in maps if "/libm.so" in line or "/libm-" in line)
+    shutil.copy(libm, native / "libtriton.so")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "from geokit.render import _backend\n"
+        "mapped = lambda: 'libtriton.so' in open('/proc/self/maps').read()\n"
+        "loads = _backend._loads\n"
+        "def watched(name):\n    print(mapped())\n    return loads(name)\n"
+        "_backend._loads = watched\n"
+        "_backend.gl_backend()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert set(done.stdout.split()) == {"True"}, done.stderr

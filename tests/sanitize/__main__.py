@@ -80,7 +80,9 @@ def sanitize(modules: list[str], clang: Clang, *, calls: Sequence[str] = (), fau
                 raise RuntimeError(f"the calls could not be run:\n{run.stderr}")
             last = entries[-1] if entries else {}
             logs = "\n".join(path.read_text("utf-8", "replace") for path in sorted(Path(folder).glob(f"log{start}.*")))
-            text = f"the process ended with {run.returncode}\n{logs[-6000:]}\n{run.stderr[-3000:]}"
+            # The first report of the launch names the fault; the last one only where it ended.
+            unseen = logs[last.get("log", 0) :]
+            text = f"the process ended with {run.returncode}\n{unseen[:20000]}\n{run.stderr[-3000:]}"
             findings.append(Finding(last.get("module", ""), last.get("kernel", ""), last.get("call", ""), text))
     raise RuntimeError(f"the process ended {MOST_RESTARTS} times; the last: {findings[-1].text}")
 

@@ -88,7 +88,7 @@ class Interception:
         kind = type(arguments._obj)
         copy = kind.from_buffer_copy(arguments._obj)
         where = {"module": forward.kernel.module.name, "kernel": forward.kernel.key, "call": self.call}
-        self._note(**where, items=int(bounds._obj.size), started=True)
+        self._note(**where, items=int(bounds._obj.size), started=True, log=self._seen)
         second = kind.from_buffer_copy(arguments._obj)
         try:
             regions = self._memory.copied(list(parts(forward.kernel, copy)))

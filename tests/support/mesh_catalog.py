@@ -14,7 +14,10 @@ __all__ = [
     "OPEN",
     "bowtie",
     "box",
+    "box_without_a_lid",
     "collapsed_faces",
+    "crossing_sheets",
+    "doubled",
     "duplicate_faces",
     "far_away",
     "flipped_faces",
@@ -25,12 +28,15 @@ __all__ = [
     "l_profile",
     "moved",
     "nested_boxes",
+    "open_cylinder",
     "open_shell",
     "overlapping_spheres",
     "scaled",
+    "sheet",
     "single_triangle",
     "sliver_fan",
     "soup",
+    "spherical_cap",
     "tetrahedron",
     "three_on_an_edge",
     "torus",
@@ -144,7 +150,7 @@ def two_boxes_touching_at_a_vertex() -> TriangleMesh:
 
 
 def overlapping_spheres() -> TriangleMesh:
-    """Closed; two unit spheres whose centres are 1.0 apart, with no vertex in common: winding number 2 between them."""
+    """Closed; two unit spheres whose centers are 1.0 apart, with no vertex in common: winding number 2 between them."""
     return join(moved(icosphere(), (-0.5, 0, 0)), moved(icosphere(), (0.45, 0.3, 0.1)))
 
 
@@ -163,6 +169,48 @@ def holed_sphere(missing: int = 5) -> TriangleMesh:
     """Open; an icosphere of 320 faces without its first ``missing`` ones."""
     sphere = icosphere()
     return TriangleMesh(sphere.vertices, sphere.faces[missing:], name="holed_sphere")
+
+
+def spherical_cap(share: float, around: int = 48, across: int = 24) -> TriangleMesh:
+    """Open; the unit sphere from its pole at +z down to the angle ``share * pi``: a half for 0.5."""
+    polar, angle = np.linspace(0, np.pi * share, across + 1)[1:], 2 * np.pi * np.arange(around) / around
+    rings = [
+        np.stack([np.sin(t) * np.cos(angle), np.sin(t) * np.sin(angle), np.full(around, np.cos(t))], axis=1)
+        for t in polar
+    ]
+    i, j = np.arange(around), (np.arange(around) + 1) % around
+    faces = [np.stack([np.zeros(around, int), 1 + i, 1 + j], axis=1)]
+    for ring in range(1, across):
+        above, below = 1 + (ring - 1) * around, 1 + ring * around
+        faces += [np.stack([above + i, below + i, above + j], 1), np.stack([above + j, below + i, below + j], 1)]
+    return TriangleMesh(np.concatenate([[[0, 0, 1]], *rings]), np.concatenate(faces), name=f"cap_{share:g}")
+
+
+def box_without_a_lid() -> TriangleMesh:
+    """Open; a box without its two faces at the top."""
+    heights = box().vertices[_BOX_FACES][:, :, 2]
+    return TriangleMesh(box().vertices, _BOX_FACES[(heights < 1).any(axis=1)], name="box_without_a_lid")
+
+
+def open_cylinder(around: int = 48) -> TriangleMesh:
+    """Open at both ends; radius 1, 3 high."""
+    angle = 2 * np.pi * np.arange(around) / around
+    rings = [np.stack([np.cos(angle), np.sin(angle), np.full(around, z)], axis=1) for z in (-1.5, 1.5)]
+    i, j = np.arange(around), (np.arange(around) + 1) % around
+    faces = np.concatenate([np.stack([i, j, i + around], axis=1), np.stack([j, j + around, i + around], axis=1)])
+    return TriangleMesh(np.concatenate(rings), faces, name="open_cylinder")
+
+
+def sheet(count: int = 6) -> TriangleMesh:
+    """Open; the square [-1, 1]^2 at z = 0, wound upwards."""
+    return TriangleMesh(open_shell(count).vertices * [1, 1, 0], open_shell(count).faces, name="sheet")
+
+
+def crossing_sheets() -> TriangleMesh:
+    """Open; two squares that cross in the y axis."""
+    across = TriangleMesh(sheet().vertices[:, [2, 1, 0]], sheet().faces)
+    both = join(sheet(), across)
+    return TriangleMesh(both.vertices, both.faces, name="crossing_sheets")
 
 
 def sliver_fan(count: int = 64, height: float = 1e-5) -> TriangleMesh:
@@ -296,9 +344,9 @@ def with_holes(mesh: TriangleMesh, share: float, seed: int = 71) -> TriangleMesh
 
 def with_large_hole(mesh: TriangleMesh, share: float = 0.15, seed: int = 72) -> TriangleMesh:
     """Without this share of its faces, all around one of them."""
-    centres = mesh.vertices[mesh.faces].mean(axis=1)
-    middle = centres[np.random.default_rng(seed).integers(len(centres))]
-    distance = np.linalg.norm(centres - middle, axis=1)
+    centers = mesh.vertices[mesh.faces].mean(axis=1)
+    middle = centers[np.random.default_rng(seed).integers(len(centers))]
+    distance = np.linalg.norm(centers - middle, axis=1)
     keep = distance > np.quantile(distance, share)
     return TriangleMesh(mesh.vertices, mesh.faces[keep], name=f"{mesh.name}_large_hole")
 
@@ -314,6 +362,12 @@ def with_duplicates(mesh: TriangleMesh, share: float = 0.05, seed: int = 74) -> 
     """This share of its faces a second time."""
     twice = np.random.default_rng(seed).random(len(mesh.faces)) < share
     return TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, mesh.faces[twice]]), name=f"{mesh.name}_duplicates")
+
+
+def doubled(mesh: TriangleMesh, faces: slice = slice(None)) -> TriangleMesh:
+    """These faces a second time, wound the other way: both sides of a surface, as some programs write them."""
+    both = np.concatenate([mesh.faces, mesh.faces[faces, ::-1]])
+    return TriangleMesh(mesh.vertices, both, name=f"{mesh.name}_doubled")
 
 
 def with_fins(mesh: TriangleMesh, share: float = 0.05, seed: int = 75) -> TriangleMesh:

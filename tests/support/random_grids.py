@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from geokit.volume._dense import from_dense
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, bits_of
+from geokit.volume.nanovdb.nodes import bits_of
+from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
 from geokit.volume.tree.typed_writer import rebuilt
 
 # Voxels of the box that the dense arrays cover: it holds everything but inactive background, with room to grow.

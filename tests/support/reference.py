@@ -43,6 +43,7 @@ __all__ = [
     "meet_beyond_shared",
     "neighbors_within",
     "signed_distance",
+    "squared_triangle_distance",
     "tensor_interpolant",
     "triangle_meets_box",
     "triangles_meet",
@@ -151,6 +152,45 @@ def common_points(t: np.ndarray, u: np.ndarray) -> list[tuple[Fraction, ...]]:
 
 def triangles_meet(t: np.ndarray, u: np.ndarray) -> bool:
     return bool(common_points(t, u))
+
+
+def squared_triangle_distance(t: np.ndarray, u: np.ndarray) -> Fraction:
+    """Least squared distance of two closed triangles (3, 3), exactly, be they segments or points.
+
+    Each vertex, edge and face of one against each of the other: where the nearest points of the lines or planes through
+    them lie within both, they count.
+    """
+    corners, others = _rational(t), _rational(u)
+    subsets = [(0,), (1,), (2,), (0, 1), (1, 2), (2, 0), (0, 1, 2)]
+    found = []
+    for one in subsets:
+        for other in subsets:
+            p, q = corners[one[0]], others[other[0]]
+            along = [_minus(corners[k], p) for k in one[1:]] + [_minus(q, others[k]) for k in other[1:]]
+            shares = _least_squares(along, _minus(q, p))
+            if shares is None:
+                continue
+            mine, its = shares[: len(one) - 1], shares[len(one) - 1 :]
+            if min([*mine, *its, 1 - sum(mine), 1 - sum(its)]) < 0:
+                continue
+            rest = _minus(p, q)
+            for share, axis in zip(shares, along, strict=True):
+                rest = tuple(x + share * y for x, y in zip(rest, axis, strict=True))
+            found.append(_rational_dot(rest, rest))
+    return min(found)
+
+
+def _least_squares(along: list[tuple], toward: tuple) -> list[Fraction] | None:
+    """Weights of the axes whose sum is nearest to a vector; None where they depend on each other."""
+    rows = [[_rational_dot(a, b) for b in along] + [_rational_dot(a, toward)] for a in along]
+    for i, row in enumerate(rows):
+        if row[i] == 0:
+            return None
+        row[:] = [x / row[i] for x in row]
+        for k, other in enumerate(rows):
+            if k != i:
+                other[:] = [x - other[i] * y for x, y in zip(other, row, strict=True)]
+    return [row[-1] for row in rows]
 
 
 def meet_beyond_shared(t: np.ndarray, u: np.ndarray) -> bool:

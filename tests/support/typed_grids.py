@@ -7,10 +7,16 @@ import numpy as np
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
+from geokit.volume.nanovdb.types import TYPES
 
-SCALARS = ["float", "double", "int16", "int32", "int64", "uint8", "uint32", "half", "bool", "mask"]
-QUANTIZED = ["fp4", "fp8", "fp16", "fpn"]
-VECTORS = ["vec3f", "vec3d", "vec3u8", "vec3u16", "vec4f", "vec4d", "rgba8"]
+
+def _names(*families: str) -> list[str]:
+    return [kind.name for kind in TYPES if kind.family in families]
+
+
+SCALARS = _names("float", "integer", "bool", "mask")
+QUANTIZED = _names("quantized")
+VECTORS = _names("vector", "color")
 VALUED = [*SCALARS, *QUANTIZED, *VECTORS]
 
 LEAVES = np.array([[0, 0, 0], [-8, 0, 0]])

@@ -124,7 +124,7 @@ def test_recorded_arrays_stay_alive():
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
 def test_number_of_threads_is_checked(threads):
-    with pytest.raises(gk.InputError, match=r"threads: .* is not a positive whole number"):
+    with pytest.raises(gk.InputError, match=r"threads: .* is not a whole number from 1 up"):
         gk.threads.Team(threads, device="cpu")
 
 
@@ -132,7 +132,7 @@ def test_kernels_without_a_share_and_negative_counts_are_refused():
     team = gk.threads.Team(2, device="cpu")
     with pytest.raises(gk.InputError, match=r"the first parameter of shareless_kernel is no gk.threads.Share"):
         team.record(shareless_kernel, 5, [wp.zeros(5, dtype=int, device="cpu")])
-    with pytest.raises(gk.InputError, match="count, block: -1 and 32"):
+    with pytest.raises(gk.InputError, match="count: -1 is not a whole number"):
         team.run(visit_kernel, -1, [wp.zeros(1, dtype=int, device="cpu")])
-    with pytest.raises(gk.InputError, match="count, block: 1 and 0"):
+    with pytest.raises(gk.InputError, match="block: 0 is not a whole number"):
         team.run(visit_kernel, 1, [wp.zeros(1, dtype=int, device="cpu")], block=0)

@@ -7,7 +7,8 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit.core import launcher, pinned
+from geokit.core import launcher
+from geokit.core.memory import pinned
 from geokit.core.scan_kernels import last_kernel
 from geokit.volume.band import signs, tiles
 from geokit.volume.isosurface import surface_nets

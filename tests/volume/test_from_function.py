@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._dense import to_dense
 from geokit.volume._from_function import from_function

@@ -20,7 +20,7 @@ from geokit.errors import (
     UnsupportedGridError,
 )
 from geokit.volume import inspect, load, load_all, save
-from geokit.volume._io import _unique
+from geokit.volume._io import unique_names
 from geokit.volume._model import SparseVolume
 from tests.support.sphere_volumes import ROTATED, lookup, sphere
 
@@ -77,7 +77,7 @@ def test_grids_of_one_name_are_numbered(tmp_path, kind):
 
 
 def test_numbers_avoid_names_that_exist():
-    assert _unique(["d", "d", "d[1]", "d", ""]) == ["d", "d[2]", "d[1]", "d[3]", ""]
+    assert unique_names(["d", "d", "d[1]", "d", ""]) == ["d", "d[2]", "d[1]", "d[3]", ""]
 
 
 @pytest.mark.slow

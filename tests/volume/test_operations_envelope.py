@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from geokit import native
+from geokit.volume._components import segment
 from geokit.volume._csg import difference, intersection, union
 from geokit.volume._differential import gradient_field
 from geokit.volume._filters import smooth
 from geokit.volume._morphology import closing, erode, offset, opening, renormalize
 from geokit.volume._resample import resample
 from geokit.volume._statistics import statistics
-from geokit.volume._topology import clip, prune, segment
+from geokit.volume._topology import clip, prune
 from tests.support.analytic_volumes import active_voxels, ball, cubes, dense, field, level_set
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geokit import native
+from geokit.volume._components import segment
 from geokit.volume._csg import difference, intersection, union
 from geokit.volume._morphology import offset, renormalize
 from geokit.volume._resample import resample
-from geokit.volume._topology import clip, prune, segment
+from geokit.volume._topology import clip, prune
 from tests.support.analytic_volumes import active_voxels, ball, cubes, dense, field, level_set
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -104,7 +105,7 @@ def test_resampling_reproduces_planes(slope, size):
 @pytest.mark.slow
 @EXAMPLES
 @given(st.integers(1, 4))
-def test_parts_are_counted_and_make_up_the_whole(count):
+def test_components_are_counted_and_make_up_the_whole(count):
     spots = [(-14.0, -14.0, -14.0), (14.0, 14.0, 14.0), (-14.0, 14.0, 0.0), (14.0, -14.0, 0.0)][:count]
     whole = level_set(ball(4.5, spots[0]))
     for spot in spots[1:]:

@@ -8,6 +8,7 @@ import scipy.ndimage
 
 from geokit import native
 from geokit.errors import UnsupportedGridError
+from geokit.volume._components import segment
 from geokit.volume._csg import union
 from geokit.volume._differential import gradient_field, laplacian
 from geokit.volume._filters import smooth
@@ -16,7 +17,7 @@ from geokit.volume._morphology import offset, renormalize
 from geokit.volume._quantize import quantize
 from geokit.volume._resample import resample
 from geokit.volume._statistics import statistics
-from geokit.volume._topology import clip, prune, segment
+from geokit.volume._topology import clip, prune
 from geokit.volume.tree.leaves import leaves_of
 from tests.support.analytic_volumes import active_voxels, ball, field, level_set
 from tests.support.typed_grids import TypedGrid
@@ -41,28 +42,28 @@ REAL = {
 @pytest.mark.slow
 @pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16", "fpn"])
 @pytest.mark.parametrize("name", REAL)
-def test_quantised_grids_become_float(name, codec):
+def test_quantized_grids_become_float(name, codec):
     body = level_set(BALL, leaves=2)
-    quantised = quantize(body, codec, tolerance=1e-3 if codec == "fpn" else None)
-    assert quantised.info.grid_type == codec
-    before = quantised.nanovdb.copy()
-    result = REAL[name](quantised)
+    quantized = quantize(body, codec, tolerance=1e-3 if codec == "fpn" else None)
+    assert quantized.info.grid_type == codec
+    before = quantized.nanovdb.copy()
+    result = REAL[name](quantized)
     assert (result.info.grid_type, result.info.name) == ("float", "body")
-    np.testing.assert_array_equal(quantised.nanovdb, before)
+    np.testing.assert_array_equal(quantized.nanovdb, before)
     if codec == "fp16":
         # Its step is 1e-4 voxel: as good as the float grid's.
         expected = REAL[name](body)
         assert result.info.active_voxel_count == pytest.approx(expected.info.active_voxel_count, rel=0.02)
 
 
-def test_statistics_and_gradient_of_quantised_values():
+def test_statistics_and_gradient_of_quantized_values():
     body = level_set(BALL, leaves=2)
-    quantised = quantize(body, "fp16")
-    exact, found = statistics(body), statistics(quantised)
+    quantized = quantize(body, "fp16")
+    exact, found = statistics(body), statistics(quantized)
     assert found.count == exact.count
     assert found[1:5] == pytest.approx(exact[1:5], abs=1e-3)
     assert found.volume == pytest.approx(exact.volume, rel=1e-3)
-    assert gradient_field(quantised, device="cpu").info.grid_type == "vec3f"
+    assert gradient_field(quantized, device="cpu").info.grid_type == "vec3f"
 
 
 @pytest.mark.parametrize("grid_type", ["float", "double", "int32", "int64", "bool", "vec3f", "vec3d"])
@@ -82,7 +83,7 @@ def test_topology_of_other_types(grid_type):
 
 
 @pytest.mark.parametrize("grid_type", ["int32", "int64", "bool", "vec3f"])
-def test_parts_of_other_types(grid_type):
+def test_components_of_other_types(grid_type):
     # Both leaves meet at a face; without the middle they are apart.
     volume = TypedGrid(grid_type).volume
     assert [part.info.active_voxel_count for part in segment(volume)] == [1024]
@@ -91,7 +92,7 @@ def test_parts_of_other_types(grid_type):
     assert left[0].info.grid_type == grid_type
 
 
-def test_parts_of_a_mask():
+def test_components_of_a_mask():
     volume = TypedGrid("mask").volume
     active = np.unpackbits(leaves_of(volume).masks, axis=1, bitorder="little").reshape(-1, 8, 8, 8)
     # The grid's order of leaves: by the root's keys, where -8 is behind 0.

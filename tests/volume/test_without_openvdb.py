@@ -165,6 +165,20 @@ def test_what_a_pruned_tile_holds_is_the_median():
     assert gk.volume.prune(flags, 5.0).sample([[0.0] * 3, [0.0, 0.0, 1.0]], order=0, device="cpu").tolist() == [0, 1]
 
 
+def test_components_of_a_mask_and_of_a_level_set():
+    states = np.zeros((20, 9, 9), bool)
+    states[:4] = states[10:13, 2:] = True
+    mask = gk.volume.from_dense(states, voxel_size=1.0, grid_type="mask")
+    found = gk.volume.connected_components(mask, device="cpu")
+    assert (found.count, found.voxel_counts.tolist()) == (2, [4 * 81, 3 * 63])
+    labels = sound(found.labels).sample([[0.0] * 3, [11.0, 4.0, 8.0], [6.0] * 3], order=0, device="cpu")
+    assert labels.tolist() == [1, 2, 0]
+    for component, count in zip(gk.volume.segment(mask, device="cpu"), found.voxel_counts, strict=True):
+        assert sound(component).info.active_voxel_count == count
+    pair = level_set(lambda p: np.minimum(ball(6.0, (-8.0, 0.0, 0.0))(p), ball(6.0, (8.0, 0.0, 0.0))(p)))
+    assert len([sound(component) for component in gk.volume.segment(pair, device="cpu")]) == 2
+
+
 def test_quantized_fog_grows_and_is_measured():
     fog = field(lambda p: 1.0 + p[:, 0] ** 2, grid_class="fog volume").quantize("fp16")
     grown = sound(gk.volume.dilate(fog, voxels=1, device="cpu"))
@@ -176,6 +190,6 @@ def test_quantized_fog_grows_and_is_measured():
 
 def test_what_needs_openvdb_says_so():
     volume = body("float")
-    for call in (gk.volume.segment, gk.volume.smooth, lambda v: gk.volume.union(v, v), gk.volume.statistics):
+    for call in (gk.volume.smooth, lambda v: gk.volume.union(v, v), gk.volume.statistics):
         with pytest.raises(MissingDependencyError, match="libopenvdb-dev"):
             call(volume)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geokit.accuracy.report.pareto import cost_of, tolerance_steps
+from geokit.accuracy.report.pareto import cost_of, same_question, tolerance_steps
 from geokit.accuracy.trials.model import Measurement
 
 __all__ = ["Choice", "choices"]
@@ -31,7 +31,7 @@ def choices(rows: Sequence[Measurement], vertical: str, per_call: bool = False) 
     """The fastest setting of a chart for each power of ten within the range of its errors, on each device.
 
     A setting meets a tolerance if no checked error exceeds it and no checked answer is wrong. This is a measurement of
-    the checked answers, not a bound for all.
+    the checked answers, not a bound for all. Settings that answer another question than most are left out.
 
     Args:
         rows: Measurements of one chart and subject.
@@ -47,7 +47,9 @@ def choices(rows: Sequence[Measurement], vertical: str, per_call: bool = False) 
         steps.append(0.0)
     found: list[Choice] = []
     for device in dict.fromkeys(row.device for row in rows):
-        members = [row for row in rows if row.device == device and (wrong or row.wrong_share == 0.0)]
+        there = [row for row in rows if row.device == device]
+        usual = [there[place] for place in same_question(there)]
+        members = [row for row in usual if wrong or row.wrong_share == 0.0]
         for step in steps:
             kept = [row for row in members if (row.wrong_share if wrong else row.max_error) <= step]
             best = kept[int(np.argmin([cost_of(row, per_call) for row in kept]))] if kept else None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,15 +13,27 @@ from geokit.accuracy.report.table import read_table, write_table
 from geokit.accuracy.trials.machine import machine_facts, machine_line, version_facts
 from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Failure, Group, Results, grouped
+from geokit.core.files import is_there
+from geokit.core.memory.needs import needs
+from geokit.core.private_folder import private_folder
+from geokit.core.require import require_choice, require_flag, require_items, require_path
 from geokit.errors import FileAccessError, GeokitError, InputError
+from geokit.render._checks import FLAT
 
 __all__ = ["check_folder", "write_report"]
 
 TABLE, PAGE, FIGURES = "results.csv", "report.html", "figures"
+FORMATS = tuple(kind[1:] for kind in FLAT)
 
 
+@needs(lambda *_, **__: 30 << 20, fatal=True)  # of the charts' library
 def write_report(
-    measurements: Sequence[Measurement], out: str | os.PathLike[str], *, force: bool = False, pictures: bool = True
+    measurements: Sequence[Measurement],
+    out: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    pictures: bool = True,
+    figure_format: str = "png",
 ) -> Path:
     """Write results.csv, a figure for each chart and subject, and one self-contained HTML page.
 
@@ -36,37 +46,39 @@ def write_report(
         out: The folder; created if missing.
         force: Replace the report in a folder that is not empty.
         pictures: Draw error maps. They need OpenGL; without it the page says why there are none.
+        figure_format: Of the figures in the folder: "png", "svg" or "pdf". The page has charts of its own.
     Returns:
         Path of the page.
     Raises:
-        InputError: There is nothing to report, or the folder is not empty and ``force`` is not given.
+        InputError: There is nothing to report, figure_format is none of these, or the folder is not empty and ``force``
+            is not given.
         FileAccessError: The folder cannot be written.
     """
+    require_flag(pictures, "pictures")
+    require_choice(figure_format, "figure_format", FORMATS)
     folder = check_folder(out, force=force)
-    results = measurements if isinstance(measurements, Results) else Results(measurements)
+    rows = require_items(measurements, "measurements", Measurement)
+    results = measurements if isinstance(measurements, Results) else Results(rows)
     if not results and not results.failures:
         raise InputError("measurements: empty: there is nothing to report")
     groups = grouped(results)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         # Inside an existing folder, which may be a separate file system; otherwise beside the folder to be created.
-        made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder if folder.is_dir() else folder.parent))
-    except OSError as error:
-        raise FileAccessError(f"{folder}: cannot write there ({error.strerror}); choose another folder") from error
-    try:
-        write_table(results, made / TABLE)
-        (made / FIGURES).mkdir()
-        line = machine_line(results.machine or machine_facts())
-        for group in groups:
-            _figure(made / FIGURES / f"{group.slug}.png", group, line)
-        _write_page(made / PAGE, groups, results, pictures)
-        _publish(made, folder)
+        with private_folder(folder if folder.is_dir() else folder.parent) as private:
+            made = private / "report"
+            made.mkdir()
+            write_table(results, made / TABLE)
+            (made / FIGURES).mkdir()
+            line = machine_line(results.machine or machine_facts())
+            for group in groups:
+                _figure(made / FIGURES / f"{group.slug}.{figure_format}", group, line)
+            _write_page(made / PAGE, groups, results, pictures)
+            _publish(made, folder)
     except OSError as error:
         if isinstance(error, GeokitError):
             raise
         raise FileAccessError(f"{folder}: writing failed ({error.strerror or error}); check the disk") from error
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
     return folder / PAGE
 
 
@@ -78,8 +90,9 @@ def check_folder(out: str | os.PathLike[str], *, force: bool) -> Path:
         FileAccessError: The path is a file.
     """
     # "." and "report/.." have no name to derive a temporary name from.
-    folder = Path(out).resolve()
-    if folder.exists() and not folder.is_dir():
+    folder = require_path(out, "out").resolve()
+    require_flag(force, "force")
+    if is_there(folder) and not folder.is_dir():
         raise FileAccessError(f"{out}: is a file, not a folder; choose another")
     if folder.is_dir() and any(folder.iterdir()) and not force:
         raise InputError(f"{out}: is not empty; choose another folder, or add --force (force=True) to replace a report")
@@ -148,8 +161,7 @@ def _levels(plot: Plot) -> list[tuple[float, str]]:
 
 
 def _publish(made: Path, folder: Path) -> None:
-    if made.parent != folder:
-        os.chmod(made, 0o777 & ~_umask())
+    if made.parent.parent != folder:
         os.rename(made, folder)
         return
     stale = _figures_of(folder) - {path.name for path in (made / FIGURES).iterdir()}
@@ -165,11 +177,6 @@ def _publish(made: Path, folder: Path) -> None:
 def _figures_of(folder: Path) -> set[str]:
     """Names of the figures that belong to the report in ``folder``, according to its table."""
     with contextlib.suppress(GeokitError, OSError):
-        return {f"{group.slug}.png" for group in grouped(read_table(folder / TABLE))}
+        slugs = [group.slug for group in grouped(read_table(folder / TABLE))]
+        return {name for slug in slugs for kind in FORMATS if (folder / FIGURES / (name := f"{slug}.{kind}")).is_file()}
     return set()
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -151,7 +151,8 @@ def _choice_table(group: Group) -> str:
         + _table(columns, lines)
         + '<p class="quiet">The fastest setting that meets it'
         + ("" if wrong else " without a wrong answer")
-        + ". Memory: prepared structures plus the peak of a call.</p>"
+        + ". Settings that answer another question than most are left out. Memory: prepared structures plus the "
+        "peak of a call.</p>"
     )
 
 

@@ -13,7 +13,7 @@ from geokit.render._pareto_chart import decade_ticks, power_text
 __all__ = ["legend", "svg"]
 
 WIDTH, HEIGHT = 760, 430
-LEFT, RIGHT, TOP, BOTTOM = 74, 16, 14, 50
+LEFT, RIGHT, TOP, BOTTOM = 98, 16, 14, 50
 RADIUS = 5.5
 # Outlines of the markers, in units of their radius; the first is a circle. They are in the order of matplotlib's
 # markers in geokit.render, so that a method looks the same in the page and in the figure.
@@ -68,7 +68,7 @@ def legend(plot: Plot) -> str:
         line = f'<line class="front" x1="0" x2="30" y1="8" y2="8" stroke-dasharray="{DASHES[number % len(DASHES)]}"/>'
         ring = ", marks with a dark outline" if number else ""
         items.append(
-            f'<li><svg class="swatch wide" viewBox="0 0 30 16">{line}</svg>front on {escape(device)}{ring}</li>'
+            f'<li><svg class="swatch line" viewBox="0 0 30 16">{line}</svg>front on {escape(device)}{ring}</li>'
         )
     if any(mark.hollow for mark in plot.marks):
         items.append(f"<li>{_swatch(0, ring=False, hollow=True)}hollow: some answers are wrong</li>")
@@ -99,7 +99,7 @@ def _axes(plot: Plot) -> list[str]:
     parts.append(f'<path class="axis" d="M{LEFT} {TOP}V{bottom}H{right}"/>')
     middle = (TOP + bottom) / 2
     parts.append(f'<text class="label" x="{(LEFT + right) / 2}" y="{HEIGHT - 10}">{escape(plot.x_label)}</text>')
-    turned = f'transform="translate(15 {middle}) rotate(-90)"'
+    turned = f'transform="translate(20 {middle}) rotate(-90)"'
     parts.append(f'<text class="label" {turned}>{escape(plot.y_label)}</text>')
     return parts
 
@@ -119,7 +119,8 @@ def _mark(plot: Plot, mark: Mark, answers: str) -> str:
 def _shape(method: int, x: float, y: float, *, ring: bool, hollow: bool) -> str:
     color = COLORS[method % len(COLORS)]
     outline = SHAPES[(method + method // len(COLORS)) % len(SHAPES)]
-    look = f'fill="{"#fff" if hollow else color}" stroke="{"#000" if ring else color}" stroke-width="1.6"'
+    kinds = " ".join(name for name, given in (("hollow", hollow), ("ring", ring)) if given)
+    look = f'class="{kinds}" fill="{color}" stroke="{color}" stroke-width="1.6"'
     if not outline:
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RADIUS}" {look}/>'
     corners = " ".join(f"{x + RADIUS * across:.1f},{y + RADIUS * down:.1f}" for across, down in outline)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._packages import require_package
 from geokit.core.files import atomic_path
 
 __all__ = ["sweep_figure"]
@@ -41,7 +42,7 @@ def sweep_figure(
     """Draw one sweep.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png, .svg or .pdf file.
         values: Values of the parameter.
         errors: Largest error at each value; NaN if there is none.
         wrong: Share of wrong answers at each value.
@@ -56,6 +57,7 @@ def sweep_figure(
     Returns:
         The path that was written.
     """
+    require_package("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -169,11 +171,13 @@ def _plain(text: str) -> str:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    """Save the figure with a palette, which takes a third of the space."""
+    """Save the figure; pixels with a palette, which takes a third of the space."""
     from PIL import Image
 
-    from geokit.render._image import DPI
+    from geokit.render._image import DPI, save_figure
 
+    if path.suffix != ".png":
+        return save_figure(figure, path)
     stream = io.BytesIO()
     figure.savefig(stream, dpi=DPI, format="png")
     stream.seek(0)

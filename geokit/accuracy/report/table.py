@@ -12,6 +12,7 @@ from typing import Any
 
 from geokit.accuracy.trials.model import Measurement
 from geokit.core.files import atomic_path, require_file
+from geokit.core.require import require_items, require_path
 from geokit.errors import FileFormatError
 
 __all__ = ["COLUMNS", "cells_of", "read_table", "write_table"]
@@ -33,11 +34,12 @@ def write_table(rows: Iterable[Measurement], path: str | os.PathLike[str]) -> Pa
     Raises:
         FileAccessError: The file cannot be written.
     """
+    rows = require_items(rows, "rows", Measurement)
     with atomic_path(path) as part, open(part, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows(cells_of(row) for row in rows)
-    return Path(path)
+    return require_path(path)
 
 
 def cells_of(row: Measurement) -> list[str]:

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import math
 import os
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from geokit.accuracy.report.folder import FORMATS as FIGURE_FORMATS
 from geokit.accuracy.report.stability_figures import sweep_figure
 from geokit.accuracy.trials.model import Sweep
-from geokit.core.files import atomic_path
+from geokit.accuracy.trials.time_left import time_left
+from geokit.core import launcher
+from geokit.core.files import atomic_path, is_there
+from geokit.core.memory.needs import needs
+from geokit.core.require import (
+    require_callable,
+    require_choice,
+    require_flag,
+    require_instance,
+    require_items,
+    require_path,
+)
+from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import FileAccessError, GeokitError, InputError
 
 __all__ = ["Outcome", "follow", "inside", "keeps", "promised", "sweeps", "write_stability"]
@@ -44,6 +58,7 @@ class Outcome(NamedTuple):
     refusal: str = ""
 
 
+@needs(lambda *_, **__: 4 << 20, fatal=True)  # of modules
 def sweeps(device: Any = None) -> list[Sweep]:
     """All sweeps of meshes, volumes and points.
 
@@ -72,7 +87,9 @@ def follow(sweep: Sweep, values: Iterable[float] | None = None) -> list[Outcome]
     Raises:
         InputError: The sweep checked no answer.
     """
-    return [_asked(sweep, value) for value in (sweep.values if values is None else values)]
+    require_instance(sweep, "sweep", Sweep, "make one of its class, or take one of sweeps()")
+    chosen = sweep.values if values is None else require_items(values, "values")
+    return [_asked(sweep, require_finite_scalar(value, f"values[{row}]")) for row, value in enumerate(chosen)]
 
 
 def _asked(sweep: Sweep, value: float) -> Outcome:
@@ -111,6 +128,7 @@ def keeps(sweep: Sweep, outcome: Outcome) -> bool:
     return math.isnan(outcome.max_error) or outcome.max_error <= promised(sweep, outcome.value)
 
 
+@needs(lambda *_, **__: 14 << 20, fatal=True)  # of the charts' library
 def write_stability(
     out: str | os.PathLike[str],
     *,
@@ -118,6 +136,7 @@ def write_stability(
     chosen: Sequence[Sweep] | None = None,
     device: Any = None,
     progress: Callable[[str], None] | None = None,
+    figure_format: str = "png",
 ) -> Path:
     """Run all values of the sweeps and write stability.md, with a figure for each sweep in figures/stability.
 
@@ -129,16 +148,21 @@ def write_stability(
         force: Replace an earlier page.
         chosen: The sweeps; None for all.
         device: Where the methods of all sweeps compute; None for the first GPU, else the CPU.
-        progress: Called with a line of text before each sweep.
+        progress: Called with a line of text before each sweep; after two seconds it says how much time is left.
+        figure_format: "png", "svg" or "pdf". The page links to figures in PDF, which Markdown does not show.
     Returns:
         Path of the page.
     Raises:
         InputError: The folder already holds a page and ``force`` is not given, there is no sweep, or two share a name.
         FileAccessError: The folder cannot be written.
     """
-    folder = Path(out)
+    folder = require_path(out, "out")
+    if progress is not None:
+        require_callable(progress, "progress")
+    require_choice(figure_format, "figure_format", FIGURE_FORMATS)
+    launcher.resolve_device(device)
     page = check_page(folder, force=force)
-    found = list(sweeps(device) if chosen is None else chosen)
+    found = sweeps(device) if chosen is None else require_items(chosen, "chosen", Sweep)
     names = [sweep.name for sweep in found]
     if not found:
         raise InputError("chosen: empty; give at least one sweep")
@@ -150,13 +174,15 @@ def write_stability(
     except OSError as error:
         raise FileAccessError(f"{folder}: cannot be made a folder ({error.strerror}); choose another") from error
     outcomes: list[list[Outcome]] = []
+    started = time.perf_counter()
     for number, sweep in enumerate(found):
         if progress is not None:
-            progress(f"{number + 1}/{len(found)} {sweep.name}: {sweep.method}, {sweep.parameter}")
+            left = time_left(started, number, len(found), "sweeps")
+            progress(f"{number + 1}/{len(found)} {sweep.name}: {sweep.method}, {sweep.parameter}{left}")
         outcomes.append(follow(sweep))
-        _draw(folder / FIGURES / f"{sweep.name}.png", sweep, outcomes[-1])
+        _draw(folder / FIGURES / f"{sweep.name}.{figure_format}", sweep, outcomes[-1])
     with atomic_path(page) as part:
-        part.write_text(_page(found, outcomes), encoding="utf-8")
+        part.write_text(_page(found, outcomes, figure_format), encoding="utf-8")
     return page
 
 
@@ -166,8 +192,9 @@ def check_page(folder: str | os.PathLike[str], *, force: bool) -> Path:
     Raises:
         InputError: The page exists, and ``force`` is not given.
     """
-    page = Path(folder) / PAGE
-    if page.exists() and not force:
+    page = require_path(folder, "out") / PAGE
+    require_flag(force, "force")
+    if is_there(page) and not force:
         raise InputError(f"{page}: exists already; add --force (force=True) to replace it")
     return page
 
@@ -190,7 +217,7 @@ def _draw(path: Path, sweep: Sweep, outcomes: Sequence[Outcome]) -> None:
     )
 
 
-def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]]) -> str:
+def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]], figure_format: str) -> str:
     import geokit
 
     parts = [
@@ -209,12 +236,13 @@ def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]]) -> str:
             f"{_error_cell(largest, sweep.unit)} | {100.0 * sweep.envelope.wrong_share:.3g}% |"
         )
     for sweep, measured in zip(found, outcomes, strict=True):
-        parts += _sweep_section(sweep, measured)
+        parts += _sweep_section(sweep, measured, figure_format)
     return "\n".join(parts) + "\n"
 
 
-def _sweep_section(sweep: Sweep, measured: Sequence[Outcome]) -> list[str]:
-    figure = (FIGURES / f"{sweep.name}.png").as_posix()
+def _sweep_section(sweep: Sweep, measured: Sequence[Outcome], figure_format: str) -> list[str]:
+    figure = (FIGURES / f"{sweep.name}.{figure_format}").as_posix()
+    shown = "" if figure_format == "pdf" else "!"
     lines = [
         "",
         f'<a id="{sweep.name}"></a>',
@@ -223,7 +251,7 @@ def _sweep_section(sweep: Sweep, measured: Sequence[Outcome]) -> list[str]:
         "",
         sweep.envelope.statement,
         "",
-        f"![{_cell(sweep.method)}: error against {_cell(sweep.parameter)}]({figure})",
+        f"{shown}[{_cell(sweep.method)}: error against {_cell(sweep.parameter)}]({figure})",
         "",
         f"| {_cell(sweep.parameter)} | largest error [{_cell(sweep.unit)}] | wrong | promise |",
         "|---:|---:|---:|---|",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.peak_memory import peak_bytes
+from geokit.core.require import require_flag, require_instance, require_text
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,9 +55,13 @@ def measure(trial: "Trial", chart: "Chart", subject: str, device: Any = None, *,
     Raises:
         InputError: ``trial.judge`` checked no answer, or returned arrays of different lengths or negative errors.
     """
-    from geokit.accuracy.trials.model import Measurement
+    from geokit.accuracy.trials.model import Chart, Measurement, Trial
     from geokit.core import launcher
 
+    require_instance(trial, "trial", Trial, "make one of its class")
+    require_instance(chart, "chart", Chart, "make one of its class")
+    require_text(subject, "subject")
+    require_flag(quick, "quick")
     place = launcher.resolve_device(device)
     judgement = trial.judge(trial.run())
     errors, wrong = _checked(judgement, trial)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["peak_bytes"]
+__all__ = ["peak_bytes", "reset_high_water", "resident_status"]
 
 # cuMemPoolSetAttribute's id of the high-water mark; warp can read it but not reset it.
 USED_MEMORY_HIGH = 8
@@ -48,15 +48,16 @@ def peak_bytes(call: Callable[[], Any], device: "wp.Device") -> int:
 def _resident_peak(call: Callable[[], Any]) -> int:
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
-    reset = _reset_resident()
-    before = _status("VmRSS") if reset else _greatest_resident()
+    reset = reset_high_water()
+    before = resident_status("VmRSS") if reset else _greatest_resident()
     answer = call()
-    after = _status("VmHWM") if reset else _greatest_resident()
+    after = resident_status("VmHWM") if reset else _greatest_resident()
     del answer
     return max(0, after - before)
 
 
-def _reset_resident() -> bool:
+def reset_high_water() -> bool:
+    """Start VmHWM of this process anew; False if the system does not allow that."""
     try:
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write(RESET_PEAK)
@@ -65,7 +66,7 @@ def _reset_resident() -> bool:
     return True
 
 
-def _status(name: str) -> int:
+def resident_status(name: str) -> int:
     """A size reported by /proc/self/status, 0 if there is none."""
     with contextlib.suppress(OSError), open("/proc/self/status", encoding="ascii", errors="replace") as file:
         for line in file:

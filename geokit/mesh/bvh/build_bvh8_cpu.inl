@@ -1,122 +1,290 @@
 // Builds the CPU tree: a range of references is split in two by a binned surface area heuristic, and a node is formed
 // by splitting its largest range again until it has eight.
 //
-// A reference is eight floats: lower x y z, triangle, upper x y z, unused. Expects core/simd.inl; references, boxes;
-// BINS, WIDTH. Defines Range; empty(range), add(range, i), split(range, halve, left, right); open(range, halve, child),
-// which returns the number of children; write(node, child, count). Also defines data, HUGE_BOX, area and swap.
+// A reference is one vector of eight: lower x y z, triangle, then the negatives of upper x y z and of the area. So the
+// bounds of many are the least of each lane. Expects core/simd.inl; references, sides (a byte for each), boxes; BINS,
+// WIDTH, TAKE_FROM, GAIN, AHEAD, SETS_FROM. Defines Range; bound(range); split(range, halve, left, right); open(range, halve,
+// child), which returns the number of children; write(node, child, count). Also defines Plane, NONE, UNKNOWN, data,
+// HUGE_BOX, LEAF_RANK, least, center, spread, area, area_four, blocks, FewBins, ManyBins, ManySets, cheapest_of, cheapest,
+// find_plane, part, part_at, cost_of, cost_split, take_out.
 #if !defined(__CUDA_ARCH__)
+// A way to split a range: its axis, the first bin of the right part, and the costs, which count blocks of a leaf.
+struct Plane {
+    int axis, bin;
+    float cost;
+    v4 factor;
+};
 struct Range {
     int begin, end;
-    v4 lower, upper, low_center, high_center;
+    v8 box;      // as a reference, with the largest area of one
+    v8 centers;  // lower bounds of twice the centers, then the negatives of the upper ones
+    Plane plane;
 };
-v4* data = (v4*)references.data;
+// Instead of an axis: there is no plane; it was not looked for.
+const int NONE = -1, UNKNOWN = -2;
+v8* data = (v8*)references.data;
 const float HUGE_BOX = 3e38f;
-auto empty = [&](Range& r) {
-    r.lower = HUGE_BOX;
-    r.upper = -HUGE_BOX;
-    r.low_center = HUGE_BOX;
-    r.high_center = -HUGE_BOX;
-};
-auto add = [&](Range& r, int i) {
-    const v4 l = data[2 * i], u = data[2 * i + 1], c = l + u;
-    r.lower = __builtin_elementwise_min(r.lower, l);
-    r.upper = __builtin_elementwise_max(r.upper, u);
-    r.low_center = __builtin_elementwise_min(r.low_center, c);
-    r.high_center = __builtin_elementwise_max(r.high_center, c);
-};
-auto area = [](const v4& l, const v4& u) {
-    const v4 e = u - l;
+// More than the area of any local box.
+const float LEAF_RANK = 100.f;
+auto least = [](const v8& a, const v8& b) { return a < b ? a : b; };
+auto center = [](const v8& r) -> v4 { return r.lo - r.hi; };
+auto area = [](const v8& box) {
+    const v4 e = box.lo + box.hi;
     return e.x * e.y + e.y * e.z + e.z * e.x;
 };
-auto swap = [&](int i, int j) {
-    const v4 l = data[2 * i], u = data[2 * i + 1];
-    data[2 * i] = data[2 * j];
-    data[2 * i + 1] = data[2 * j + 1];
-    data[2 * j] = l;
-    data[2 * j + 1] = u;
+// Twice the center, and its negative.
+auto spread = [&](const v8& r) -> v8 {
+    const v4 c = center(r), d = -c;
+    return __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7);
 };
-// Splits a range into two non-empty ones at the cheapest plane between bins; costs count blocks of a leaf.
-auto split = [&](const Range& range, bool halve, Range& left, Range& right) {
-    const int count = range.end - range.begin;
-    const v4 extent = range.high_center - range.low_center;
-    const int bins = count < 64 ? BINS / 2 : BINS;
-    int best_axis = -1, best_bin = 0;
-    v4 factor;
-    for (int k = 0; k < 3; ++k) factor[k] = extent[k] > 1e-30f ? bins * 0.9999f / extent[k] : 0.f;
-    factor.w = 0.f;
-    if (!halve && (factor.x > 0.f || factor.y > 0.f || factor.z > 0.f)) {
-        v4 low[3][BINS], high[3][BINS];
-        int filled[3][BINS];
+// Computes the bounds of a range from its references.
+auto bound = [&](Range& range) {
+    v8 box = HUGE_BOX, centers = HUGE_BOX;
+    for (int i = range.begin; i < range.end; ++i) {
+        const v8 r = data[i];
+        box = least(box, r);
+        centers = least(centers, spread(r));
+    }
+    range.box = box;
+    range.centers = centers;
+    range.plane = {UNKNOWN};
+};
+auto blocks = [](int n) { return (n + 7) >> 3; };
+// The areas of four boxes, from the sums of the two corners of each.
+auto area_four = [](const v4* e) -> v4 {
+    const v4 xy = __builtin_shufflevector(e[0], e[1], 0, 4, 1, 5), rs = __builtin_shufflevector(e[2], e[3], 0, 4, 1, 5);
+    const v4 zw = __builtin_shufflevector(e[0], e[1], 2, 6, 3, 7), tw = __builtin_shufflevector(e[2], e[3], 2, 6, 3, 7);
+    const v4 x = __builtin_shufflevector(xy, rs, 0, 1, 4, 5), y = __builtin_shufflevector(xy, rs, 2, 3, 6, 7);
+    const v4 z = __builtin_shufflevector(zw, tw, 0, 1, 4, 5);
+    return x * y + y * z + z * x;
+};
+// Numbers of bins. In a large range references that follow each other go to different sets: neighbors mostly meet in a
+// bin, which would wait for the one before.
+struct FewBins {
+    enum { COUNT = BINS / 2, SETS = 1 };
+};
+struct ManyBins {
+    enum { COUNT = BINS, SETS = 1 };
+};
+struct ManySets {
+    enum { COUNT = BINS, SETS = 4 };
+};
+// The cheapest plane between bins, for those references of a range that count.
+auto cheapest_of = [&](const Range& range, auto number, auto counts) {
+    constexpr int COUNT = decltype(number)::COUNT, SETS = decltype(number)::SETS;
+    const v4 low = range.centers.lo, extent = -range.centers.hi - low;
+    Plane plane = {NONE, 0, HUGE_BOX, 0.f};
+    v4& factor = plane.factor;
+    for (int k = 0; k < 3; ++k) factor[k] = extent[k] > 1e-30f ? COUNT * 0.9999f / extent[k] : 0.f;
+    if (!(factor.x > 0.f || factor.y > 0.f || factor.z > 0.f)) return plane;
+    v8 bins[SETS][3][COUNT];
+    int counted[SETS][3][COUNT];
+    for (int set = 0; set < SETS; ++set)
         for (int k = 0; k < 3; ++k)
-            for (int b = 0; b < bins; ++b) {
-                low[k][b] = HUGE_BOX;
-                high[k][b] = -HUGE_BOX;
-                filled[k][b] = 0;
+            for (int b = 0; b < COUNT; ++b) {
+                bins[set][k][b] = HUGE_BOX;
+                counted[set][k][b] = 0;
             }
-        for (int i = range.begin; i < range.end; ++i) {
-            const v4 l = data[2 * i], u = data[2 * i + 1], at = (l + u - range.low_center) * factor;
-            for (int k = 0; k < 3; ++k) {
-                const int b = (int)at[k];
-                low[k][b] = __builtin_elementwise_min(low[k][b], l);
-                high[k][b] = __builtin_elementwise_max(high[k][b], u);
-                ++filled[k][b];
-            }
-        }
-        float best = HUGE_BOX;
+    auto put = [&](int i, int set) {
+        const v8 r = data[i];
+        if (!counts(r)) return;
+        const i4 at = __builtin_convertvector((center(r) - low) * factor, i4);
         for (int k = 0; k < 3; ++k) {
-            if (factor[k] == 0.f) continue;
-            float cost[BINS];
-            v4 l = HUGE_BOX, u = -HUGE_BOX;
-            int n = 0;
-            for (int b = bins - 1; b > 0; --b) {
-                l = __builtin_elementwise_min(l, low[k][b]);
-                u = __builtin_elementwise_max(u, high[k][b]);
-                n += filled[k][b];
-                cost[b] = n ? area(l, u) * ((n + 7) >> 3) : HUGE_BOX;
+            const int b = at[k];
+            bins[set][k][b] = least(bins[set][k][b], r);
+            ++counted[set][k][b];
+        }
+    };
+    int next = range.begin;
+    for (; next + SETS <= range.end; next += SETS)
+        for (int set = 0; set < SETS; ++set) put(next + set, set);
+    for (; next < range.end; ++next) put(next, 0);
+    auto& bin = bins[0];
+    auto& filled = counted[0];
+    for (int set = 1; set < SETS; ++set)
+        for (int k = 0; k < 3; ++k)
+            for (int b = 0; b < COUNT; ++b) {
+                bin[k][b] = least(bin[k][b], bins[set][k][b]);
+                filled[k][b] += counted[set][k][b];
             }
-            l = HUGE_BOX;
-            u = -HUGE_BOX;
-            n = 0;
-            for (int b = 1; b < bins; ++b) {
-                l = __builtin_elementwise_min(l, low[k][b - 1]);
-                u = __builtin_elementwise_max(u, high[k][b - 1]);
-                n += filled[k][b - 1];
-                if (n == 0 || cost[b] == HUGE_BOX) continue;
-                const float whole = cost[b] + area(l, u) * ((n + 7) >> 3);
-                if (whole < best) {
-                    best = whole;
-                    best_axis = k;
-                    best_bin = b;
-                }
-            }
+    for (int k = 0; k < 3; ++k) {
+        if (factor[k] == 0.f) continue;
+        // Of the boxes to the left and to the right of each plane: sums of their corners, and counts.
+        v4 left[COUNT], right[COUNT];
+        int before[COUNT], after[COUNT], n = 0;
+        v8 box = HUGE_BOX;
+        for (int b = COUNT - 1; b >= 0; --b) {
+            box = least(box, bin[k][b]);
+            right[b] = box.lo + box.hi;
+            after[b] = n += filled[k][b];
+        }
+        box = HUGE_BOX;
+        n = 0;
+        for (int b = 0; b < COUNT; ++b) {
+            left[b] = box.lo + box.hi;
+            before[b] = n;
+            box = least(box, bin[k][b]);
+            n += filled[k][b];
+        }
+        for (int b = 0; b < COUNT; b += 4) {
+            const i4 p = *(const i4*)(before + b), q = *(const i4*)(after + b);
+            const v4 few = __builtin_convertvector((p + 7) >> 3, v4), rest = __builtin_convertvector((q + 7) >> 3, v4);
+            const v4 other = area_four(right + b) * rest;
+            const v4 whole = other + area_four(left + b) * few;
+            const v4 cost = ((p > 0) & (q > 0)) ? whole : HUGE_BOX;
+            v4 lowest = cost < cost.zwxy ? cost : cost.zwxy;
+            lowest = lowest < lowest.yxwz ? lowest : lowest.yxwz;
+            const bool better = lowest.x < plane.cost;
+            plane.bin = better ? b + __builtin_ctz(mask_of_four(cost == lowest)) : plane.bin;
+            plane.axis = better ? k : plane.axis;
+            plane.cost = better ? lowest.x : plane.cost;
         }
     }
-    empty(left);
-    empty(right);
-    int middle;
-    if (best_axis >= 0) {
-        int i = range.begin, j = range.end;
-        while (i < j) {
-            const v4 at = (data[2 * i] + data[2 * i + 1] - range.low_center) * factor;
-            if ((int)at[best_axis] < best_bin) {
-                add(left, i);
-                ++i;
-            } else {
-                --j;
-                swap(i, j);
-                add(right, j);
-            }
+    return plane;
+};
+auto cheapest = [&](const Range& range, auto counts) {
+    const int count = range.end - range.begin;
+    return count < 64          ? cheapest_of(range, FewBins(), counts)
+           : count < SETS_FROM ? cheapest_of(range, ManyBins(), counts)
+                               : cheapest_of(range, ManySets(), counts);
+};
+// Finds the plane of a range if it is not known.
+auto find_plane = [&](Range& range) {
+    if (range.plane.axis == UNKNOWN) range.plane = cheapest(range, [](const v8&) { return true; });
+};
+// Moves the references for which is_left(numbers of a reference) to the left part, without a branch that depends on
+// them: their sides are written down, a block ahead at either end. After a reference for the left the next one comes
+// from the front, after one for the right from the back, whose place it takes.
+auto part = [&](const Range& range, Range& left, Range& right, auto is_left) {
+    int i = range.begin, j = range.end - 1, from = i, front = i, back = j;
+    auto look = [&](int first, int last) {
+        for (int k = first; k <= last; ++k) sides.data[k] = is_left((const float*)(data + k));
+    };
+    const v8 huge = HUGE_BOX;
+    v8 r = data[from], boxes_of[2] = {huge, huge}, centers_of[2] = {huge, huge};
+    while (i <= j) {
+        if (front <= i && front <= back) {
+            const int last = front + AHEAD <= back ? front + AHEAD - 1 : back;
+            look(front, last);
+            front = last + 1;
         }
-        middle = i;
-    } else {
-        middle = range.begin + count / 2;
-        for (int i = range.begin; i < middle; ++i) add(left, i);
-        for (int i = middle; i < range.end; ++i) add(right, i);
+        if (back >= j && back >= front) {
+            const int first = back - AHEAD >= front ? back - AHEAD + 1 : front;
+            look(first, back);
+            back = first - 1;
+        }
+        const int ahead = front - i < j - back ? front - i : j - back;
+        for (int step = front > back ? j - i + 1 : ahead; step > 0; --step) {
+            const int is = sides.data[from], place = is ? i : j;
+            i += is;
+            j += is - 1;
+            from = is ? i : place;
+            const v8 next = data[from];
+            data[place] = r;
+            const v8 both = spread(r);
+            const i8 mask = -is;
+            boxes_of[0] = least(boxes_of[0], mask ? r : huge);
+            boxes_of[1] = least(boxes_of[1], mask ? huge : r);
+            centers_of[0] = least(centers_of[0], mask ? both : huge);
+            centers_of[1] = least(centers_of[1], mask ? huge : both);
+            r = next;
+        }
+    }
+    left = {range.begin, i, boxes_of[0], centers_of[0], {UNKNOWN}};
+    right = {i, range.end, boxes_of[1], centers_of[1], {UNKNOWN}};
+};
+auto part_at = [&](const Range& range, Range& left, Range& right) {
+    const Plane& plane = range.plane;
+    const int k = plane.axis;
+    const float low = range.centers[k], factor = plane.factor[k];
+    part(range, left, right, [&](const float* r) { return (int)((r[k] - r[4 + k] - low) * factor) < plane.bin; });
+};
+// Cost of a range as one more split leaves it.
+auto cost_split = [&](Range& range) {
+    if (range.end - range.begin <= WIDTH) return area(range.box);
+    find_plane(range);
+    return range.plane.cost;
+};
+auto cost_of = [&](const v8& box, int count) { return area(box) * blocks(count); };
+// Takes out the references that are larger than a share of the range's area, if that pays: they would widen the boxes
+// of everything beside their centers, on all levels down to their leaf. Taken out they cost a leaf for each ray that
+// meets the range, and the rest can be split well. Compared are three parts each: the large ones and a split rest, or
+// a split range of which one part is split again. Where the range has a plane, it was split there into left and right.
+auto take_out = [&](const Range& range, Range& left, Range& right) {
+    const float whole = area(range.box);
+    if (-range.box[7] <= 0.03125f * whole) return false;
+    // Bounds and numbers of the references by size, in parts whose limits are 1/2, 1/8, 1/32 of the area.
+    const v8 huge = HUGE_BOX;
+    v8 box[4] = {huge, huge, huge, huge}, centers[4] = {huge, huge, huge, huge};
+    int above[3] = {0, 0, 0};
+    for (int i = range.begin; i < range.end; ++i) {
+        const v8 r = data[i], both = spread(r);
+        const float a = -r[7];
+        if (__builtin_expect(a > 0.03125f * whole, 0)) {
+            const bool half = a > 0.5f * whole, eighth = a > 0.125f * whole;
+            above[0] += half;
+            above[1] += eighth;
+            ++above[2];
+            const int size = 2 - half - eighth;
+            box[size] = least(box[size], r);
+            centers[size] = least(centers[size], both);
+        } else {
+            box[3] = least(box[3], r);
+            centers[3] = least(centers[3], both);
+        }
+    }
+    // Only outliers are taken out.
+    const int count = range.end - range.begin, few = count / 8;
+    bool possible = false;
+    for (int n : above) possible |= n > 0 && n <= few;
+    if (!possible) return false;
+    float best = HUGE_BOX;
+    if (range.plane.axis >= 0) {
+        const float a = cost_of(left.box, left.end - left.begin), b = cost_of(right.box, right.end - right.begin);
+        const float c = cost_split(left), d = cost_split(right);
+        best = GAIN * (a + d < c + b ? a + d : c + b);
+    }
+    float best_share = 0.f, share = 0.5f;
+    Plane plane;
+    for (int s = 0; s < 3; ++s, share *= 0.25f) {
+        if (above[s] == (s ? above[s - 1] : 0) || above[s] > few) continue;
+        v8 large = huge;
+        Range rest = range;
+        rest.box = rest.centers = huge;
+        for (int size = 0; size < 4; ++size)
+            if (size <= s) large = least(large, box[size]);
+            else {
+                rest.box = least(rest.box, box[size]);
+                rest.centers = least(rest.centers, centers[size]);
+            }
+        const float limit = share * whole;
+        rest.plane = cheapest(rest, [&](const v8& r) { return -r[7] <= limit; });
+        const float now = cost_of(large, above[s]) + rest.plane.cost;
+        if (now < best) {
+            best = now;
+            best_share = share;
+            plane = rest.plane;
+        }
+    }
+    if (best_share == 0.f) return false;
+    part(range, left, right, [&](const float* r) { return -r[7] > best_share * whole; });
+    right.plane = plane;
+    return true;
+};
+// Splits a range into two non-empty ones.
+auto split = [&](Range& range, bool halve, Range& left, Range& right) {
+    if (!halve) {
+        find_plane(range);
+        const bool is_split = range.plane.axis >= 0;
+        if (is_split) part_at(range, left, right);
+        if (range.end - range.begin >= TAKE_FROM && take_out(range, left, right)) return;
+        if (is_split) return;
     }
     left.begin = range.begin;
-    left.end = middle;
-    right.begin = middle;
+    left.end = right.begin = range.begin + (range.end - range.begin) / 2;
     right.end = range.end;
+    bound(left);
+    bound(right);
 };
 // Splits a range into the children of one node; returns their number.
 auto open = [&](const Range& range, bool halve, Range* child) {
@@ -127,24 +295,32 @@ auto open = [&](const Range& range, bool halve, Range* child) {
         float most = -1.f;
         for (int c = 0; c < count; ++c) {
             if (child[c].end - child[c].begin <= WIDTH) continue;
-            const float a = area(child[c].lower, child[c].upper);
+            const float a = area(child[c].box);
             if (a > most || largest < 0) {
                 most = a;
                 largest = c;
             }
         }
         if (largest < 0) break;
-        const Range whole = child[largest];
+        Range whole = child[largest];
         split(whole, halve, child[largest], child[count]);
         ++count;
+    }
+    // Leaves last, and larger children behind smaller ones: rays that any hit ends visit them from the last one on.
+    auto rank = [&](const Range& r) { return area(r.box) + (r.end - r.begin <= WIDTH ? LEAF_RANK : 0.f); };
+    for (int c = 1; c < count; ++c) {
+        const Range moved = child[c];
+        int place = c;
+        for (; place > 0 && rank(child[place - 1]) > rank(moved); --place) child[place] = child[place - 1];
+        child[place] = moved;
     }
     return count;
 };
 auto write = [&](int node, const Range* child, int count) {
     for (int c = 0; c < WIDTH; ++c)
         for (int k = 0; k < 3; ++k) {
-            boxes.data[node * 48 + k * 8 + c] = c < count ? child[c].lower[k] : 3e38f;
-            boxes.data[node * 48 + 24 + k * 8 + c] = c < count ? child[c].upper[k] : -3e38f;
+            boxes.data[node * 48 + k * 8 + c] = c < count ? child[c].box[k] : HUGE_BOX;
+            boxes.data[node * 48 + 24 + k * 8 + c] = c < count ? -child[c].box[4 + k] : -HUGE_BOX;
         }
 };
 #endif

@@ -5,10 +5,9 @@
 // WIDTH, STACK, HALVING_DEPTH, NO_CHILD.
 #if !defined(__CUDA_ARCH__)
 Range root;
-empty(root);
-for (int i = begin; i < end; ++i) add(root, i);
 root.begin = begin;
 root.end = end;
+bound(root);
 int nodes = 0, leaves = 0;
 auto leaf = [&](const Range& r) {
     leaf_begin.data[begin + leaves] = r.begin;

@@ -10,7 +10,7 @@ packed tree a step reads one place, and small subtrees are leaves whose size sui
 import warp as wp
 
 from geokit.core.cpp import cpp
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import SLOT_WORDS
+from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory import host_pool
+from geokit.core.memory.host_array import HostArray
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit.core.frame import Frame
 
-__all__ = ["build_wide_tree", "fill_leaves", "ray_leaves", "refit_wide_tree"]
+__all__ = ["WideTrees", "build_wide_trees", "place_triangles", "ray_leaves", "refit_wide_tree"]
 
 # References of a subtree that one thread builds. Smaller subtrees balance better; larger ones leave less to the top,
 # which a single thread builds.
@@ -21,23 +24,45 @@ SMALLEST_SUBTREE = 2048
 SUBTREES = 128
 # Capacity of the top in nodes; a larger top ends here, and its last subtrees are larger instead.
 TOP_CAPACITY = 4096
-# 32-bit words of a range that waits to be opened, with its depth.
-WAITING_WORDS = 19
 # Lower bound of references per node: a lowest node has at least nine, any other one at least seven leaves and a node.
 NODE_SHARE = 3
 # Triangles side by side in a leaf on a CPU.
 WIDTH = 8
 
 
-def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> dict[str, Any]:
-    """Boxes, children and slots of the tree with eight children per node over triangles, on the CPU.
+class WideTrees(NamedTuple):
+    """Trees with eight children per node, one after another.
+
+    Attributes:
+        boxes, children: As described in :class:`SurfaceTree`; children are numbered from their tree's root on.
+        slot_triangle: The triangle in each slot, numbered over all trees; -1 for empty slots.
+        nodes: The first node of each tree, and their number, (B + 1,).
+        slots: The first slot of each tree, and their number, (B + 1,).
+    """
+
+    boxes: "wp.array"
+    children: "wp.array"
+    slot_triangle: "wp.array"
+    nodes: NDArray[np.int64]
+    slots: NDArray[np.int64]
+
+
+def build_wide_trees(
+    vertices: "wp.array",
+    faces: "wp.array",
+    begin: NDArray[np.int64],
+    origins: NDArray[np.float64],
+    scales: NDArray[np.float64],
+) -> WideTrees:
+    """Boxes, children and slots of the trees with eight children per node over triangles, on the CPU.
+
+    A tree depends on its own triangles only: a mesh among others gets the tree that it gets alone.
 
     Args:
         vertices: Vertex positions [world], (V,) of vec3d.
-        faces: Vertex indices, (3 F,) of int32, F at least 1.
-        frame: The local frame.
-    Returns:
-        ``boxes``, ``children`` and ``slot_triangle``, as described in :class:`SurfaceTree`.
+        faces: Vertex indices, (3 F,) of int32.
+        begin: The first triangle of each tree, which has at least one, and F, (B + 1,).
+        origins, scales: Their local frames, (B, 3) and (B,).
     Source:
         Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007), for the bins; Wald, Benthin,
         Boulos, "Getting rid of packets" (2008), for wide nodes by opening the child of largest area.
@@ -48,77 +73,91 @@ def build_wide_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> di
     from geokit.mesh.bvh.tree_memory import tree_array
 
     device = wp.get_device("cpu")
-    count = len(faces) // 3
+    count, trees = len(faces) // 3, len(scales)
 
     def empty(size: int, dtype: Any = wp.int32) -> "wp.array":
         return wp.empty(size, dtype=dtype, device=device)
 
-    references = empty(kernels.REFERENCE * count, wp.float32)
-    placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
+    references = host_pool.empty_warp(kernels.REFERENCE * count, wp.float32, device)
+    sides = empty(count, wp.uint8)
+    first = _int32(begin)
+    placed = [first[:-1], HostArray(origins), HostArray(scales)]
     launcher.launch(kernels.references_kernel, count, [vertices, faces, *placed], [references], device)
 
-    limit = max(SMALLEST_SUBTREE, count // SUBTREES)
-    capacity = min(TOP_CAPACITY, count // limit + 8)
-    top = empty(48 * capacity, wp.float32), empty(8 * capacity)
-    subtree, top_size = empty(3 * 8 * capacity), empty(2)
-    scratch = empty(WAITING_WORDS * capacity)
-    launcher.launch(
-        kernels.top_kernel, 1, [references, count, limit, capacity, scratch], [*top, subtree, top_size], device
-    )
-    top_count, subtrees = (int(n) for n in top_size.numpy())
-    ranges = subtree.numpy()[: 3 * subtrees].reshape(-1, 3)
+    counts = np.diff(begin)
+    limit = np.maximum(SMALLEST_SUBTREE, counts // SUBTREES)
+    capacity = np.where(counts <= limit, 1, np.minimum(TOP_CAPACITY, counts // limit + 8))
+    base = _offsets(capacity)
+    room = int(base[-1])
+    top = empty(48 * room, wp.float32), empty(WIDTH * room)
+    subtree, top_size = empty(3 * WIDTH * room), empty(2 * trees)
+    inputs = [references, sides, first, _int32(base), _int32(limit), empty(kernels.WAITING_WORDS * room)]
+    launcher.launch(kernels.top_kernel, trees, inputs, [*top, subtree, top_size], device, grain=1)
+    top_counts, subtree_counts = top_size.numpy().reshape(-1, 2).T.astype(np.int64)
+    # Subtrees and nodes of tops from here on: those of all trees, without the gaps between them.
+    tree, first_subtree = np.repeat(np.arange(trees), subtree_counts), _offsets(subtree_counts)
+    ranges = subtree.numpy().reshape(-1, 3)[_spans(WIDTH * base[:-1], subtree_counts)]
+    subtrees, subtree = len(ranges), _int32(ranges.ravel())
 
     # Oversized arrays are free: memory pages that are never written take no space.
-    room = (ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2
-    node_base = _offsets(room)
+    node_base = _offsets((ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2)
     parts = empty(48 * int(node_base[-1]), wp.float32), empty(8 * int(node_base[-1]))
     leaf = empty(count), empty(count)
     size = empty(2 * subtrees)
-    base = wp.array(node_base[:-1], dtype=wp.int32, device=device)
+    starts = _int32(node_base[:-1])
     launcher.launch(
-        kernels.subtree_kernel, subtrees, [references, subtree, base], [*parts, *leaf, size], device, grain=1
+        kernels.subtree_kernel, subtrees, [references, sides, subtree, starts], [*parts, *leaf, size], device, grain=1
     )
 
-    sizes = size.numpy().reshape(-1, 2)
-    node_offset, leaf_offset = top_count + _offsets(sizes[:, 0]), _offsets(sizes[:, 1])
-    node_count, leaf_count = int(node_offset[-1]), int(leaf_offset[-1])
-    boxes = tree_array(48 * node_count, wp.float32, device)
-    children = tree_array(8 * node_count, wp.int32, device)
-    slot_triangle = tree_array(8 * leaf_count, wp.int32, device)
-    offsets = [wp.array(a[:-1], dtype=wp.int32, device=device) for a in (node_offset, leaf_offset)]
-    launcher.launch(
-        kernels.join_kernel,
-        subtrees,
-        [references, subtree, base, size, *offsets, *parts, *leaf],
-        [boxes, children, slot_triangle],
-        device,
-        grain=1,
-    )
-    launcher.launch(kernels.link_top_kernel, top_count, [size, *offsets, *top], [boxes, children], device)
-    return {"boxes": boxes, "children": children, "slot_triangle": slot_triangle}
+    nodes_before, leaves_before = (_offsets(column) for column in size.numpy().reshape(-1, 2).T)
+    nodes, leaves = _offsets(top_counts) + nodes_before[first_subtree], leaves_before[first_subtree]
+    leaf_place = leaves_before[:-1]
+    node_offset = nodes_before[:-1] - nodes_before[first_subtree[tree]] + top_counts[tree]
+    boxes = tree_array(48 * int(nodes[-1]), wp.float32, device)
+    children = tree_array(8 * int(nodes[-1]), wp.int32, device)
+    slot_triangle = tree_array(WIDTH * int(leaves[-1]), wp.int32, device)
+    offsets = [_int32(node_offset), _int32(leaf_place - leaves[tree])]
+    inputs = [references, subtree, starts, size, *offsets, _int32(node_offset + nodes[tree]), _int32(leaf_place)]
+    inputs += [*parts, *leaf]
+    launcher.launch(kernels.join_kernel, subtrees, inputs, [boxes, children, slot_triangle], device, grain=1)
+    places = [_spans(base[:-1], top_counts), _spans(nodes[:-1], top_counts), np.repeat(first_subtree[:-1], top_counts)]
+    inputs = [size, *offsets, *top, *map(_int32, places)]
+    launcher.launch(kernels.link_top_kernel, len(places[0]), inputs, [boxes, children], device)
+    return WideTrees(boxes, children, slot_triangle, nodes, WIDTH * leaves)
 
 
-def fill_leaves(slot_triangle: "wp.array", corners: "wp.array", frame: Frame, *, wide: bool) -> "wp.array":
-    """The triangles of the slots in float32 frames, from their world ``corners``; in blocks of eight if ``wide``."""
+def place_triangles(
+    slot_triangle: "wp.array",
+    slots: NDArray[np.int64],
+    vertices: "wp.array",
+    faces: "wp.array",
+    origins: NDArray[np.float64],
+    scales: NDArray[np.float64],
+) -> tuple["wp.array", "wp.array"]:
+    """The triangles of trees in slot order: world corners, and leaves as described in :class:`SurfaceTree`.
+
+    Args:
+        slot_triangle, slots: As of :class:`WideTrees`.
+        vertices, faces, origins, scales: As of :func:`build_wide_trees`.
+    """
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
+    from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
+    from geokit.mesh.bvh.place_blocks_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
-    device = slot_triangle.device
-    lanes, rows = (WIDTH, PLANE_ROWS) if wide else (1, SLOT_WORDS)
-    leaves = tree_array(rows * len(slot_triangle), wp.float32, device)
-    placed = [wp.vec3d(*map(float, frame.origin)), wp.float64(frame.scale)]
-    inputs = [slot_triangle, corners, *placed, lanes, rows]
-    launcher.launch(leaf_planes_kernel, len(slot_triangle), inputs, [leaves], device)
-    return leaves
+    device, count = slot_triangle.device, len(slot_triangle)
+    placed = tree_array(3 * count, wp.vec3d, device), tree_array(PLANE_ROWS * count, wp.float32, device)
+    inputs = [_int32(slots[:-1]), slot_triangle, vertices, faces, HostArray(origins), HostArray(scales)]
+    launcher.launch(place_blocks_kernel, count // WIDTH, inputs, placed, device)
+    return placed
 
 
 def ray_leaves(tree: Any) -> "wp.array":
     """The packed ray leaves of a tree on the CPU."""
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
+    from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
     device = tree.slot_triangle.device
@@ -144,5 +183,14 @@ def refit_wide_tree(tree: Any, frame: Frame) -> None:
     launcher.launch(refit_kernel, 1, [count, tree.children, boxes], [tree.boxes], device)
 
 
-def _offsets(counts: np.ndarray) -> np.ndarray:
+def _offsets(counts: NDArray[Any]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+
+
+def _spans(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The numbers from each start on, as many as its count."""
+    return np.arange(counts.sum()) + np.repeat(starts - _offsets(counts)[:-1], counts)
+
+
+def _int32(values: NDArray[Any]) -> HostArray:
+    return HostArray(np.ascontiguousarray(values, np.int32))

@@ -6,6 +6,7 @@ threads build subtrees. The node numbers do not depend on the number of threads.
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
+import numpy as np
 import warp as wp
 
 from geokit.core.cpp import cpp
@@ -16,13 +17,24 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 WIDTH = 8
 # Bins per axis. More than 16 gain nothing on smooth meshes.
 BINS = 16
+# Least references of a range from which large ones are taken out, and the cost of the result relative to that of two
+# splits.
+TAKE_FROM = 512
+GAIN = np.float32(0.95)
+# Least references of a range that are put into several sets of bins.
+SETS_FROM = 1024
+# References whose sides are determined at once while a range is split: two blocks of them are in the cache.
+AHEAD = 128
 # From this depth on, ranges are halved by count, so that no input makes the tree deeper than the stack.
 HALVING_DEPTH = 20
 # Most nodes on the stack of a traversal: seven siblings on each level, for HALVING_DEPTH levels and for those that
 # halving adds below them (2^31 triangles).
 STACK = 256
 
-# A reference is a box and its triangle: lower x y z, triangle, upper x y z, unused.
+# 32-bit words of a range that waits to be opened, with its depth.
+WAITING_WORDS = 27
+
+# Numbers of a reference, see build_bvh8_cpu.inl.
 REFERENCE = 8
 
 
@@ -33,40 +45,59 @@ def rounded_down(x: wp.float64) -> wp.float32:
     return f - wp.float32(1.2e-7) * wp.abs(f) - wp.float32(1.0e-30)
 
 
-@wp.kernel
-def references_kernel(
-    first: int,
+@wp.func_native(cpp("core/simd.inl", "mesh/bvh/reference_bvh8_cpu.inl"))
+def write_reference(
+    i: int,
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=int),
     origin: wp.vec3d,
     scale: wp.float64,
     out_references: wp.array(dtype=wp.float32),
+): ...
+
+
+@wp.kernel
+def references_kernel(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    begin: wp.array(dtype=int),
+    origins: wp.array(dtype=wp.vec3d),
+    scales: wp.array(dtype=wp.float64),
+    out_references: wp.array(dtype=wp.float32),
 ):
-    """The local box of each triangle, rounded outward."""
+    """The reference of each triangle; ``begin`` has the first triangle of each tree."""
     i = first + wp.tid()
-    a = vertices[faces[3 * i]] - origin
-    b = vertices[faces[3 * i + 1]] - origin
-    c = vertices[faces[3 * i + 2]] - origin
-    lower = wp.min(wp.min(a, b), c) / scale
-    upper = wp.max(wp.max(a, b), c) / scale
-    for k in range(3):
-        out_references[8 * i + k] = rounded_down(lower[k])
-        out_references[8 * i + 4 + k] = -rounded_down(-upper[k])
-    out_references[8 * i + 3] = wp.cast(i, wp.float32)
-    out_references[8 * i + 7] = wp.float32(0.0)
+    tree = wp.lower_bound(begin, i + 1) - 1
+    write_reference(i, vertices, faces, origins[tree], scales[tree], out_references)
 
 
 # Sentinel for an absent child, whose box is empty: 0, because the root is never a child.
 NO_CHILD = 0
 
 _FILES = ["core/simd.inl", "mesh/bvh/build_bvh8_cpu.inl"]
-_CONSTANTS = {"BINS": BINS, "WIDTH": WIDTH, "HALVING_DEPTH": HALVING_DEPTH, "NO_CHILD": NO_CHILD, "STACK": STACK}
+_CONSTANTS = {
+    "BINS": BINS,
+    "TAKE_FROM": TAKE_FROM,
+    "GAIN": GAIN,
+    "AHEAD": AHEAD,
+    "SETS_FROM": SETS_FROM,
+    "WIDTH": WIDTH,
+    "HALVING_DEPTH": HALVING_DEPTH,
+    "NO_CHILD": NO_CHILD,
+    "STACK": STACK,
+    "WAITING_WORDS": WAITING_WORDS,
+}
 
 
 @wp.func_native(cpp(*_FILES, "mesh/bvh/build_top_bvh8_cpu.inl", **_CONSTANTS))
 def build_top(
     references: wp.array(dtype=wp.float32),
-    count: int,
+    sides: wp.array(dtype=wp.uint8),
+    tree: int,
+    begin: int,
+    end: int,
+    base: int,
     limit: int,
     capacity: int,
     scratch: wp.array(dtype=int),
@@ -80,6 +111,7 @@ def build_top(
 @wp.func_native(cpp(*_FILES, "mesh/bvh/build_subtree_bvh8_cpu.inl", **_CONSTANTS))
 def build_subtree(
     references: wp.array(dtype=wp.float32),
+    sides: wp.array(dtype=wp.uint8),
     subtree: int,
     begin: int,
     end: int,
@@ -97,23 +129,40 @@ def build_subtree(
 def top_kernel(
     first: int,
     references: wp.array(dtype=wp.float32),
-    count: int,
-    limit: int,
-    capacity: int,
+    sides: wp.array(dtype=wp.uint8),
+    begin: wp.array(dtype=int),
+    base: wp.array(dtype=int),
+    limit: wp.array(dtype=int),
     scratch: wp.array(dtype=int),
     out_boxes: wp.array(dtype=wp.float32),
     out_children: wp.array(dtype=int),
     out_subtree: wp.array(dtype=int),
     out_size: wp.array(dtype=int),
 ):
-    """Launched for one item: a single thread builds the top of the tree."""
-    build_top(references, count, limit, capacity, scratch, out_boxes, out_children, out_subtree, out_size)
+    """One item is one tree: a single thread builds its top. ``begin`` and ``base`` have one entry more."""
+    tree = first + wp.tid()
+    build_top(
+        references,
+        sides,
+        tree,
+        begin[tree],
+        begin[tree + 1],
+        base[tree],
+        limit[tree],
+        base[tree + 1] - base[tree],
+        scratch,
+        out_boxes,
+        out_children,
+        out_subtree,
+        out_size,
+    )
 
 
 @wp.kernel
 def subtree_kernel(
     first: int,
     references: wp.array(dtype=wp.float32),
+    sides: wp.array(dtype=wp.uint8),
     subtree: wp.array(dtype=int),
     node_base: wp.array(dtype=int),
     out_boxes: wp.array(dtype=wp.float32),
@@ -125,6 +174,7 @@ def subtree_kernel(
     i = first + wp.tid()
     build_subtree(
         references,
+        sides,
         i,
         subtree[3 * i],
         subtree[3 * i + 1],
@@ -147,6 +197,8 @@ def join_kernel(
     size: wp.array(dtype=int),
     node_offset: wp.array(dtype=int),
     leaf_offset: wp.array(dtype=int),
+    node_place: wp.array(dtype=int),
+    leaf_place: wp.array(dtype=int),
     boxes: wp.array(dtype=wp.float32),
     children: wp.array(dtype=int),
     leaf_begin: wp.array(dtype=int),
@@ -155,11 +207,14 @@ def join_kernel(
     out_children: wp.array(dtype=int),
     out_slot_triangle: wp.array(dtype=int),
 ):
-    """Move the nodes and leaves of one subtree to their final places."""
+    """Move the nodes and leaves of one subtree to their final places.
+
+    Numbers count from the tree's first node and leaf (``offset``), places from those of the first tree (``place``).
+    """
     i = first + wp.tid()
     for n in range(size[2 * i]):
         source = node_base[i] + n
-        target = node_offset[i] + n
+        target = node_place[i] + n
         for k in range(48):
             out_boxes[48 * target + k] = boxes[48 * source + k]
         for c in range(8):
@@ -171,7 +226,7 @@ def join_kernel(
             out_children[8 * target + c] = number
     for n in range(size[2 * i + 1]):
         place = subtree[3 * i] + n
-        slot = 8 * (leaf_offset[i] + n)
+        slot = 8 * (leaf_place[i] + n)
         begin = leaf_begin[place]
         filled = leaf_end[place] - begin
         for c in range(8):
@@ -189,22 +244,27 @@ def link_top_kernel(
     leaf_offset: wp.array(dtype=int),
     boxes: wp.array(dtype=wp.float32),
     children: wp.array(dtype=int),
+    source: wp.array(dtype=int),
+    place: wp.array(dtype=int),
+    first_subtree: wp.array(dtype=int),
     out_boxes: wp.array(dtype=wp.float32),
     out_children: wp.array(dtype=int),
 ):
-    """Copy a node of the top and link its children to the roots of their subtrees."""
-    node = first + wp.tid()
+    """Copy a node of a top and link its children to the roots of their subtrees."""
+    i = first + wp.tid()
+    node = source[i]
+    target = place[i]
     for k in range(48):
-        out_boxes[48 * node + k] = boxes[48 * node + k]
+        out_boxes[48 * target + k] = boxes[48 * node + k]
     for c in range(8):
         number = children[8 * node + c]
         if number < 0:
-            subtree = -1 - number
+            subtree = first_subtree[i] - 1 - number
             if size[2 * subtree] > 0:
                 number = node_offset[subtree]
             else:
                 number = -1 - leaf_offset[subtree]
-        out_children[8 * node + c] = number
+        out_children[8 * target + c] = number
 
 
 @wp.kernel

@@ -8,8 +8,8 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS
 from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})

@@ -30,8 +30,8 @@ auto hit_at_all = [&](const point& start, const point& direction, int slot, doub
     const double sz = 1.0 / most, sx = pick(direction, kx) * sz, sy = pick(direction, ky) * sz;
     // Relative to the start of the ray, along the axes of that frame.
     auto from_start = [&](int corner) {
-        const point p = tree.corners.data[3 * slot + corner] - start;
-        return point(pick(p, kx), pick(p, ky), pick(p, kz));
+        const point& p = tree.corners.data[3 * slot + corner];
+        return point(pick(p, kx) - pick(start, kx), pick(p, ky) - pick(start, ky), pick(p, kz) - pick(start, kz));
     };
     const point a = from_start(0), b = from_start(1), c = from_start(2);
     const double ax = minus(a[0], product(sx, a[2])), ay = minus(a[1], product(sy, a[2]));

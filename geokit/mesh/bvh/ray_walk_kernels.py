@@ -8,7 +8,7 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,7 +49,8 @@ def ray_walk(results: str, *defines: str) -> str:
     Args:
         results: The file that defines ``take_hit`` (handles a hit) and ``finish`` (ends a ray), see
             raycast_bvh8_cpu.inl.
-        defines: Macros of the triangle test: CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA.
+        defines: Macros of the triangle test (CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA) and of the traversal
+            (UNORDERED).
     """
     return cpp(
         "core/simd.inl",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.host_array import HostArray, row_of
+from geokit.core.memory.host_array import HostArray, row_of
 
 if TYPE_CHECKING:
     import warp as wp
@@ -22,7 +22,7 @@ def tree_array(size: int, dtype: Any, device: "wp.Device") -> "wp.array":
 
     Queries read a tree at random places: with pages of 4 KiB the address translation takes as long as the data. NumPy
     asks Linux for huge pages from 4 MiB on, where the system provides them on request; warp and malloc do not. The host
-    pool (core/host_pool.py) is not used, because trees live long.
+    pool (core/memory/host_pool.py) is not used, because trees live long.
     """
     import warp as wp
 

@@ -11,9 +11,10 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.core.morton_order_kernels import prefetch_query
+from geokit.core.user_arrays_kernels import is_measurable
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import PLANE_ROWS
 from geokit.mesh.bvh.bvh8_moments_kernels import MOMENT_ROWS
+from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
@@ -114,11 +115,11 @@ def winding_number_kernel(
     out_winding: wp.array(dtype=wp.float64),
     out_nonfinite: wp.array(dtype=int),
 ):
-    """A query that is not finite has no winding number and raises ``out_nonfinite``; the host then finds the row."""
+    """A query that is not finite, or too far away, has none and raises ``out_nonfinite``; the host finds the row."""
     prefetch_query(points, order, first + wp.tid())
     i = order[first + wp.tid()]
     p = points[i]
-    if wp.isfinite(p):
+    if is_measurable(p):
         out_winding[i] = winding_number_at(tree, winding, empty, p)
     else:
         out_winding[i] = wp.float64(wp.nan)

@@ -5,6 +5,7 @@
 import warp as wp
 
 from geokit.core.morton_order_kernels import prefetch_query
+from geokit.core.user_arrays_kernels import is_measurable
 from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
@@ -14,6 +15,44 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Register limit of a GPU thread; see docs/design/launches-and-memory.md.
 REGISTERS = 80
+
+
+@wp.func
+def put_closest(
+    i: int,
+    p: wp.vec3d,
+    tree: SurfaceTree,
+    max_distance: wp.float64,
+    start: int,
+    out_points: wp.array(dtype=wp.vec3d),
+    out_distance: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+    out_nonfinite: wp.array(dtype=int),
+) -> int:
+    """Answer query ``i``, from the slot of a near one on; returns its slot, -1 for a miss."""
+    slot = start
+    if is_measurable(p):
+        slot = nearest_slot(tree, p, max_distance * max_distance, slot)
+    else:
+        slot = int(-1)
+        out_nonfinite[0] = 1
+    if slot < 0:
+        none = wp.float64(wp.nan)
+        out_points[i] = wp.vec3d(none, none, none)
+        out_distance[i] = wp.float64(wp.inf)
+        out_triangle_id[i] = -1
+        out_barycentric[i] = wp.vec3d(none, none, none)
+    else:
+        a = tree.corners[3 * slot]
+        b = tree.corners[3 * slot + 1]
+        c = tree.corners[3 * slot + 2]
+        barycentric = closest_on_triangle(p, a, b, c)
+        out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
+        out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
+        out_triangle_id[i] = tree.slot_triangle[slot]
+        out_barycentric[i] = barycentric
+    return slot
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
@@ -32,31 +71,22 @@ def closest_point_kernel(
 ):
     """One thread answers a group of queries that are near each other: each starts from the previous answer.
 
-    A query that is not finite is a miss and raises ``out_nonfinite``; the host then finds the row.
+    A query that is not finite, or too far away, is a miss and raises ``out_nonfinite``; the host then finds the row.
     """
     begin = (first + wp.tid()) * group
     slot = int(-1)
     for k in range(begin, wp.min(begin + group, points.shape[0])):
         prefetch_query(points, order, k)
         i = order[k]
-        p = points[i]
-        if wp.isfinite(p):
-            slot = nearest_slot(tree, p, max_distance * max_distance, slot)
-        else:
-            slot = int(-1)
-            out_nonfinite[0] = 1
-        if slot < 0:
-            none = wp.float64(wp.nan)
-            out_points[i] = wp.vec3d(none, none, none)
-            out_distance[i] = wp.float64(wp.inf)
-            out_triangle_id[i] = -1
-            out_barycentric[i] = wp.vec3d(none, none, none)
-        else:
-            a = tree.corners[3 * slot]
-            b = tree.corners[3 * slot + 1]
-            c = tree.corners[3 * slot + 2]
-            barycentric = closest_on_triangle(p, a, b, c)
-            out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
-            out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
-            out_triangle_id[i] = tree.slot_triangle[slot]
-            out_barycentric[i] = barycentric
+        slot = put_closest(
+            i,
+            points[i],
+            tree,
+            max_distance,
+            slot,
+            out_points,
+            out_distance,
+            out_triangle_id,
+            out_barycentric,
+            out_nonfinite,
+        )

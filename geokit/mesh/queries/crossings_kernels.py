@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 REGISTERS = 64
 
 
-@wp.func_native(ray_walk("mesh/queries/count_crossings.inl", "CROSSINGS"))
+@wp.func_native(ray_walk("mesh/queries/count_crossings.inl", "CROSSINGS", "UNORDERED"))
 def count_crossings(
     begin: int,
     end: int,
@@ -27,7 +27,7 @@ def count_crossings(
 ): ...
 
 
-@wp.func_native(ray_walk("mesh/queries/list_crossings.inl", "CROSSINGS"))
+@wp.func_native(ray_walk("mesh/queries/list_crossings.inl", "CROSSINGS", "UNORDERED"))
 def list_crossings(
     begin: int,
     end: int,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.host_array import HostArray
+from geokit.core.memory.host_array import HostArray
 from geokit.mesh._model import TriangleMesh
 
 if TYPE_CHECKING:

@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher, user_arrays
-from geokit.core.pinned import host_flags
+from geokit.core import launcher, user_arrays
+from geokit.core.memory import available_memory
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.snapshot import on_snapshot, snapshot
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit.core.frame import Frame
+    from geokit.mesh._model import TriangleMesh
 
-__all__ = ["BoxOverlaps", "OverlapQueries"]
+__all__ = ["LEAF_GRAIN", "BoxOverlaps", "OverlapQueries", "require_surface"]
 
 # Least number of leaves, or boxes, in a thread's share.
 LEAF_GRAIN = 16
@@ -35,10 +40,13 @@ class BoxOverlaps(NamedTuple):
 class OverlapQueries:
     """Overlap queries of a :class:`geokit.mesh.Surface`."""
 
+    mesh: TriangleMesh
     _device: "wp.Device"
     _frame: Frame
     _tree: Any
 
+    @needs(lambda self, lower, upper: 36 * rows(lower), late=True)
+    @on_snapshot
     def overlapping(self, lower: Any, upper: Any) -> BoxOverlaps:
         """Triangles that intersect each box; exact tests of the triangles, not only of their bounding boxes.
 
@@ -73,8 +81,8 @@ class OverlapQueries:
         )
 
         device = self._device
-        low = user_arrays.read_vectors(lower, "lower", device)
-        high = user_arrays.read_vectors(upper, "upper", device)
+        low = user_arrays.read_vectors(lower, "lower", device, single=True)
+        high = user_arrays.read_vectors(upper, "upper", device, single=True)
         _require_boxes(low, high)
         boxes, tree = [low.rows, high.rows], [self._tree, self._slot_boxes]
         offsets = wp.zeros(len(low) + 1, dtype=wp.int64, device=device)
@@ -91,8 +99,11 @@ class OverlapQueries:
             launcher.launch(list_overlaps_kernel, len(low), [*boxes, offsets, *tree], [key], device, grain=LEAF_GRAIN)
             _sort(key, total)
             launcher.launch(triangle_of_key_kernel, total, [key], [triangle_id], device)
-        return BoxOverlaps(low.to_caller(offsets), low.to_caller(triangle_id))
+        give = low.to_lists or low.to_caller
+        return BoxOverlaps(give(offsets), give(triangle_id))
 
+    @needs(lambda self, *_, **__: 32 * self.mesh.face_count, late=True)
+    @on_snapshot
     def intersecting_triangles(self, other: "OverlapQueries") -> NDArray[np.int32]:
         """Pairs of intersecting triangles, one of this surface and one of another.
 
@@ -112,14 +123,10 @@ class OverlapQueries:
 
         Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
-        if not isinstance(other, OverlapQueries):
-            raise InputError(f"other: {type(other).__name__} is not a Surface; prepare one from the mesh")
-        if other._device != self._device:
-            raise InputError(
-                f"other: it is on {other._device.alias}, this surface on {self._device.alias}; prepare both on one"
-            )
-        return self._pairs(other)
+        return self._pairs(snapshot(require_surface(self, other)))
 
+    @needs(lambda self, *_, **__: 32 * self.mesh.face_count, late=True)
+    @on_snapshot
     def self_intersections(self) -> NDArray[np.int32]:
         """Pairs of triangles of this mesh that intersect beyond the vertex or edge that they share.
 
@@ -199,6 +206,21 @@ class OverlapQueries:
         return boxes
 
 
+def require_surface(surface: OverlapQueries, other: OverlapQueries) -> OverlapQueries:
+    """``other``, if it is a surface on the device of ``surface``.
+
+    Raises:
+        InputError: It is not a Surface, or is on another device.
+    """
+    if not isinstance(other, OverlapQueries):
+        raise InputError(f"other: {type(other).__name__} is not a Surface; prepare one from the mesh")
+    if other._device != surface._device:
+        raise InputError(
+            f"other: it is on {other._device.alias}, this surface on {surface._device.alias}; prepare both on one"
+        )
+    return other
+
+
 def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
 
     from geokit.mesh.queries.overlaps_kernels import first_inverted_kernel
@@ -216,7 +238,8 @@ def _require_room(count: int, size: int, what: str, device: "wp.Device") -> None
     if count * size > room:
         raise DeviceMemoryError(
             f"{count} {what} need {count * size >> 20} MiB on {device.alias}, which has {room >> 20} free; "
-            "ask for fewer at once"
+            "ask for fewer at once",
+            need=count * size,
         )
 
 
@@ -227,4 +250,4 @@ def _sort(key: "wp.array", count: int) -> None:
         key.numpy()[:count].sort()  # in place: the NumPy array shares the memory of key
         return
     values = wp.empty(2 * count, dtype=wp.int32, device=key.device)
-    wp.utils.radix_sort_pairs(key, values, count)
+    sort_pairs(key, values, count)

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_chunks
-from geokit.core.pinned import host_flags
+from geokit.core.blocks.chunked_queries import Progress, in_chunks
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop.arrays import import_array
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.poses.placed import placed
+from geokit.core.snapshot import on_snapshot
+from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit.core.frame import Frame
-    from geokit.core.host_array import HostArray
+    from geokit.core.memory.host_array import HostArray
     from geokit.mesh._model import TriangleMesh
 
 __all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
@@ -54,8 +65,18 @@ class PointQueries:
     _frame: Frame
     _tree: Any
 
+    @placed("points", moved=("points",))
+    @differentiable("geokit.mesh.queries.gradients:CLOSEST_POINT", "points")
+    @replayed()
+    @needs(lambda self, points, *_, **__: 80 * rows(points), late=True)
+    @on_snapshot
     def closest_point(
-        self, points: Any, *, max_distance: float = math.inf, progress: Progress | None = None
+        self,
+        points: Any,
+        *,
+        max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
+        progress: Progress | None = None,
     ) -> ClosestPoints:
         """Closest point on the surface for each query point.
 
@@ -68,13 +89,16 @@ class PointQueries:
         Args:
             points: Query points [world], shape (N, 3).
             max_distance: Search radius [world]; farther points are misses.
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3). A
             miss has triangle_id -1, distance inf, and NaN elsewhere.
         Raises:
-            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, or the mesh is
-                smaller than 1e-70 or larger than 1e70.
+            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, the transform is
+                not rigid (to 1e-6) or is given beside tensors with gradients, or the mesh is smaller than 1e-70 or
+                larger than 1e70.
         Source:
             Ericson, Real-Time Collision Detection (2005), 5.1.5. Differs: float64, slivers from their edges.
         Example:
@@ -100,25 +124,69 @@ class PointQueries:
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
-    def furthest_point(self, points: Any) -> FurthestPoints:
+    # Its answers are dictionaries of NumPy arrays, so calls are not replayed.
+    @needs(lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points), late=True)
+    @on_snapshot
+    def sample_attributes(
+        self, points: Any, *, max_distance: float = math.inf, names: Sequence[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Attributes of the mesh at the closest point of each query point.
+
+        Floats and colors on vertices and corners are interpolated by barycentric weights, in float64, and rounded once
+        to their type; ``normal`` gets unit length again. Other integers and bools are those of the corner with the
+        largest weight. Of one name on several elements, corners win over vertices over faces.
+
+        Values are within 1e-12 of the range of the values at the triangle's corners, plus the rounding to their type.
+
+        Args:
+            points: Query points [world], shape (N, 3).
+            max_distance: Search radius [world]; farther points are misses.
+            names: The attributes; None for all.
+        Returns:
+            NumPy arrays by name, (N,) or (N, k). Misses are NaN, 0 in integers, and -1 in ``material``.
+        Raises:
+            InputError: As for :meth:`closest_point`, or the mesh has no attribute of a name.
+        Example:
+            >>> heat = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]],
+            ...     vertex_data={"heat": [0.0, 8.0, 4.0]})
+            >>> gk.mesh.Surface(heat, device="cpu").sample_attributes([[0.25, 0.25, 2.0]])["heat"]
+            array([3.])
+
+        Held by: tests/mesh/attributes/test_transfer.py
+        """
+        asked = chosen_names(self.mesh, names)
+        if isinstance(points, np.ndarray) and points.dtype == np.float32:
+            points = points.astype(np.float64)  # answers would be float32, weights too
+        found = self.closest_point(points, max_distance=max_distance)
+        triangle_id, barycentric = _on_host(found.triangle_id), _on_host(found.barycentric)
+        return interpolated(self.mesh, triangle_id, barycentric.astype(np.float64), asked)
+
+    @placed("points", moved=("points",))
+    @replayed()
+    @needs(lambda self, points, *_, **__: 72 * rows(points), late=True)
+    @on_snapshot
+    def furthest_point(self, points: Any, *, transform: ArrayLike | None = None) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
 
         Ties go to the lowest triangle_id, and within it to the first corner.
 
         Args:
             points: Query points [world], shape (N, 3).
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
         Raises:
-            InputError: points is not (N, 3) or not finite.
+            InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6).
 
-        Held by: tests/mesh/test_surface.py
+        Held by: tests/mesh/test_surface.py, tests/core/poses/test_placed.py
         """
         import warp as wp
 
         from geokit.mesh.queries.furthest_kernels import furthest_point_kernel
 
-        batch = user_arrays.read_vectors(points, "points", self._device, pin=True)
+        largest = user_arrays.LARGEST_MEASURED
+        batch = user_arrays.read_vectors(points, "points", self._device, pin=True, single=True, largest=largest)
         found = FurthestPoints(
             points=user_arrays.empty(len(batch), wp.vec3d, batch.rows),
             distance=user_arrays.empty(len(batch), wp.float64, batch.rows),
@@ -158,11 +226,18 @@ class PointQueries:
         )
 
 
+def _on_host(values: Any) -> NDArray[Any]:
+    if isinstance(values, np.ndarray):
+        return values
+    held = values if hasattr(values, "numpy") and hasattr(values, "ptr") else import_array(values, "points")
+    return np.asarray(held.numpy())
+
+
 def checked_radius(max_distance: float) -> float:
     return user_arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
 
 
 def refuse_raised(bad: HostArray, batch: user_arrays.Batch) -> None:
-    """Raise InputError and name the first point that is not finite, if a kernel has raised ``bad``."""
+    """Raise InputError and name the first point that is not finite or too far away, if a kernel has raised ``bad``."""
     if bad.numpy()[0]:
-        user_arrays.require_finite(batch, "points")
+        user_arrays.require_finite(batch, "points", user_arrays.LARGEST_MEASURED)

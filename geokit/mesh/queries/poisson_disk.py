@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher
-from geokit.core.host_array import HostArray
+from geokit.core import launcher
+from geokit.core.memory import available_memory
+from geokit.core.memory.host_array import HostArray
 from geokit.errors import DeviceMemoryError, InputError
 
 __all__ = ["Draw", "throw_count", "throw_radius"]

@@ -29,7 +29,7 @@ def cast_rays(
 
 
 # A CPU has just read which triangles are slivers; a GPU would need another load for it.
-@wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU"))
+@wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU", "UNORDERED"))
 def test_rays(
     begin: int,
     end: int,

@@ -7,19 +7,26 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_chunks
-from geokit.core.host_array import HostArray
-from geokit.core.pinned import host_flags
+from geokit.core.blocks.chunked_queries import Progress, in_chunks
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.poses.placed import placed
+from geokit.core.require import require_flag
+from geokit.core.scan import row_offsets
+from geokit.core.snapshot import on_snapshot
 from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
+    from numpy.typing import ArrayLike
 
     from geokit.core.frame import Frame
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["RayHitLists", "RayHits", "RayQueries"]
+__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size", "refuse_rays"]
 
 # Rays per thread on a CPU, where many are in flight at once. In small groups, finished rays find no successors; with
 # large ones, threads wait for the last group. On a GPU each ray has its own thread.
@@ -61,6 +68,11 @@ class RayQueries:
     _frame: Frame
     _tree: Any
 
+    @placed("origins", "directions", directions=("directions",))
+    @differentiable("geokit.mesh.queries.gradients:RAYCAST", "origins", "directions")
+    @replayed(rows=2)
+    @needs(lambda self, origins, *_, **__: 52 * rows(origins), late=True)
+    @on_snapshot
     def raycast(
         self,
         origins: Any,
@@ -69,6 +81,7 @@ class RayQueries:
         t_min: float = 0.0,
         max_distance: float = math.inf,
         watertight: bool = True,
+        transform: ArrayLike | None = None,
         progress: Progress | None = None,
     ) -> RayHits:
         """First hit of each ray.
@@ -86,17 +99,18 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3).
             t_min: Hits with a smaller t are ignored, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            watertight: Has no effect: False would allow leaks if that were faster, but it is not. The same traversal
-            runs,
-                and every bit of the answers is the same.
+            watertight: Has no effect. False would allow leaks if that were faster, but it is not: the same traversal
+                runs, and the answers are the same to the last bit.
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3). A miss has triangle_id
             -1, t inf, and NaN elsewhere.
         Raises:
             InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
-                negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
-                larger than 1e70.
+                negative or not finite, max_distance is negative or not a number, the transform is not rigid (to 1e-6)
+                or is given beside tensors with gradients, or the mesh is smaller than 1e-70 or larger than 1e70.
         Source:
             Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013). Differs: float64 throughout.
         Example:
@@ -112,6 +126,7 @@ class RayQueries:
 
         from geokit.mesh.queries.raycast_kernels import raycast_kernel
 
+        require_flag(watertight, "watertight")
         require_measurable(self.mesh, self._frame)
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:
@@ -121,8 +136,17 @@ class RayQueries:
 
         return self._in_chunks(query, origins, directions, progress)
 
+    @placed("origins", "directions", directions=("directions",))
+    @needs(lambda self, origins, *_, **__: 52 * rows(origins), late=True)
+    @on_snapshot
     def raycast_all(
-        self, origins: Any, directions: Any, *, t_min: float = 0.0, max_distance: float = math.inf
+        self,
+        origins: Any,
+        directions: Any,
+        *,
+        t_min: float = 0.0,
+        max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
     ) -> RayHitLists:
         """All crossings of each ray with the surface, by ascending t.
 
@@ -140,12 +164,14 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3).
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             RayHitLists with offsets (N + 1,), t (H,) in units of the direction, triangle_id (H,), barycentric (H, 3).
         Raises:
             InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, t_min is
-                negative or not finite, max_distance is negative or not a number, or the mesh is smaller than 1e-70 or
-                larger than 1e70.
+                negative or not finite, max_distance is negative or not a number, the transform is not rigid (to 1e-6),
+                or the mesh is smaller than 1e-70 or larger than 1e70.
         Source:
             Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
 
@@ -156,21 +182,22 @@ class RayQueries:
 
         from geokit.mesh.queries.crossings_kernels import list_crossings_kernel
 
-        rays = user_arrays.read_vectors(origins, "origins", self._device, defer=True)
-        directions = user_arrays.read_vectors(directions, "directions", self._device, defer=True)
+        rays = user_arrays.read_vectors(origins, "origins", self._device, defer=True, single=True)
+        directions = user_arrays.read_vectors(directions, "directions", self._device, defer=True, single=True)
         count = self._count_crossings(rays, directions, t_min, max_distance)
-        offsets = wp.zeros(len(rays) + 1, dtype=wp.int64, device=self._device)
-        if len(rays):
-            wp.utils.array_scan(_widened(count), offsets[1:], inclusive=True)
+        offsets = row_offsets(count)
         total = int(offsets[-1:].numpy()[0])
         t = user_arrays.empty(total, wp.float64, rays.rows)
         triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
         barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
         self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
-        return RayHitLists(
-            rays.to_caller(offsets), rays.to_caller(t), rays.to_caller(triangle_id), rays.to_caller(barycentric)
-        )
+        give = rays.to_lists or rays.to_caller
+        return RayHitLists(give(offsets), give(t), give(triangle_id), give(barycentric))
 
+    @placed("origins", "directions", directions=("directions",))
+    @replayed(rows=2)
+    @needs(lambda self, origins, *_, **__: 16 * rows(origins), late=True)
+    @on_snapshot
     def crossing_count(
         self,
         origins: Any,
@@ -178,6 +205,7 @@ class RayQueries:
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
         progress: Progress | None = None,
     ) -> Any:
         """Number of crossings of each ray with the surface: the lengths of the lists of :meth:`raycast_all`.
@@ -187,6 +215,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3).
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             int (N,).
@@ -201,6 +231,10 @@ class RayQueries:
 
         return self._in_chunks(query, origins, directions, progress)
 
+    @placed("origins", "directions", directions=("directions",))
+    @replayed(rows=2)
+    @needs(lambda self, origins, *_, **__: 13 * rows(origins), late=True)
+    @on_snapshot
     def occluded(
         self,
         origins: Any,
@@ -208,6 +242,7 @@ class RayQueries:
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
         progress: Progress | None = None,
     ) -> Any:
         """True for rays that hit the surface; faster than :meth:`raycast`, because any hit ends the search.
@@ -222,6 +257,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3).
             t_min: Hits with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world]; farther hits are ignored.
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             bool (N,).
@@ -282,27 +319,16 @@ class RayQueries:
         outputs: list[Any],
         *streams: "wp.array",
     ) -> None:
-        import warp as wp
-
-        from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
-
-        if len(rays) != len(heading):
-            raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
-        lowest = -math.ulp(0.0)
-        start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
-        reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+        start, reach = checked_limits(rays, heading, t_min, max_distance)
         bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
         if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
             self._cast_in_passes(count, shared, outputs, bad)
         else:
-            group = _group_size(count) if self._device.is_cpu else 1
+            group = group_size(count) if self._device.is_cpu else 1
             launcher.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
-        if bad.numpy()[0]:
-            user_arrays.require_finite(rays, "origins")
-            user_arrays.require_finite(heading, "directions")
-            user_arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
+        refuse_rays(bad, rays, heading)
 
     def _cast_in_passes(self, count: int, shared: list[Any], outputs: list[Any], bad: "wp.array") -> None:
         from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
@@ -313,15 +339,31 @@ class RayQueries:
             launcher.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
 
 
-def _group_size(count: int) -> int:
-    size = count // (GROUPS_PER_THREAD * launcher.thread_count())
-    return min(max(size, FEWEST_IN_GROUP), MOST_IN_GROUP)
-
-
-def _widened(count: "wp.array") -> "wp.array":
+def checked_limits(
+    rays: user_arrays.Batch, heading: user_arrays.Batch, t_min: float, max_distance: float
+) -> tuple[Any, Any]:
+    """``t_min`` and ``max_distance`` as kernels take them; there must be a direction for each origin."""
     import warp as wp
 
-    count = count.warp if isinstance(count, HostArray) else count
-    wide = wp.empty(len(count), dtype=wp.int64, device=count.device)
-    wp.utils.array_cast(count, wide)
-    return wide
+    if len(rays) != len(heading):
+        raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
+    lowest = -math.ulp(0.0)
+    start = user_arrays.require_finite_scalar(t_min, "t_min", low=lowest)
+    reach = user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True)
+    return wp.float64(start), wp.float64(reach)
+
+
+def refuse_rays(bad: Any, rays: user_arrays.Batch, heading: user_arrays.Batch) -> None:
+    """Raise InputError and name the first ray that is not usable, if a kernel has raised ``bad``."""
+    from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
+
+    if bad.numpy()[0]:
+        user_arrays.require_finite(rays, "origins")
+        user_arrays.require_finite(heading, "directions")
+        user_arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
+
+
+def group_size(count: int) -> int:
+    """Rays per thread on a CPU."""
+    size = count // (GROUPS_PER_THREAD * launcher.thread_count())
+    return min(max(size, FEWEST_IN_GROUP), MOST_IN_GROUP)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
     from geokit.mesh.topology.orientation import FaceOrientation
 
-__all__ = ["SignChoice", "choose_sign"]
+__all__ = ["SignChoice", "choose_sign", "largest_of_each"]
 
 # Winding numbers below this count as 0: twenty times their error.
 WHOLE = 0.1
@@ -41,6 +41,7 @@ def choose_sign(surface: Surface) -> SignChoice:
 def _defect(report: Any, orientation: FaceOrientation) -> str:
     """The mesh's first defect for which pseudonormals fail, or an empty string."""
     counts = (
+        (report.back_to_back_count, "pairs of faces back to back, which cancel"),
         (report.boundary_edge_count, "boundary edges"),
         (report.non_manifold_edge_count, "edges of three faces or more"),
         (report.degenerate_count, "faces without area"),
@@ -66,7 +67,7 @@ def _parts_bound_one_solid(surface: Surface) -> bool:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals[surface._orientation.flipped] *= -1.0
     twice = np.linalg.norm(normals, axis=1)
-    face = _largest_of_each(face_parts(surface.mesh), twice)
+    face = largest_of_each(face_parts(surface.mesh), twice)
     starts = corners[face].mean(axis=1) * frame.scale + frame.origin
     headings = normals[face] / twice[face, None]
     hits = surface.raycast_all(starts, headings)
@@ -78,7 +79,7 @@ def _parts_bound_one_solid(surface: Surface) -> bool:
     return bool((np.abs(winding) < WHOLE).all())
 
 
-def _largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
+def largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
     """For each component, the index of its largest face."""
     order = np.lexsort([size, part])
     last = np.append(part[order][1:] != part[order][:-1], True)

@@ -51,3 +51,11 @@ def missed_kernel(first: int, triangle_id: wp.array(dtype=int), out_any: wp.arra
     i = first + wp.tid()
     if triangle_id[i] < 0:
         out_any[0] = 1
+
+
+@wp.kernel
+def take_sign_kernel(first: int, judged: wp.array(dtype=wp.float64), out_distance: wp.array(dtype=wp.float64)):
+    """Negate, in place, the distances of points whose distance is negative in ``judged``."""
+    i = first + wp.tid()
+    if judged[i] < wp.float64(0.0):
+        out_distance[i] = -out_distance[i]

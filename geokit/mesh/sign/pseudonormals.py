@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.host_array import HostArray
+from geokit.core.memory.host_array import HostArray
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology
 
@@ -80,8 +80,18 @@ def _vertex_normals(
     return np.stack([np.bincount(at, weighted[:, axis], minlength=position_count) for axis in range(3)], axis=1)
 
 
-def by_pseudonormal(found: list[Any], tables: Any, distance: "wp.array", device: "wp.Device") -> None:
-    """Negate the distances of inside points in place; ``found`` holds the points and their closest points."""
+def by_pseudonormal(found: list[Any], tables: Any, outside: float, distance: "wp.array", device: "wp.Device") -> None:
+    """Negate the distances of inside points in place.
+
+    Args:
+        found: The points, their closest points, triangles and barycentric coordinates.
+        tables: Of the surface.
+        outside: Distance from which on all points are outside; inf for open meshes.
+        distance: The distances.
+        device: The device of the arrays.
+    """
+    import warp as wp
+
     from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
 
-    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, tables], [distance], device)
+    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, tables, wp.float64(outside)], [distance], device)

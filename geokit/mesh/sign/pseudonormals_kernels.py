@@ -98,12 +98,13 @@ def pseudonormal_sign_kernel(
     triangle_id: wp.array(dtype=int),
     barycentric: wp.array(dtype=wp.vec3d),
     tables: Pseudonormals,
+    outside: wp.float64,
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Negate the distances of inside points in place; misses stay unchanged."""
+    """Negate the distances of inside points in place; misses, and points beyond ``outside``, stay unchanged."""
     i = first + wp.tid()
     triangle = triangle_id[i]
-    if triangle >= 0:
+    if triangle >= 0 and out_distance[i] < outside:
         normal = pseudonormal(tables, triangle, barycentric[i])
         if wp.dot(points[i] - closest[i], normal) < wp.float64(0.0):
             out_distance[i] = -out_distance[i]

@@ -7,13 +7,18 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
-from geokit.core.chunked_queries import Progress, in_chunks
-from geokit.core.host_array import HostArray
-from geokit.core.pinned import host_flags
-from geokit.errors import InputError
+from geokit.core.blocks.chunked_queries import Progress, in_chunks
+from geokit.core.gradients.differentiable import differentiable
+from geokit.core.launches.replay import replayed
+from geokit.core.memory.host_array import HostArray
+from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.pinned import host_flags
+from geokit.core.poses.placed import placed
+from geokit.core.require import require_choice, require_flag
+from geokit.core.snapshot import on_snapshot
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -22,6 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = ["SignQueries", "SignedDistances"]
 
+# Distance, in sizes of a closed mesh, from which on all points count as outside. From 1e16 on the distances to all
+# triangles are equal in float64.
+FAR = 1e9
 SIGN_METHODS = ("auto", "winding", "pseudonormal", "parity")
 
 
@@ -34,6 +42,12 @@ class SignedDistances(NamedTuple):
     barycentric: Any
 
 
+def _sign_bytes(self: Any, points: Any, **_: Any) -> float:
+    """The first call prepares signs, from the connectivity of the mesh."""
+    first = 0 if "_pseudonormals" in self.__dict__ or "_winding_tree" in self.__dict__ else 325 * self.mesh.face_count
+    return max(124 * rows(points), first)
+
+
 class SignQueries(PointQueries):
     """Queries of a :class:`geokit.mesh.Surface` that tell inside from outside."""
 
@@ -41,8 +55,19 @@ class SignQueries(PointQueries):
     _vertices: "wp.array"
     _faces: "wp.array"
 
+    @placed("points", moved=("points",))
+    @differentiable("geokit.mesh.queries.gradients:SIGNED_DISTANCE", "points")
+    @replayed()
+    @needs(_sign_bytes, late=True)
+    @on_snapshot
     def signed_distance(
-        self, points: Any, *, sign: str = "auto", max_distance: float = math.inf, progress: Progress | None = None
+        self,
+        points: Any,
+        *,
+        sign: str = "auto",
+        max_distance: float = math.inf,
+        transform: ArrayLike | None = None,
+        progress: Progress | None = None,
     ) -> SignedDistances:
         """Distance to the surface for each query point, negative inside.
 
@@ -59,24 +84,33 @@ class SignQueries(PointQueries):
         - "parity": an odd or even number of crossings along three rays, by majority. For closed meshes; nested and
           overlapping components count as holes.
 
+        Some programs write each face twice, once for each side. Where two faces have the same three positions and
+        opposite windings, they would cancel, and nothing would be inside. On closed components (found with one of the
+        two) the earlier one counts alone, for every method; a component inside a solid is a contact or a core, and its
+        faces cancel. Faces of open sheets, and of walls that meet others at edges of three faces, cancel too: a mesh of
+        such faces alone has no inside. ``sign_reason`` says which faces are left out or cancel. Positions must be
+        exactly equal (:func:`geokit.mesh.merge_vertices`), and both sides have the same triangles.
+
         Distances are within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9
-        sizes from the origin. Queries may be 1e150 away (error 4e-15 of the distance). The two sides of a wall as thin
-        as 1e-14 of the size, on a GPU 1e-11, get the right signs. Wrong signs on a damaged sphere, for points in 1.5
-        times its box: with a hole of 10% of its area under 3% by winding number, 2% by pseudonormals, 7% by parity;
-        with small holes of 20% under 0.5% by winding number; with a triangle soup of which 10% are flipped under 1.5%;
-        with copies and overlaps none.
+        sizes from the origin. Queries may be 1e150 away (error 4e-15 of the distance), and all points farther than 1e9
+        sizes from a closed mesh are outside. The two sides of a wall as thin as 1e-14 of the size, on a GPU 1e-11, get
+        the right signs. Wrong signs on a damaged sphere, for points in 1.5 times its box: with a hole of 10% of its
+        area under 3% by winding number, 2% by pseudonormals, 7% by parity; with small holes of 20% under 0.5% by
+        winding number; with a triangle soup of which 10% are flipped under 1.5%; with copies and overlaps none.
 
         Args:
             points: Query points [world], shape (N, 3).
             sign: "auto", "pseudonormal", "winding" or "parity".
             max_distance: Search radius [world]; farther points have distance inf or -inf, triangle_id -1 and NaN
                 elsewhere. Their signs are by winding number if ``sign`` is "pseudonormal".
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             SignedDistances with distance (N,) [world], points (N, 3) [world], triangle_id (N,), barycentric (N, 3).
         Raises:
-            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, or there is no
-                such sign.
+            InputError: points is not (N, 3) or not finite, max_distance is negative or not a number, there is no such
+                sign, or the transform is not rigid (to 1e-6) or is given beside tensors with gradients.
         Source:
             Bærentzen, Aanæs, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005); Jacobson,
             Kavan, Sorkine-Hornung, "Robust Inside-Outside Segmentation using Generalized Winding Numbers" (2013);
@@ -87,8 +121,8 @@ class SignQueries(PointQueries):
             >>> surface.signed_distance(bracket.bounds[1:] + [[0, 0, 1]]).distance > 0
             array([ True])
 
-        Held by: tests/mesh/sign/test_methods.py, tests/mesh/sign/test_sign_stability.py,
-        tests/accuracy/stability/test_envelopes.py
+        Held by: tests/mesh/sign/test_queries.py, tests/mesh/sign/test_left_out.py,
+        tests/mesh/sign/test_sign_stability.py, tests/accuracy/stability/test_envelopes.py
         """
         method, reach = self._method(sign), checked_radius(max_distance)
         require_measurable(self.mesh, self._frame)
@@ -107,24 +141,40 @@ class SignQueries(PointQueries):
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
-    def contains(self, points: Any, *, sign: str = "auto", progress: Progress | None = None) -> Any:
+    @placed("points")
+    @replayed()
+    @needs(_sign_bytes, late=True)
+    @on_snapshot
+    def contains(
+        self,
+        points: Any,
+        *,
+        sign: str = "auto",
+        transform: ArrayLike | None = None,
+        progress: Progress | None = None,
+    ) -> Any:
         """True for points inside, by the same sign as :meth:`signed_distance`; points on the surface are outside.
 
         Args:
             points: Query points [world], shape (N, 3).
             sign: "auto", "pseudonormal", "winding" or "parity"; see :meth:`signed_distance`.
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             bool (N,).
         Raises:
-            InputError: points is not (N, 3) or not finite, or there is no such sign.
+            InputError: points is not (N, 3) or not finite, there is no such sign, or the transform is not rigid (to
+                1e-6) or is given beside tensors with gradients.
 
-        Held by: tests/mesh/sign/test_methods.py
+        Held by: tests/mesh/sign/test_queries.py
         """
         import warp as wp
 
         from geokit.mesh.sign.parity_kernels import is_negative_kernel
 
+        if self._single_faced:
+            return self._signs.contains(points, sign=sign, progress=progress)
         method, device = self._method(sign), self._device
         by_closest = method == "pseudonormal"
         require_measurable(self.mesh, self._frame)
@@ -139,58 +189,88 @@ class SignQueries(PointQueries):
             self._sign(method, batch.rows, found, math.inf)
             refuse_raised(bad, batch)
             if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
-                return batch.to_caller(HostArray(found.distance.numpy() < 0.0))
+                return batch.to_caller(user_arrays.mapped(found.distance, _is_negative))
             inside = user_arrays.empty(count, wp.bool, batch.rows)
             launcher.launch(is_negative_kernel, count, [found.distance], [inside], device)
             return batch.to_caller(inside)
 
         return in_chunks(query, [points], ["points"], device, progress, defer=by_closest)
 
-    def winding_number(self, points: Any, *, progress: Progress | None = None) -> Any:
+    @placed("points")
+    @differentiable("geokit.mesh.sign.gradients:WINDING_NUMBER", "points")
+    @replayed()
+    @needs(lambda self, points, **_: 100 * self.mesh.face_count + 32 * rows(points), late=True)
+    @on_snapshot
+    def winding_number(
+        self,
+        points: Any,
+        *,
+        as_given: bool = False,
+        transform: ArrayLike | None = None,
+        progress: Progress | None = None,
+    ) -> Any:
         """Generalized winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
-        On a CPU within 0.005 of the exact sum, k times that where k surfaces coincide; on CUDA within 0.02. Faces are
-        wound as ``orientation`` says.
+        This is the number of the mesh wound as by :func:`geokit.mesh.orient` (``orientation`` says whether that flips
+        faces), with doubled faces counted once (see :meth:`signed_distance`), because signs are decided by it.
+        ``as_given=True`` takes all faces with the winding that they have in ``mesh``: -1 inside a closed mesh that
+        is inside out, and 0 for faces that lie back to back.
+
+        On a CPU within 0.005 of the exact sum, k times that where k surfaces coincide; on CUDA within 0.02.
 
         Args:
             points: Query points [world], shape (N, 3).
+            as_given: Whether faces keep the winding that they have in ``mesh``.
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             float (N,).
         Raises:
-            InputError: points is not (N, 3) or not finite.
+            InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6) or is given beside
+                tensors with gradients.
         Source:
             Barill et al., "Fast Winding Numbers for Soups and Clouds" (2018). Differs: on a CPU harmonic moments of
             three orders and exact solid angles nearby, in float64 next to triangles.
 
-        Held by: tests/mesh/sign/test_sign_stability.py, tests/mesh/bvh/test_winding_numbers.py
+        Held by: tests/mesh/sign/test_sign_stability.py, tests/mesh/sign/test_winding_as_given.py,
+        tests/mesh/bvh/test_winding_numbers.py
         """
+
+        require_flag(as_given, "as_given")
+        arguments = self._winding_arguments_as_given() if as_given else self._winding_arguments()
 
         def query(batch: user_arrays.Batch) -> Any:
             bad = host_flags(1, self._device)
-            winding = self._winding(batch.rows, bad)
+            winding = self._winding(batch.rows, bad, arguments)
             refuse_raised(bad, batch)
             return batch.to_caller(winding)
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
-    def sign_confidence(self, points: Any) -> Any:
+    @placed("points")
+    @replayed()
+    @needs(lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points), late=True)
+    @on_snapshot
+    def sign_confidence(self, points: Any, *, transform: ArrayLike | None = None) -> Any:
         """Margin of the sign by winding number: the distance of the winding number from 1/2.
 
         1/2 or more where the sign is certain; near 0 in the holes of an open mesh, where either sign may be right.
 
         Args:
             points: Query points [world], shape (N, 3).
+            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             float (N,).
         Raises:
-            InputError: points is not (N, 3) or not finite.
+            InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6).
         """
         import warp as wp
 
         from geokit.mesh.sign.parity_kernels import confidence_kernel
 
-        batch = user_arrays.read_vectors(points, "points", self._device, defer=True, pin=True)
+        batch = user_arrays.read_vectors(points, "points", self._device, defer=True, pin=True, single=True)
         confidence = user_arrays.empty(len(batch), wp.float64, batch.rows)
         bad = host_flags(1, self._device)
         winding = self._winding(batch.rows, bad)
@@ -212,24 +292,47 @@ class SignQueries(PointQueries):
 
     @property
     def sign_reason(self) -> str:
-        """The reason for ``sign_method``: what was proven, or the first defect found."""
+        """The reason for ``sign_method``: faces that are left out, and what was proven or the first defect found."""
         return self._sign_choice.reason
 
     @cached_property
     def _sign_choice(self) -> Any:
         from geokit.mesh.sign.choice import choose_sign
 
-        return choose_sign(self)  # type: ignore[arg-type]
+        if not self._single_faced:
+            return choose_sign(self)  # type: ignore[arg-type]
+        count = self.mesh.face_count - self._signs.mesh.face_count
+        choice = self._signs._sign_choice
+        return choice._replace(reason=f"{count} faces back to back with others are left out; {choice.reason}")
+
+    @property
+    def _signs(self) -> Any:
+        """The surface that decides signs: this one, or that of the mesh without faces back to back with others."""
+        return self._single_faced or self
+
+    @cached_property
+    def _single_faced(self) -> Any:
+        """The surface of the mesh without faces back to back with others; None if there are none to leave out."""
+        from geokit.mesh._model import TriangleMesh
+        from geokit.mesh.sign.left_out import left_out_faces
+
+        left_out = left_out_faces(self)  # type: ignore[arg-type]
+        if not len(left_out):
+            return None
+        faces = np.delete(self.mesh.faces, left_out, axis=0)
+        surface: Any = type(self)
+        return surface(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
 
     @property
     def is_closed(self) -> bool:
         """True if the mesh is closed: every edge joins exactly two triangles, with the same winding.
 
-        The winding is that after :func:`geokit.mesh.orient`. Winding numbers of a closed mesh are whole numbers, and 0
+        The winding is that after :func:`geokit.mesh.orient`, and faces that lie back to back count once, as in
+        :meth:`signed_distance`. Winding numbers of a closed mesh are whole numbers, and 0
         far away. Closed meshes are watertight (:func:`geokit.mesh.audit`), but may have non-manifold vertices and
         self-intersections.
         """
-        return self._orientation.closed
+        return bool(self._signs._orientation.closed)
 
     @property
     def orientation(self) -> int:
@@ -239,7 +342,7 @@ class SignQueries(PointQueries):
         Signs and winding numbers are those of the mesh that :func:`geokit.mesh.orient` returns; rays ignore the
         winding.
         """
-        flipped: NDArray[np.bool_] = self._orientation.flipped
+        flipped: NDArray[np.bool_] = self._signs._orientation.flipped
         if not flipped.any():
             return 1
         return -1 if flipped.all() else 0
@@ -270,39 +373,45 @@ class SignQueries(PointQueries):
         return tables
 
     def _method(self, sign: str) -> str:
-        if sign not in SIGN_METHODS:
-            raise InputError(f"sign: {sign!r} is not a method; use one of {', '.join(map(repr, SIGN_METHODS))}")
+        require_choice(sign, "sign", SIGN_METHODS)
         return self.sign_method if sign == "auto" else sign
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
         """Negate the distances of inside points in place; ``reach`` is the search radius."""
-        from geokit.mesh.sign import methods
+        from geokit.mesh.sign import parity
+        from geokit.mesh.sign.left_out import by_other_surface
         from geokit.mesh.sign.pseudonormals import by_pseudonormal
 
+        if self._single_faced:
+            by_other_surface(self._signs, method, points, closest.distance, reach)
+            return
         if method == "pseudonormal":
             tables, device = self._pseudonormals, self._device
             found = [points, closest.points, closest.triangle_id, closest.barycentric]
-            by_pseudonormal(found, tables, closest.distance, device)
+            # Very far away float64 no longer tells which triangle is closest, and so on which side a point is.
+            outside = FAR * self._frame.scale if self.is_closed else math.inf
+            by_pseudonormal(found, tables, outside, closest.distance, device)
             # Without a search radius only points 1e150 away can be misses, and those are outside.
-            if reach < math.inf and methods.any_missed(closest.triangle_id):
+            if reach < math.inf and parity.any_missed(closest.triangle_id):
                 # The search for closest points has already checked for points that are not finite.
                 winding = self._winding(points, host_flags(1, device))
-                methods.missed_by_winding(winding, closest, device)
+                parity.missed_by_winding(winding, closest, device)
         elif method == "winding":
             from geokit.mesh.bvh.winding_kernels import sign_kernel
 
             self._query(sign_kernel, points, self._winding_arguments(), [closest.distance])
         else:
-            methods.by_parity(self, points, closest.distance)
+            parity.by_parity(self, points, closest.distance)
 
-    def _winding(self, points: "wp.array", bad: HostArray) -> "wp.array":
+    def _winding(self, points: "wp.array", bad: HostArray, arguments: list[Any] | None = None) -> "wp.array":
         """Winding numbers; ``bad`` is raised if a point is not finite, and such a point has no number."""
         import warp as wp
 
         from geokit.mesh.bvh.winding_kernels import winding_number_kernel
 
         winding = user_arrays.empty(len(points), wp.float64, points)
-        self._query(winding_number_kernel, points, self._winding_arguments(), [winding], flag=bad)
+        arguments = self._winding_arguments() if arguments is None else arguments
+        self._query(winding_number_kernel, points, arguments, [winding], flag=bad)
         return winding
 
     @cached_property
@@ -312,19 +421,42 @@ class SignQueries(PointQueries):
         from geokit.mesh.bvh.winding_moments import build_winding_tree, winding_tree_of_mesh
 
         flipped: NDArray[np.bool_] = self._orientation.flipped
+        if not flipped.any():
+            return self._winding_tree_as_given
         if self._device.is_cpu:
             return build_winding_tree(self._tree, flipped)
-        # The handle does not keep the mesh alive, so the surface must.
-        self._turned_mesh = self._warp_mesh  # type: ignore[attr-defined]
-        if flipped.any():
-            faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces).reshape(-1)
-            turned: Any = wp.array(faces, dtype=wp.int32, device=self._device)
-            self._turned_mesh = self._make_warp_mesh(turned)  # type: ignore[attr-defined]
-        return winding_tree_of_mesh(self._turned_mesh)
+        faces = np.where(flipped[:, None], self.mesh.faces[:, ::-1], self.mesh.faces).reshape(-1)
+        turned: Any = wp.array(faces, dtype=wp.int32, device=self._device)
+        # The handle does not keep the mesh alive, so the surface must; threads that come together keep the same one.
+        made = self._make_warp_mesh(turned)  # type: ignore[attr-defined]
+        return winding_tree_of_mesh(self.__dict__.setdefault("_turned_mesh", made))
+
+    @cached_property
+    def _winding_tree_as_given(self) -> Any:
+        from geokit.mesh.bvh.winding_moments import build_winding_tree, winding_tree_of_mesh
+
+        if self._device.is_cpu:
+            return build_winding_tree(self._tree)
+        return winding_tree_of_mesh(self._warp_mesh)  # type: ignore[attr-defined]
 
     def _winding_arguments(self) -> list[Any]:
+        arguments: list[Any] = self._signs._winding_arguments_of_all()
+        return arguments
+
+    def _winding_arguments_of_all(self) -> list[Any]:
+        """Those of all faces of this mesh, wound as ``orientation`` says."""
         import warp as wp
 
         # The winding number of a closed mesh is zero everywhere outside its box.
-        empty = 1.0 if self.is_closed else math.inf
+        empty = 1.0 if self._orientation.closed else math.inf
         return [self._tree, self._winding_tree, wp.float64(empty)]
+
+    def _winding_arguments_as_given(self) -> list[Any]:
+        import warp as wp
+
+        whole = self._orientation.closed and self._orientation.flipped.mean() in (0.0, 1.0)
+        return [self._tree, self._winding_tree_as_given, wp.float64(1.0 if whole else math.inf)]
+
+
+def _is_negative(distance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return distance < 0.0

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from geokit.core.equal_rows import repeated_triples
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, position_corners
+from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 
-__all__ = ["ASPECT_QUANTILES", "MeshAudit", "audit_topology", "face_parts"]
+__all__ = ["ASPECT_QUANTILES", "MeshAudit", "area_and_volume", "audit_topology", "face_parts"]
 
 
 # Minimum, quartiles, maximum.
@@ -41,6 +42,9 @@ class MeshAudit:
             triangles, and points where components only touch.
         degenerate_count: Triangles without area (height under 1e-12 of the longest edge).
         duplicate_count: Triangles with the same three positions as an earlier one, in any order.
+        back_to_back_count: Pairs of triangles with the same three positions and opposite windings, as of files in which
+            each face is doubled. They cancel in a winding number; :class:`geokit.mesh.Surface` counts those of closed
+            components once.
         coincident_count: Vertices at exactly the position of an earlier one.
         unreferenced_count: Vertices that no face uses.
         signed_volume: Volume [world^3], positive where faces wind counterclockwise seen from outside; meaningful only
@@ -67,6 +71,7 @@ class MeshAudit:
     oriented: bool
     degenerate_count: int
     duplicate_count: int
+    back_to_back_count: int
     coincident_count: int
     unreferenced_count: int
     signed_volume: float
@@ -90,9 +95,12 @@ def audit_topology(mesh: TriangleMesh, whole: MeshTopology) -> MeshAudit:
     split_count = len(topology.split_vertices())
     has_faces = len(mesh.faces) > 0
     watertight = has_faces and topology.boundary_count == 0 and topology.non_manifold_count == 0
-    component_count, duplicate_count = topology.piece_count(corners[collapsed]), len(repeated_triples(corners)[0])
+    component_count = topology.piece_count(corners[collapsed])
+    repeats, repeated = repeated_triples(corners)
+    spread = ~collapsed[repeats]
+    pairs = back_to_back_pairs(corners, repeats[spread], repeated[spread])[1] if spread.any() else repeats[:0]
     flat = measures.flat | collapsed
-    area, volume = _sums(measures)
+    area, volume = area_and_volume(measures)
     return MeshAudit(
         vertex_count=len(mesh.vertices),
         face_count=len(mesh.faces),
@@ -104,14 +112,15 @@ def audit_topology(mesh: TriangleMesh, whole: MeshTopology) -> MeshAudit:
         oriented=topology.oriented,
         non_manifold_vertex_count=split_count,
         degenerate_count=int(np.count_nonzero(flat)),
-        duplicate_count=duplicate_count,
+        duplicate_count=len(repeats),
+        back_to_back_count=int(pairs.sum()),
         coincident_count=len(mesh.vertices) - position_count,
         unreferenced_count=int(np.count_nonzero(~used)),
         signed_volume=volume,
         inside_out=watertight and topology.oriented and volume < 0.0,
         area=area,
         bounds=bounds,
-        diagonal=_diagonal(bounds),
+        diagonal=diagonal_of(bounds),
         euler_number=topology.vertex_count - topology.edge_count + len(topology.faces),
         aspect_ratio_quantiles=_aspect_ratio_quantiles(measures, flat),
         self_intersection_count=None,
@@ -133,7 +142,7 @@ def _bounds(points: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.
     return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]])
 
 
-def _sums(measures: FaceMeasures) -> tuple[float, float]:
+def area_and_volume(measures: FaceMeasures) -> tuple[float, float]:
     """Area and signed volume [world]."""
     size = measures.size
     # Products, because Python's powers raise OverflowError where products give inf.
@@ -141,21 +150,28 @@ def _sums(measures: FaceMeasures) -> tuple[float, float]:
     return area, float(measures.six_volume.sum()) / 6.0 * size * size * size
 
 
+def aspect_ratios(measures: FaceMeasures, flat: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Aspect ratio of each face, (F,); infinite for those without area."""
+    # The inradius is twice the area over the perimeter.
+    longest = np.sqrt(measures.longest_squared)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        aspect: NDArray[np.float64] = longest * measures.perimeter / (2.0 * math.sqrt(3.0) * measures.twice_area)
+    aspect[flat] = np.inf
+    return aspect
+
+
 def _aspect_ratio_quantiles(measures: FaceMeasures, flat: NDArray[np.bool_]) -> NDArray[np.float64]:
     count = len(flat)
     if count == 0:
         return np.full(len(ASPECT_QUANTILES), np.nan)
-    # The inradius is twice the area over the perimeter.
-    longest = np.sqrt(measures.longest_squared)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        aspect = longest * measures.perimeter / (2.0 * math.sqrt(3.0) * measures.twice_area)
-    aspect[flat] = np.inf
+    aspect = aspect_ratios(measures, flat)
     # Each quantile is that of one triangle: between a finite and an infinite ratio there is nothing to interpolate.
     rank = [round(quantile * (count - 1)) for quantile in ASPECT_QUANTILES]
     return np.partition(aspect, rank)[rank]
 
 
-def _diagonal(bounds: NDArray[np.float64]) -> float:
+def diagonal_of(bounds: NDArray[np.float64]) -> float:
+    """Length of the diagonal of bounds (2, 3)."""
     half = bounds[1] * 0.5 - bounds[0] * 0.5
     size = float(np.max(half))
     # At unit size: the squares of 1e200 overflow, those of 1e-200 underflow.

@@ -9,13 +9,9 @@ links.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core.atomic_kernels import root_of, unite
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func_native(cpp("mesh/topology/join_components.inl"))
-def join(label: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32): ...
 
 
 @wp.kernel
@@ -26,13 +22,10 @@ def join_kernel(
     out_label: wp.array(dtype=wp.int32),
 ):
     i = first + wp.tid()
-    join(out_label, one[i], other[i])
+    unite(out_label, one[i], other[i])
 
 
 @wp.kernel
 def lowest_kernel(first: int, label: wp.array(dtype=wp.int32), out_label: wp.array(dtype=wp.int32)):
     i = first + wp.tid()
-    node = label[i]
-    while label[node] != node:
-        node = label[node]
-    out_label[i] = node
+    out_label[i] = root_of(label, label[i])

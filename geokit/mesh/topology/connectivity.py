@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.equal_rows import merge_equal_points
-from geokit.core.host_array import HostArray
+from geokit.core.memory.host_array import HostArray
 from geokit.mesh._model import TriangleMesh
 
 __all__ = [
@@ -276,13 +276,13 @@ class Topology:
 
     def piece_count(self, collapsed: NDArray[np.int32]) -> int:
         """Number of components that share no position; ``collapsed`` adds those of faces with two equal corners."""
-        label = self._vertex_pieces(collapsed)
+        label = self.pieces(collapsed)
         used = self.face_counts > 0
         used[collapsed] = True
         return int(np.count_nonzero(used & (label == np.arange(len(label)))))
 
-    def _vertex_pieces(self, collapsed: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The lowest position in each position's component, (P,)."""
+    def pieces(self, collapsed: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The lowest position in each position's component, (P,); ``collapsed`` joins the corners of such faces."""
         edge = self.order[self.starts]
         one, other = np.take(self.start, edge), np.take(self.start, _next_half_edge(edge))
         if len(collapsed):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit.core.equal_rows import repeated_triples
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
+from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 
 if TYPE_CHECKING:
@@ -38,11 +39,13 @@ class FaceOrientation(NamedTuple):
         flipped: The faces to flip, (F,) bool.
         consistent: Every component has a consistent winding; False if one of them is one-sided.
         closed: There are faces, and every edge joins exactly two of them, with the same winding after the flips.
+        doubled: Faces that lie back to back with another one on a closed component.
     """
 
     flipped: NDArray[np.bool_]
     consistent: bool
     closed: bool
+    doubled: DoubledFaces
 
 
 class _Pieces(NamedTuple):
@@ -88,9 +91,9 @@ def orient_faces(
     kept = np.flatnonzero(~collapsed)
     flipped = np.zeros(len(mesh.faces), bool)
     if not len(kept):
-        return FaceOrientation(flipped, True, False)
+        return FaceOrientation(flipped, True, False, none_doubled())
     faces = corners if len(kept) == len(corners) else corners[kept]
-    topology = whole
+    topology, doubled = whole, none_doubled()
     clean = whole.only_pairs and whole.oriented
     if clean:
         pieces = _linked(len(faces), topology)
@@ -104,6 +107,9 @@ def orient_faces(
         first = np.delete(kept, repeats)
         pieces = _linked(len(first), topology) if topology.oriented else _flooded(len(first), topology)
         closed = _closed_pieces(pieces, topology)
+        if len(repeats):
+            doubled = doubled_faces(faces, repeats, repeated, pieces.label, closed)
+            doubled = doubled._replace(copies=kept[doubled.copies])
     turned = pieces.turned
     volume = _piece_volumes(measure_faces(mesh, mesh.bounds), first, pieces, closed)
     if np.any(volume < 0.0):
@@ -111,7 +117,8 @@ def orient_faces(
     flipped[first] = turned
     flipped[kept[repeats]] = flipped[kept[repeated]]
     consistent = not pieces.one_sided.any()
-    return FaceOrientation(flipped, consistent, whole.only_pairs and (clean or _wind_alike(whole, flipped[kept])))
+    closed_as_a_whole = whole.only_pairs and (clean or _wind_alike(whole, flipped[kept]))
+    return FaceOrientation(flipped, consistent, closed_as_a_whole, doubled)
 
 
 def _wind_alike(topology: Topology, flipped: NDArray[np.bool_]) -> bool:

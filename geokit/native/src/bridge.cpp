@@ -5,6 +5,7 @@
 
 #include <nanovdb/NanoVDB.h>
 #include <openvdb/version.h>
+#include <tbb/version.h>
 
 namespace geokit {
 namespace {
@@ -23,6 +24,12 @@ std::string read_vdb(const std::string& path, const std::vector<std::string>& na
     return json;
 }
 
+std::string inspect_vdb(const std::string& path) { return to_json(VdbFile(path).inspect()); }
+
+std::string spool_vdb(
+    const std::string& path, const std::vector<std::string>& names, const std::string& spool, uint64_t spool_limit)
+{ return to_json(VdbFile(path).read(names, spool, spool_limit)); }
+
 std::string openvdb_version()
 {
     return dotted(OPENVDB_LIBRARY_MAJOR_VERSION_NUMBER, OPENVDB_LIBRARY_MINOR_VERSION_NUMBER,
@@ -31,5 +38,15 @@ std::string openvdb_version()
 
 std::string nanovdb_version()
 { return dotted(NANOVDB_MAJOR_VERSION_NUMBER, NANOVDB_MINOR_VERSION_NUMBER, NANOVDB_PATCH_VERSION_NUMBER); }
+
+std::vector<std::pair<std::string, std::string>> build_facts()
+{
+#ifdef __clang__
+    const std::string compiler = "Clang ";
+#else
+    const std::string compiler = "GCC ";
+#endif
+    return {{"tbb", TBB_runtime_version()}, {"compiler", compiler + __VERSION__}};
+}
 
 } // namespace geokit

@@ -5,7 +5,9 @@
 #include "buffer.h"
 #include "errors.h"
 
+#include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace geokit {
@@ -14,11 +16,19 @@ namespace geokit {
 std::string read_vdb(
     const std::string& path, const std::vector<std::string>& names, std::vector<MappedBuffer>& buffers);
 
+// For the worker: the headers of all grids, and reading into files of the folder `spool` (see VdbFile). JSON of json.h.
+std::string inspect_vdb(const std::string& path);
+std::string spool_vdb(
+    const std::string& path, const std::vector<std::string>& names, const std::string& spool, uint64_t spool_limit);
+
 // {"error": {"kind": ..., "message": ..., "names": [...]}}
 std::string to_json(const BridgeError& error);
 
 // Versions of the libraries with which the bridge was built.
 std::string openvdb_version();
 std::string nanovdb_version();
+
+// Other facts for bug reports, by name: "tbb", the version that is loaded, and "compiler".
+std::vector<std::pair<std::string, std::string>> build_facts();
 
 } // namespace geokit

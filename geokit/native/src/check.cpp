@@ -30,6 +30,15 @@ struct Extent {
     }
 };
 
+// Loading another byte as a bool is undefined. Other types have no such bytes.
+template<typename T>
+void check_bool(const T& value)
+{
+    if constexpr (nanovdb::is_same<T, bool>::value) {
+        if (reinterpret_cast<const uint8_t&>(value) > 1) damaged("a tile or the background is neither true nor false");
+    }
+}
+
 template<typename BuildT>
 class TreeCheck {
     using Upper = nanovdb::NanoUpper<BuildT>;
@@ -85,17 +94,29 @@ private:
         if (tile_count > (extent_.size - root_at - sizeof(Data)) / sizeof(typename Data::Tile)) {
             damaged("its root table lies outside the grid");
         }
+        check_bool(root->mBackground);
         for (uint32_t i = 0; i < tile_count; ++i) {
             if (const int64_t child = root->tile(i)->child) {
                 count(2);
                 check_upper(extent_.node(root_at, child, sizeof(typename Upper::DataType), "upper node"));
+            } else {
+                check_bool(root->tile(i)->value);
             }
+        }
+    }
+
+    template<typename Node>
+    static void check_tiles(const Node* node)
+    {
+        if constexpr (nanovdb::is_same<typename Node::ValueT, bool>::value) {
+            for (auto it = node->mChildMask.beginOff(); it; ++it) check_bool(node->mTable[*it].value);
         }
     }
 
     void check_upper(uint64_t upper_at)
     {
         const auto* upper = at<typename Upper::DataType>(upper_at);
+        check_tiles(upper);
         for (auto it = upper->mChildMask.beginOn(); it; ++it) {
             count(1);
             check_lower(
@@ -106,6 +127,7 @@ private:
     void check_lower(uint64_t lower_at)
     {
         const auto* lower = at<typename Lower::DataType>(lower_at);
+        check_tiles(lower);
         for (auto it = lower->mChildMask.beginOn(); it; ++it) {
             count(0);
             const uint64_t leaf_at = extent_.node(lower_at, lower->mTable[*it].child, leaf_header_size(), "leaf");

@@ -2,8 +2,7 @@
 #pragma once
 
 #include "buffer.h"
-
-#include <openvdb/openvdb.h>
+#include "library_grids.h"
 
 #include <string>
 
@@ -15,6 +14,9 @@ void initialize();
 
 // Whether grids of this OpenVDB tree type ("Tree_float_5_4_3") can be converted.
 bool is_convertible(const std::string& grid_type);
+
+// Whether grids of this type are points with attributes, see points.h.
+bool holds_points(const std::string& grid_type);
 
 // Whether OpenVDB, or a program built on it, may have written a tree type of this name. False means that the name
 // itself is damaged.

@@ -67,7 +67,8 @@ MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind_nam
     });
 }
 
-MappedBuffer smooth_csg(const uint8_t* a, const uint8_t* b, const std::string& kind_name, double blend)
+MappedBuffer smooth_csg(
+    const uint8_t* a, const uint8_t* b, const std::string& kind_name, double blend, const Pulse& pulse)
 {
     const Kind kind = kind_of(kind_name);
     const auto second = to_openvdb(b);
@@ -79,6 +80,7 @@ MappedBuffer smooth_csg(const uint8_t* a, const uint8_t* b, const std::string& k
         const auto tree = combined(grid.tree(), other, kind);
         openvdb::tree::LeafManager<TreeT> leaves(*tree);
         leaves.foreach([&](auto& leaf, size_t) {
+            pulse();
             openvdb::tree::ValueAccessor<const TreeT> left(grid.tree()), right(other);
             for (auto it = leaf.beginValueOn(); it; ++it) {
                 const auto voxel = it.getCoord();

@@ -9,6 +9,7 @@ namespace geokit {
 
 // damaged      the file or buffer is damaged
 // unsupported  NanoVDB or OpenVDB cannot represent the grid
+// points       the grid holds points, which read_points() reads
 // missing      there is no grid of that name; `names` lists those in the file
 // memory       not enough memory, or the memory limit was exceeded
 // spool        the folder for results is full

@@ -7,12 +7,24 @@
 namespace geokit {
 namespace {
 
+// Gives OpenVDB's tools the pulse. They would go on with half-made values if it returned true; it throws instead.
+struct Interrupter : openvdb::util::NullInterrupter {
+    explicit Interrupter(const Pulse& pulse_) : pulse(pulse_) {}
+    bool wasInterrupted(int = -1) override
+    {
+        pulse();
+        return false;
+    }
+    const Pulse& pulse;
+};
+
 template<typename GridT>
-void smooth_level_set(GridT& grid, const std::string& method, int width, int iterations, double voxel_size)
+void smooth_level_set(
+    GridT& grid, const std::string& method, int width, int iterations, double voxel_size, Interrupter& interrupter)
 {
     InVoxels voxels(grid, voxel_size);
     {
-        openvdb::tools::LevelSetFilter<GridT> filter(grid);
+        openvdb::tools::LevelSetFilter<GridT> filter(grid, &interrupter);
         for (int i = 0; i < iterations; ++i) {
             if (method == "gaussian") filter.gaussian(width);
             else if (method == "mean") filter.mean(width);
@@ -26,9 +38,9 @@ void smooth_level_set(GridT& grid, const std::string& method, int width, int ite
 }
 
 template<typename GridT>
-void smooth_field(GridT& grid, const std::string& method, int width, int iterations)
+void smooth_field(GridT& grid, const std::string& method, int width, int iterations, Interrupter& interrupter)
 {
-    openvdb::tools::Filter<GridT> filter(grid);
+    openvdb::tools::Filter<GridT> filter(grid, &interrupter);
     if (method == "gaussian") filter.gaussian(width, iterations);
     else if (method == "mean") filter.mean(width, iterations);
     else if (method == "median") filter.median(width, iterations);
@@ -37,12 +49,14 @@ void smooth_field(GridT& grid, const std::string& method, int width, int iterati
 
 } // namespace
 
-MappedBuffer smooth(const uint8_t* data, const std::string& method, int width, int iterations, double voxel_size)
+MappedBuffer smooth(
+    const uint8_t* data, const std::string& method, int width, int iterations, double voxel_size, const Pulse& pulse)
 {
+    Interrupter interrupter(pulse);
     return on_real(to_openvdb(data), "smoothing", [&](auto& grid) {
         if (grid.getGridClass() == openvdb::GRID_LEVEL_SET)
-            smooth_level_set(grid, method, width, iterations, voxel_size);
-        else smooth_field(grid, method, width, iterations);
+            smooth_level_set(grid, method, width, iterations, voxel_size, interrupter);
+        else smooth_field(grid, method, width, iterations, interrupter);
     });
 }
 

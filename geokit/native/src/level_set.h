@@ -3,8 +3,8 @@
 
 #include "convert.h"
 #include "errors.h"
+#include "library_grids.h"
 
-#include <openvdb/openvdb.h>
 #include <openvdb/tree/LeafManager.h>
 
 #include <cmath>

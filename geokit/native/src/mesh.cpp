@@ -4,7 +4,6 @@
 #include "errors.h"
 #include "transform.h"
 
-#include <openvdb/openvdb.h>
 #include <openvdb/tools/MeshToVolume.h>
 #include <openvdb/tools/VolumeToMesh.h>
 

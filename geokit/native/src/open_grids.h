@@ -1,7 +1,7 @@
 // The OpenVDB grid types that the bridge converts, and a way to create them that compiles fast.
 #pragma once
 
-#include <openvdb/openvdb.h>
+#include "library_grids.h"
 
 namespace geokit {
 

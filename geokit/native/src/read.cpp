@@ -174,6 +174,7 @@ std::vector<ReadGrid> VdbFile::read(
     const auto selected = select(names);
     for (size_t i : selected) {
         const auto& type = entries_[i].descriptor.gridType();
+        if (holds_points(type)) { throw BridgeError("points", "grid '" + display_name(i) + "' holds points"); }
         if (!is_convertible(type)) {
             throw BridgeError(
                 "unsupported", "grid '" + display_name(i) + "' of type " + type + " has no NanoVDB counterpart");
@@ -202,6 +203,27 @@ std::vector<ReadGrid> VdbFile::read(
         results.push_back(std::move(result));
     }
     return results;
+}
+
+openvdb::GridBase::Ptr VdbFile::read_points(const std::string& name)
+{
+    std::vector<size_t> found;
+    std::vector<std::string> all, of_points;
+    for (size_t i = 0; i < entries_.size(); ++i) {
+        all.push_back(display_name(i));
+        if (!holds_points(entries_[i].descriptor.gridType())) continue;
+        of_points.push_back(display_name(i));
+        if (name.empty() || name == entries_[i].descriptor.gridName() || name == display_name(i)) found.push_back(i);
+    }
+    if (of_points.empty()) {
+        throw BridgeError("missing", "holds no points but volumes, which geokit.volume.load reads", all);
+    }
+    if (found.empty()) throw BridgeError("missing", "no grid of points named '" + name + "'", of_points);
+    if (name.empty() && found.size() > 1) {
+        throw BridgeError("missing", "has several grids of points; choose one with grid=", of_points);
+    }
+    const std::string what = "the contents of grid '" + display_name(found[0]) + "'";
+    return parsing(what.c_str(), [&] { return read_grid(found[0]); });
 }
 
 std::vector<GridHeader> VdbFile::inspect()

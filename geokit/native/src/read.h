@@ -59,6 +59,10 @@ public:
     std::vector<ReadGrid> read(
         const std::vector<std::string>& names, const std::string& spool = "", uint64_t spool_limit = UINT64_MAX);
 
+    // Reads the grid of points called `name`, or the only one if it is empty. Throws BridgeError("missing"),
+    // ("damaged").
+    openvdb::GridBase::Ptr read_points(const std::string& name);
+
 private:
     struct Entry {
         openvdb::io::GridDescriptor descriptor;

@@ -94,6 +94,8 @@ bool is_convertible(const std::string& grid_type)
     return types.count(grid_type) == 1;
 }
 
+bool holds_points(const std::string& grid_type) { return grid_type == "Tree_ptdataidx32_5_4_3"; }
+
 bool is_plausible_type(const std::string& grid_type)
 {
     static const std::set<std::string> value_types = {"bool", "mask", "half", "float", "double", "int16", "int32",

@@ -6,9 +6,7 @@
 // MEMORY is in bytes. One line of JSON goes to stdout (see json.h); buffers go into files in SPOOL_FOLDER.
 // Exit status: 0 done, 1 the JSON holds an error, 2 wrong usage. Anything else, or a signal, is a crash.
 
-#include "errors.h"
-#include "json.h"
-#include "read.h"
+#include "bridge.h"
 
 #include <tbb/global_control.h>
 
@@ -57,10 +55,9 @@ void restrain(rlim_t memory, rlim_t cpu_seconds)
 
 std::string run(const std::vector<std::string>& arguments, uint64_t memory)
 {
-    geokit::VdbFile file(arguments[3]);
-    if (arguments[0] == "inspect") return geokit::to_json(file.inspect());
+    if (arguments[0] == "inspect") return geokit::inspect_vdb(arguments[3]);
     const std::vector<std::string> names(arguments.begin() + 5, arguments.end());
-    return geokit::to_json(file.read(names, arguments[4], memory));
+    return geokit::spool_vdb(arguments[3], names, arguments[4], memory);
 }
 
 // Exits without destructors, because deleting the trees of a damaged file may crash.

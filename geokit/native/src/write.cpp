@@ -3,6 +3,7 @@
 #include "convert.h"
 #include "errors.h"
 #include "metadata.h"
+#include "save.h"
 
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/Compression.h>
@@ -67,26 +68,31 @@ void write_vdb(
     const std::string& path, const std::vector<WriteGrid>& sources, const std::string& compression, bool half)
 {
     initialize();
-    VdbWriter writer;
-    writer.setCompression(compression_flags(compression));
-    writer.setGridStatsMetadataEnabled(false);
-    openvdb::GridCPtrVec grids;
+    openvdb::GridPtrVec grids;
     for (const auto& source : sources) {
         auto items = source.metadata;
         const bool as_vec3i = take_vec3i_mark(items);
         const auto grid = to_openvdb(source.nanovdb, as_vec3i);
         set_metadata(*grid, items);
         grid->setSaveFloatAsHalf(half);
-        writer.add_statistics(*grid);
         grids.push_back(grid);
     }
+    save_grids(path, grids, compression);
+}
+
+void save_grids(const std::string& path, const openvdb::GridPtrVec& grids, const std::string& compression)
+{
+    VdbWriter writer;
+    writer.setCompression(compression_flags(compression));
+    writer.setGridStatsMetadataEnabled(false);
+    for (const auto& grid : grids) writer.add_statistics(*grid);
     try {
         std::ofstream stream;
         std::vector<char> buffer(size_t(1) << 20);
         stream.rdbuf()->pubsetbuf(buffer.data(), std::streamsize(buffer.size()));
         stream.exceptions(std::ios::failbit | std::ios::badbit);
         stream.open(path, std::ios::binary | std::ios::trunc);
-        writer.save(stream, grids);
+        writer.save(stream, {grids.begin(), grids.end()});
         stream.close();
     } catch (const std::ios_base::failure&) {
         throw BridgeError("access", std::string("writing failed (") + std::strerror(errno) + ")");

@@ -7,8 +7,7 @@ Positions are those of the sorted points, so that the neighbors of a point are a
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.atomic_kernels import lower_to
-from geokit.core.cpp import cpp
+from geokit.core.atomic_kernels import lower_to, root_of, unite
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import (
     cells_around,
@@ -20,24 +19,6 @@ from geokit.points.search.neighbors_kernels import (
 )
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
-
-
-@wp.func_native(cpp("points/clouds/unite_sets.inl"))
-def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
-    """Join the sets of a and b; the lower root becomes the root of both, whatever the order of the threads.
-
-    Source: Anderson, Woll, Wait-free parallel algorithms for the union-find problem (1991); path halving. A root is
-    replaced only while it is still a root; every other entry may be overwritten with an ancestor at any time.
-    """
-    ...
-
-
-@wp.func
-def root_of(parent: wp.array(dtype=wp.int32), x: wp.int32) -> wp.int32:
-    at = x
-    while parent[at] != at:
-        at = parent[at]
-    return at
 
 
 @wp.kernel

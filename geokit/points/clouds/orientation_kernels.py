@@ -1,4 +1,4 @@
-"""Orientation of normals along a minimum spanning tree, by Boruvka's rounds on a union-find with parities.
+"""Orientation of normals: which edges count, Boruvka's rounds on a union-find with parities, and outward signs.
 
 A link is an ancestor and a parity, ``ancestor << 1 | parity``. The parity says whether a normal and that of its
 ancestor have opposite signs along the tree. The tree itself is never stored. Both parts of a link change together, in
@@ -14,15 +14,28 @@ good.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.atomic_kernels import lower_to
+from geokit.core.atomic_kernels import add_to, lower_to
 from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 # Larger than every edge and every index.
 NONE = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-# Smaller components are 0 up to rounding, and their signs carry no information.
-NO_COMPONENT = wp.constant(wp.float64(1.0e-6))
+# Edges shorter than this share of the neighborhood's radius say little about the surface's direction: noise turns them.
+# Squared.
+SHORT = wp.constant(wp.float64(0.25))
+# "Up" is tilted slightly, so that y and then x decide the sign of a surface that is vertical.
+UP = wp.constant(wp.vec3d(1.0e-8, 1.0e-4, 1.0))
+# The first cap ends at this share of the neighborhood's radius below the lowest point: a level surface has a sign.
+BELOW = wp.constant(wp.float64(0.01))
+# Caps of a component: the volume above its lowest point, and above heights that are a quarter as far from its highest
+# point from one to the next.
+CAPS = wp.constant(4)
+# A smaller cap has to be clearer by this factor, squared: the highest point may be a tip thinner than the spacing,
+# whose normals are wrong together.
+SMALLER = wp.constant(wp.float64(6.0))
+# Points whose volumes are added before they go to their component's sums.
+VOLUME_RUN = wp.constant(64)
 
 
 @wp.func_native(cpp("points/clouds/flatten_link.inl"))
@@ -43,15 +56,12 @@ def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
 
 
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return atomicAdd(values.data + at, 1);
-#else
-    return __atomic_fetch_add(values.data + at, 1, __ATOMIC_RELAXED);
-#endif
+    const unsigned bits = (unsigned)((uint64_t)edge >> 32);
+    float weight;
+    memcpy(&weight, &bits, 4);
+    return (double)weight;
 """)
-def add_one(values: wp.array(dtype=wp.int32), at: wp.int32) -> wp.int32:
-    """Atomically add 1 to ``values[at]``, across CPU threads too, and return its old value."""
-    ...
+def weight_of(edge: wp.int64) -> wp.float64: ...
 
 
 @wp.func_native(cpp("points/clouds/sort_edges.inl"))
@@ -70,12 +80,15 @@ def start_kernel(
     first: int,
     order: wp.array(dtype=wp.int32),
     normal: wp.array(dtype=wp.vec3d),
+    distance: wp.array(dtype=wp.float64, ndim=2),
     out_normal: wp.array(dtype=wp.vec3d),
+    out_reach: wp.array(dtype=wp.float64),
     out_link: wp.array(dtype=wp.int64),
 ):
-    """Normals in processing order; each point is its own root."""
+    """Normals and distances of the farthest neighbors in processing order; each point is its own root."""
     i = first + wp.tid()
     out_normal[i] = normal[order[i]]
+    out_reach[i] = distance[order[i], distance.shape[1] - 1]
     out_link[i] = wp.int64(i) << wp.int64(1)
 
 
@@ -88,27 +101,60 @@ def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32
     ...
 
 
+@wp.func
+def agreement(
+    i: wp.int32,
+    j: wp.int32,
+    points: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d),
+    reach: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """How surely an edge tells whether two normals have the same sign, from 0 to 1; 0 if it does not tell.
+
+    Normals are compared as they are, which is right along a flat surface, and after reflecting one in the plane halfway
+    between the points, which is right around a bend of any sharpness. An edge through a thin body lies along its
+    normals: there the two contradict each other, and the edge does not tell.
+    """
+    n = normal[i]
+    m = normal[j]
+    if is_zero(n) or is_zero(m):
+        return wp.float64(0.0)
+    direct = wp.dot(n, m)
+    reflected = direct
+    e = points[j] - points[i]
+    h = wp.min(reach[i], reach[j])
+    squared = wp.dot(e, e) + SHORT * h * h
+    if squared > wp.float64(0.0):
+        reflected = direct - wp.float64(2.0) * (wp.dot(e, n) / squared) * wp.dot(e, m)
+    if direct * reflected <= wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.min(wp.min(wp.abs(direct), wp.abs(reflected)), wp.float64(1.0))
+
+
 @wp.kernel
 def degree_kernel(
     first: int,
+    points: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d),
+    reach: wp.array(dtype=wp.float64),
     neighbor: wp.array(dtype=wp.int32, ndim=2),
     out_degree: wp.array(dtype=wp.int32),
 ):
     """Number of edges of each point."""
     i = first + wp.tid()
-    if not is_zero(normal[i]):
-        for k in range(neighbor.shape[1]):
-            j = neighbor[i, k]
-            if is_mine(neighbor, i, j) and not is_zero(normal[j]):
-                add_one(out_degree, i)
-                add_one(out_degree, j)
+    for k in range(neighbor.shape[1]):
+        j = neighbor[i, k]
+        if is_mine(neighbor, i, j) and agreement(i, j, points, normal, reach) > wp.float64(0.0):
+            add_to(out_degree, i, 1)
+            add_to(out_degree, j, 1)
 
 
 @wp.kernel
 def edge_kernel(
     first: int,
+    points: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d),
+    reach: wp.array(dtype=wp.float64),
     neighbor: wp.array(dtype=wp.int32, ndim=2),
     bits: wp.int32,
     out_end: wp.array(dtype=wp.int32),
@@ -116,15 +162,14 @@ def edge_kernel(
 ):
     """The edges of each point, unordered, from the position in ``out_end`` on, which is advanced to their end."""
     i = first + wp.tid()
-    n = normal[i]
-    if not is_zero(n):
-        for k in range(neighbor.shape[1]):
-            j = neighbor[i, k]
-            if is_mine(neighbor, i, j) and not is_zero(normal[j]):
-                weight = wp.max(wp.float64(1.0) - wp.abs(wp.dot(n, normal[j])), wp.float64(0.0))
-                edge = edge_of(weight, (wp.int64(i) << wp.int64(bits)) | wp.int64(k))
-                out_edge[add_one(out_end, i)] = edge
-                out_edge[add_one(out_end, j)] = edge
+    for k in range(neighbor.shape[1]):
+        j = neighbor[i, k]
+        if is_mine(neighbor, i, j):
+            sure = agreement(i, j, points, normal, reach)
+            if sure > wp.float64(0.0):
+                edge = edge_of(wp.float64(1.0) - sure, (wp.int64(i) << wp.int64(bits)) | wp.int64(k))
+                out_edge[add_to(out_end, i, 1)] = edge
+                out_edge[add_to(out_end, j, 1)] = edge
 
 
 @wp.kernel
@@ -184,7 +229,6 @@ def hook_kernel(
     link: wp.array(dtype=wp.int64),
     best: wp.array(dtype=wp.int64),
     out_hook: wp.array(dtype=wp.int64),
-    out_hooked: wp.array(dtype=wp.int32),
 ):
     """The link of each root across its best edge; -1 for none."""
     r = first + wp.tid()
@@ -201,7 +245,6 @@ def hook_kernel(
     if wp.dot(normal[i], normal[j]) < wp.float64(0.0):
         opposite = wp.int64(1)
     out_hook[r] = (other << wp.int64(1)) | ((link[i] ^ link[j] ^ opposite) & wp.int64(1))
-    out_hooked[0] = 1
 
 
 @wp.kernel
@@ -222,72 +265,132 @@ def flatten_kernel(first: int, out_link: wp.array(dtype=wp.int64)):
 
 
 @wp.func_native("""
-    const double down = 0.0 - z;
     int64_t bits;
-    memcpy(&bits, &down, 8);
+    memcpy(&bits, &value, 8);
     return bits < 0 ? bits ^ 0x7fffffffffffffff : bits;
 """)
-def depth_key(z: wp.float64) -> wp.int64:
-    """Integer key that orders finite numbers from large to small."""
+def key_of(value: wp.float64) -> wp.int64:
+    """Integer key that orders finite numbers from small to large."""
+    ...
+
+
+@wp.func_native("""
+    const int64_t bits = key < 0 ? key ^ 0x7fffffffffffffff : key;
+    double value;
+    memcpy(&value, &bits, 8);
+    return value;
+""")
+def value_of(key: wp.int64) -> wp.float64:
+    """The number of a key."""
     ...
 
 
 @wp.func
-def points_down(n: wp.vec3d) -> wp.bool:
-    """Whether z is negative; if z is 0 up to rounding, y decides, then x."""
-    deciding = n[0]
-    if wp.abs(n[1]) > NO_COMPONENT:
-        deciding = n[1]
-    if wp.abs(n[2]) > NO_COMPONENT:
-        deciding = n[2]
-    return deciding < wp.float64(0.0)
+def height_of(i: wp.int32, root: wp.int32, points: wp.array(dtype=wp.vec3d)) -> wp.float64:
+    """Height of a point above the root of its component."""
+    return wp.dot(points[i] - points[root], UP)
 
 
 @wp.kernel
-def highest_kernel(
+def extent_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    link: wp.array(dtype=wp.int64),
-    out_highest: wp.array(dtype=wp.int64),
-):
-    """Greatest z of each component, as a key."""
-    i = first + wp.tid()
-    lower_to(out_highest, wp.int32(link[i] >> wp.int64(1)), depth_key(points[order[i]][2]))
-
-
-@wp.kernel
-def seed_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    link: wp.array(dtype=wp.int64),
-    highest: wp.array(dtype=wp.int64),
-    out_seed: wp.array(dtype=wp.int64),
-):
-    """Lowest index among the highest points of each component, ``index << 32 | i``."""
-    i = first + wp.tid()
-    root = wp.int32(link[i] >> wp.int64(1))
-    if depth_key(points[order[i]][2]) == highest[root]:
-        lower_to(out_seed, root, (wp.int64(order[i]) << wp.int64(32)) | wp.int64(i))
-
-
-@wp.kernel
-def turn_root_kernel(
-    first: int,
     normal: wp.array(dtype=wp.vec3d),
+    reach: wp.array(dtype=wp.float64),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
     link: wp.array(dtype=wp.int64),
-    seed: wp.array(dtype=wp.int64),
-    out_turn: wp.array(dtype=wp.int64),
+    out_width: wp.array(dtype=wp.float64),
+    out_lowest: wp.array(dtype=wp.int64),
+    out_highest: wp.array(dtype=wp.int64),
+    out_widest: wp.array(dtype=wp.int64),
 ):
-    """1 for roots whose normals must be flipped so that those of their seeds point up."""
-    r = first + wp.tid()
-    if seed[r] != NONE:
-        s = wp.int32(seed[r] & wp.int64(0xFFFFFFFF))
-        turn = link[s] & wp.int64(1)
-        if points_down(normal[s]):
-            turn = turn ^ wp.int64(1)
-        out_turn[r] = turn
+    """Width of each point's share of the surface; keys of each component's least height and of the negative greatest
+    height and width."""
+    i = first + wp.tid()
+    if is_zero(normal[i]):
+        return
+    # The least of the neighborhood: an outlier is far from its neighbors, but no large piece of surface.
+    width = reach[i]
+    for k in range(neighbor.shape[1]):
+        j = neighbor[i, k]
+        if j >= 0 and not is_zero(normal[j]):
+            width = wp.min(width, reach[j])
+    out_width[i] = width
+    root = wp.int32(link[i] >> wp.int64(1))
+    height = height_of(i, root, points)
+    lower_to(out_lowest, root, key_of(height))
+    lower_to(out_highest, root, key_of(-height))
+    lower_to(out_widest, root, key_of(-width))
+
+
+@wp.kernel
+def volume_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d),
+    width: wp.array(dtype=wp.float64),
+    link: wp.array(dtype=wp.int64),
+    lowest: wp.array(dtype=wp.int64),
+    highest: wp.array(dtype=wp.int64),
+    widest: wp.array(dtype=wp.int64),
+    scale: wp.float64,
+    out_volume: wp.array(dtype=wp.int64, ndim=2),
+):
+    """Volume of each cap, the sum of area x height x upward part of the normal, and the sum of the terms' squares.
+
+    By the divergence theorem the volume of every cap is positive for closed surfaces with outward normals; for normals
+    that point up it always is. Terms are shares of the largest possible one in units of 1 / scale: whole numbers, which
+    add up alike in any order.
+    """
+    run = first + wp.tid()
+    at = wp.int32(-1)
+    total = wp.vector(length=CAPS, dtype=wp.int64)
+    squares = wp.vector(length=CAPS, dtype=wp.int64)
+    for i in range(run * VOLUME_RUN, wp.min((run + 1) * VOLUME_RUN, points.shape[0])):
+        n = normal[i]
+        if not is_zero(n):
+            root = wp.int32(link[i] >> wp.int64(1))
+            if root != at:
+                if at >= 0:
+                    for cap in range(CAPS):
+                        add_to(out_volume, at, cap, total[cap])
+                        add_to(out_volume, at, CAPS + cap, squares[cap])
+                at = root
+                total = wp.vector(length=CAPS, dtype=wp.int64)
+                squares = wp.vector(length=CAPS, dtype=wp.int64)
+            wide = -value_of(widest[root])
+            below = -value_of(highest[root]) - height_of(i, root, points)
+            depth = -value_of(highest[root]) - value_of(lowest[root]) + BELOW * wide
+            area = (width[i] / wide) * (width[i] / wide) * wp.dot(n, UP)
+            if (link[i] & wp.int64(1)) == wp.int64(1):
+                area = -area
+            for cap in range(CAPS):
+                if below < depth:
+                    share = area * (wp.float64(1.0) - below / depth)
+                    total[cap] += wp.int64(share * scale)
+                    squares[cap] += wp.int64(share * share * scale)
+                depth = wp.float64(0.25) * depth
+    if at >= 0:
+        for cap in range(CAPS):
+            add_to(out_volume, at, cap, total[cap])
+            add_to(out_volume, at, CAPS + cap, squares[cap])
+
+
+@wp.func
+def is_inward(volume: wp.array(dtype=wp.int64, ndim=2), root: wp.int32) -> wp.bool:
+    """Whether the cap with the clearest volume, compared with what random signs of its terms would give, has a negative
+    one."""
+    inward = wp.bool(False)
+    clearest = wp.float64(0.0)
+    worth = wp.float64(1.0)
+    for cap in range(CAPS):
+        total = wp.float64(volume[root, cap])
+        clear = worth * total * total / wp.float64(wp.max(volume[root, CAPS + cap], wp.int64(1)))
+        if clear > clearest:
+            clearest = clear
+            inward = total < wp.float64(0.0)
+        worth /= SMALLER
+    return inward
 
 
 @wp.kernel
@@ -295,10 +398,10 @@ def turn_kernel(
     first: int,
     order: wp.array(dtype=wp.int32),
     link: wp.array(dtype=wp.int64),
-    turn: wp.array(dtype=wp.int64),
+    volume: wp.array(dtype=wp.int64, ndim=2),
     out_normal: wp.array(dtype=wp.vec3d),
 ):
-    """Flip the normals according to their parity to the root and the flip of the root."""
+    """Flip the normals according to their parity to the root and the sign of the component's volume."""
     i = first + wp.tid()
-    if ((turn[wp.int32(link[i] >> wp.int64(1))] ^ link[i]) & wp.int64(1)) == wp.int64(1):
+    if is_inward(volume, wp.int32(link[i] >> wp.int64(1))) != ((link[i] & wp.int64(1)) == wp.int64(1)):
         out_normal[order[i]] = -out_normal[order[i]]

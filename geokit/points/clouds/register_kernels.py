@@ -16,6 +16,10 @@ SUM_RUN = wp.constant(256)
 PLANE_SUMS = wp.constant(29)
 # Number of pairs, squared distances, two sums of positions, nine products.
 POINT_SUMS = wp.constant(17)
+# Points of the target around a moved point, its partner first, from which the uncertainty of its normal is estimated.
+AROUND = wp.constant(8)
+OTHERS = wp.constant(7)
+EACH = wp.constant(wp.float64(1.0 / 7.0))
 
 
 @wp.kernel
@@ -223,3 +227,90 @@ def point_sums_kernel(
         out_sums[run, 5 + a] = partners[a]
         for b in range(3):
             out_sums[run, 8 + 3 * a + b] = product[a, b]
+
+
+@wp.kernel
+def tilt_kernel(
+    first: int,
+    moved: wp.array(dtype=wp.vec3d),
+    points: wp.array(dtype=wp.vec3d),
+    normals: wp.array(dtype=wp.vec3d),
+    around: wp.array(dtype=wp.int32, ndim=2),
+    out_tilt: wp.array(dtype=wp.float64),
+):
+    """Squared angle by which the partner's normal may differ from the target's normal at the moved point.
+
+    From how the normals around the partner differ from its own: a constant, which is their noise, and a part that grows
+    with the squared distance, which is curvature, are fitted by least squares. Normals across an edge are no noise:
+    differences beyond twice the median are cut.
+    """
+    i = first + wp.tid()
+    out_tilt[i] = wp.float64(0.0)
+    n = normals[around[i, 0]]
+    q = points[around[i, 0]]
+    if wp.dot(n, n) == wp.float64(0.0):
+        return
+    squared = wp.vector(length=OTHERS, dtype=wp.float64)
+    change = wp.vector(length=OTHERS, dtype=wp.float64)
+    ranked = wp.vector(length=OTHERS, dtype=wp.float64)
+    for k in range(OTHERS):
+        m = normals[around[i, k + 1]]
+        d = points[around[i, k + 1]] - q
+        squared[k] = wp.dot(d, d)
+        # |n - m|^2 of unit vectors of either sign.
+        change[k] = wp.max(wp.float64(2.0) - wp.float64(2.0) * wp.abs(wp.dot(n, m)), wp.float64(0.0))
+        at = wp.int32(k)
+        while at > 0 and ranked[wp.max(at - 1, 0)] > change[k]:
+            ranked[at] = ranked[at - 1]
+            at -= 1
+        ranked[at] = change[k]
+    most = wp.float64(2.0) * ranked[OTHERS // 2]
+    mean = wp.float64(0.0)
+    mean_squared = wp.float64(0.0)
+    for k in range(OTHERS):
+        change[k] = wp.min(change[k], most)
+        mean += EACH * change[k]
+        mean_squared += EACH * squared[k]
+    if mean_squared == wp.float64(0.0):
+        return
+    above = wp.float64(0.0)
+    below = wp.float64(0.0)
+    for k in range(OTHERS):
+        apart = squared[k] / mean_squared - wp.float64(1.0)
+        above += apart * (change[k] - mean)
+        below += apart * apart
+    growth = mean
+    if below > wp.float64(0.0):
+        growth = wp.clamp(above / below, wp.float64(0.0), mean)
+    off = moved[i] - q
+    out_tilt[i] = (mean - growth) + growth * (wp.dot(off, off) / mean_squared)
+
+
+@wp.kernel
+def tangents_kernel(
+    first: int,
+    normal: wp.array(dtype=wp.vec3d),
+    paired: wp.array(dtype=wp.int32),
+    tilt: wp.array(dtype=wp.float64),
+    most: wp.float64,
+    out_first: wp.array(dtype=wp.vec3d),
+    out_second: wp.array(dtype=wp.vec3d),
+    out_paired: wp.array(dtype=wp.int32),
+):
+    """Two directions perpendicular to each normal, as long as its tilt in each of them; no pair if it tilts by more."""
+    i = first + wp.tid()
+    a = wp.vec3d()
+    b = wp.vec3d()
+    out_paired[i] = 0
+    if paired[i] == 1 and tilt[i] <= most:
+        out_paired[i] = 1
+        n = normal[i]
+        across = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+        if wp.abs(n[0]) > wp.float64(0.6):
+            across = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+        length = wp.sqrt(wp.float64(0.5) * tilt[i])
+        a = wp.normalize(wp.cross(n, across))
+        b = length * wp.cross(n, a)
+        a = length * a
+    out_first[i] = a
+    out_second[i] = b

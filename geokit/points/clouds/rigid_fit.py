@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Step", "orthonormal", "plane_step", "point_step"]
+__all__ = ["Step", "orthonormal", "plane_rank", "plane_step", "point_step"]
 
 # A motion that changes the distances from the planes by less than a millionth of itself is undetermined; the
 # eigenvalues are squares. Float64 sums leave about 1e-16 of canceled terms, data with six digits 1e-12.
@@ -15,6 +15,9 @@ FREE_EIGENVALUE = 1e-12
 # Singular values of the pairs' products are squares of lengths too. Points are collinear or coincide if their width is
 # less than a millionth of their extent.
 FREE_SINGULAR_VALUE = 1e-12
+# A motion is determined if it changes the distances from the planes by more than this many times what the normals'
+# uncertainty explains, in squares. Free motions of spheres, planes, cylinders and tori have 0.5 to 2.6 of it.
+NOISE_FACTOR = 3.0
 
 
 class Step(NamedTuple):
@@ -38,14 +41,25 @@ def plane_step(sums: NDArray[np.float64], size: float) -> Step:
         sums: The 29 sums of plane_sums_kernel.
         size: The length [world] by which rotations are measured.
     """
-    matrix = np.zeros((6, 6))
-    matrix[np.triu_indices(6)] = sums[2:23]
-    matrix += np.triu(matrix, 1).T
+    matrix = _symmetric(sums)
     values, vectors = np.linalg.eigh(matrix)
     determined = values > FREE_EIGENVALUE * max(float(values[-1]), float(sums[0]) * np.finfo(np.float64).tiny)
     along = vectors.T @ -sums[23:29]
     motion = vectors[:, determined] @ (along[determined] / values[determined])
     return Step(_rotation_by(motion[:3] / size), motion[3:], int(determined.sum()))
+
+
+def plane_rank(sums: NDArray[np.float64], noise: NDArray[np.float64]) -> int:
+    """Number of motions whose distances from the planes change by more than the normals' uncertainty explains.
+
+    Args:
+        sums: The 29 sums of plane_sums_kernel.
+        noise: The same sums with directions in which the normals are uncertain, as long as that, in place of normals.
+    """
+    matrix = _symmetric(sums)
+    least = FREE_EIGENVALUE * max(float(np.linalg.eigvalsh(matrix)[-1]), float(sums[0]) * np.finfo(np.float64).tiny)
+    # As many eigenvalues are positive as there are independent motions with more than their noise.
+    return int((np.linalg.eigvalsh(matrix - NOISE_FACTOR * _symmetric(noise)) > least).sum())
 
 
 def point_step(sums: NDArray[np.float64]) -> Step:
@@ -69,6 +83,12 @@ def point_step(sums: NDArray[np.float64]) -> Step:
         rotation = vt.T @ np.diag([1.0, 1.0, flip]) @ u.T
         rank = 6
     return Step(rotation, partner_mean - rotation @ mean, rank)
+
+
+def _symmetric(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = sums[2:23]
+    return matrix + np.triu(matrix, 1).T
 
 
 def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

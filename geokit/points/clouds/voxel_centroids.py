@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.unchecked import sort_pairs
 from geokit.errors import InputError
 from geokit.points.search.cells import survey
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["VoxelOrder", "centroids_by_pieces", "voxel_centroids"]
+__all__ = ["VoxelOrder", "centroids_by_pieces", "require_resolved", "voxel_centroids"]
 
 # Beyond this, float64 does not represent consecutive whole voxel numbers.
 MOST_VOXELS_FROM_ORIGIN = 2.0**52
@@ -54,14 +56,7 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
     device: Any = points.device
     known = survey(points, _already_finite)
     lower, upper = known.lower, known.upper
-    with np.errstate(over="ignore"):
-        farthest = max(np.abs(lower).max(), np.abs(upper).max())
-        if farthest / voxel_size > MOST_VOXELS_FROM_ORIGIN:
-            raise InputError(
-                f"voxel_size: {voxel_size:g} is too small for coordinates of {farthest:g}, which float64 does not "
-                f"resolve so finely; use {farthest / MOST_VOXELS_FROM_ORIGIN * 1.01:.3g} or more, or move the points "
-                "next to the origin"
-            )
+    require_resolved(lower, upper, voxel_size)
     order = _by_voxel(points, voxel_size, np.floor(lower / voxel_size), np.floor(upper / voxel_size))
     if not device.is_cpu:
         return centroids_by_pieces(order)
@@ -70,6 +65,22 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
     indices = wp.empty(count, dtype=wp.int32, device=device)
     launcher.launch(centroid_kernel, count, [*order], [centroids, indices], device)
     return centroids, indices
+
+
+def require_resolved(lower: NDArray[np.float64], upper: NDArray[np.float64], voxel_size: float) -> None:
+    """Check that float64 tells voxels at the corners of a box apart.
+
+    Raises:
+        InputError: The voxels are too small.
+    """
+    with np.errstate(over="ignore"):
+        farthest = max(np.abs(lower).max(), np.abs(upper).max())
+        if farthest / voxel_size > MOST_VOXELS_FROM_ORIGIN:
+            raise InputError(
+                f"voxel_size: {voxel_size:g} is too small for coordinates of {farthest:g}, which float64 does not "
+                f"resolve so finely; use {farthest / MOST_VOXELS_FROM_ORIGIN * 1.01:.3g} or more, or move the points "
+                "next to the origin"
+            )
 
 
 def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
@@ -102,6 +113,10 @@ def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
 
 def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> VoxelOrder:
     """Points sorted by voxel, within the box between two voxels given by whole numbers."""
+    import warp as wp
+
+    from geokit.points.clouds.voxel_centroids_kernels import VoxelBox
+
     # Whole numbers below 2^53: exact as Python's.
     sizes = [int(b) - int(a) + 1 for a, b in zip(lower, upper, strict=True)]
     voxel_count = sizes[0] * sizes[1] * sizes[2]
@@ -112,25 +127,26 @@ def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> 
     if voxel_count > MOST_KEYS:
         return _sorted_by(points, *_layer_keys(points, voxel_size, lows, sizes))
     shares = min(launcher.thread_count(), -(-count // COUNTED_SHARE))
+    box: Any = VoxelBox()
+    box.voxel_size, box.low, box.count = voxel_size, wp.vec3l(*lows), wp.vec3l(*sizes)
     if points.device.is_cpu and shares * voxel_count <= min(COUNTS_PER_POINT * count + COUNTS_MORE, MOST_COUNTS):
-        return _counted(points, voxel_size, lows, sizes, shares)
-    return _sorted_by(points, _voxel_keys(points, voxel_size, lows, sizes), voxel_count)
+        return _counted(points, box, voxel_count, shares)
+    return _sorted_by(points, _voxel_keys(points, box), voxel_count)
 
 
-def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int], shares: int) -> VoxelOrder:
+def _counted(points: "wp.array", box: Any, voxel_count: int, shares: int) -> VoxelOrder:
     """Counting sort on a CPU: each thread counts a share of the points by voxel, then places it."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import count_kernel, scatter_kernel
 
     device: Any = points.device
-    count, voxel_count = len(points), sizes[0] * sizes[1] * sizes[2]
+    count = len(points)
     length = -(-count // shares)
     keys = wp.empty(count, dtype=wp.int32, device=device)
     counts = np.zeros((shares, voxel_count), np.int32)
-    given = [points, wp.float64(voxel_size), *map(wp.int64, lows), *map(wp.int64, sizes[:2]), length, voxel_count]
     out_counts = wp.array(counts.ravel(), dtype=wp.int32, device=device, copy=False)
-    launcher.launch(count_kernel, shares, given, [keys, out_counts], device, grain=1)
+    launcher.launch(count_kernel, shares, [points, box, length, voxel_count], [keys, out_counts], device, grain=1)
     total = counts.sum(axis=0, dtype=np.int32) if shares > 1 else counts[0]
     occupied = np.flatnonzero(total)
     begin = np.zeros(len(occupied) + 1, np.int32)
@@ -151,15 +167,14 @@ def _counted(points: "wp.array", voxel_size: float, lows: list[int], sizes: list
     return order
 
 
-def _voxel_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: list[int]) -> "wp.array":
+def _voxel_keys(points: "wp.array", box: Any) -> "wp.array":
     """Number of each point's voxel in the box, in the first half of an array."""
     import warp as wp
 
     from geokit.points.clouds.voxel_centroids_kernels import key_kernel
 
     keys = wp.empty(2 * len(points), dtype=wp.int64, device=points.device)
-    given = [points, wp.float64(voxel_size), *map(wp.int64, lows), *map(wp.int64, sizes[:2])]
-    launcher.launch(key_kernel, len(points), given, [keys], points.device)
+    launcher.launch(key_kernel, len(points), [points, box], [keys], points.device)
     return keys
 
 
@@ -233,7 +248,7 @@ def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.a
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
     launcher.launch(identity_kernel, count, [], [order], device)
-    wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (key_count - 1).bit_length()))
+    sort_pairs(keys, order, count, end_bit=max(1, (key_count - 1).bit_length()))
     numbers = wp.empty(count, dtype=wp.int32, device=device)
     launcher.launch(head_kernel, count, [keys], [numbers], device)
     wp.utils.array_scan(numbers, numbers, inclusive=True)

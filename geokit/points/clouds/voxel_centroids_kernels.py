@@ -11,55 +11,41 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 PIECE = wp.constant(1024)
 
 
+@wp.struct
+class VoxelBox:
+    """A box of voxels around the points."""
+
+    voxel_size: wp.float64
+    low: wp.vec3l  # its first voxel
+    count: wp.vec3l  # voxels along each axis
+
+
 @wp.func
 def voxel_along(x: wp.float64, voxel_size: wp.float64) -> wp.int64:
     return wp.int64(wp.floor(x / voxel_size))
 
 
 @wp.func
-def voxel_number(
-    p: wp.vec3d,
-    voxel_size: wp.float64,
-    low_x: wp.int64,
-    low_y: wp.int64,
-    low_z: wp.int64,
-    count_x: wp.int64,
-    count_y: wp.int64,
-) -> wp.int64:
+def voxel_number(p: wp.vec3d, box: VoxelBox) -> wp.int64:
     """Number of a point's voxel in the box; x varies fastest."""
-    x = voxel_along(p[0], voxel_size) - low_x
-    y = voxel_along(p[1], voxel_size) - low_y
-    z = voxel_along(p[2], voxel_size) - low_z
-    return (z * count_y + y) * count_x + x
+    x = voxel_along(p[0], box.voxel_size) - box.low[0]
+    y = voxel_along(p[1], box.voxel_size) - box.low[1]
+    z = voxel_along(p[2], box.voxel_size) - box.low[2]
+    return (z * box.count[1] + y) * box.count[0] + x
 
 
 @wp.kernel
-def key_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    voxel_size: wp.float64,
-    low_x: wp.int64,
-    low_y: wp.int64,
-    low_z: wp.int64,
-    count_x: wp.int64,
-    count_y: wp.int64,
-    out_key: wp.array(dtype=wp.int64),
-):
+def key_kernel(first: int, points: wp.array(dtype=wp.vec3d), box: VoxelBox, out_key: wp.array(dtype=wp.int64)):
     """Number of each point's voxel."""
     i = first + wp.tid()
-    out_key[i] = voxel_number(points[i], voxel_size, low_x, low_y, low_z, count_x, count_y)
+    out_key[i] = voxel_number(points[i], box)
 
 
 @wp.kernel
 def count_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
-    voxel_size: wp.float64,
-    low_x: wp.int64,
-    low_y: wp.int64,
-    low_z: wp.int64,
-    count_x: wp.int64,
-    count_y: wp.int64,
+    box: VoxelBox,
     length: wp.int32,
     voxel_count: wp.int32,
     out_key: wp.array(dtype=wp.int32),
@@ -69,7 +55,7 @@ def count_kernel(
     share = first + wp.tid()
     row = share * voxel_count
     for i in range(share * length, wp.min((share + 1) * length, points.shape[0])):
-        key = wp.int32(voxel_number(points[i], voxel_size, low_x, low_y, low_z, count_x, count_y))
+        key = wp.int32(voxel_number(points[i], box))
         out_key[i] = key
         out_counts[row + key] = out_counts[row + key] + 1
 

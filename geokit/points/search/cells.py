@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import host_pool, launcher
+from geokit.core import launcher
+from geokit.core.memory import host_pool
+from geokit.core.memory.unchecked import sort_pairs
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -171,18 +173,32 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
     count = len(points)
     grid: Any = kernels.CellGrid()
     grid.lower, grid.upper = wp.vec3d(*survey.lower.tolist()), wp.vec3d(*survey.upper.tolist())
-    _choose_frame(grid, survey)
+    center, scale = frame(survey)
+    grid.center, grid.scale = wp.vec3d(*center.tolist()), wp.float64(scale)
     cell_count = _cut_axes(grid, survey, count, _edge(survey, count, radius), device)
+    return Cells(grid=place(grid, points, cell_count), radius=radius)
+
+
+def place(grid: Any, points: "wp.array", cell_count: int) -> Any:
+    """Sort the points into the cells of the grid, which it returns."""
+    device: Any = points.device
+    count = len(points)
+    grid.key_count = cell_count
     grid.shift = _table_shift(cell_count, count)
     _make_room(grid, count, device)
     # Positions in the counts are int32, and the counts should not be much larger than the points.
-    most = min(COUNTS_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // cell_count
+    most = min(COUNTS_PER_POINT * count + TABLE_ENTRIES_MORE, 2**31 - 1) // max(cell_count, 1)
     rows = min(launcher.thread_count(), -(-count // COUNTED_SHARE), most)
     if device.is_cpu and grid.shift == 0 and rows:
         _place_by_count(grid, points, cell_count, rows)
     else:
         _place_by_sort(grid, points, cell_count)
-    return Cells(grid=grid, radius=radius)
+    return grid
+
+
+def has_groups(grid: Any) -> bool:
+    """Whether each group of points has cells of its own (:mod:`geokit.points.search.groups`)."""
+    return grid.groups is not None and len(grid.groups) > 0
 
 
 def _edge(survey: Survey, count: int, radius: float) -> float:
@@ -196,16 +212,13 @@ def _edge(survey: Survey, count: int, radius: float) -> float:
     return radius * share ** (1.0 / 3.0) if 1.0 < share <= MOST_STRETCH**3 else radius
 
 
-def _choose_frame(grid: Any, survey: Survey) -> None:
-    """Set the float32 frame: the middle of the crowd, and a power of two as scale, so that scaling is exact."""
-    import warp as wp
-
+def frame(survey: Survey) -> tuple[NDArray[np.float64], float]:
+    """The float32 frame: the middle of the crowd, and a power of two as scale, so that scaling is exact."""
     lower, upper = survey.crowd
     center = lower + 0.5 * (upper - lower)
     extent = float((upper - lower).max(initial=0.0))
     exponent = -np.frexp(extent)[1] if extent > 0.0 else 0
-    grid.center = wp.vec3d(*center.tolist())
-    grid.scale = wp.float64(np.ldexp(1.0, int(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))))
+    return center, float(np.ldexp(1.0, int(np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))))
 
 
 def _make_room(grid: Any, count: int, device: Any) -> None:
@@ -268,13 +281,14 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
 
     device: Any = points.device
     count = len(points)
-    keys, order = sorted_keys(grid, points, cell_count)
+    keys, order = sorted_keys(grid, points, grid.group if has_groups(grid) else None)
     grid.index = host_pool.empty_warp(count, wp.int32, device)
     if device.is_cpu:
         wp.copy(grid.index, order, count=count)
         _gather(grid, points, order)
     else:
-        launcher.launch(kernels.GATHER_PACKED[points.dtype], count, [points, order], [grid], device)
+        gather = kernels.GATHER_GROUPS if has_groups(grid) else kernels.GATHER_PACKED
+        launcher.launch(gather[points.dtype], count, [points, order], [grid], device)
     grid.start = wp.empty((cell_count >> grid.shift) + 2, dtype=wp.int32, device=device)
     run = TABLE_RUN_HOST if device.is_cpu else TABLE_RUN_GPU
     given = [keys, count, grid.shift, run]
@@ -285,8 +299,11 @@ def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
     grid.key = _head(keys, count) if grid.shift else wp.empty(0, dtype=wp.int64, device=device)
 
 
-def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.array", "wp.array"]:
-    """Keys of the points in ascending order and the indices of these points, in the first half of each array."""
+def sorted_keys(grid: Any, points: "wp.array", group: Any) -> tuple["wp.array", "wp.array"]:
+    """Keys of the points in ascending order and the indices of these points, in the first half of each array.
+
+    ``group`` is the group of each point; None if there are none.
+    """
     import warp as wp
 
     from geokit.points.search import cells_kernels as kernels
@@ -295,12 +312,14 @@ def sorted_keys(grid: Any, points: "wp.array", cell_count: int) -> tuple["wp.arr
     count = len(points)
     # radix_sort_pairs uses the second half of both arrays as scratch space. Keys of a table that is not direct are
     # searched later, in 64 bits.
+    cell_count = int(grid.key_count)
     wide = grid.shift > 0 or cell_count >= 1 << 31
     keys = wp.empty(2 * count, dtype=wp.int64 if wide else wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
-    launcher.launch(kernels.KEY[points.dtype, keys.dtype], count, [points, grid], [keys, order], device)
+    table, given = (kernels.KEY, [points, grid]) if group is None else (kernels.GROUP_KEY, [points, group, grid])
+    launcher.launch(table[points.dtype, keys.dtype], count, given, [keys, order], device)
     if count:
-        wp.utils.radix_sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
+        sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
     return keys, order
 
 
@@ -311,7 +330,7 @@ def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any)
     most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
     cuts, sizes, first = [], [], 0
     for axis in range(3):
-        cut = _intervals(survey, axis, radius, most)
+        cut = intervals(survey, axis, radius, most)
         grid.first_cut[axis], grid.last_cut[axis] = first, first + len(cut) - 1
         first += len(cut)
         cuts.append(cut)
@@ -321,7 +340,7 @@ def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any)
     return sizes[0] * sizes[1] * sizes[2]
 
 
-def _intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np.float64]:
+def intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np.float64]:
     """Begin, inverse cell edge, first cell and number of cells of the intervals of an axis; shape (I, 4).
 
     An interval between quantiles that needs more than ``most`` cells of the radius gets ``most`` cells. Neighboring

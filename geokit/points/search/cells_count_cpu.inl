@@ -1,6 +1,6 @@
 // Counting sort, first step: the cell of each point of a share, and the number of the share's points in each cell.
 //
-// Expects core/simd.inl, cell_along_cpu.inl, points, grid, share, begin, end, cell_count, out_key, out_counts.
+// Expects core/simd.inl, cells_of_group_cpu.inl, cell_along_cpu.inl, points, grid, share, begin, end, cell_count, out_key, out_counts.
 
 #if !defined(__CUDA_ARCH__)
 typedef decltype(points.data[0][0] + points.data[0][0]) real;
@@ -8,11 +8,12 @@ typedef real given __attribute__((ext_vector_type(8), aligned(4)));
 
 int* const counts = out_counts.data + (int64_t)(share)*cell_count;
 auto count = [&](int point, int x, int y, int z) {
-    const int key = (z * grid.count_y + y) * grid.count_x + x;
+    const int key = (int)cells.base + (z * cells.count_y + y) * cells.count_x + x;
     out_key.data[point] = key;
     ++counts[key];
 };
-bool even = true;
+const bool grouped = grid.groups.shape[0] > 0;
+bool even = !grouped;
 for (int axis = 0; axis < 3; ++axis) even &= grid.first_cut[axis] == grid.last_cut[axis];
 int point = begin;
 if (even) {
@@ -38,6 +39,7 @@ if (even) {
 }
 for (; point < end; ++point) {
     const auto& p = points.data[point];
+    if (grouped) enter(grid.group.data[point]);
     count(point, cell_along(0, p[0]), cell_along(1, p[1]), cell_along(2, p[2]));
 }
 #endif

@@ -20,7 +20,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 GATHERED = wp.constant(1 << 12)
 
 
-@wp.func_native(cpp("core/simd.inl", "points/search/cell_along_cpu.inl", "points/search/cells_count_cpu.inl"))
+@wp.func_native(
+    cpp(
+        "core/simd.inl",
+        "points/search/cells_of_group_cpu.inl",
+        "points/search/cell_along_cpu.inl",
+        "points/search/cells_count_cpu.inl",
+    )
+)
 def count(
     points: wp.array(dtype=Any),
     grid: CellGrid,

@@ -20,14 +20,33 @@ CROWDING_RUN = wp.constant(64)
 
 
 @wp.struct
+class GroupCells:
+    """What a group has for itself: the box of its points, its cells, the first of their keys, and a float32 frame."""
+
+    lower: wp.vec3d
+    upper: wp.vec3d
+    center: wp.vec3d
+    scale: wp.float64
+    base: wp.int64
+    first_cut: wp.vec3i
+    last_cut: wp.vec3i
+    count_x: wp.int32
+    count_y: wp.int32
+
+
+@wp.struct
 class CellGrid:
     """Points sorted by cell, and the beginning of each cell.
 
     Each axis is cut into intervals of equal cells. ``cut[i]`` holds the begin of an interval, the inverse edge of its
     cells, its first cell and its number of cells; ``first_cut`` and ``last_cut`` delimit the intervals of each axis.
 
-    The key of a point is ``(z * count_y + y) * count_x + x`` of its cell. ``start[b]`` is the first sorted point whose
-    key is at least ``b << shift``; a finer boundary is found by a search between two entries.
+    The key of a point is ``base + (z * count_y + y) * count_x + x`` of its cell, below ``key_count``. ``start[b]`` is
+    the first sorted point whose key is at least ``b << shift``; a finer boundary is found by a search between two
+    entries.
+
+    Points in groups have cells for each group, one group after the other: the fields in ``groups`` take the place of
+    those here. ``group`` is the group of each point. Groups are packed, so it is the same for sorted points.
 
     On a GPU ``packed`` holds ``(coordinate - center) * scale`` in float32, 16 bytes a point, read by one load.
     """
@@ -50,6 +69,27 @@ class CellGrid:
     count_y: wp.int32
     count_z: wp.int32
     shift: wp.int32
+    base: wp.int64
+    key_count: wp.int64
+    groups: wp.array(dtype=GroupCells)
+    group: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def cells_of_group(grid: CellGrid, group: wp.int32) -> CellGrid:
+    """The grid of one group; on a CPU see cells_of_group_cpu.inl."""
+    own = grid
+    cells = grid.groups[group]
+    own.lower = cells.lower
+    own.upper = cells.upper
+    own.center = cells.center
+    own.scale = cells.scale
+    own.base = cells.base
+    own.first_cut = cells.first_cut
+    own.last_cut = cells.last_cut
+    own.count_x = cells.count_x
+    own.count_y = cells.count_y
+    return own
 
 
 @wp.func
@@ -76,7 +116,7 @@ def cell_along(grid: CellGrid, axis: wp.int32, x: wp.float64) -> wp.int32:
 
 @wp.func
 def cell_key(grid: CellGrid, x: wp.int32, y: wp.int32, z: wp.int32) -> wp.int64:
-    return (wp.int64(z) * wp.int64(grid.count_y) + wp.int64(y)) * wp.int64(grid.count_x) + wp.int64(x)
+    return grid.base + (wp.int64(z) * wp.int64(grid.count_y) + wp.int64(y)) * wp.int64(grid.count_x) + wp.int64(x)
 
 
 @wp.func
@@ -162,18 +202,79 @@ def key_kernel(
 
 
 @wp.kernel
+def group_key_kernel(
+    first: int,
+    points: wp.array(dtype=Any),
+    group: wp.array(dtype=wp.int32),
+    grid: CellGrid,
+    out_key: wp.array(dtype=Any),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """Cell key of each point among the cells of its group."""
+    i = first + wp.tid()
+    given = points[i]
+    key = key_of(
+        cells_of_group(grid, group[i]), wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+    )
+    out_key[i] = out_key.dtype(key)
+    out_index[i] = i
+
+
+@wp.kernel
+def group_box_kernel(
+    first: int,
+    points: wp.array(dtype=Any),
+    offset: wp.array(dtype=wp.int64),
+    most: wp.int64,
+    out_lower: wp.array(dtype=wp.vec3d),
+    out_upper: wp.array(dtype=wp.vec3d),
+):
+    """Bounding box of each group of up to ``most`` points; infinite and inside out for others and without points."""
+    i = first + wp.tid()
+    high = wp.vec3d(wp.float64(wp.inf), wp.float64(wp.inf), wp.float64(wp.inf))
+    lower = high
+    upper = -high
+    if offset[i + 1] - offset[i] <= most:
+        for j in range(wp.int32(offset[i]), wp.int32(offset[i + 1])):
+            given = points[j]
+            p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+            lower = wp.min(lower, p)
+            upper = wp.max(upper, p)
+    out_lower[i] = lower
+    out_upper[i] = upper
+
+
+@wp.func
+def gather(
+    grid: CellGrid,
+    cells: CellGrid,
+    points: wp.array(dtype=Any),
+    at: wp.int32,
+    i: wp.int32,
+):
+    """Put a point in its sorted place, in float32 in the frame of ``cells``."""
+    given = points[at]
+    p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+    grid.index[i] = at
+    grid.x[i] = p[0]
+    grid.y[i] = p[1]
+    grid.z[i] = p[2]
+    local = (p - cells.center) * cells.scale
+    grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
+
+
+@wp.kernel
 def gather_packed_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
     """Gather the coordinates in sorted order, on a GPU."""
     i = first + wp.tid()
-    at = order[i]
-    given = points[at]
-    p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
-    out_grid.index[i] = at
-    out_grid.x[i] = p[0]
-    out_grid.y[i] = p[1]
-    out_grid.z[i] = p[2]
-    local = (p - out_grid.center) * out_grid.scale
-    out_grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
+    gather(out_grid, out_grid, points, order[i], i)
+
+
+@wp.kernel
+def gather_groups_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
+    """Gather the coordinates of points in groups in sorted order, on a GPU."""
+    i = first + wp.tid()
+    gather(out_grid, cells_of_group(out_grid, out_grid.group[i]), points, order[i], i)
 
 
 @wp.kernel
@@ -247,10 +348,17 @@ def narrow_points_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_point
 ROWS = (wp.vec3d, wp.vec3f)
 SURVEY = {r: wp.overload(survey_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 CONDENSE = {r: wp.overload(condense_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
-GATHER_PACKED = {r: wp.overload(gather_packed_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
-KEY = {
-    (r, k): wp.overload(key_kernel, {"points": wp.array(dtype=r), "out_key": wp.array(dtype=k)})
-    for r in ROWS
-    for k in (wp.int32, wp.int64)
-}
+GROUP_BOX = {r: wp.overload(group_box_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+GATHER_PACKED, GATHER_GROUPS = (
+    {r: wp.overload(kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+    for kernel in (gather_packed_kernel, gather_groups_kernel)
+)
+KEY, GROUP_KEY = (
+    {
+        (r, k): wp.overload(kernel, {"points": wp.array(dtype=r), "out_key": wp.array(dtype=k)})
+        for r in ROWS
+        for k in (wp.int32, wp.int64)
+    }
+    for kernel in (key_kernel, group_key_kernel)
+)
 TABLE = {k: wp.overload(table_kernel, {"key": wp.array(dtype=k)}) for k in (wp.int32, wp.int64)}

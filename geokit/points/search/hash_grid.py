@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher
+from geokit.core.memory.unchecked import allocating
 
 if TYPE_CHECKING:
     import warp as wp
@@ -27,6 +28,8 @@ def build_hash_grid(points: "wp.array", cell_size: float) -> tuple[Any, "wp.arra
     device: Any = points.device
     single = wp.empty(len(points), dtype=wp.vec3f, device=device)
     launcher.launch(narrow_points_kernel, len(points), [points], [single], device)
-    grid = wp.HashGrid(SIZE, SIZE, SIZE, device=device)
-    grid.build(single, cell_size)
+    # Begin and end of each cell; cell and number of each point, twice, for the sort.
+    with allocating(device, 8 * SIZE**3 + 20 * len(points), fatal=True):
+        grid = wp.HashGrid(SIZE, SIZE, SIZE, device=device)
+        grid.build(single, cell_size)
     return grid, single

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from geokit.core.user_arrays import require_finite_scalar
+from geokit.core.require import require_choice, require_flag
+from geokit.core.user_arrays import read_numbers, require_finite_scalar
 from geokit.errors import InputError
 
-__all__ = ["require_order", "require_radii", "require_radius", "require_self"]
+__all__ = ["require_order", "require_radii", "require_radius", "require_self", "require_skin"]
 
 
 def require_radius(radius: Any) -> float:
@@ -19,11 +20,17 @@ def require_radius(radius: Any) -> float:
     return value
 
 
-def require_radii(radius: Any, count: int) -> np.ndarray:
-    try:
-        values = np.asarray(radius.numpy() if hasattr(radius, "numpy") else radius, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"radius: cannot be read as numbers ({error})") from error
+def require_skin(skin: Any, radius: float | None) -> float:
+    value = require_finite_scalar(skin, "skin", low=0.0)
+    if not np.isfinite(value + (radius or 0.0)):
+        raise InputError(f"skin: {value:g} and the radius are more than a float64 can hold; scale the points down")
+    return value
+
+
+def require_radii(radius: Any, count: int) -> float | np.ndarray:
+    values = read_numbers(radius, "radius")
+    if values.ndim == 0:
+        return require_radius(values)
     if values.shape != (count,):
         raise InputError(f"radius: shape {values.shape} is not one number, nor one for each of the {count} queries")
     bad = ~(np.isfinite(values) & (values >= 0.0))
@@ -34,12 +41,11 @@ def require_radii(radius: Any, count: int) -> np.ndarray:
 
 
 def require_order(order: str) -> None:
-    if order not in ("index", "distance", "any"):
-        raise InputError(f"order: {order!r} is not known; give 'index', 'distance' or 'any'")
+    require_choice(order, "order", ("index", "distance", "any"))
 
 
 def require_self(exclude_self: bool, query_count: int, point_count: int) -> None:
-    if exclude_self and query_count != point_count:
+    if require_flag(exclude_self, "exclude_self") and query_count != point_count:
         raise InputError(
             f"exclude_self: {query_count} queries are not the {point_count} points; leave queries out, or exclude_self"
         )

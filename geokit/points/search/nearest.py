@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import operator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher
+from geokit.core import launcher
+from geokit.core.memory import available_memory
+from geokit.core.require import described, whole_number
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.points.search.nearest_tree import blocks_in_order, build_tree, curve_order, frame_of
+from geokit.points.search.nearest_tree import (
+    blocks_in_order,
+    build_tree,
+    curve_order,
+    frame_of,
+    group_order,
+    group_spans,
+)
 
 if TYPE_CHECKING:
     import warp as wp
@@ -42,12 +51,11 @@ def require_k(k: Any) -> int:
     Raises:
         InputError: k is not a whole number from 1 to MAX_K.
     """
-    try:
-        number = operator.index(k)
-    except TypeError as error:
-        raise InputError(f"k: {k!r} is not a whole number; give one from 1 to {MAX_K}") from error
+    number = whole_number(k)
+    if number is None:
+        raise InputError(f"k: {described(k)} is not a whole number; give one from 1 to {MAX_K}")
     if not 1 <= number <= MAX_K:
-        raise InputError(f"k: {number} is not from 1 to {MAX_K}; use radius_search for more neighbors")
+        raise InputError(f"k: {described(number)} is not from 1 to {MAX_K}; use radius_search for more neighbors")
     return number
 
 
@@ -58,6 +66,7 @@ def nearest(
     *,
     limit_squared: "wp.array | float" = np.inf,
     exclude_self: bool = False,
+    groups: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
 ) -> tuple["wp.array", "wp.array"]:
     """Find the k points with the smallest (squared distance, index) of each query.
 
@@ -71,6 +80,7 @@ def nearest(
         limit_squared: Squared distance [world] up to which points are found, the limit included: a number, or a
             float64 array (Q,).
         exclude_self: Query i does not find point i.
+        groups: Offsets of the groups of the tree's points, for which it was built, and of the queries, as many.
     Returns:
         distance (Q, k) float64 [world], inf where there are fewer points, and indices (Q, k) int32, -1 there.
     Raises:
@@ -93,10 +103,19 @@ def nearest(
         out.distance.fill_(np.inf)
         out.indices.fill_(-1)
         return out.distance, out.indices
+    if groups is not None:
+        spans, group, _ = group_spans(groups[1])
+        first = group_spans(groups[0])[2]
+        out.leaves = wp.array(np.stack([first[group], first[group + 1]], axis=1), dtype=wp.vec2i, device=device)
+        count = out.count = len(spans) * int(tree_kernels.LEAF)
     if queries is None:
         out.positions, out.index = tree.positions, tree.index
+    elif groups is not None:
+        out.positions, out.index = blocks_in_order(queries, group_order(queries, groups[1]), device, spans)
     else:
-        _, order = curve_order(queries, frame_of(queries), device)
+        # Queries of one block are answered together, in any order.
+        is_block = device.is_cpu and count <= int(tree_kernels.LEAF)
+        order = launcher.identity(device) if is_block else curve_order(queries, frame_of(queries), device)[1]
         out.positions, out.index = blocks_in_order(queries, order, device)
     if isinstance(limit_squared, wp.array):
         out.limit_squared = limit_squared
@@ -125,5 +144,6 @@ def _require_room(count: int, k: int, device: Any) -> None:
     if needed > free:
         raise DeviceMemoryError(
             f"knn: the {k} nearest points of {count} queries need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB "
-            f"free on {device.alias}; use a smaller k or fewer queries at a time"
+            f"free on {device.alias}; use a smaller k or fewer queries at a time",
+            need=needed,
         )

@@ -3,11 +3,24 @@
 // Expects nearest_lists_cpu.inl, nearest_walk_cpu.inl, tree, queries, group.
 
 #if !defined(__CUDA_ARCH__)
+const bool grouped = queries.leaves.shape[0] > 0;
 double guess = -1.0, known = (double)INFINITY, known_at[3];
 const int last = (group + 1) * BLOCKS * LEAF;
 for (int begin = group * BLOCKS * LEAF; begin < last && begin < queries.count; begin += 8) {
-    const int count = queries.count - begin < 8 ? queries.count - begin : 8;
     const int block = begin / LEAF, seed = queries.seeded ? block : -1;
+    int count = queries.count - begin < 8 ? queries.count - begin : 8;
+    if (grouped) {
+        // Blocks of groups may end early. What the queries before found says something about the same group only.
+        while (count > 0 && queries.index.data[begin + count - 1] == NONE) --count;
+        if (count == 0) continue;
+        const auto& own = queries.leaves.data[block];
+        if (own[0] != first_leaf) {
+            guess = -1.0;
+            known = (double)INFINITY;
+        }
+        first_leaf = own[0];
+        leaf_end = own[1];
+    }
     for (int j = 0; j < 8; ++j) {
         const int at = begin % LEAF + (j < count ? j : 0);
         for (int axis = 0; axis < 3; ++axis)

@@ -25,6 +25,18 @@ double entry[STACK];
 stack[0] = 0;
 level[0] = (signed char)tree.top;
 entry[0] = 0.0;
+const bool part = queries.leaves.shape[0] > 0;
+int first_leaf = 0, leaf_end = 0;
+if (part) {
+    // The lowest node above all leaves of the group.
+    first_leaf = queries.leaves.data[block][0];
+    leaf_end = queries.leaves.data[block][1];
+    int l = 1;
+    while (first_leaf < leaf_end && first_leaf >> 3 * l != (leaf_end - 1) >> 3 * l) ++l;
+    stack[0] = first_leaf >> 3 * l;
+    level[0] = (signed char)l;
+    if (first_leaf == leaf_end) height = 0;
+}
 while (height > 0) {
     --height;
     if (entry[height] > bound) continue;
@@ -37,7 +49,14 @@ while (height > 0) {
     const double* side = tree.boxes.data + (size_t)node * 6 * WIDTH;
     const int* least = tree.least.data + (size_t)node * WIDTH;
     const int base = height;
-    for (int j = 0; j < WIDTH; ++j) {
+    int from = 0, to = WIDTH - 1;
+    if (part) {
+        from = (first_leaf >> 3 * (l - 1)) - WIDTH * n;
+        to = ((leaf_end - 1) >> 3 * (l - 1)) - WIDTH * n;
+        from = from > 0 ? from : 0;
+        to = to < WIDTH - 1 ? to : WIDTH - 1;
+    }
+    for (int j = from; j <= to; ++j) {
         const double dx = outside(side[j], side[24 + j], x), dy = outside(side[8 + j], side[32 + j], y),
                      dz = outside(side[16 + j], side[40 + j], z);
         const double d = (dx * dx + dy * dy) + dz * dz;

@@ -4,6 +4,8 @@
 // b, j): whether the squared distance a of point i comes before b of point j.
 
 const int k = queries.k, owner = queries.index.data[query];
+// The rest of a block.
+if (owner == NONE) return;
 const double infinite = 1.0e308 * 10.0;
 const int block = query / LEAF, seed = queries.seeded ? block : -1, self = queries.excluded ? owner : -1;
 const double* own = queries.positions.data + (size_t)block * 3 * LEAF + query % LEAF;

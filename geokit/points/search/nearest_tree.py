@@ -5,13 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.launches import replay
+from geokit.core.memory.unchecked import sort_pairs
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["blocks_in_order", "build_tree"]
+__all__ = ["blocks_in_order", "build_tree", "group_order", "group_spans"]
 
 # Points of the sample that sets the first frame. Points outside its box, about one in a thousand, are clamped to it.
 SAMPLE_SIZE = 4096
@@ -24,11 +27,12 @@ MAX_ROUNDS = 24
 BLOCK_GRAIN = 64
 
 
-def build_tree(points: "wp.array") -> Any:
+def build_tree(points: "wp.array", groups: NDArray[np.int64] | None = None) -> Any:
     """Build the tree over vec3d points.
 
     Args:
         points: vec3d positions (N,) [world], finite; copied.
+        groups: Offsets (G + 1,) of groups of points that no leaf may mix.
     Returns:
         A NearestTree. Memory: 32 bytes a point; during construction up to 16 more, or 64 more if many points share a
         cell of the curve.
@@ -44,11 +48,43 @@ def build_tree(points: "wp.array") -> Any:
     if count == 0:
         tree.positions = wp.empty(0, dtype=wp.float64, device=device)
         return tree
-    keys, order = curve_order(points, frame_of(points), device)
-    _refine(points, keys, order, device)
-    tree.positions, tree.index = blocks_in_order(points, order, device)
+    if groups is None:
+        keys, order = curve_order(points, frame_of(points), device)
+        head = wp.empty(count, dtype=wp.int32, device=device)
+        launcher.launch(kernels.head_kernel, count, [keys], [head], device)
+        _refine(points, order, head, device)
+        tree.positions, tree.index = blocks_in_order(points, order, device)
+    else:
+        order = group_order(points, groups, MAX_ROUNDS)
+        tree.positions, tree.index = blocks_in_order(points, order, device, group_spans(groups)[0])
     _add_boxes(tree, device)
     return tree
+
+
+def group_order(points: "wp.array", groups: NDArray[np.int64], rounds: int = 1) -> "wp.array":
+    """The points in the order of their groups, and along a curve through each that is longer than a leaf."""
+    import warp as wp
+
+    device: Any = points.device
+    heads = np.zeros(len(points), dtype=np.int32)
+    heads[groups[:-1][np.diff(groups) > 0]] = 1
+    order = wp.array(np.arange(len(points)), dtype=wp.int32, device=device)
+    _refine(points, order, wp.array(heads, dtype=wp.int32, device=device), device, rounds)
+    return order
+
+
+def group_spans(groups: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Blocks of one group each: first row and end of the group (B, 2), group (B,), and the first block of each group.
+
+    The last is (G + 1,): offsets among the blocks.
+    """
+    from geokit.points.search import nearest_tree_kernels as kernels
+
+    blocks = -(-np.diff(groups) // int(kernels.LEAF))
+    first = np.concatenate([[0], np.cumsum(blocks)])
+    group = np.repeat(np.arange(len(blocks)), blocks)
+    begin = groups[group] + (np.arange(first[-1]) - first[group]) * int(kernels.LEAF)
+    return np.stack([begin, groups[group + 1]], axis=1).astype(np.int32), group.astype(np.int32), first.astype(np.int32)
 
 
 def frame_of(points: "wp.array") -> Any:
@@ -75,30 +111,38 @@ def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array"
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
+    replay.refuse()
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
     launcher.launch(kernels.key_kernel, count, [points, frame], [keys, order], device)
-    wp.utils.radix_sort_pairs(keys, order, count, end_bit=KEY_BITS)
+    sort_pairs(keys, order, count, end_bit=KEY_BITS)
     return keys, order
 
 
-def blocks_in_order(points: "wp.array", order: "wp.array", device: Any) -> tuple["wp.array", "wp.array"]:
-    """Coordinates in blocks of one leaf each, and the indices of the points."""
+def blocks_in_order(
+    points: "wp.array", order: "wp.array", device: Any, spans: Any = None
+) -> tuple["wp.array", "wp.array"]:
+    """Coordinates in blocks of one leaf each, and the indices of the points; ``spans`` are those of groups."""
     import warp as wp
 
     from geokit.points.search import nearest_tree_kernels as kernels
 
     leaf = int(kernels.LEAF)
-    blocks = -(-len(points) // leaf)
+    blocks = -(-len(points) // leaf) if spans is None else len(spans)
     positions = wp.empty(blocks * 3 * leaf, dtype=wp.float64, device=device)
     index = wp.empty(blocks * leaf, dtype=wp.int32, device=device)
-    launcher.launch(kernels.block_kernel, blocks, [points, order], [positions, index], device, grain=BLOCK_GRAIN)
+    kernel, given = (kernels.block_kernel, [points, order])
+    if spans is not None:
+        kernel, given = kernels.group_block_kernel, [*given, wp.array(spans, dtype=wp.vec2i, device=device)]
+    launcher.launch(kernel, blocks, given, [positions, index], device, grain=BLOCK_GRAIN)
     return positions, index
 
 
-def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any) -> None:
+def _refine(points: "wp.array", order: "wp.array", head: "wp.array", device: Any, rounds: int = MAX_ROUNDS) -> None:
     """Sort the points of crowded cells along finer curves, cell by cell, until no cell is crowded.
+
+    A cell is a run of points in ``order``; ``head`` is 1 at the beginning of each, else 0.
 
     A cell with more points than a leaf would distribute them over leaves at random: one far point could leave all other
     points in one cell.
@@ -108,11 +152,9 @@ def _refine(points: "wp.array", keys: "wp.array", order: "wp.array", device: Any
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
-    head = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(kernels.head_kernel, count, [keys], [head], device)
     run = wp.empty(count, dtype=wp.int32, device=device)
     run_count = 0
-    for _ in range(MAX_ROUNDS):
+    for _ in range(rounds):
         wp.utils.array_scan(head, run, inclusive=True)
         runs_before, run_count = run_count, int(run[count - 1 :].numpy()[0])
         # Equal points stay together: the first round that separates nothing is the last.
@@ -134,8 +176,8 @@ def _add_boxes(tree: Any, device: Any) -> None:
 
     from geokit.points.search import nearest_tree_kernels as kernels
 
-    count, width, leaf = tree.count, int(kernels.WIDTH), int(kernels.LEAF)
-    leaf_count = -(-count // leaf)
+    count, width, leaf = len(tree.index), int(kernels.WIDTH), int(kernels.LEAF)
+    leaf_count = count // leaf
     sizes = [leaf_count]
     while len(sizes) == 1 or sizes[-1] > 1:
         sizes.append(-(-sizes[-1] // width))
@@ -186,10 +228,10 @@ def _sort_members(
     slot = wp.empty(2 * total, dtype=wp.int32, device=device)
     given = [points, order, member, run, frame]
     launcher.launch(kernels.member_key_kernel, total, given, [key, sorted_key, slot], device)
-    wp.utils.radix_sort_pairs(sorted_key, slot, total, end_bit=KEY_BITS)
+    sort_pairs(sorted_key, slot, total, end_bit=KEY_BITS)
     # The sort is stable: sorting by key, then by run, orders by run and by key within a run.
     launcher.launch(kernels.member_run_kernel, total, [slot, member, run], [sorted_key], device)
-    wp.utils.radix_sort_pairs(sorted_key, slot, total)
+    sort_pairs(sorted_key, slot, total, end_bit=len(frame).bit_length())
     new_order = wp.empty(total, dtype=wp.int32, device=device)
     launcher.launch(kernels.member_order_kernel, total, [slot, member, order, key], [new_order, head], device)
     launcher.launch(kernels.put_back_kernel, total, [new_order, member], [order], device)

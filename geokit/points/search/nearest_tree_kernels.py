@@ -35,6 +35,8 @@ class NearestTree:
     ``index`` holds the indices of the caller's points. The sides of the boxes of node n's children begin at ``48 n``: 8
     lower x, y, z, then 8 upper x, y, z; ``least`` holds the lowest index below each child. Level 1 is directly above
     the leaves, ``level_first[l]`` is the first node of level l, and ``top`` is the level with a single node.
+
+    Of points in groups each begins with a leaf; then the rest of any leaf may be NaN, with the index NONE.
     """
 
     positions: wp.array(dtype=wp.float64)
@@ -52,12 +54,14 @@ class NearestQueries:
 
     ``index`` is the row of each query. ``limit_squared`` holds one squared radius for all queries or one for each row.
     If ``seeded``, block b of the queries is leaf b of the tree. If ``excluded``, a query does not find the point with
-    its own index.
+    its own index. ``leaves`` holds the first leaf and the end of those that a block searches, or nothing for all. The
+    rest of any block may have the index NONE.
     """
 
     positions: wp.array(dtype=wp.float64)
     index: wp.array(dtype=wp.int32)
     limit_squared: wp.array(dtype=wp.float64)
+    leaves: wp.array(dtype=wp.vec2i)
     count: wp.int32
     k: wp.int32
     seeded: wp.int32
@@ -292,6 +296,27 @@ def put_back_kernel(
     out_order[member[i]] = values[i]
 
 
+@wp.func
+def put_block(
+    block: wp.int32,
+    begin: wp.int32,
+    end: wp.int32,
+    points: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=wp.int32),
+    positions: wp.array(dtype=wp.float64),
+    indices: wp.array(dtype=wp.int32),
+):
+    for j in range(LEAF):
+        index = NONE
+        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+        if begin + j < end:
+            index = order[begin + j]
+            p = points[index]
+        indices[block * LEAF + j] = index
+        for axis in range(3):
+            positions[(block * 3 + axis) * LEAF + j] = p[axis]
+
+
 @wp.kernel
 def block_kernel(
     first: int,
@@ -305,16 +330,21 @@ def block_kernel(
     The rest of the last block is NaN: every comparison with it is false, so it is never found.
     """
     block = first + wp.tid()
-    for j in range(LEAF):
-        i = block * LEAF + j
-        index = NONE
-        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
-        if i < points.shape[0]:
-            index = order[i]
-            p = points[index]
-        out_index[i] = index
-        for axis in range(3):
-            out_positions[(block * 3 + axis) * LEAF + j] = p[axis]
+    put_block(block, block * LEAF, points.shape[0], points, order, out_positions, out_index)
+
+
+@wp.kernel
+def group_block_kernel(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=wp.int32),
+    span: wp.array(dtype=wp.vec2i),
+    out_positions: wp.array(dtype=wp.float64),
+    out_index: wp.array(dtype=wp.int32),
+):
+    """Blocks of points of one group each: those from ``span[0]`` on, before ``span[1]``."""
+    block = first + wp.tid()
+    put_block(block, span[block][0], span[block][1], points, order, out_positions, out_index)
 
 
 @wp.func
@@ -353,11 +383,12 @@ def leaf_box_kernel(
     upper = -nowhere()
     lowest = NONE
     for j in range(wp.min(LEAF, count - leaf * LEAF)):
-        at = leaf * 3 * LEAF + j
-        p = wp.vec3d(positions[at], positions[at + LEAF], positions[at + 2 * LEAF])
-        lower = wp.min(lower, p)
-        upper = wp.max(upper, p)
-        lowest = wp.min(lowest, index[leaf * LEAF + j])
+        if index[leaf * LEAF + j] != NONE:
+            at = leaf * 3 * LEAF + j
+            p = wp.vec3d(positions[at], positions[at + LEAF], positions[at + 2 * LEAF])
+            lower = wp.min(lower, p)
+            upper = wp.max(upper, p)
+            lowest = wp.min(lowest, index[leaf * LEAF + j])
     put_box(out_boxes, out_least, leaf, lower, upper, lowest)
 
 

@@ -1,8 +1,10 @@
 // The k nearest points on a CPU: one traversal of the tree for several of the eight queries.
 //
-// Expects nearest_lists_cpu.inl, tree. Defines walk(open, seed).
+// Expects nearest_lists_cpu.inl, tree, queries. Defines walk(open, seed), and first_leaf and leaf_end, between which the
+// leaves are searched if the queries have groups.
 
 #if !defined(__CUDA_ARCH__)
+int first_leaf = 0, leaf_end = 0;
 auto larger = [](d8 a, d8 b) { return a > b ? a : b; };
 double worst;
 i64 worst_index;
@@ -76,6 +78,15 @@ auto walk = [&](unsigned open, int seed) {
     stack[0] = 0;
     level[0] = tree.top;
     entry[0] = 0.0;
+    const bool part = queries.leaves.shape[0] > 0;
+    if (part) {
+        // The lowest node above all leaves of the group.
+        if (first_leaf == leaf_end) return true;
+        int l = 1;
+        while (first_leaf >> 3 * l != (leaf_end - 1) >> 3 * l) ++l;
+        stack[0] = first_leaf >> 3 * l;
+        level[0] = l;
+    }
     while (height > 0) {
         --height;
         if (entry[height] > worst) continue;
@@ -106,7 +117,13 @@ auto walk = [&](unsigned open, int seed) {
         double near[8];
         *(d8*)near = s;
         const int base = height;
-        for (unsigned mask = mask_of(s <= (d8)(worst)); mask; mask &= mask - 1) {
+        unsigned mask = mask_of(s <= (d8)(worst));
+        if (part) {
+            const int from = (first_leaf >> 3 * (l - 1)) - WIDTH * n, to = ((leaf_end - 1) >> 3 * (l - 1)) - WIDTH * n;
+            if (from > 0) mask &= ~0u << from;
+            if (to < WIDTH - 1) mask &= (2u << to) - 1u;
+        }
+        for (; mask; mask &= mask - 1) {
             const int j = __builtin_ctz(mask);
             const double d = near[j];
             if (d == worst && least[j] >= worst_index) continue;

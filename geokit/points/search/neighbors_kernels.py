@@ -117,12 +117,13 @@ def lowest_bit(mask: wp.uint64) -> wp.int32: ...
 
 @wp.struct
 class Queries:
-    """Positions of queries in processing order, and the row of each result."""
+    """Positions of queries in processing order, the row of each result, and the group if there are any."""
 
     x: wp.array(dtype=wp.float64)
     y: wp.array(dtype=wp.float64)
     z: wp.array(dtype=wp.float64)
     index: wp.array(dtype=wp.int32)
+    group: wp.array(dtype=wp.int32)
 
 
 @wp.struct

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from geokit.core import available_memory, host_pool, launcher
+from geokit.core import launcher
+from geokit.core.memory import available_memory, host_pool
+from geokit.core.scan import prefix_sum, row_offsets
 from geokit.errors import DeviceMemoryError
-from geokit.points.search.cells import Cells, sorted_keys
+from geokit.points.search.cells import Cells, has_groups, sorted_keys
 
 if TYPE_CHECKING:
     import warp as wp
+
+    from geokit.points.search.periodic import Images
 
 __all__ = [
     "Asked",
@@ -20,7 +24,8 @@ __all__ = [
     "count",
     "crowding",
     "fill",
-    "offsets_of",
+    "launch_shares",
+    "notes_bytes",
     "points_of",
     "require_room",
     "sort_by_distance",
@@ -64,11 +69,12 @@ class Asked:
     """Queries with their radii, and the cells that suit them.
 
     Args:
-        rows: Queries on the device, vec3d (vec3f too on a GPU), shape (Q,); None for the points themselves.
+        rows: Queries on the device, vec3d (vec3f too on a GPU), shape (Q,); None for the first ``count`` points.
         count: Q.
         radius: One radius for all, or an array (Q,) of float64 on the host.
         cells_for: Returns the cells for a radius.
         own: True if neighbor i of query i is left out.
+        group: Group of each query, int32 on the device, if the points are in groups; not needed without rows.
         first_point: Index of the point that query 0 stands for, which ``own`` leaves out.
     """
 
@@ -82,6 +88,7 @@ class Asked:
         *,
         own: bool,
         first_point: int = 0,
+        group: Any = None,
     ) -> None:
         import warp as wp
 
@@ -94,10 +101,15 @@ class Asked:
         for most, chosen in _classes(values, count):
             grid = cells_for(most).grid
             number = count if chosen is None else len(chosen)
-            queries = _own_queries(grid) if rows is None and chosen is None else None
+            queries = _own_queries(grid, count) if rows is None and chosen is None else None
             if queries is None:
-                queries = _arranged(grid, points_of(grid) if rows is None else rows, chosen, device)
+                given, numbers = (points_of(grid), grid.group) if rows is None else (rows, group)
+                queries = _arranged(grid, given, chosen, device, numbers if has_groups(grid) else None)
             self.parts.append((grid, queries, number))
+        # Of queries in a periodic cell, by how many cells they were outside; None for the points themselves.
+        self.turn: Any = None
+        # Images among which neighbors are found, in a periodic cell.
+        self.images: Images | None = None
         # Results of the count, for each part.
         self.notes: list[Notes | None] = [None] * len(self.parts)
 
@@ -117,11 +129,26 @@ def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | N
     return [(float(radius[part].max()), part.astype(np.int32)) for part in parts]
 
 
-def _own_queries(grid: Any) -> Any:
+def _own_queries(grid: Any, count: int) -> Any:
+    """The points as queries in the order of the cells, or the first ``count`` of them: others are images."""
+    import warp as wp
+
     from geokit.points.search.neighbors_kernels import Queries
+    from geokit.points.search.radius_cuda_kernels import own_flag_kernel, own_query_kernel
 
     queries: Any = Queries()
+    if count < len(grid.index):
+        device = grid.index.device
+        flags = wp.empty(len(grid.index), dtype=wp.int32, device=device)
+        launcher.launch(own_flag_kernel, len(flags), [grid.index, count], [flags], device)
+        places, _ = prefix_sum(flags)
+        queries.x, queries.y, queries.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
+        queries.index = wp.empty(count, dtype=wp.int32, device=device)
+        launcher.launch(own_query_kernel, len(flags), [grid, flags, places], [queries], device)
+        return queries
     queries.x, queries.y, queries.z, queries.index = grid.x, grid.y, grid.z, grid.index
+    if has_groups(grid):
+        queries.group = grid.group
     return queries
 
 
@@ -137,8 +164,8 @@ def points_of(grid: Any) -> "wp.array":
     return points
 
 
-def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "wp.Device") -> Any:
-    """Queries sorted by cell, only those of ``chosen`` if given."""
+def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "wp.Device", group: Any) -> Any:
+    """Queries sorted by cell, only those of ``chosen`` if given, with the group of each if there are any."""
     import warp as wp
 
     from geokit.points.search import radius_cuda_kernels as kernels
@@ -149,13 +176,16 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
         picked = wp.empty(len(chosen), dtype=rows.dtype, device=device)
         launcher.launch(kernels.PICK[rows.dtype], len(chosen), [rows, places], [picked], device)
         rows = picked
+        group = None if group is None else wp.array(group.numpy()[chosen], dtype=wp.int32, device=device)
     count = len(rows)
     if count < launcher.MINIMUM_ORDERED:
         order = launcher.identity(device)
     else:
-        cell_count = int(grid.count_x) * int(grid.count_y) * int(grid.count_z)
-        _, order = sorted_keys(grid, rows, cell_count)
+        _, order = sorted_keys(grid, rows, group)
     queries: Any = Queries()
+    if group is not None:
+        # The queries are packed by group and keys ascend with the groups: sorted, a place is in the same group.
+        queries.group = group
     queries.x, queries.y, queries.z = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(3))
     queries.index = wp.empty(count, dtype=wp.int32, device=device)
     launcher.launch(kernels.ARRANGE[rows.dtype], count, [rows, order], [queries], device)
@@ -172,7 +202,7 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
     import warp as wp
 
     from geokit.points.search.radius_cpu_kernels import count_share_kernel
-    from geokit.points.search.radius_cuda_kernels import UNCOUNT, count_kernel
+    from geokit.points.search.radius_cuda_kernels import UNCOUNT, count_in_groups_kernel, count_kernel
 
     device = asked.device
     counts = wp.empty(asked.count, dtype=wp.int32, device=device)
@@ -182,9 +212,10 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
         given = [queries, grid, asked.radius, own]
         if device.is_cpu:
             size, places = asked.notes[part] = _room_for_notes(number if note else 0, device)
-            _launch_shares(count_share_kernel, number, [*given, size], [counts, places], device)
+            launch_shares(count_share_kernel, number, [*given, size], [counts, places], device)
         else:
-            launcher.launch(count_kernel, number, given, [counts], device)
+            kernel = count_in_groups_kernel if has_groups(grid) else count_kernel
+            launcher.launch(kernel, number, given, [counts], device)
     if asked.own and asked.rows is not None and asked.count:
         points = points_of(asked.parts[0][0])
         given = [points, asked.rows, asked.first_point, asked.radius]
@@ -204,30 +235,16 @@ def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
     return Notes(size, host_pool.empty_warp(size * min(shares, NOTED // size), wp.int32, device))
 
 
-def _launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
+def notes_bytes(queries: int, device: "wp.Device") -> int:
+    """Most memory that the notes of a count take."""
+    return 4 * NOTED if device.is_cpu and queries >= FEWEST_NOTED else 0
+
+
+def launch_shares(kernel: Any, queries: int, inputs: list[Any], outputs: list[Any], device: "wp.Device") -> None:
     """Launch over shares of queries with common cells on a CPU, over single queries on a GPU."""
     from geokit.points.search.radius_cpu_kernels import SHARE
 
     launcher.launch(kernel, -(-queries // int(SHARE)), inputs, outputs, device, grain=SEARCH_GRAIN)
-
-
-def offsets_of(counts: "wp.array") -> "wp.array":
-    """Beginning of each row and the end of the last one, int64 (Q + 1,), by a prefix sum."""
-    import warp as wp
-
-    from geokit.points.search.radius_cuda_kernels import offset_kernel
-
-    device: Any = counts.device
-    if device.is_cpu:
-        offsets = np.zeros(len(counts) + 1, dtype=np.int64)
-        np.cumsum(counts.numpy(), out=offsets[1:])
-        return wp.array(offsets, dtype=wp.int64, device=device, copy=False)
-    wide = wp.empty(len(counts), dtype=wp.int64, device=device)
-    room = wp.zeros(len(counts) + 1, dtype=wp.int64, device=device)
-    if len(counts):
-        launcher.launch(offset_kernel, len(counts), [counts], [wide], device)
-        wp.utils.array_scan(wide, room[1:], inclusive=True)
-    return room
 
 
 def fill(
@@ -241,10 +258,10 @@ def fill(
     import warp as wp
 
     from geokit.points.search.radius_cpu_kernels import FILL_KERNELS
-    from geokit.points.search.radius_cuda_kernels import fill_kernel
+    from geokit.points.search.radius_cuda_kernels import fill_in_groups_kernel, fill_kernel
 
     device = asked.device
-    offsets = offsets_of(counts)
+    offsets = row_offsets(counts)
     total = int(offsets[asked.count :].numpy()[0])
     refuse(total)
     single = single and device.is_cpu
@@ -256,9 +273,10 @@ def fill(
         given = [queries, grid, asked.radius, own, offsets]
         if device.is_cpu:
             given += asked.notes[part] or _room_for_notes(0, device)
-            _launch_shares(FILL_KERNELS[order, distance.dtype], number, given, [indices, distance], device)
+            launch_shares(FILL_KERNELS[order, distance.dtype], number, given, [indices, distance], device)
         else:
-            launcher.launch(fill_kernel, number, given, [indices, distance], device)
+            kernel = fill_in_groups_kernel if has_groups(grid) else fill_kernel
+            launcher.launch(kernel, number, given, [indices, distance], device)
     if device.is_cuda and order == "index":
         sort_by_index(offsets, indices, distance)
     return offsets, indices, distance
@@ -299,14 +317,15 @@ def sort_by_distance(offsets: "wp.array", indices: "wp.array", distance: "wp.arr
     launcher.launch(sort_by_distance_kernel, len(offsets) - 1, [offsets], [indices, distance], device)
 
 
-def require_room(total: int, query_count: int, device: "wp.Device") -> None:
-    """Raise DeviceMemoryError if the neighbors exceed the free memory or the size of one result."""
+def require_room(total: int, query_count: int, device: "wp.Device", each: int = BYTES_PER_NEIGHBOR) -> None:
+    """Raise DeviceMemoryError if the neighbors, of ``each`` bytes, exceed the free memory or the size of one result."""
     what = f"radius_search: {query_count} queries have {total} neighbors"
     remedy = "use a smaller radius, fewer queries at a time, radius_search_blocks() or count()"
-    needed, free = total * BYTES_PER_NEIGHBOR, available_memory.available(device)
+    needed, free = total * each, available_memory.available(device)
     if needed > free:
         raise DeviceMemoryError(
-            f"{what}, which need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB free on {device.alias}; {remedy}"
+            f"{what}, which need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB free on {device.alias}; {remedy}",
+            need=needed,
         )
     if total > MAX_NEIGHBORS:
         raise DeviceMemoryError(f"{what}; one result holds at most {MAX_NEIGHBORS}: {remedy}")

@@ -50,6 +50,7 @@ NUMBERS = {
 
 RUNS = (
     "core/simd.inl",
+    "points/search/cells_of_group_cpu.inl",
     "points/search/cell_along_cpu.inl",
     "points/search/radius_runs_cpu.inl",
     "points/search/radius_keep_cpu.inl",

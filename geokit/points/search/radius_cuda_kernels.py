@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core.cpp import cpp
-from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cells_of_group
 from geokit.points.search.neighbors_kernels import (
     Queries,
     cells_around,
@@ -56,6 +56,20 @@ def sort_rows_kernel(
     sort_together(begin, wp.int32(offset[row + 1]) - begin, i % 32, out_index, out_distance)
 
 
+@wp.func
+def counted(k: wp.int32, queries: Queries, grid: CellGrid, radius: wp.array(dtype=wp.float64)) -> wp.int32:
+    """Number of neighbors of a query. There is one radius for all queries, or one for each."""
+    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
+    r = radius[wp.min(queries.index[k], radius.shape[0] - 1)]
+    box = cells_around(grid, q, reach_of(r))
+    near = nearness_of(grid, q, r)
+    found = wp.int32(0)
+    for row in range(row_count(box)):
+        span = row_range(grid, box, row)
+        found += near_count(grid, span[0], span[1], near, q, r * r)
+    return found
+
+
 @wp.kernel
 def count_kernel(
     first: int,
@@ -65,23 +79,29 @@ def count_kernel(
     self_count: wp.int32,
     out_count: wp.array(dtype=wp.int32),
 ):
-    """Number of neighbors of each query, minus ``self_count``. There is one radius for all queries, or one for each."""
+    """Number of neighbors of each query, minus ``self_count``."""
     k = first + wp.tid()
-    i = queries.index[k]
-    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
-    r = radius[wp.min(i, radius.shape[0] - 1)]
-    box = cells_around(grid, q, reach_of(r))
-    near = nearness_of(grid, q, r)
-    found = -self_count
-    for row in range(row_count(box)):
-        span = row_range(grid, box, row)
-        found += near_count(grid, span[0], span[1], near, q, r * r)
-    out_count[i] = found
+    out_count[queries.index[k]] = counted(k, queries, grid, radius) - self_count
 
 
 @wp.kernel
-def fill_kernel(
+def count_in_groups_kernel(
     first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    self_count: wp.int32,
+    out_count: wp.array(dtype=wp.int32),
+):
+    """Number of neighbors of each query in its group, minus ``self_count``."""
+    k = first + wp.tid()
+    own = cells_of_group(grid, queries.group[k])
+    out_count[queries.index[k]] = counted(k, queries, own, radius) - self_count
+
+
+@wp.func
+def put_neighbors(
+    k: wp.int32,
     queries: Queries,
     grid: CellGrid,
     radius: wp.array(dtype=wp.float64),
@@ -90,8 +110,7 @@ def fill_kernel(
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=wp.float64),
 ):
-    """Neighbors of each query from its offset on, without the point whose index is the query's plus ``own``."""
-    k = first + wp.tid()
+    """Neighbors of a query from its offset on, without the point whose index is the query's plus ``own``."""
     i = queries.index[k]
     q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
     r = radius[wp.min(i, radius.shape[0] - 1)]
@@ -116,10 +135,35 @@ def fill_kernel(
 
 
 @wp.kernel
-def offset_kernel(first: int, count: wp.array(dtype=wp.int32), out_offset: wp.array(dtype=wp.int64)):
-    """Counts as int64, ready for an in-place prefix sum."""
-    i = first + wp.tid()
-    out_offset[i] = wp.int64(count[i])
+def fill_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    own: wp.int32,
+    offset: wp.array(dtype=wp.int64),
+    out_index: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Neighbors of each query."""
+    put_neighbors(first + wp.tid(), queries, grid, radius, own, offset, out_index, out_distance)
+
+
+@wp.kernel
+def fill_in_groups_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    own: wp.int32,
+    offset: wp.array(dtype=wp.int64),
+    out_index: wp.array(dtype=wp.int32),
+    out_distance: wp.array(dtype=wp.float64),
+):
+    """Neighbors of each query in its group."""
+    k = first + wp.tid()
+    cells = cells_of_group(grid, queries.group[k])
+    put_neighbors(k, queries, cells, radius, own, offset, out_index, out_distance)
 
 
 @wp.kernel
@@ -138,6 +182,34 @@ def arrange_kernel(first: int, rows: wp.array(dtype=Any), order: wp.array(dtype=
     out_queries.x[i] = wp.float64(p[0])
     out_queries.y[i] = wp.float64(p[1])
     out_queries.z[i] = wp.float64(p[2])
+
+
+@wp.kernel
+def own_flag_kernel(first: int, index: wp.array(dtype=wp.int32), count: wp.int32, out_flag: wp.array(dtype=wp.int32)):
+    """1 for each sorted point that is one of the first ``count``, else 0."""
+    i = first + wp.tid()
+    flag = wp.int32(0)
+    if index[i] < count:
+        flag = wp.int32(1)
+    out_flag[i] = flag
+
+
+@wp.kernel
+def own_query_kernel(
+    first: int,
+    grid: CellGrid,
+    flag: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    out_queries: Queries,
+):
+    """The flagged points as queries; ``place`` is the inclusive prefix sum of the flags."""
+    i = first + wp.tid()
+    if flag[i] == 1:
+        at = place[i] - 1
+        out_queries.index[at] = grid.index[i]
+        out_queries.x[at] = grid.x[i]
+        out_queries.y[at] = grid.y[i]
+        out_queries.z[at] = grid.z[i]
 
 
 @wp.kernel

@@ -1,6 +1,6 @@
 // Radius search on a CPU: runs of queries in one cell, with the surrounding candidates in a buffer.
 //
-// Expects core/simd.inl, cell_along_cpu.inl, grid, queries, radius, first_query, last_query and the constants of
+// Expects core/simd.inl, cells_of_group_cpu.inl, cell_along_cpu.inl, grid, queries, radius, first_query, last_query and the constants of
 // radius_cpu_kernels. Defines run, the buffer (bx, by, bz, place), within(k, at): the neighbors of query k among
 // sixteen entries of the buffer, one bit each; and each_run(use), which calls use(k, count) with the buffer's length
 // for each query k of a run: once, or several times if there are more candidates than the buffer holds.
@@ -74,7 +74,9 @@ auto within = [&](int k, int at) -> unsigned {
     return inside;
 };
 auto each_run = [&](auto&& use) {
+    const bool grouped = grid.groups.shape[0] > 0;
     for (run = first_query; run < last_query;) {
+        if (grouped) enter(queries.group.data[run]);
         const double at[3] = {queries.x.data[run], queries.y.data[run], queries.z.data[run]};
         const int cell[3] = {cell_along(0, at[0]), cell_along(1, at[1]), cell_along(2, at[2])};
         // Float32 coordinates are relative to the first query of the run, in units of about its radius: undecided cases
@@ -86,6 +88,7 @@ auto each_run = [&](auto&& use) {
         int stop = run;
         for (; stop < last_query && stop - run < most_queries; ++stop) {
             const double q[3] = {queries.x.data[stop], queries.y.data[stop], queries.z.data[stop]};
+            if (grouped && queries.group.data[stop] != entered) break;
             if (stop > run
                 && (cell_along(0, q[0]) != cell[0] || cell_along(1, q[1]) != cell[1] || cell_along(2, q[2]) != cell[2]))
                 break;
@@ -119,7 +122,7 @@ auto each_run = [&](auto&& use) {
         bool apart = false;
         int from[3], to[3];
         for (int axis = 0; axis < 3; ++axis) {
-            apart |= high[axis] + reach < grid.lower[axis] || low[axis] - reach > grid.upper[axis];
+            apart |= high[axis] + reach < cells.lower[axis] || low[axis] - reach > cells.upper[axis];
             from[axis] = cell_along(axis, low[axis] - reach);
             to[axis] = cell_along(axis, high[axis] + reach);
         }
@@ -134,7 +137,7 @@ auto each_run = [&](auto&& use) {
         };
         for (int z = from[2]; z <= to[2] && !apart; ++z)
             for (int y = from[1]; y <= to[1]; ++y) {
-                const int64_t row = (int64_t(z) * grid.count_y + y) * grid.count_x;
+                const int64_t row = cells.base + (int64_t(z) * cells.count_y + y) * cells.count_x;
                 int p = first_at_or_above(row + from[0]);
                 const int row_end = first_at_or_above(row + to[0] + 1);
                 while (p < row_end) {

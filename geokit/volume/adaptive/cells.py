@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.volume.tolerance.interpolation_errors import STENCILS, axis_weights
 
 if TYPE_CHECKING:
     import warp as wp
@@ -17,14 +18,13 @@ if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
 
-__all__ = ["CORNERS", "HALVES", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells"]
+__all__ = ["CORNERS", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells", "spread_keys"]
 
 # Bits of a coordinate in a key; three coordinates fit into 63 bits. Coordinates are not negative.
 KEY_BITS = 21
 LARGEST_INDEX = (1 << KEY_BITS) - 1
-# Offsets of a cell's voxels, z fastest, and of the voxels of its eight halves.
+# Offsets of a cell's voxels, z fastest.
 CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
-HALVES = np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0, 1, 2], indexing="ij"), axis=-1).reshape(-1, 3)
 # Half the diagonal of a unit cell, with a margin for rounding.
 HALF_DIAGONAL = 0.5 * np.sqrt(3.0) * (1.0 + 1e-9)
 # Most cells at the start of the search for cells near the surface; testing so few is cheap.
@@ -37,7 +37,7 @@ CELLS_AT_A_TIME = 1 << 18
 SPREAD_SHARE = 0.35
 # Points tested on an edge of the mesh, per edge length of a cell.
 CREASE_POINTS = 8
-# Points of edges that are tested at a time.
+# Points of edges that are tested at a time at order 1; fewer at higher orders, which read more voxels.
 POINTS_AT_A_TIME = 1 << 20
 # Cells whose error exceeds this share of the limit are sampled most densely, because between the first sample points
 # the error is up to half as large again.
@@ -112,6 +112,16 @@ def cells_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([keys >> (2 * KEY_BITS), keys >> KEY_BITS & LARGEST_INDEX, keys & LARGEST_INDEX], axis=1)
 
 
+def spread_keys(keys: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Unique keys of all cells that lie at ``offsets`` along each axis from cells of the given keys.
+
+    One axis after the other: neighbors share most of what they reach, so the keys to sort stay few.
+    """
+    for bits in (0, KEY_BITS, 2 * KEY_BITS):
+        keys = np.unique((keys[:, None] + (offsets << bits)).reshape(-1))
+    return keys
+
+
 def contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether each wanted key is among the sorted ``keys``."""
     if not len(keys):
@@ -147,54 +157,81 @@ def near(lattice: CellLattice, cells: NDArray[np.int64], span: int = 1) -> NDArr
     return np.asarray(found.triangle_id >= 0)
 
 
-def examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> NDArray[np.float64]:
+def examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order: int = 1) -> NDArray[np.float64]:
     """Largest error [world] of the interpolant found in the part of each cell that lies in the zone.
 
     Args:
         lattice: Lattice of the cells.
         cells: Cells near the surface, shape (N, 3).
         limit: Cells whose error may exceed it are sampled more densely.
+        order: Order of interpolation, 1, 2 or 3.
     """
-    errors = [
-        _examine(lattice, cells[start : start + CELLS_AT_A_TIME], limit)
-        for start in range(0, len(cells), CELLS_AT_A_TIME)
-    ]
+    step = CELLS_AT_A_TIME if order == 1 else CELLS_AT_A_TIME // 4
+    errors = [_examine(lattice, cells[start : start + step], limit, order) for start in range(0, len(cells), step)]
     return np.concatenate(errors) if errors else np.zeros(0)
 
 
-def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float) -> NDArray[np.float64]:
+class _Stencils(NamedTuple):
+    """The voxels that the interpolants of cells read.
+
+    Attributes:
+        order: Order of interpolation.
+        values: Exact distances of all voxels, float64, on the surface's device.
+        host: The same, float32.
+        rows: The first voxel of each row along z of each cell's stencil, as a row of ``values``, (N, width^2) int32.
+            The others of a row follow it.
+    """
+
+    order: int
+    values: "wp.array"
+    host: NDArray[np.float32]
+    rows: NDArray[np.int32]
+
+    def of(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Values of the stencils of some cells, shape (n, width, width, width)."""
+        width = STENCILS[self.order][1]
+        return self.host[self.rows[cells][:, :, None] + np.arange(width)].reshape(-1, width, width, width)
+
+
+def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order: int) -> NDArray[np.float64]:
     import warp as wp
 
     from geokit.volume.adaptive.check_kernels import examine_kernel
 
     device = lattice.surface._device
-    voxels, corner = np.unique(keys_of((cells[:, None] + CORNERS).reshape(-1, 3)), return_inverse=True)
-    corner = corner.reshape(-1, 8)
+    first, width = STENCILS[order]
+    keys = keys_of(cells)
+    voxels = spread_keys(keys, np.arange(first, first + width))
+    # Keys of voxels along z follow each other, so only the first of each row is looked up.
+    across = np.stack(np.meshgrid(*[np.arange(first, first + width)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    begin = (across[:, 0] << (2 * KEY_BITS)) + (across[:, 1] << KEY_BITS) + first
     exact = lattice.distances(cells_of(voxels))
-    values = _on(device, *exact)
+    values, closest = _on(device, *exact)
+    rows = np.searchsorted(voxels, keys[:, None] + begin).astype(np.int32)
+    stencils = _Stencils(order, values, exact[0].astype(np.float32), rows)
     middle = _on(device, *lattice.distances(cells + 0.5))
     place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(lattice.within)]
     error, spread = (wp.empty(len(cells), dtype=wp.float64, device=device) for _ in range(2))
-    rows = [_cells_on(device, cells), wp.array(corner.reshape(-1), dtype=wp.int32, device=device)]
-    launcher.launch(examine_kernel, len(cells), [*rows, *values, *middle, *place], [error, spread], device)
-    errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, exact[0].astype(np.float32)[corner], limit))
+    where = [_cells_on(device, cells), wp.array(rows, dtype=wp.int32, device=device), order]
+    launcher.launch(examine_kernel, len(cells), [*where, values, closest, *middle, *place], [error, spread], device)
+    errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, stencils, limit))
     suspect = (errors <= limit) & (SPREAD_SHARE * lattice.size * spread.numpy() > limit)
     for width, share in ((3, 0.0), (5, CLOSEST_LOOK)):
         chosen = np.flatnonzero(suspect & (errors > share * limit) & (errors <= limit))
-        errors[chosen] = np.maximum(errors[chosen], _inspect(lattice, cells[chosen], corner[chosen], values[0], width))
+        errors[chosen] = np.maximum(errors[chosen], _inspect(lattice, cells[chosen], stencils, chosen, width))
     return np.asarray(errors)
 
 
 def _inspect(
-    lattice: CellLattice, cells: NDArray[np.int64], corner: NDArray[np.int64], values: "wp.array", width: int
+    lattice: CellLattice, cells: NDArray[np.int64], stencils: _Stencils, chosen: NDArray[np.int64], width: int
 ) -> NDArray[np.float64]:
     """Largest error of each cell on the segments from ``width ** 3`` points in it to their closest points.
 
     Args:
         lattice: Lattice of the cells.
         cells: Cells, shape (N, 3).
-        corner: Their voxels, as rows of ``values``, shape (N, 8).
-        values: Exact distances of voxels.
+        stencils: Voxels of these cells and of others.
+        chosen: Row of each cell among those of ``stencils``.
         width: Points along each axis.
     """
     import warp as wp
@@ -207,20 +244,20 @@ def _inspect(
     errors = np.zeros(len(cells))
     step = max(1, 8 * CELLS_AT_A_TIME // len(inner))
     for start in range(0, len(cells), step):
-        chosen = slice(start, start + step)
-        index = (cells[chosen][:, None] + inner).reshape(-1, 3)
+        some = slice(start, start + step)
+        index = (cells[some][:, None] + inner).reshape(-1, 3)
         asked = _on(device, *lattice.distances(index))
-        rows = [_cells_on(device, cells[chosen]), wp.array(corner[chosen].reshape(-1), dtype=wp.int32, device=device)]
+        rows = [_cells_on(device, cells[some]), wp.array(stencils.rows[chosen[some]], dtype=wp.int32, device=device)]
         where = wp.array(lattice.positions(index), dtype=wp.vec3d, device=device)
-        worst = wp.empty(len(cells[chosen]), dtype=wp.float64, device=device)
-        inputs = [*rows, values, len(inner), where, *asked, *place]
+        worst = wp.empty(len(cells[some]), dtype=wp.float64, device=device)
+        inputs = [*rows, stencils.order, stencils.values, len(inner), where, *asked, *place]
         launcher.launch(inspect_kernel, len(worst), inputs, [worst], device)
-        errors[chosen] = worst.numpy()
+        errors[some] = worst.numpy()
     return errors
 
 
 def _crease_errors(
-    lattice: CellLattice, cells: NDArray[np.int64], values: NDArray[np.float32], limit: float
+    lattice: CellLattice, cells: NDArray[np.int64], stencils: _Stencils, limit: float
 ) -> NDArray[np.float64]:
     """Largest error of each cell on creases of the distance: on edges of the mesh and on their bisecting planes.
 
@@ -230,7 +267,8 @@ def _crease_errors(
     errors = np.zeros(len(cells))
     keys = keys_of(cells)
     order = np.argsort(keys)
-    for points, between in _crease_points(lattice, limit):
+    at_a_time = POINTS_AT_A_TIME if stencils.order == 1 else POINTS_AT_A_TIME // 8
+    for points, between in _crease_points(lattice, limit, at_a_time):
         for depth in CREASE_DEPTHS:
             asked = points + between * (depth * lattice.within)
             row, cell, fraction = _touched(lattice, asked, keys, order)
@@ -241,11 +279,10 @@ def _crease_errors(
                 exact = lattice.surface.signed_distance(asked[found], sign=lattice.sign).distance[inverse]
             else:
                 exact = np.zeros(len(row))
-            corners = values[cell].astype(np.float64)
-            for axis in range(3):
-                half = corners.shape[1] // 2
-                corners = corners[:, :half] + (corners[:, half:] - corners[:, :half]) * fraction[:, axis, None]
-            error = np.where(np.abs(exact) <= lattice.within * (1.0 + BORDER), np.abs(corners[:, 0] - exact), 0.0)
+            value = stencils.of(cell).astype(np.float64)
+            for axis in (2, 1, 0):
+                value = np.einsum("n...i,ni->n...", value, axis_weights(stencils.order, fraction[:, axis]))
+            error = np.where(np.abs(exact) <= lattice.within * (1.0 + BORDER), np.abs(value - exact), 0.0)
             np.maximum.at(errors, cell, error)
     return errors
 
@@ -277,7 +314,9 @@ def _touched(
     return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))  # type: ignore[return-value]
 
 
-def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _crease_points(
+    lattice: CellLattice, limit: float, at_a_time: int
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """All vertices of the mesh, and points on its edges that are sharp enough to exceed the limit in such cells.
 
     Each point comes with ``_Creases.between`` of its edge; vertices with 0.
@@ -294,7 +333,7 @@ def _crease_points(lattice: CellLattice, limit: float) -> Iterator[tuple[NDArray
     start = 0
     while start < len(counts):
         # At least one edge, however many points it has.
-        stop = max(start + 1, int(np.searchsorted(last, last[start] - counts[start] + POINTS_AT_A_TIME, side="right")))
+        stop = max(start + 1, int(np.searchsorted(last, last[start] - counts[start] + at_a_time, side="right")))
         count = counts[start:stop]
         step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         t = (step / np.repeat(np.maximum(count - 1, 1), count))[:, None]

@@ -1,4 +1,4 @@
-"""Errors of a cell's trilinear interpolant against the exact distance, in the part of the cell near the surface.
+"""Errors of a cell's interpolant against the exact distance, in the part of the cell near the surface.
 
 If q is the closest point of p on the surface, it is the closest point of every point on the segment from q to p. So one
 query at p gives exact distances on the whole segment, and thus next to the surface, where they matter.
@@ -9,13 +9,14 @@ query at p gives exact distances on the whole segment, and thus next to the surf
 import warp as wp
 
 from geokit.volume.sampling.sample_kernels import trilinear
+from geokit.volume.sampling.stencil_kernels import Cubic, Quadratic, weights
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-vec8d = wp.types.vector(length=8, dtype=wp.float64)
-
 # Test points on a segment, from the surface to the zone's edge, both included.
 PLACES = wp.constant(4)
+# Weight of creases outside the cell, which its interpolant sees from order 2 on: there the weights are small.
+BESIDE = wp.constant(wp.float64(0.4))
 # Share of a voxel by which rounding may put a position on the border outside its cell.
 SLACK = wp.constant(wp.float64(1e-9))
 
@@ -26,10 +27,63 @@ def outside_cell(f: wp.vec3d) -> bool:
 
 
 @wp.func
-def error_along(
-    p: wp.vec3d, q: wp.vec3d, d: wp.float64, base: wp.vec3d, size: wp.float64, within: wp.float64, c: vec8d
+def voxel_of(rows: wp.array2d(dtype=int), distance: wp.array(dtype=wp.float64), n: int, row: int, k: int) -> wp.float64:
+    """A voxel of the stencil of cell n as a grid stores it."""
+    return wp.float64(wp.float32(distance[rows[n, row] + k]))
+
+
+@wp.func
+def axis_weights(order: int, t: wp.float64) -> wp.vec4d:
+    if order == 2:
+        return weights(Quadratic(), t)[0]
+    return weights(Cubic(), t)[0]
+
+
+@wp.func
+def value_at(
+    rows: wp.array2d(dtype=int), distance: wp.array(dtype=wp.float64), n: int, order: int, f: wp.vec3d
 ) -> wp.float64:
-    """Largest error on the part of the segment from q to p that lies in the cell and in the zone."""
+    """The interpolant of cell n at fractions f."""
+    if order == 1:
+        return trilinear(
+            voxel_of(rows, distance, n, 0, 0),
+            voxel_of(rows, distance, n, 0, 1),
+            voxel_of(rows, distance, n, 1, 0),
+            voxel_of(rows, distance, n, 1, 1),
+            voxel_of(rows, distance, n, 2, 0),
+            voxel_of(rows, distance, n, 2, 1),
+            voxel_of(rows, distance, n, 3, 0),
+            voxel_of(rows, distance, n, 3, 1),
+            f,
+        )
+    width = order + 1
+    x = axis_weights(order, f[0])
+    y = axis_weights(order, f[1])
+    z = axis_weights(order, f[2])
+    total = wp.float64(0.0)
+    for i in range(width):
+        for j in range(width):
+            along = wp.float64(0.0)
+            for k in range(width):
+                along += z[k] * voxel_of(rows, distance, n, i * width + j, k)
+            total += x[i] * y[j] * along
+    return total
+
+
+@wp.func
+def error_along(
+    p: wp.vec3d,
+    q: wp.vec3d,
+    d: wp.float64,
+    base: wp.vec3d,
+    size: wp.float64,
+    within: wp.float64,
+    rows: wp.array2d(dtype=int),
+    distance: wp.array(dtype=wp.float64),
+    n: int,
+    order: int,
+) -> wp.float64:
+    """Largest error on the part of the segment from q to p that lies in cell n and in the zone."""
     worst = wp.float64(0.0)
     length = wp.abs(d)
     for step in range(PLACES):
@@ -40,18 +94,8 @@ def error_along(
         f = (x - base) / size
         if not outside_cell(f):
             exact = wp.where(d < wp.float64(0.0), -a, a)
-            value = trilinear(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], f)
-            worst = wp.max(worst, wp.abs(value - exact))
+            worst = wp.max(worst, wp.abs(value_at(rows, distance, n, order, f) - exact))
     return worst
-
-
-@wp.func
-def corner_values(n: int, corner: wp.array(dtype=int), distance: wp.array(dtype=wp.float64)) -> vec8d:
-    """Values of the cell's voxels as a grid stores them."""
-    c = vec8d()
-    for k in range(8):
-        c[k] = wp.float64(wp.float32(distance[corner[8 * n + k]]))
-    return c
 
 
 @wp.func
@@ -63,7 +107,8 @@ def corner_position(base: wp.vec3d, size: wp.float64, k: int) -> wp.vec3d:
 def examine_kernel(
     first: int,
     cells: wp.array(dtype=wp.vec3i),
-    corner: wp.array(dtype=int),
+    rows: wp.array2d(dtype=int),
+    order: int,
     distance: wp.array(dtype=wp.float64),
     closest: wp.array(dtype=wp.vec3d),
     center_distance: wp.array(dtype=wp.float64),
@@ -77,27 +122,38 @@ def examine_kernel(
     """Errors along the segments of a cell's voxels and of its center, and the spread of the segments' directions."""
     n = first + wp.tid()
     base = origin + size * wp.vec3d(cells[n])
-    c = corner_values(n, corner, distance)
     p = base + wp.vec3d(wp.float64(0.5) * size)
     d = center_distance[n]
-    worst = error_along(p, center_closest[n], d, base, size, within, c)
+    worst = error_along(p, center_closest[n], d, base, size, within, rows, distance, n, order)
     # A center on the surface has no direction; the voxels' directions are then compared with each other.
     known = wp.abs(d) > SLACK * size
     middle = wp.vec3d()
     if known:
         middle = (p - center_closest[n]) / d
     spread = wp.float64(0.0)
+    # The cell's own voxels; from order 2 on, a stencil begins one voxel before them.
+    width = order + 1
+    before = wp.min(order - 1, 1)
     for k in range(8):
-        v = corner[8 * n + k]
+        v = rows[n, (k / 4 + before) * width + k / 2 % 2 + before] + k % 2 + before
         p = corner_position(base, size, k)
         d = distance[v]
-        worst = wp.max(worst, error_along(p, closest[v], d, base, size, within, c))
+        worst = wp.max(worst, error_along(p, closest[v], d, base, size, within, rows, distance, n, order))
         if wp.abs(d) > SLACK * size:
             direction = (p - closest[v]) / d
             if not known:
                 known = True
                 middle = direction
             spread = wp.max(spread, wp.length(direction - middle))
+    if order > 1:
+        for i in range(width):
+            for j in range(width):
+                for k in range(width):
+                    v = rows[n, width * i + j] + k
+                    p = base + size * wp.vec3d(wp.float64(i - 1), wp.float64(j - 1), wp.float64(k - 1))
+                    d = distance[v]
+                    if known and wp.abs(d) > SLACK * size:
+                        spread = wp.max(spread, BESIDE * wp.length((p - closest[v]) / d - middle))
     out_error[n] = worst
     out_spread[n] = spread
 
@@ -106,7 +162,8 @@ def examine_kernel(
 def inspect_kernel(
     first: int,
     cells: wp.array(dtype=wp.vec3i),
-    corner: wp.array(dtype=int),
+    rows: wp.array2d(dtype=int),
+    order: int,
     distance: wp.array(dtype=wp.float64),
     count: int,
     points: wp.array(dtype=wp.vec3d),
@@ -120,9 +177,11 @@ def inspect_kernel(
     """Errors along the segments of ``count`` points in each cell."""
     n = first + wp.tid()
     base = origin + size * wp.vec3d(cells[n])
-    c = corner_values(n, corner, distance)
     worst = wp.float64(0.0)
     for k in range(count):
         i = count * n + k
-        worst = wp.max(worst, error_along(points[i], point_closest[i], point_distance[i], base, size, within, c))
+        worst = wp.max(
+            worst,
+            error_along(points[i], point_closest[i], point_distance[i], base, size, within, rows, distance, n, order),
+        )
     out_error[n] = worst

@@ -2,7 +2,7 @@
 // is refined, the next cell is the one of its halves that contains the point.
 //
 // Expects levels, an AdaptiveLevels; i, j, k, the cell of level 0, and x, y, z, the point's fractions in it, which
-// become those in the finest cell; LEVEL_TABLE, TREE_OF and FIND_ENTRY. Defines level; a, b, c, the cell's place in
+// become those in the finest cell; LEVEL_TABLE, LEAF_STEP, TREE_OF and FIND_ENTRY. Defines level; a, b, c, the cell's place in
 // the box of the level's table; e000, the entry of its first voxel.
 int level = 0, e000, a, b, c;
 for (;;) {
@@ -15,8 +15,9 @@ for (;;) {
     e000 = entry;
     if (entry < 0 || level + 1 == levels.tables.shape[0]) break;
     const unsigned bits =
-        levels.finer.data[levels.first_word.data[level] + 16ll * ((entry - levels.first_entry.data[level]) / 67)
-                          + ((a & 7) << 1 | (b & 7) >> 2)];
+        levels.finer
+            .data[levels.first_word.data[level] + 16ll * ((entry - levels.first_entry.data[level]) / LEAF_STEP(level))
+                  + ((a & 7) << 1 | (b & 7) >> 2)];
     if (!((bits >> ((b & 3) << 3 | (c & 7))) & 1u)) break;
     const int p = x >= 0.5, q = y >= 0.5, r = z >= 0.5;
     const auto& moved = levels.shift.data[level];

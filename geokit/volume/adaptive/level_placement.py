@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 from geokit.volume.adaptive.cells import keys_of
 from geokit.volume.nanovdb.layout import layout_of
 
-__all__ = ["FLOAT", "LEAF", "Placement", "float_grid_bytes", "placed"]
+__all__ = ["FLOAT", "LEAF", "Placement", "grid_bytes", "placed"]
 
 FLOAT = layout_of(1, "float grid")
 LEAF, LOWER, UPPER = 8, 128, 4096
 # Most places for which rows are counted in a table of marks, 64 MiB; beyond this they are sorted.
 LARGEST_TABLE = 1 << 26
-# Corners of the 3^3 voxels of a cell's halves. A leaf is wider than these, so the corners touch the same leaves.
-EXTREMES = 2 * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 class Placement(NamedTuple):
@@ -32,26 +30,30 @@ class Placement(NamedTuple):
     byte_count: int
 
 
-def placed(parents: NDArray[np.int64]) -> Placement:
+def placed(parents: NDArray[np.int64], halves: NDArray[np.int64], leaf_bytes: int) -> Placement:
     """Placement of the voxels of the halves of refined cells (N, 3) of the next coarser level.
+
+    ``halves`` are the voxels along an axis that belong to a refined cell, relative to its first one. A leaf is wider
+    than these, so the corners of their box touch the same leaves.
 
     The phase of the leaves is one of 8 x 8 x 8. A pass over the axes tries those that differ from the best so far along
     one axis, and then does the same for the phase of the lower nodes.
     """
-    low = 2 * parents.min(axis=0)
-    local = (2 * parents - low)[:, None] + EXTREMES
+    corners = np.stack(np.meshgrid(*[[0, halves[-1] - halves[0]]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    low = 2 * parents.min(axis=0) + halves[0]
+    local = (2 * parents + halves[0] - low)[:, None] + corners
     phase = _descend(lambda phase: _leaf_count(local, phase), LEAF)
     tiles = np.unique((local + phase).reshape(-1, 3) >> 3, axis=0)
     phase = phase + LEAF * _descend(lambda nodes: _node_count(tiles + nodes), LOWER // LEAF)
     tiles = np.unique((local + phase).reshape(-1, 3) >> 3, axis=0)
-    return Placement(low - phase, float_grid_bytes(tiles))
+    return Placement(low - phase, grid_bytes(tiles, leaf_bytes))
 
 
-def float_grid_bytes(tiles: NDArray[np.int64]) -> int:
-    """Bytes of a float grid with the given unique leaves, (L, 3) in units of leaves."""
+def grid_bytes(tiles: NDArray[np.int64], leaf_bytes: int = FLOAT.leaf_size) -> int:
+    """Bytes of a float or quantized grid with the given unique leaves, (L, 3) in units of leaves."""
     lower = np.unique(tiles >> 4, axis=0)
     upper = np.unique(lower >> 5, axis=0)
-    nodes = len(tiles) * FLOAT.leaf_size + len(lower) * FLOAT.lower_size
+    nodes = len(tiles) * leaf_bytes + len(lower) * FLOAT.lower_size
     return nodes + len(upper) * (FLOAT.upper_size + FLOAT.root_tile_size)
 
 

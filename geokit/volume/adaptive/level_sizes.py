@@ -1,28 +1,40 @@
 """Chooses the voxel sizes of an adaptive field's levels for the least memory.
 
-A ladder is a sequence of voxel sizes that halve from level to level. The choice is a ladder and the level to begin at.
+A ladder is a sequence of voxel sizes that halve from level to level. The choice is an order of interpolation, a ladder,
+and the level to begin at.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.memory import available_memory
+from geokit.errors import DeviceMemoryError
 from geokit.volume.adaptive.cells import CellLattice, contains, keys_of, near_cells
-from geokit.volume.adaptive.level_placement import FLOAT, LEAF, float_grid_bytes
+from geokit.volume.adaptive.level_placement import FLOAT, LEAF, grid_bytes
 from geokit.volume.adaptive.refine import Refinement
+from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
 from geokit.volume.band.tiles import Lattice, near_tiles
+from geokit.volume.tolerance.interpolation_errors import REACH
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
 
-__all__ = ["band_lattice", "choose"]
+__all__ = ["ORDERS", "Choice", "band_lattice", "choose"]
 
+# Orders of interpolation in the order of trial. Order 3 is mostly the best, and its bytes end the exploration of the
+# other early. Order 2 has the reach of order 3 and larger errors; it was never the best.
+ORDERS = (3, 1)
 # Coarsest cells of a ladder, counted along the longest edge of the mesh's box.
 COARSEST_CELLS = 12
+# A cell's indices and key, and their copies while cells near the mesh are sought.
+BYTES_PER_CELL = 64
 # Levels of a ladder, from the coarsest down to 2^-20 of the box, where indices end.
 MOST_LEVELS = 16
 # Cells on a right-angled crease exceed the limit from about this multiple of it on.
@@ -33,8 +45,8 @@ FACTORS = tuple(2.0 ** (step / 8.0) for step in (-4, -3, -2, -1, 1, 2, 3))
 # the first ladder had at most this many cells, which take some seconds.
 WORTH_ANOTHER = 0.95
 CELLS_WORTH_ANOTHER = 1 << 20
-# The prediction is rough, so sizes on either side of the best are tried as well.
-NEARBY = (2.0 ** (-1.0 / 16.0), 1.0, 2.0 ** (1.0 / 16.0))
+# The prediction is rough, so sizes on either side are tried as well if the predicted one is better.
+NEARBY = (2.0 ** (-1.0 / 16.0), 2.0 ** (1.0 / 16.0))
 # Least share of the area on axis-aligned planes for a mesh to count as drawn on a lattice.
 PLANE_SHARE = 0.25
 # Planes, or a vertex and a plane, closer than this share of the box coincide: float32 meshes round coordinates.
@@ -43,36 +55,61 @@ SAME_PLANE = 1e-6
 SMALLEST_STEP = 3.0
 
 
-def choose(surface: Surface, sign: str, within: float, limit: float, level_limit: int) -> Refinement:
-    """The refinement of least memory among some ladders of voxel sizes and all levels to begin at.
+class Choice(NamedTuple):
+    """The levels of least memory.
+
+    Attributes:
+        tree: The cells to refine; None if all levels take too many bytes. If no levels keep the tolerance,
+            ``tree.worst`` is above it.
+        byte_count: Predicted size of all grids; infinite if no levels keep the tolerance.
+    """
+
+    tree: Refinement | None
+    byte_count: float
+
+
+def choose(
+    surface: Surface, sign: str, storages: Sequence[Storage], level_limit: int, most_bytes: float = math.inf
+) -> Choice:
+    """The refinement of least memory among some orders, ladders of voxel sizes, and all levels to begin at.
 
     The error in a cell on a crease is proportional to its size. So the errors of one ladder predict about how many
     cells of another would be refined, and the ladders around the most promising one are tried as well. For parts drawn
     on a lattice, the only ladder tried is the one whose voxels lie on their faces, because straight edges have no error
-    there.
+    there at order 1.
 
     Args:
         surface: Surface of the distances.
         sign: Sign method.
-        within: Distance [world] from the surface up to which errors count.
-        limit: Cells with a larger error [world] are refined.
+        storages: Orders and codecs to choose from, of one tolerance.
         level_limit: Most levels.
+        most_bytes: Levels that take more are of no use. Their exploration ends when that is known.
     Raises:
         DeviceMemoryError: There are more cells than memory can hold.
     """
+    made: list[_Ladder] = []
 
-    def ladder(size: float) -> _Ladder:
-        return _Ladder(_coarsest(surface, sign, within, size), limit, level_limit)
+    def least() -> float:
+        return min([most_bytes, *(ladder.byte_count for ladder in made)])
 
+    def explore(storage: Storage, size: float) -> None:
+        made.append(_Ladder(_coarsest(surface, sign, storage.within, size), storage, level_limit, least()))
+
+    limit = ACCEPTED_SHARE * storages[0].tolerance
     step = common_step(surface.mesh)
-    if step is not None and step >= SMALLEST_STEP * limit:
-        return ladder(step).from_start()
-    first = ladder(FIRST_SIZE * limit)
-    factor = first.better_factor()
-    if factor == 1.0:
-        return first.from_start()
-    others = [ladder(factor * nearby * first.size) for nearby in NEARBY]
-    return min([first, *others], key=lambda made: made.byte_count).from_start()
+    drawn = step is not None and step >= SMALLEST_STEP * limit
+    for storage in storages:
+        explore(storage, step if drawn and step else FIRST_SIZE * limit)
+    best = min(made, key=lambda ladder: (ladder.byte_count, ladder.is_ended, ladder.tree.worst))
+    if best.byte_count < most_bytes and not drawn and (factor := best.better_factor()) != 1.0:
+        explore(best.tree.storage, factor * best.size)
+        if made[-1].byte_count < best.byte_count:
+            for nearby in NEARBY:
+                explore(best.tree.storage, factor * nearby * best.size)
+        best = min(made, key=lambda ladder: ladder.byte_count)
+    if best.byte_count < most_bytes:
+        return Choice(best.from_start(), best.byte_count)
+    return Choice(best.tree if best.tree.worst > best.tree.storage.tolerance else None, math.inf)
 
 
 def common_step(mesh: TriangleMesh) -> float | None:
@@ -98,9 +135,9 @@ def common_step(mesh: TriangleMesh) -> float | None:
     return None if step < longest * np.sqrt(SAME_PLANE) else float(longest / np.round(longest / step))
 
 
-def band_lattice(lattice: CellLattice) -> Lattice:
-    """The lattice of level 0, with all voxels that interpolation within the zone needs."""
-    reach = float(np.float32(lattice.within + np.sqrt(3.0) * lattice.size))
+def band_lattice(lattice: CellLattice, order: int = 1) -> Lattice:
+    """The lattice of level 0, with all voxels that interpolation of an order within the zone needs."""
+    reach = float(np.float32(lattice.within + REACH[order] * lattice.size))
     # Index 0 is where the band begins, so that the band fills the fewest nodes.
     start = np.floor((lattice.surface.bounds[0] - reach - lattice.origin) / lattice.size)
     return Lattice(lattice.surface, lattice.size, reach, translation=lattice.positions(start))
@@ -113,29 +150,62 @@ def _coarsest(surface: Surface, sign: str, within: float, size: float) -> CellLa
     """
     longest = float((surface.bounds[1] - surface.bounds[0]).max())
     size *= 2.0 ** np.floor(np.log2(longest / (COARSEST_CELLS * size)))
+    # Whatever the mesh, the zone around it is no smaller than a ball.
+    with np.errstate(over="ignore"):
+        need, have = 4.18 * (within / size) ** 3 * BYTES_PER_CELL, available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"within: the cells within {within:.3g} of the mesh need {need / 2**20:.3g} MiB or more of the "
+            f"{have >> 20} MiB free; use a smaller within (its default is the tolerance)",
+            need=need,
+        )
     margin = np.ceil(within / size) + 3.0
     return CellLattice(surface, sign, surface.bounds[0] - margin * size, size, within)
 
 
 class _Ladder:
-    """A refinement over a whole ladder of sizes, with the level to begin at that takes the fewest bytes."""
+    """A refinement over a whole ladder of sizes, with the level to begin at that takes the fewest bytes.
 
-    def __init__(self, lattice: CellLattice, limit: float, level_limit: int) -> None:
+    ``byte_count`` is infinite if all take more than ``most_bytes``, or if no level keeps the tolerance; ``is_ended``
+    tells that the exploration ended early because of the former.
+    """
+
+    def __init__(self, lattice: CellLattice, storage: Storage, level_limit: int, most_bytes: float) -> None:
         self.size = lattice.size
         self.level_limit = level_limit
-        self.tree = Refinement(lattice, limit, MOST_LEVELS, errors=[])
+        self.start, self.byte_count, self.is_ended = 0, math.inf, False
+        self.finer: list[int] = []
+
+        # Bytes of the bands of the levels that are coarse enough to begin at.
+        bands: list[float] = []
+
+        def band_of(number: int) -> None:
+            level = self.tree.lattice_of(number)
+            least = self._least_band(level)
+            bands.append(_band_bytes(level, storage) if least <= most_bytes else math.inf)
+
+        def goes_on(number: int) -> bool:
+            self.finer.append(self.tree.placement(number).byte_count)
+            band_of(number)
+            # Whatever finer levels take: beginning at one of these takes at least this much, and beginning later more.
+            least = min(bands[start] + sum(self.finer[start:]) for start in range(number + 1))
+            self.is_ended = least > most_bytes
+            return not self.is_ended
+
+        self.tree = Refinement(lattice, storage, MOST_LEVELS, errors=[], goes_on=goes_on)
+        band_of(0)
         self.tree.explore(0, near_cells(lattice))
-        self.finer = [placement.byte_count for placement in self.tree.placements()]
-        self.start = first = max(0, self.tree.level_count - level_limit)
-        self.byte_count = np.inf
-        for start in range(first, self.tree.level_count):
-            level = self.tree.lattice_of(start)
-            # A surface meets a leaf for each 8 x 8 voxels of its area, so finer levels cannot take fewer bytes.
-            if self.byte_count < _area(level) / (LEAF * level.size) ** 2 * FLOAT.leaf_size:
-                break
-            total = _band_bytes(level) + sum(self.finer[start:])
+        if self.is_ended or self.tree.worst > storage.tolerance:
+            return
+        for start in range(max(0, self.tree.level_count - level_limit), self.tree.level_count):
+            total = bands[start] + sum(self.finer[start:])
             if total < self.byte_count:
                 self.start, self.byte_count = start, total
+
+    def _least_band(self, level: CellLattice) -> float:
+        """Lower bound of the bytes of a band."""
+        # A surface meets a leaf for each 8 x 8 voxels of its area, so finer levels cannot take fewer bytes.
+        return _area(level) / (LEAF * level.size) ** 2 * self.tree.storage.leaf_bytes(level.size)
 
     def better_factor(self) -> float:
         """The factor on all voxel sizes that promises the least memory; 1 if none promises enough."""
@@ -147,10 +217,11 @@ class _Ladder:
         predicted = {}
         for factor in FACTORS:
             total = band / factor**2
-            for errors, keys, size in zip(
-                self.tree.errors[start:], self.tree.refined[start:], self.finer[start:], strict=False
+            for level, (errors, keys, size) in enumerate(
+                zip(self.tree.errors[start:], self.tree.refined[start:], self.finer[start:], strict=False), start
             ):
-                count = np.count_nonzero(errors * factor > self.tree.limit)
+                voxel = self.tree.lattice_of(level).size
+                count = np.count_nonzero(errors * factor > self.tree.storage.limit(factor * voxel))
                 total += head + (size - head) * count / len(keys) / factor if count else 0.0
             predicted[factor] = total
         best = min(predicted, key=lambda factor: predicted[factor])
@@ -159,7 +230,7 @@ class _Ladder:
     def from_start(self) -> Refinement:
         """The refinement that begins where it takes the fewest bytes."""
         tree, start = self.tree, self.start
-        chosen = Refinement(tree.lattice_of(start), tree.limit, self.level_limit, tree.refined[start:])
+        chosen = Refinement(tree.lattice_of(start), tree.storage, self.level_limit, tree.refined[start:])
         if start:
             # Cells whose coarser parents kept the limit have not been examined yet.
             cells = near_cells(chosen.lattice)
@@ -172,9 +243,9 @@ def _area(lattice: CellLattice) -> float:
     return Lattice(lattice.surface, lattice.size, lattice.size).area() * scale**2
 
 
-def _band_bytes(lattice: CellLattice) -> int:
-    tiles = near_tiles(band_lattice(lattice))
-    return float_grid_bytes(_int64(tiles.coordinates.numpy()[: len(tiles.keys)]))
+def _band_bytes(lattice: CellLattice, storage: Storage) -> int:
+    tiles = near_tiles(band_lattice(lattice, storage.order))
+    return grid_bytes(_int64(tiles.coordinates.numpy()[: len(tiles.keys)]), storage.leaf_bytes(lattice.size))
 
 
 def _int64(numbers: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
 from geokit.volume.adaptive.cells import CORNERS, CellLattice, cells_of, contains, examine, keys_of, near
 from geokit.volume.adaptive.level_placement import Placement, placed
+from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
 
 __all__ = ["Refinement"]
 
 # Bytes of a cell while it is examined: its key, its halves' keys, the distances at its voxels.
 CELL_BYTES = 1000
 # The sharpest creases exceed the limit in cells of 1.5 times its size, and spikes in slightly smaller ones. If cells of
-# this share of the limit exceed it, the distance itself jumps: beside the border of an open mesh.
+# this share of the accepted error exceed it, the distance itself jumps: beside the border of an open mesh.
 SMALLEST_SHARE = 0.25
 
 
@@ -27,19 +29,21 @@ class Refinement:
 
     Attributes:
         lattice: Lattice of level 0.
-        limit: Cells with a larger error [world] are refined.
+        storage: Order and codec; cells with a larger error than it accepts at their level are refined.
         level_limit: Most levels.
         refined: Sorted keys of the refined cells of each level that has any.
         worst: Largest error [world] of a cell that could not be refined; 0 if there is none.
         errors: If not None, the errors found in the cells of each level.
+        goes_on: Asked before each finer level is examined, with its number; the exploration ends if it says False.
     """
 
     lattice: CellLattice
-    limit: float
+    storage: Storage
     level_limit: int
     refined: list[NDArray[np.int64]] = field(default_factory=list)
     worst: float = 0.0
     errors: list[NDArray[np.float64]] | None = None
+    goes_on: Callable[[int], bool] = lambda _: True
 
     @property
     def level_count(self) -> int:
@@ -49,6 +53,10 @@ class Refinement:
     def lattice_of(self, level: int) -> CellLattice:
         """The cells of a level."""
         return replace(self.lattice, size=self.lattice.size / 2**level)
+
+    def limit_of(self, level: int) -> float:
+        """Cells of a level with a larger error [world] are refined."""
+        return self.storage.limit(self.lattice.size / 2**level)
 
     def explore(self, level: int, cells: NDArray[np.int64]) -> None:
         """Examine cells of a level, refine those that exceed the limit, and go on with their halves.
@@ -61,17 +69,23 @@ class Refinement:
                 f"tolerance: {len(cells)} cells of size {self.lattice_of(level).size:g} need more memory than the "
                 f"{available_memory.available_host() / 2**20:.0f} MiB there are; use a larger tolerance"
             )
-        errors = examine(self.lattice_of(level), cells, self.limit)
+        limit = self.limit_of(level)
+        errors = examine(self.lattice_of(level), cells, limit, self.storage.order)
         if self.errors is not None:
             self.errors.extend([np.zeros(0)] * (level + 1 - len(self.errors)))
             self.errors[level] = np.concatenate([self.errors[level], errors])
-        missed = errors > self.limit
+        missed = errors > limit
         if missed.any():
-            self.hand_on(level, cells[missed], float(errors.max()))
+            self.hand_on(
+                level,
+                cells[missed],
+                float(errors.max()) + self.storage.change_of_interpolant(self.lattice_of(level).size),
+            )
 
     def hand_on(self, level: int, cells: NDArray[np.int64], error: float) -> None:
         """Refine cells of a level, whose largest error is ``error``, by their halves in the next level."""
-        if level + 1 >= self.level_limit or self.lattice_of(level + 1).size < SMALLEST_SHARE * self.limit:
+        smallest = SMALLEST_SHARE * ACCEPTED_SHARE * self.storage.tolerance
+        if level + 1 >= self.level_limit or self.lattice_of(level + 1).size < smallest:
             self.worst = max(self.worst, error)
             return
         if level == len(self.refined):
@@ -82,7 +96,8 @@ class Refinement:
             return
         self.refined[level] = np.union1d(self.refined[level], keys)
         halves = (2 * cells_of(keys)[:, None] + CORNERS).reshape(-1, 3)
-        self.explore(level + 1, halves[near(self.lattice_of(level + 1), halves)])
+        if self.goes_on(level + 1):
+            self.explore(level + 1, halves[near(self.lattice_of(level + 1), halves)])
 
     def correct(self, points: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
         """Refine the finest cells around points whose errors were found to exceed the limit."""
@@ -108,4 +123,9 @@ class Refinement:
 
     def placements(self) -> list[Placement]:
         """Placements of the voxels of levels 1, 2, ..."""
-        return [placed(cells_of(keys)) for keys in self.refined]
+        return [self.placement(level) for level in range(1, self.level_count)]
+
+    def placement(self, level: int) -> Placement:
+        """Placement of the voxels of a level from 1 on."""
+        leaf_bytes = self.storage.leaf_bytes(self.lattice_of(level).size)
+        return placed(cells_of(self.refined[level - 1]), self.storage.halves, leaf_bytes)

@@ -1,4 +1,6 @@
-"""The interpolant of an adaptive field, and its gradient, in the finest cell around each point.
+"""The trilinear interpolant of an adaptive field of floats, and its gradient, in the finest cell around each point.
+
+stencil_kernels answers for fields of other orders and codecs.
 
 A point's cell of level 0 is found as in any grid, and descent.inl goes down from there. Sums are those of
 trilinear_table_kernels, in the same order: a field of one level equals a volume, and a CPU equals a GPU, to the last
@@ -22,6 +24,8 @@ def _cells(gradient: int, real: str | None = None) -> str:
     defines = {
         "FIRST_TABLE": "levels.tables.data[0]",
         "LEVEL_TABLE(level)": "levels.tables.data[level]",
+        # Leaves of float grids have 67 times 32 bytes.
+        "LEAF_STEP(level)": "67",
         "GRADIENT": str(gradient),
     }
     if real is None:
@@ -97,9 +101,9 @@ def adaptive_single(  # noqa: F811
 
 # An item is a group of queries on a CPU, a single query on CUDA. Points beyond the box of level 0 get ``background``:
 # the background of level 0 for values, and a zero vector for gradients. Non-finite points are among them and set
-# out_bad to 1.
+# out_nonfinite to 1.
 @wp.kernel
-def adaptive_groups_kernel(
+def adaptive_cpu_kernel(
     first: int,
     levels: AdaptiveLevels,
     points: wp.array(dtype=Any),
@@ -107,7 +111,7 @@ def adaptive_groups_kernel(
     to_index: wp.mat33d,
     background: Any,
     out: wp.array(dtype=Any),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
     start = (first + wp.tid()) * GROUP
     stop = wp.min(start + GROUP, points.shape[0])
@@ -116,12 +120,12 @@ def adaptive_groups_kernel(
         for q in range(start, stop):
             if (left >> wp.uint64(q - start)) & wp.uint64(1) == wp.uint64(1):
                 if not wp.isfinite(wp.vec3d(points[q])):
-                    out_bad[0] = 1
+                    out_nonfinite[0] = 1
                 out[q] = out.dtype(background)
 
 
 @wp.kernel
-def adaptive_singles_kernel(
+def adaptive_cuda_kernel(
     first: int,
     levels: AdaptiveLevels,
     points: wp.array(dtype=Any),
@@ -129,7 +133,7 @@ def adaptive_singles_kernel(
     to_index: wp.mat33d,
     background: Any,
     out: wp.array(dtype=Any),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
     i = first + wp.tid()
     point = wp.vec3d(points[i])
@@ -137,12 +141,12 @@ def adaptive_singles_kernel(
     found = adaptive_single(levels, u, to_index, background)
     if wp.isnan(found):
         if not wp.isfinite(point):
-            out_bad[0] = 1
+            out_nonfinite[0] = 1
         found = background
     out[i] = out.dtype(found)
 
 
-SAMPLE_GROUPS = overloads(adaptive_groups_kernel, wp.float64, wp.float32, wp.float64)
-SAMPLE_SINGLES = overloads(adaptive_singles_kernel, wp.float64, wp.float32, wp.float64)
-GRADIENT_GROUPS = overloads(adaptive_groups_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
-GRADIENT_SINGLES = overloads(adaptive_singles_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
+SAMPLE_CPU = overloads(adaptive_cpu_kernel, wp.float64, wp.float32, wp.float64)
+SAMPLE_CUDA = overloads(adaptive_cuda_kernel, wp.float64, wp.float32, wp.float64)
+GRADIENT_CPU = overloads(adaptive_cpu_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
+GRADIENT_CUDA = overloads(adaptive_cuda_kernel, wp.vec3d, wp.vec3f, wp.vec3d)

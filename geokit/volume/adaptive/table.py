@@ -10,7 +10,9 @@ import numpy as np
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 from geokit.volume.sampling.leaf_table import SPAN, _make
+from geokit.volume.tolerance.interpolation_errors import STENCILS
 
 if TYPE_CHECKING:
     import warp as wp
@@ -22,8 +24,6 @@ SAME = 1e-6
 # Words of 32 cells per leaf.
 LEAF_WORDS = 16
 LEAF = 8
-# Bytes of a leaf divided by 32: the entries of consecutive leaves differ by it.
-LEAF_ENTRIES = 67
 
 
 class AdaptiveTable(NamedTuple):
@@ -58,11 +58,12 @@ def shifts_of(levels: tuple[SparseVolume, ...]) -> np.ndarray:
     return shifts
 
 
-def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> AdaptiveTable:
+def adaptive_table(levels: tuple[SparseVolume, ...], order: int, device: "wp.Device") -> AdaptiveTable:
     """The table of a field on a device.
 
     Args:
-        levels: Float grids, the coarsest first, each with half the voxel size of the one before.
+        levels: Float or quantized grids, the coarsest first, each with half the voxel size of the one before.
+        order: Order of interpolation.
         device: Device of the table.
     """
     import warp as wp
@@ -71,22 +72,40 @@ def adaptive_table(levels: tuple[SparseVolume, ...], device: "wp.Device") -> Ada
     from geokit.volume.sampling.leaf_table_kernels import LeafTable
 
     shifts = shifts_of(levels)
-    tables = [_make(level, device, *_box(level)) for level in levels]
+    is_fast = order == 1 and all(level.info.grid_type == "float" for level in levels)
+    tables = [_make(level, device, *_box(level), with_pairs=is_fast) for level in levels]
+    first, count = STENCILS[order]
+    reach = (first, first + count)
     entries = [_leaves_of(table) for table in tables]
+    # Entries of consecutive leaves differ by this much, or more in "fpn", whose leaves have several sizes.
+    steps = [layout_of(GRID_TYPES.index(level.info.grid_type), "grid").leaf_size // 32 for level in levels]
     first_entry = np.array([found[0] if len(found) else 0 for found in entries], np.int32)
-    spans = [(int(found[-1]) - int(found[0])) // LEAF_ENTRIES + 1 if len(found) else 0 for found in entries]
+    spans = [
+        (int(found[-1]) - int(found[0])) // step + 1 if len(found) else 0
+        for found, step in zip(entries, steps, strict=True)
+    ]
     first_word = LEAF_WORDS * np.concatenate([[0], np.cumsum(spans)])
     finer = wp.zeros(int(first_word[-1]), dtype=wp.uint32, device=device)
     for number, (table, next_table) in enumerate(pairwise(tables)):
         found = wp.array(entries[number], dtype=wp.int32, device=device)
         words = finer[int(first_word[number]) : int(first_word[number + 1])]
-        inputs = [table, next_table, wp.vec3i(*shifts[number].tolist()), found, int(first_entry[number])]
+        inputs = [
+            table,
+            next_table,
+            wp.vec3i(*shifts[number].tolist()),
+            found,
+            int(first_entry[number]),
+            steps[number],
+            *reach,
+        ]
         launcher.launch(fill_finer_kernel, LEAF_WORDS * len(found), inputs, [words], device)
     shift: Any = np.concatenate([shifts, np.zeros((1, 3), np.int64)]).astype(np.int32)
     field = AdaptiveLevels()
     field.tables = wp.array(tables, dtype=LeafTable, device=device)
     field.finer = finer
     field.first_word = wp.array(first_word[:-1], dtype=wp.int64, device=device)
+    field.step = wp.array(np.array(steps, np.int32), dtype=wp.int32, device=device)
+    field.volume = wp.array([level.id(device) for level in levels], dtype=wp.uint64, device=device)
     field.first_entry = wp.array(first_entry, dtype=wp.int32, device=device)
     field.shift = wp.array(shift, dtype=wp.vec3i, device=device)
     return AdaptiveTable(field, tables, [level.on(device) for level in levels])

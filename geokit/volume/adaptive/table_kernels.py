@@ -24,6 +24,9 @@ class AdaptiveLevels:
     finer: wp.array(dtype=wp.uint32)
     first_word: wp.array(dtype=wp.int64)
     first_entry: wp.array(dtype=int)
+    # For each level: how far the entries of two leaves are apart at least, and the grid's handle.
+    step: wp.array(dtype=int)
+    volume: wp.array(dtype=wp.uint64)
     # Twice a cell's index plus the shift of its level is the index of its first half in the next level.
     shift: wp.array(dtype=wp.vec3i)
 
@@ -48,14 +51,19 @@ def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
 
 
 @wp.func
-def has_halves(finer: LeafTable, c: wp.vec3i) -> bool:
-    """Whether all 27 voxels of the eight halves of a cell are active; c is the first of them."""
-    # The middle voxel belongs to this cell alone: if it is not active, the others need no test.
+def has_halves(finer: LeafTable, c: wp.vec3i, low: int, high: int) -> bool:
+    """Whether the voxels that the eight halves of a cell read, ``low`` to ``high`` along each axis, are all active.
+
+    ``c`` is the first voxel of the first half.
+    """
+    # At order 1 the middle voxel belongs to this cell alone: if it is not active, the others need no test.
     if not is_active(finer, c[0] + 1, c[1] + 1, c[2] + 1):
         return False
-    for n in range(27):
-        if not is_active(finer, c[0] + n / 9, c[1] + n / 3 % 3, c[2] + n % 3):
-            return False
+    for i in range(low, high + 1):
+        for j in range(low, high + 1):
+            for k in range(low, high + 1):
+                if not is_active(finer, c[0] + i, c[1] + j, c[2] + k):
+                    return False
     return True
 
 
@@ -67,6 +75,9 @@ def fill_finer_kernel(
     shift: wp.vec3i,
     entries: wp.array(dtype=int),
     first_entry: int,
+    step: int,
+    low: int,
+    high: int,
     out_bits: wp.array(dtype=wp.uint32),
 ):
     """A word for 32 cells of a leaf, z fastest: a bit for each refined cell."""
@@ -77,6 +88,6 @@ def fill_finer_kernel(
     bits = wp.uint32(0)
     for n in range(32):
         c = corner + wp.vec3i(word / 2, word % 2 * 4 + n / 8, n % 8)
-        if has_halves(finer, 2 * c + shift):
+        if has_halves(finer, 2 * c + shift, low, high):
             bits = bits | (wp.uint32(1) << wp.uint32(n))
-    out_bits[16 * ((entry - first_entry) / 67) + word] = bits
+    out_bits[16 * ((entry - first_entry) / step) + word] = bits

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.pinned import host_flags
+from geokit.core.memory.pinned import host_flags
 from geokit.core.scan import prefix_sum
+from geokit.volume.band.sign_change_tiles import beyond_signs, keep_sign_changes, with_sign_changes
 from geokit.volume.band.signs import inside_bits
 from geokit.volume.band.tiles import Lattice, Tiles, near_tiles
 from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
@@ -18,7 +20,7 @@ from geokit.volume.tree.grid_head import GridHead
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.core.host_array import HostArray
+    from geokit.core.memory.host_array import HostArray
 
 __all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
 
@@ -85,13 +87,14 @@ class Band:
         return [wp.float32(self.shape.exterior), wp.float32(-self.shape.interior)]
 
 
-def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -> Band:
+def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False, tiles: Tiles | None = None) -> Band:
     """Compute distances, signs and active voxels of a band.
 
     Args:
         lattice: The voxels.
         shape: Widths, offset and sign method.
         with_slots: Keep the slots of the nearest triangles.
+        tiles: The tiles near the surface, if they have been found.
     Raises:
         DeviceMemoryError: The band needs more memory than there is.
     """
@@ -100,7 +103,11 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     from geokit.volume.band import band_kernels as kernels
 
     device = lattice.device
-    tiles = near_tiles(lattice, SLOT_BYTES if with_slots else 0)
+    tiles = near_tiles(lattice, SLOT_BYTES if with_slots else 0) if tiles is None else tiles
+    # The sign of an open mesh also changes in its holes, where there may be no active voxel.
+    opens = shape.method != "none" and not lattice.surface.is_closed
+    if opens:
+        tiles = with_sign_changes(lattice, tiles, shape.method)
     distance, slots = _distances(lattice, tiles, shape, with_slots)
     rows = _numbered(len(tiles.keys), device)
     leaves = Leaves(tiles.keys, tiles.coordinates, rows, tiles.axes)
@@ -110,6 +117,8 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
         near = wp.empty(len(rows), dtype=wp.int32, device=device)
         limits = [wp.float32(-np.inf if shape.method != "none" else -shape.interior), wp.float32(edge)]
         launcher.launch(kernels.near_rows_kernel, len(rows), [distance, *limits], [near], device, grain=64)
+        if opens:
+            keep_sign_changes(lattice, _places(leaves), shape.method, near)
         leaves, _ = _kept(leaves, near, [])
     uneven = safe and shape.method != "none" and shape.exterior != shape.interior
     if not uneven:
@@ -117,16 +126,14 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False) -
     inside = wp.empty((0, 0), dtype=wp.uint64, device=device)
     has_negative = host_flags(1, device)
     if shape.method != "none":
-        # Which voxels are active depends on their signs; until then, all within the wider width may be.
-        wide = replace(shape, exterior=shape.reach, interior=shape.reach)
-        closed = lattice.surface.is_closed
-        # No value is negative yet, so this does not raise the flag.
-        may_count = inside if closed else _bits(lattice, wide, leaves, distance, inside, has_negative)[0]
-        inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, may_count, shape.method)
+        beyond = beyond_signs(lattice, _places(leaves), shape.method) if opens else None
+        inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, shape.method, beyond)
     active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
     if uneven:
         some = wp.empty(len(leaves.keys), dtype=wp.int32, device=device)
         launcher.launch(kernels.set_rows_kernel, len(some), [active], [some], device)
+        if opens:
+            keep_sign_changes(lattice, _places(leaves), shape.method, some)
         leaves, (inside, active, negative) = _kept(leaves, some, [inside, active, negative])
         has_negative = host_flags(1, device)
         launcher.launch(kernels.any_bits_kernel, len(leaves.keys), [negative], [has_negative], device)
@@ -166,6 +173,11 @@ def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
         launcher.launch(copy_leaves_kernel, 8 * count, inputs, [buffer], device)
 
     return build_on_device(band.leaves, head, write)
+
+
+def _places(leaves: Leaves) -> NDArray[np.int32]:
+    """Coordinates of leaves in units of tiles, (L, 3), on the host."""
+    return np.asarray(leaves.tiles.numpy()[leaves.rows.numpy()])
 
 
 def _numbered(count: int, device: "wp.Device") -> "wp.array":

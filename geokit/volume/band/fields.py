@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core import launcher, user_arrays
+from geokit.core.require import described, require_choice
+from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 from geokit.mesh.sign.queries import SIGN_METHODS
 from geokit.volume._model import SparseVolume, made_on_device
@@ -33,20 +35,32 @@ def resolve_surface(
     """The prepared surface, its sign method (or "none"), and half the thickness of a shell."""
     from geokit.mesh._surface import Surface
 
-    if sign not in SIGNS:
-        raise InputError(f"sign: {sign!r} is not a method; use one of {', '.join(map(repr, SIGNS))}")
+    require_choice(sign, "sign", SIGNS)
     offset = 0.0
     if thickness is not None:
         offset = 0.5 * user_arrays.require_finite_scalar(thickness, "thickness", low=0.0)
         sign = "none"
-    surface = mesh if isinstance(mesh, Surface) else Surface(mesh, device=device)
-    return surface, "none" if sign == "none" else surface._method(sign), offset
+    surface = snapshot(mesh) if isinstance(mesh, Surface) else Surface(mesh, device=launcher.resolve_device(device))
+    method = "none" if sign == "none" else surface._method(sign)
+    # Who asks for a method has looked at the mesh; for "auto" the audit has been made.
+    open_edges = surface._signs.audit.boundary_edge_count if sign == "auto" else 0
+    if open_edges:
+        warnings.warn(
+            f"{surface.mesh.name or 'mesh'}: is open ({open_edges} boundary edges), and so is its field: in a hole the "
+            "sign changes as far as the band reaches, and mesh.from_volume ends there; a larger half_width closes "
+            "holes of that size, thickness makes a solid shell, a sign method by name is silent",
+            UserWarning,
+            stacklevel=4,
+        )
+    return surface, method, offset
 
 
 def half_widths(half_width: Any) -> tuple[float, float]:
     pair = tuple(half_width) if isinstance(half_width, (tuple, list)) else (half_width, half_width)
     if len(pair) != 2:
-        raise InputError(f"half_width: {half_width!r} has {len(pair)} widths; give one, or a pair: outside and inside")
+        raise InputError(
+            f"half_width: {described(half_width)} has {len(pair)} widths; give one, or a pair: outside and inside"
+        )
     widths = [user_arrays.require_finite_scalar(width, "half_width") for width in pair]
     if min(widths) < 1.0:
         raise InputError(f"half_width: {min(widths)} voxels cannot hold a sign change on each side; use at least 1")
@@ -81,10 +95,13 @@ def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]
         if lost:
             metadata["geokit:lost_components"] = " ".join(map(str, lost))
         if lost and warn:
+            pairs = surface._signs.audit.back_to_back_count
+            why, remedy = f"too thin for voxels of {band.lattice.voxel_size:g}", "smaller voxels, or thickness"
+            if pairs:
+                why, remedy = f"too thin, or {pairs} pairs of faces back to back that bound no volume,", "thickness"
             warnings.warn(
-                f"{surface.mesh.name or 'mesh'}: {len(lost)} of its pieces are too thin for voxels of "
-                f"{band.lattice.voxel_size:g} and have no inside in the grid (the first is {lost[0]}); use smaller "
-                'voxels, or thickness; metadata "geokit:lost_components" lists them',
+                f"{surface.mesh.name or 'mesh'}: {len(lost)} of its pieces are {why} and have no inside in the grid "
+                f'(the first is {lost[0]}); use {remedy}; metadata "geokit:lost_components" lists them',
                 UserWarning,
                 stacklevel=3,
             )
@@ -93,7 +110,7 @@ def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]
 
 def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume:
     if grid.host is None:
-        return made_on_device(grid.buffer, info_of(grid.head, metadata, byte_count=len(grid.buffer)))
+        return made_on_device(grid.buffer, info_of(grid.head, metadata, byte_count=grid.size))
     return SparseVolume(grid.host, info_of(grid.host, metadata))
 
 

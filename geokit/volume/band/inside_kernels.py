@@ -135,6 +135,43 @@ def regions_by_winding_kernel(
         out_inside[i] = is_inside(tree, winding, empty, p)
 
 
+@wp.func
+def inside_in_run(
+    tree: SurfaceTree,
+    winding: WindingTree,
+    empty: wp.float64,
+    voxels: BandVoxels,
+    row: int,
+    begin: int,
+    end: int,
+) -> int:
+    """Bits 0 to ``end - begin`` of a run of voxels: its ends are tested, and the place between where the side changes.
+
+    The surface must not cross the run, so that the side changes at most once, unless an open mesh is all around it.
+    """
+    low = begin
+    high = end
+    at_low = is_inside(tree, winding, empty, position_of(voxels, row, begin))
+    at_high = at_low
+    if end > begin:
+        at_high = is_inside(tree, winding, empty, position_of(voxels, row, end))
+    if at_low == at_high:
+        low = end
+    while high - low > 1:
+        middle = (low + high) / 2
+        if is_inside(tree, winding, empty, position_of(voxels, row, middle)) == at_low:
+            low = middle
+        else:
+            high = middle
+    below = (2 << (low - begin)) - 1
+    bits = int(0)
+    if at_low:
+        bits = below
+    if at_high:
+        bits = bits | (((2 << (end - begin)) - 1) & ~below)
+    return bits
+
+
 @wp.kernel
 def voxels_by_winding_kernel(
     first: int,
@@ -146,15 +183,29 @@ def voxels_by_winding_kernel(
     empty: wp.float64,
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
-    """Tests the voxels of unknown side in ``span`` rows of eight by winding number."""
+    """Tests the voxels of unknown side in ``span`` rows of eight by winding number.
+
+    Consecutive voxels beyond reach are one run, because the surface does not cross it.
+    """
+    far = wp.float32(voxels.reach)
     for item in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
         leaf = item >> 6
         left = unset_in_row(known, leaf, item & 63)
         if left != 0:
+            row = voxels.rows[leaf]
+            start = 8 * (item & 63)
             found = int(0)
-            for b in range(8):
+            b = int(0)
+            while b < 8:
+                end = b
                 if ((left >> b) & 1) != 0:
-                    p = position_of(voxels, voxels.rows[leaf], 8 * (item & 63) + b)
-                    if is_inside(tree, winding, empty, p):
-                        found = found | (1 << b)
+                    if voxels.distance[row, start + b] >= far:
+                        while (
+                            end < 7
+                            and ((left >> (end + 1)) & 1) != 0
+                            and (voxels.distance[row, start + end + 1] >= far)
+                        ):
+                            end += 1
+                    found = found | (inside_in_run(tree, winding, empty, voxels, row, start + b, start + end) << b)
+                b = end + 1
             set_in_row(out_inside, leaf, item & 63, found)

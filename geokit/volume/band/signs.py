@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.device_arena import Scratch
+from geokit.core.memory.device_arena import Scratch
 from geokit.core.scan import prefix_sum
 from geokit.volume.band.tiles import Lattice
 
@@ -28,21 +29,26 @@ ROWS_CPU, ROWS_CUDA = 8, 1
 
 
 def inside_bits(
-    lattice: Lattice, tiles: "wp.array", rows: "wp.array", distance: "wp.array", active: "wp.array", method: str
+    lattice: Lattice,
+    tiles: "wp.array",
+    rows: "wp.array",
+    distance: "wp.array",
+    method: str,
+    beyond: NDArray[np.bool_] | None,
 ) -> "wp.array":
     """Bit masks (L, 8) of the voxels that lie inside.
 
     For a closed surface, one voxel is tested for each region of a leaf that the surface separates, and each voxel that
     is too near to the surface to belong to a region. For an open surface the sign also changes in free space, so every
-    active voxel is tested.
+    voxel is tested.
 
     Args:
         lattice: The voxels.
         tiles: Coordinates of all tiles, (T,) of vec3i.
         rows: Tile of each leaf, (L,).
         distance: Unsigned distances of the tiles' voxels (T, 512), cut off at the lattice's reach.
-        active: Bits of the leaves' voxels that may be active (L, 8).
         method: Sign method, as ``Surface.contains`` takes it.
+        beyond: For an open surface, the leaves that lie outside whatever the test says, (L,).
     Source:
         Flooding: OpenVDB's meshToVolume. Differs: links between voxels come from exact distances, as bits.
     """
@@ -55,8 +61,11 @@ def inside_bits(
     known = wp.zeros((count, 8), dtype=wp.uint64, device=device)
     inside = wp.zeros((count, 8), dtype=wp.uint64, device=device)
     tests = _SurfaceSigns(lattice, [tiles, rows, *lattice.arguments], distance, method)
-    if not lattice.surface.is_closed:
-        tests.listed(active, known, inside)
+    if beyond is not None:
+        if beyond.any():
+            known.assign(np.where(beyond, ~np.uint64(0), np.uint64(0))[:, None].repeat(8, axis=1))
+        tests.others(known, inside)
+        return inside
     regions = kernels.REGIONS * count
     links, seeds = Scratch(device, ((count, 24), wp.uint64), ((regions,), wp.int32)).arrays
     launcher.launch(kernels.links_kernel, 8 * count, [rows, distance, spacing], [links], device)
@@ -107,7 +116,8 @@ class _SurfaceSigns:
         from geokit.volume.band import inside_kernels, signs_kernels
 
         device, count = self.lattice.device, len(known)
-        if self.method == "parity":
+        # Far from an open surface the nearest triangle may be out of reach of the kernel's search.
+        if self.method == "parity" or (self.method == "pseudonormal" and not self.lattice.surface.is_closed):
             left = wp.empty_like(known)
             launcher.launch(signs_kernels.invert_bits_kernel, count, [known], [left], device)
             self.listed(left, known, inside)
@@ -152,4 +162,5 @@ class _SurfaceSigns:
 
     @property
     def _pseudonormals(self) -> list[Any]:
-        return [self.lattice.surface._tree, self.lattice.surface._pseudonormals]
+        signs = self.lattice.surface._signs
+        return [signs._tree, signs._pseudonormals]

@@ -9,19 +9,29 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher
+from geokit.core import launcher
+from geokit.core.memory import available_memory
+from geokit.core.memory.unchecked import allocating, sort_pairs
 from geokit.core.scan import prefix_sum
 from geokit.errors import DeviceMemoryError
+from geokit.volume.band.lattice_origin import index_translation
 
 if TYPE_CHECKING:
     import warp as wp
 
     from geokit.mesh._surface import Surface
 
-__all__ = ["TILE_VOXELS", "WORKING_BYTES", "Lattice", "Tiles", "near_tiles"]
+__all__ = [
+    "LEAF_BYTES",
+    "MOST_TILES",
+    "TILE_VOXELS",
+    "WORKING_BYTES",
+    "Lattice",
+    "Tiles",
+    "in_grid_order",
+    "near_tiles",
+]
 
-# Beyond this index the float32 coordinates of warp's own volume functions are coarser than 1/16 voxel.
-LARGEST_CENTERED_INDEX = 1 << 20
 # Most tiles along an axis: they fit into 2^12 upper nodes of 512 tiles wherever the first starts. A key has 12 bits for
 # an upper node's coordinate.
 MOST_TILES = (1 << 21) - 1024
@@ -34,8 +44,8 @@ START_CELLS_CPU, START_CELLS_CUDA = 1 << 13, 1 << 16
 LEAF_BYTES = 2144
 # Bytes of a tile besides its leaf while the band is built: distances, and bit masks and links of the signs.
 WORKING_BYTES = 512 * 4 + 512
-# A volume is one array, and warp counts an array's bytes in 31 bits.
-LARGEST_GRID = (1 << 31) - (1 << 20)
+# The voxels of all leaves are counted in 31 bits: 4.19 million leaves.
+LARGEST_GRID = (1 << 33) - (1 << 20)
 
 
 class Tiles(NamedTuple):
@@ -75,7 +85,7 @@ class Lattice:
         self.voxel_size = voxel_size
         self.reach = reach
         self.hollow = hollow
-        self.translation = _translation(surface.bounds, voxel_size) if translation is None else translation
+        self.translation = index_translation(surface.bounds, voxel_size) if translation is None else translation
         self.transform = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
         self.transform[:3, 3] = self.translation
 
@@ -106,7 +116,8 @@ class Lattice:
         area = wp.empty(count, dtype=wp.float64, device=self.device)
         inputs = [self.surface._vertices, self.surface._faces, wp.float64(self.surface._frame.scale)]
         launcher.launch(area_kernel, count, inputs, [area], self.device)
-        return float(wp.utils.array_sum(area))
+        with allocating(self.device, count):
+            return float(wp.utils.array_sum(area))
 
     @cached_property
     def free(self) -> float:
@@ -128,7 +139,8 @@ class Lattice:
             enough = self.voxel_size * math.sqrt(need / max(have, 1.0)) * 1.05
             raise DeviceMemoryError(
                 f"voxel_size: {self.voxel_size:g} needs about {need / 2**20:.0f} MiB of the {have / 2**20:.0f} MiB "
-                f"that {self.device.alias} and a grid can hold; use {enough:.2g} or more, or a smaller half_width"
+                f"that {self.device.alias} and a grid can hold; use {enough:.2g} or more, or a smaller half_width",
+                need=need,
             )
 
 
@@ -169,20 +181,41 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
         launcher.launch(kernels.halve_kernel, count, [cells, near, ends], [halves], device)
         cells, count, span = halves, 8 * near_count, span // 2
     lattice.require_memory(near_count * float(LEAF_BYTES + WORKING_BYTES + more_bytes))
+    return in_grid_order(cells, near, ends, near_count, low, high)
+
+
+def in_grid_order(
+    cells: "wp.array", chosen: "wp.array", ends: "wp.array", count: int, low: NDArray[np.int64], high: NDArray[np.int64]
+) -> Tiles:
+    """The chosen tiles in the order of a grid's leaves.
+
+    Args:
+        cells: Coordinates of tiles, (C,) of vec3i.
+        chosen: Not 0 for the tiles that are chosen, (C,) of int32.
+        ends: Prefix sum of the chosen tiles, (C,) of int32.
+        count: Number of chosen tiles.
+        low: First tile of a box around them, shape (3,).
+        high: Last tile of that box.
+    """
+    import warp as wp
+
+    from geokit.volume.band import tiles_kernels as kernels
+
+    device = cells.device
     first, last = low >> 9, high >> 9
     # The arrays are twice as long as the tiles, because the sort needs the other half.
-    keys = wp.empty(2 * near_count, dtype=wp.int64, device=device)
-    rows = wp.empty(2 * near_count, dtype=wp.int32, device=device)
-    inputs = [cells, near, ends, wp.vec3i(*first), wp.vec3i(*last)]
-    launcher.launch(kernels.tile_keys_kernel, count, inputs, [keys, rows], device)
-    if near_count > 1:
-        wp.utils.radix_sort_pairs(keys, rows, near_count, end_bit=63)
-    tiles = wp.empty(near_count, dtype=wp.vec3i, device=device)
-    launcher.launch(kernels.gather_tiles_kernel, near_count, [cells, rows], [tiles], device)
+    keys = wp.empty(2 * count, dtype=wp.int64, device=device)
+    rows = wp.empty(2 * count, dtype=wp.int32, device=device)
+    inputs = [cells, chosen, ends, wp.vec3i(*first), wp.vec3i(*last)]
+    launcher.launch(kernels.tile_keys_kernel, len(cells), inputs, [keys, rows], device)
+    if count > 1:
+        sort_pairs(keys, rows, count, end_bit=63)
+    tiles = wp.empty(count, dtype=wp.vec3i, device=device)
+    launcher.launch(kernels.gather_tiles_kernel, count, [cells, rows], [tiles], device)
     # NanoVDB's keys sort negative coordinates last, and so does tile_keys_kernel.
     lines = [np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
     axes = tuple(np.concatenate([line[line >= 0], line[line < 0]]) for line in lines)
-    return Tiles(tiles, keys[:near_count], axes)
+    return Tiles(tiles, keys[:count] if count else wp.empty(0, dtype=wp.int64, device=device), axes)
 
 
 def _checked_box(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -196,15 +229,12 @@ def _checked_box(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]
             f"voxel_size: {size:g} makes the mesh {2.0 * scale / size:.3g} voxels across, more than can be counted; "
             f"use at least {1.05 * enough:.2g}"
         )
+    with np.errstate(over="ignore"):
+        # Whatever the mesh, its band is no smaller than that of a point (Brunn and Minkowski).
+        ball = (
+            4.18 * (np.float64(lattice.reach / size) ** 3 - np.float64(lattice.hollow / size) ** 3) / 512.0 * LEAF_BYTES
+        )
     # There are no more tiles than the box has.
     most = float(np.prod(high - low + 1.0)) * LEAF_BYTES
-    lattice.require_memory(min(least * (scale / size) ** 2, most))
+    lattice.require_memory(min(max(least * (scale / size) ** 2, float(ball)), most))
     return low.astype(np.int64), high.astype(np.int64)
-
-
-def _translation(bounds: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """Position of index 0: the origin; for meshes far from it, the multiple of 8 voxels nearest to their middle."""
-    if float(np.abs(bounds).max()) / voxel_size < LARGEST_CENTERED_INDEX:
-        return np.zeros(3)
-    tile = 8.0 * voxel_size
-    return np.asarray(np.round(bounds.mean(axis=0) / tile) * tile)

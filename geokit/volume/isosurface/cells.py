@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.device_arena import Scratch
-from geokit.core.pinned import host_flags
+from geokit.core.memory.device_arena import Scratch
+from geokit.core.memory.pinned import host_flags
 from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume.isosurface.nodes import Topology, topology_of
@@ -70,14 +70,15 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
 
     grid = volume.on(device)
     topology = topology_of(volume)
-    leaves = len(topology.leaves.offset)
+    topology.large.require_countable(isovalue)
+    leaves = len(topology.leaves.starts)
     require_memory(leaves * (BLOCK_BYTES + (0 if topology.is_float else DECODED_BYTES)), device)
 
     cells: Any = kernels.Cells()
     cells.volume = wp.uint64(grid.id)
     cells.leaf_count = leaves
     cells.leaf_offset, cells.origin = topology.on(device)[:2]
-    lowers = len(topology.lower.offset)
+    lowers = len(topology.lower.starts)
     # One allocation for all, because creating an array costs the host as much as a GPU launch.
     sides, refs, below, tile_inside, around, *lists = Scratch(
         device,
@@ -122,7 +123,7 @@ def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) ->
     count = cells.leaf_count
     keep = None
     if topology.is_float:
-        first_leaf = int(topology.leaves.offset[0]) if count else 0
+        first_leaf = int(topology.leaves.starts[0]) if count else 0
         cells.values = wp.uint64(int(cells.volume) + first_leaf + FLOAT_TABLE)
         cells.stride = wp.uint64(topology.layout.leaf_size)
         cells.isovalue = wp.float64(isovalue)
@@ -156,7 +157,7 @@ def _tree(
 
     tree: Any = kernels.Tree()
     layout = topology.layout
-    tree.leaf_begin, tree.begin = (wp.uint64(begin) for begin in topology.begins[:2])
+    tree.leaf_begin, tree.begin = (wp.uint64(begin) for begin in topology.begins)
     tree.size = wp.uint64(layout.lower_size)
     tree.table = wp.uint64(layout.lower_table)
     tree.leaf_size = wp.uint64(0 if layout.leaf_bits < 0 else layout.leaf_size)

@@ -11,6 +11,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
+from geokit.volume.sampling.active_kernels import is_active
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -65,16 +66,6 @@ _ROW_SIDES_SNIPPET = """
 """
 
 
-_IS_ACTIVE_SNIPPET = """
-    const pnanovdb_buf_t buf = wp::volume::id_to_buffer(volume);
-    const pnanovdb_coord_t ijk = { i, j, k };
-    pnanovdb_readaccessor_t accessor;
-    pnanovdb_readaccessor_init(PNANOVDB_REF(accessor), wp::volume::get_root(buf));
-    return (bool)pnanovdb_readaccessor_is_active(
-        (pnanovdb_grid_type_t)grid_type, buf, PNANOVDB_REF(accessor), PNANOVDB_REF(ijk));
-"""
-
-
 @wp.func_native(cpp("core/simd.inl", "volume/isosurface/leaf_sides.inl"))
 def leaf_sides(cells: Cells, leaf: int, limit: wp.float32):
     """Writes the eight planes of a leaf: bit masks of the voxels below the limit."""
@@ -89,10 +80,6 @@ def row_sides(cells: Cells, row: int, limit: wp.float32):
 
 @wp.func_native(cpp("volume/isosurface/lower_at.inl"))
 def lower_at(volume: wp.uint64, grid_type: int, tree: Tree, i: int, j: int, k: int) -> wp.int64: ...
-
-
-@wp.func_native(_IS_ACTIVE_SNIPPET)
-def is_active(volume: wp.uint64, grid_type: int, i: int, j: int, k: int) -> bool: ...
 
 
 @wp.func_native(
@@ -128,7 +115,7 @@ def tile_ref(volume: wp.uint64, isovalue: wp.float64, i: int, j: int, k: int) ->
     code = 0
     if value_at(volume, i, j, k) < isovalue:
         code += INSIDE_TILE
-    if is_active(volume, grid_type_of(volume), i, j, k):
+    if is_active(volume, i, j, k):
         code += ACTIVE_TILE
     return -1 - code
 

@@ -1,6 +1,6 @@
 // Moves the vertices of a plane's cells to the intersection of the tangent planes at the crossings of their edges.
 //
-// Expects sheet_cases.inl, cells, plane, records, base, leaf, tile, linear, offset, vertex and the constants of
+// Expects nets.inl, sheet_cases.inl, cells, plane, leaf, tile, linear, offset, vertex and the constants of
 // dual_contouring_kernels.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;

@@ -11,8 +11,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.volume.isosurface.cells_kernels import RECORD, Cells, Tree, leaf_at, value_at
-from geokit.volume.isosurface.surface_nets_cases_kernels import CASES
-from geokit.volume.isosurface.surface_nets_kernels import END
+from geokit.volume.isosurface.surface_nets_kernels import END, SHEETS, Nets
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -33,7 +32,7 @@ NO_SLOPE = 1.0e-6
 
 @wp.func_native(
     cpp(
-        *CASES,
+        *SHEETS,
         "volume/isosurface/dual_contouring.inl",
         RECORD=RECORD,
         FLAT=FLAT,
@@ -45,11 +44,8 @@ NO_SLOPE = 1.0e-6
 )
 def sharpen_plane(
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
+    nets: Nets,
     plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
     leaf: wp.array(dtype=int),
     tile: wp.array(dtype=wp.float64),
     linear: wp.mat33d,
@@ -90,10 +86,7 @@ def sharpen_kernel(
     first: int,
     span: int,
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
+    nets: Nets,
     leaf: wp.array(dtype=int),
     tile: wp.array(dtype=wp.float64),
     linear: wp.mat33d,
@@ -101,4 +94,4 @@ def sharpen_kernel(
     out_vertex: wp.array(dtype=wp.vec3d),
 ):
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        sharpen_plane(cells, table, flips, plane, records, base, leaf, tile, linear, offset, out_vertex)
+        sharpen_plane(cells, nets, plane, leaf, tile, linear, offset, out_vertex)

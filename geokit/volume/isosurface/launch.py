@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core import available_memory, launcher
-from geokit.core.device_arena import Scratch, ScratchArray
-from geokit.core.pinned import host_arrays
+from geokit.core import launcher
+from geokit.core.memory import available_memory
+from geokit.core.memory.device_arena import Scratch, ScratchArray
+from geokit.core.memory.pinned import host_arrays
 from geokit.errors import DeviceMemoryError
 
 if TYPE_CHECKING:
@@ -108,5 +109,6 @@ def require_memory(need: int, device: Any) -> None:
     if need > have:
         raise DeviceMemoryError(
             f"volume: finding its surface needs about {need >> 20} MiB of the {have >> 20} MiB free on "
-            f"{device.alias}; resample it to larger voxels"
+            f"{device.alias}; resample it to larger voxels",
+            need=need,
         )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-from geokit.core.device_arena import Scratch
-from geokit.core.pinned import host_flags
+from geokit.core.memory.device_arena import Scratch
+from geokit.core.memory.pinned import host_flags
 from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.cells import crossed_cells
 from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only

@@ -1,6 +1,6 @@
 // Places two triangles for each crossed edge that a plane's cells own; quads are split along the shorter diagonal.
 //
-// Expects sheet_cases.inl, cells, plane, records, base, first_quad, turned, vertex, faces, RECORD.
+// Expects nets.inl, sheet_cases.inl, cells, plane, first_quad, turned, vertex, faces, RECORD.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
 if (!records.data[(long long)RECORD * plane]) return;

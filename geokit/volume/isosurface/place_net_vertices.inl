@@ -1,6 +1,6 @@
 // Places the vertices of a plane's cells.
 //
-// Expects net_vertex.inl, cells, sums, plane, records, base, vertex, RECORD. Returns a bit mask of the cells that are
+// Expects nets.inl, net_vertex.inl, cells, plane, vertex, RECORD. Returns a bit mask of the cells that are
 // left because a corner lies in a tile.
 
 const int block = cells.crossed.data[plane >> 3], x = plane & 7;
@@ -38,7 +38,7 @@ for (u64 rest = record[0]; rest; rest &= rest - 1) {
         }
     }
     const int at[3] = {first[0] + x, first[1] + y, first[2] + z};
-    if (known) place(word, sums.data[code], f, at, out);
+    if (known) place(word, nets.sums.data[code], f, at, out);
     else left |= 1ull << bit;
     out += loop_count(word);
 }

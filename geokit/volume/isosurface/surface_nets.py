@@ -5,9 +5,12 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geokit.core import launcher
-from geokit.core.device_arena import Scratch, ScratchArray
-from geokit.core.pinned import host_flags
+from geokit.core.memory.device_arena import Scratch, ScratchArray
+from geokit.core.memory.pinned import host_flags
 from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.cells import CrossedCells, crossed_cells
 from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
@@ -16,7 +19,7 @@ from geokit.volume.isosurface.marching_cubes_cases import loop_table, sum_table
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.core.host_array import HostArray
+    from geokit.core.memory.host_array import HostArray
 
 __all__ = ["surface_nets"]
 
@@ -25,15 +28,23 @@ HAS_PROBLEM, HAS_DEAD = 0, 1
 
 
 def surface_nets(
-    volume: SparseVolume, isovalue: float, device: Any, *, turned: bool, sharp: bool = False
+    volume: SparseVolume,
+    isovalue: float,
+    device: Any,
+    *,
+    turned: bool,
+    sharp: bool = False,
+    transform: NDArray[np.float64] | None = None,
 ) -> tuple["wp.array", "wp.array"]:
-    """Vertices [world], (V,) of vec3d, and triangle corners, (3 F,) of int32, of an isosurface by surface nets.
+    """Vertices, (V,) of vec3d, and triangle corners, (3 F,) of int32, of an isosurface by surface nets.
 
     Args:
         volume: A scalar grid.
         isovalue: Value of the surface.
         device: A warp device.
         turned: Faces point towards decreasing values instead of increasing ones, in index space.
+        sharp: Vertices move to edges and corners of the field, as in dual contouring.
+        transform: From voxels to the space of the vertices, (4, 4); None for that of the volume [world].
 
     Returns:
         Vertices in the order of leaves and voxels, and two triangles for each crossed edge; on the device.
@@ -51,26 +62,27 @@ def surface_nets(
 
     found = crossed_cells(volume, isovalue, device)
     planes = PLANES * found.count
-    table, sums = _tables(device.alias)
-    flips, records, counts, starts, flags = _count(found, table, planes, isovalue)
+    nets: Any = kernels.Nets()
+    nets.table, nets.sums = _tables(device.alias)
+    flips, records, counts, starts, flags = _count(found, nets.table, planes, isovalue)
     base, first_quad = starts
     vertex_count, quad_count = fill_offsets(counts, starts)
+    nets.flips, nets.records, nets.base = flips.warp, records.warp, base.warp
     has_dead = flags.numpy()[HAS_DEAD]  # read before more launches are queued
     require_memory(24 * (vertex_count + quad_count), device)
-    shared = [found.cells, table, flips, records, base]
-    transform = volume.info.transform
+    transform = volume.info.transform if transform is None else transform
     linear, offset = wp.mat33d(*transform[:3, :3].ravel().tolist()), wp.vec3d(*transform[:3, 3].tolist())
     vertex = wp.empty(vertex_count, dtype=wp.vec3d, device=device)
     if sharp:
         from geokit.volume.isosurface import dual_contouring_kernels as sharpening
 
-        inputs = [*shared, *_around(found, isovalue), linear, offset]
+        inputs = [found.cells, nets, *_around(found, isovalue), linear, offset]
         launch_planes(sharpening.sharpen_kernel, planes, inputs, [vertex], device)
     else:
-        inputs = [found.cells, table, sums, *shared[2:], wp.float64(isovalue), linear, offset]
+        inputs = [found.cells, nets, wp.float64(isovalue), linear, offset]
         launch_planes(kernels.vertices_kernel, planes, inputs, [vertex], device)
     faces = wp.empty(6 * quad_count, dtype=wp.int32, device=device)
-    inputs = [*shared, first_quad, int(turned), vertex]
+    inputs = [found.cells, nets, first_quad, int(turned), vertex]
     launch_planes(kernels.quads_kernel, planes, inputs, [faces], device)
     return used_only(vertex, faces) if has_dead else (vertex, faces)
 

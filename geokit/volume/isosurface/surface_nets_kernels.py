@@ -23,19 +23,27 @@ vec8d = wp.types.vector(length=8, dtype=wp.float64)
 # in float64 at index 2^30.
 END = 1.0e-6
 
-# C++ files for the vertices of a cell.
-VERTEX = (*CASES, "volume/isosurface/net_vertex.inl")
+# C++ files for the sheets in a cell, and for the vertices of a cell.
+SHEETS = ("volume/isosurface/nets.inl", *CASES)
+VERTEX = (*SHEETS, "volume/isosurface/net_vertex.inl")
+
+
+@wp.struct
+class Nets:
+    """The sheets of the surface in the planes of the crossed blocks."""
+
+    table: wp.array(dtype=wp.uint32)  # loop_table
+    sums: wp.array(dtype=wp.uint32)  # sum_table
+    flips: wp.array(dtype=wp.uint64)  # for each plane, bit mask of its cells with a joined face
+    records: wp.array(dtype=wp.uint64)  # RECORD per plane: bit masks of its cells by number of sheets
+    base: wp.array(dtype=int)  # first vertex of each plane
 
 
 @wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertices.inl", RECORD=RECORD, END=END))
 def place_vertices(
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    sums: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
+    nets: Nets,
     plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
     linear: wp.mat33d,
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
@@ -47,14 +55,10 @@ def place_vertices(
 @wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertex.inl", RECORD=RECORD, END=END))
 def place_vertex(
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    sums: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
+    nets: Nets,
     plane: int,
     bit: int,
     value: vec8d,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
     linear: wp.mat33d,
     offset: wp.vec3d,
     vertex: wp.array(dtype=wp.vec3d),
@@ -63,14 +67,11 @@ def place_vertex(
     ...
 
 
-@wp.func_native(cpp(*CASES, "volume/isosurface/place_net_quads.inl", RECORD=RECORD))
+@wp.func_native(cpp(*SHEETS, "volume/isosurface/place_net_quads.inl", RECORD=RECORD))
 def place_quads(
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
+    nets: Nets,
     plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
     first_quad: wp.array(dtype=int),
     turned: int,
     vertex: wp.array(dtype=wp.vec3d),
@@ -85,18 +86,14 @@ def vertices_kernel(
     first: int,
     span: int,
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    sums: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
+    nets: Nets,
     isovalue: wp.float64,
     linear: wp.mat33d,
     offset: wp.vec3d,
     out_vertex: wp.array(dtype=wp.vec3d),
 ):
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        left = place_vertices(cells, table, sums, flips, plane, records, base, linear, offset, out_vertex)
+        left = place_vertices(cells, nets, plane, linear, offset, out_vertex)
         if left != wp.uint64(0):
             corner = cells.origin[cells.crossed[plane / 8]]
             for bit in range(64):
@@ -107,9 +104,7 @@ def vertices_kernel(
                         j = corner[1] + bit / 8 + (c / 2) % 2
                         k = corner[2] + bit % 8 + c % 2
                         value[c] = value_at(cells.volume, i, j, k) - isovalue
-                    place_vertex(
-                        cells, table, sums, flips, plane, bit, value, records, base, linear, offset, out_vertex
-                    )
+                    place_vertex(cells, nets, plane, bit, value, linear, offset, out_vertex)
 
 
 @wp.kernel
@@ -117,14 +112,11 @@ def quads_kernel(
     first: int,
     span: int,
     cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
+    nets: Nets,
     first_quad: wp.array(dtype=int),
     turned: int,
     vertex: wp.array(dtype=wp.vec3d),
     out_faces: wp.array(dtype=int),
 ):
     for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        place_quads(cells, table, flips, plane, records, base, first_quad, turned, vertex, out_faces)
+        place_quads(cells, nets, plane, first_quad, turned, vertex, out_faces)

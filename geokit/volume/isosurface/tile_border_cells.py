@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.isosurface.launch import launch_even
-from geokit.volume.isosurface.nodes import Topology, place_of
+from geokit.volume.isosurface.launch import launch_even, require_memory
+from geokit.volume.isosurface.nodes import Topology
+from geokit.volume.nanovdb.nodes import slot_places
 
 if TYPE_CHECKING:
     import warp as wp
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["add_border_blocks", "border_origins"]
 
 # Steps (dx, dy, dz) from a block to the eight blocks above it (or below, when subtracted), number 4 dx + 2 dy + dz.
+# Bytes of a border block: planes, neighbors, places.
+BLOCK_BYTES = 160
 STEPS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1).astype(np.int32)
 
 
@@ -36,13 +39,13 @@ def border_origins(
 
     from geokit.volume.isosurface import tile_border_cells_kernels as kernels
 
-    found = [_below(topology.leaves.origin, leaf_below.numpy())]
-    node, slot, large = topology.active_node, topology.active_slot, topology.large_borders
+    found = [_below(topology.leaves.origins, leaf_below.numpy())]
+    node, slot, large = topology.active_node, topology.active_slot, topology.large.blocks(isovalue)
     if len(node):
         below = wp.empty(len(node), dtype=wp.uint8, device=device)
         where = [wp.array(part, dtype=wp.int32, device=device) for part in (node, slot)]
         launch_even(kernels.tile_border_kernel, len(node), [cells, tree, *where], [below], device)
-        found.append(_below(topology.lower.origin[node] + 8 * place_of(slot, 4), below.numpy()))
+        found.append(_below(topology.lower.origins[node] + 8 * slot_places(slot, 16), below.numpy()))
     if len(large):
         below = wp.empty(len(large), dtype=wp.uint8, device=device)
         inputs = [cells.volume, wp.float64(isovalue), wp.array(large, dtype=wp.vec3i, device=device)]
@@ -69,6 +72,7 @@ def add_border_blocks(cells: Any, tree: Any, origins: NDArray[np.int32], isovalu
     count, blocks = cells.leaf_count, len(origins)
     if not blocks:
         return
+    require_memory(blocks * BLOCK_BYTES, device)
     cells.border_active = wp.empty(blocks, dtype=wp.uint8, device=device)
     cells.origin = wp.array(np.concatenate([cells.origin.numpy(), origins]), dtype=wp.vec3i, device=device)
     for name in ("sides", "refs"):

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.errors import InputError
+from geokit.core.require import require_choice
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.nanovdb.nodes import bits_of
+from geokit.volume.tree.estimates import FARTHEST_TILE
 from geokit.volume.tree.leaves import LEAF_VOXELS, Leaves, dequantized, require_volume
-from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, bits_of, differs, tree_of, voxelized_tree
+from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, differs, tree_of, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
 if TYPE_CHECKING:
@@ -26,8 +28,6 @@ NEIGHBORS = ("faces", "edges", "vertices")
 STAGE = 8
 # Most voxels per call; beyond this a grid should have larger voxels.
 MOST_VOXELS = 1024
-# Most leaves from the origin along an axis.
-FARTHEST_TILE = 1 << 28
 # Fewest planes per thread.
 GRAIN = 64
 
@@ -48,8 +48,7 @@ def changed_topology(volume: SparseVolume, steps: tuple[int, ...], neighbors: st
         DeviceMemoryError: The result needs more memory than there is.
     """
     require_volume(volume, "volume", VALUE_TYPES)
-    if neighbors not in NEIGHBORS:
-        raise InputError(f"neighbors: {neighbors!r} is not one of {', '.join(NEIGHBORS)}")
+    require_choice(neighbors, "neighbors", NEIGHBORS)
     source = dequantized(volume)
     target = launcher.resolve_device(device)
     source.on(target)  # checks the grid before its contents are used

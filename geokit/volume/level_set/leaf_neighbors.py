@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory, launcher
+from geokit.core import launcher
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.types import QUANTIZED
+from geokit.volume.tree.estimates import require_places
 from geokit.volume.tree.leaves import Leaves, leaves_of, voxelized
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ class LinkedLeaves:
         device: Device of the rows.
 
     Attributes:
+        volume: The level set (float if that is quantized), and its id on the device as ``handle``.
         tiles: Coordinates in units of leaves, (T, 3) int32.
         on_device: ``tiles`` on the device, (T,) of vec3i.
         beside: Row of each of the 27 places around a leaf, or OUTSIDE or INSIDE if it has no row, (T, 27).
@@ -92,8 +95,8 @@ class LinkedLeaves:
         import warp as wp
 
         self.device = device
-        self._volume = volume
-        self._handle = wp.uint64(volume.id(device))
+        self.volume = volume
+        self.handle = wp.uint64(volume.id(device))
         self._isovalue = wp.float64(isovalue)
         self.tiles = leaves.origins >> 3
         self._link()
@@ -111,7 +114,7 @@ class LinkedLeaves:
         self._link()
         inside = wp.empty(8 * len(self.tiles), dtype=wp.uint64, device=self.device)
         wp.copy(inside, self.inside, count=8 * start)
-        inputs = [self._handle, self.on_device, start, self._isovalue]
+        inputs = [self.handle, self.on_device, start, self._isovalue]
         launcher.launch(tile_side_kernel, len(tiles), inputs, [inside], self.device)
         self.inside = inside
 
@@ -141,7 +144,7 @@ class LinkedLeaves:
         count = len(self.tiles)
         values = wp.empty(512 * count, dtype=wp.float64, device=self.device)
         inside = wp.empty(8 * count, dtype=wp.uint64, device=self.device)
-        inputs = [self._handle, self.on_device, self._isovalue]
+        inputs = [self.handle, self.on_device, self._isovalue]
         launcher.launch(read_rows_kernel, 8 * count, inputs, [values, inside], self.device, grain=64)
         return values, inside
 
@@ -151,7 +154,8 @@ class LinkedLeaves:
         from geokit.volume.level_set.leaf_neighbors_kernels import link_kernel
 
         count, device = len(self.tiles), self.device
-        self._require_memory(count)
+        self.require_memory(count)
+        require_places(self.tiles, self.volume.info.name)
         self.on_device = wp.array(self.tiles, dtype=wp.vec3i, device=device)
         self.beside = wp.empty((count, 27), dtype=wp.int32, device=device)
         if not count:
@@ -167,14 +171,16 @@ class LinkedLeaves:
         rows = np.argsort(keys, kind="stable")
         table = [wp.array(keys[rows], dtype=wp.int64, device=device)]
         table.append(wp.array(rows.astype(np.int32), dtype=wp.int32, device=device))
-        inputs: list[Any] = [self.on_device, *table, wp.vec3i(*corner.tolist()), self._handle, self._isovalue]
+        inputs: list[Any] = [self.on_device, *table, wp.vec3i(*corner.tolist()), self.handle, self._isovalue]
         launcher.launch(link_kernel, 27 * count, inputs, [self.beside], device)
 
-    def _require_memory(self, count: int) -> None:
+    def require_memory(self, count: float) -> None:
+        """Raise DeviceMemoryError if ``count`` rows do not fit into the device's memory."""
         need, have = count * BYTES_PER_ROW, available_memory.available(self.device)
         if need > have or count > MOST_LEAVES:
             raise DeviceMemoryError(
-                f"volume: a band of {count:,} leaves needs {need >> 20} MiB of the {have >> 20} MiB free on "
-                f"{self.device.alias}, and at most {MOST_LEAVES:,} leaves can be counted; use a narrower band, or "
-                "resample the volume at a larger voxel_size"
+                f"volume: a band of {count:.6g} leaves needs {need / (1 << 20):.6g} MiB of the {have >> 20} MiB free "
+                f"on {self.device.alias}, and at most {MOST_LEAVES:,} leaves can be counted; use a narrower band, or "
+                "resample the volume at a larger voxel_size",
+                need=need,
             )

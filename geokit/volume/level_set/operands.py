@@ -21,7 +21,8 @@ def require_level_set(volume: Any, name: str) -> float:
     """Check for a level set with cubic voxels, and return its voxel size.
 
     Raises:
-        InputError: It is no SparseVolume or no level set, its background is not positive, or its voxels are not cubes.
+        InputError: It is no SparseVolume or no level set, its background is not positive and finite, or its
+            voxels are not cubes.
         UnsupportedGridError: Its values are not real numbers.
     """
     require_volume(volume, name, ("float", "double"))
@@ -30,12 +31,14 @@ def require_level_set(volume: Any, name: str) -> float:
             f"{name}: grid {volume.info.name!r} is of class {volume.info.grid_class}, not a level set; make one with "
             "from_mesh, or set its class if it holds signed distances"
         )
-    if not volume.info.background > 0.0:
+    voxel_size = uniform_voxel_size(volume, name)
+    # Not a number fails both comparisons.
+    if not (volume.info.background > 0.0 and float(volume.info.background) / voxel_size < np.inf):
         raise InputError(
-            f"{name}: the background of grid {volume.info.name!r} is {volume.info.background}; a level set's is the "
-            "width of its band, a positive number"
+            f"{name}: the background of grid {volume.info.name!r} is {volume.info.background} with voxels of "
+            f"{voxel_size:g}; a level set's is the width of its band, a positive finite number"
         )
-    return uniform_voxel_size(volume, name)
+    return voxel_size
 
 
 def half_width_of(volume: SparseVolume, voxel_size: float) -> float:

@@ -14,17 +14,19 @@ from geokit.core import launcher
 from geokit.core.scan import prefix_sum
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.level_set.sharp_edges import hold_beyond_edges
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import leaf_keys
 from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
+from geokit.volume.tree.estimates import least_leaves
 from geokit.volume.tree.grid_head import checked_head, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["redistance"]
+__all__ = ["Band", "redistance"]
 
 # Voxels by which a band grows before leaves are added. With one more for rounding it must not grow beyond the leaves
 # adjacent to those that it has reached.
@@ -43,6 +45,7 @@ def redistance(
     *,
     isovalue: float = 0.0,
     keeps_band: bool = False,
+    holds_distances: bool = False,
     device: Any = None,
 ) -> SparseVolume:
     """Signed distances from a level set's surface, in a band of another width.
@@ -51,8 +54,10 @@ def redistance(
         volume: Float, double or quantized level set on cubic voxels.
         voxel_size: Edge of a voxel [world].
         half_width: Half width of the new band [voxels].
-        isovalue: Value of the surface [voxels]; 0 with ``keeps_band``.
+        isovalue: Value of the surface [voxels]; 0 with ``keeps_band``. Below 0, distances beyond sharp edges are those
+            from the edges.
         keeps_band: Active voxels keep their values; only voxels beyond them are computed.
+        holds_distances: Distances outside a surface that moves outwards are those of the level set.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Level set of float or double values.
@@ -63,19 +68,24 @@ def redistance(
     found = launcher.resolve_device(device)
     leaves = LinkedLeaves(volume, isovalue * voxel_size, found)
     old_width = float(volume.info.background) / voxel_size
-    band = _Band(leaves, float(volume.info.background), voxel_size, isovalue * voxel_size)
+    band = Band(leaves, float(volume.info.background), voxel_size, isovalue * voxel_size)
     if keeps_band:
         band.hold_active()
         start = old_width
     else:
         band.hold_seeds()
         start = 0.0
+    beside = leaves.beside
     if half_width > start:
         band.spread(start, half_width, only_border=keeps_band)
+    if isovalue < 0.0 or holds_distances:
+        spread = [band.nearest, band.features]
+        field = float(volume.info.background), isovalue * voxel_size, voxel_size
+        hold_beyond_edges(leaves, beside, field, half_width, spread, band.known, band.held)
     return band.volume(volume, half_width * voxel_size)
 
 
-class _Band:
+class Band:
     """A band that grows from its held voxels, whose distances are known."""
 
     feet: "wp.array"
@@ -120,6 +130,8 @@ class _Band:
     def spread(self, start: float, end: float, *, only_border: bool) -> None:
         """Give voxels up to ``end`` [voxels] from the surface their nearest feature; held voxels end at ``start``."""
         enclosed, chosen = self._choose(only_border)
+        # A band that cannot fit is refused before hours of growth.
+        self.leaves.require_memory(least_leaves(len(self.feet), end - start))
         still = self._still(enclosed, chosen)
         at = start
         while at < end:
@@ -286,7 +298,7 @@ def _float_volume(
         launcher.launch(copy_leaves_kernel, 8 * len(rows), inputs, [buffer], device)
 
     where = Leaves(wp.array(keys[order], dtype=wp.int64, device=device), leaves.on_device, in_order, uppers)
-    return _as_volume(build_on_device(where, head, write, inside), like)
+    return _volume_from_built(build_on_device(where, head, write, inside), like)
 
 
 def _double_volume(
@@ -303,10 +315,10 @@ def _double_volume(
     return volume_from_buffer(build_real_grid(head, 8 * tiles[rows], masks, values), like)
 
 
-def _as_volume(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
+def _volume_from_built(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
     if grid.host is not None:
         return volume_from_buffer(grid.host, like)
-    info = info_of(grid.head, byte_count=len(grid.buffer))
+    info = info_of(grid.head, byte_count=grid.size)
     metadata = dict(like.info.metadata)
     # volume_from_buffer does the same for grids on the host.
     metadata.pop("geokit:value_type", None)

@@ -7,30 +7,16 @@ values.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
-from geokit.volume.nanovdb.header import (
-    BLIND_DATA,
-    HEAD_SIZE,
-    TREE_OFFSET,
-    grid_header,
-    require_supported,
-    tree_header,
-)
+from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, grid_header, require_supported
 from geokit.volume.nanovdb.index_checks import index_damage, index_layout
-from geokit.volume.nanovdb.layout import (
-    ALIGNMENT,
-    INDEX_LAYOUTS,
-    LEAF_VOXELS,
-    LOWER_SLOTS,
-    UPPER_SLOTS,
-    GridLayout,
-)
+from geokit.volume.nanovdb.layout import ALIGNMENT, INDEX_LAYOUTS, LEAF_VOXELS, GridLayout
+from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of, grid_nodes, root_origins, set_bits, slot_places
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
@@ -41,20 +27,8 @@ _CHECKED = "checked"
 
 # The widest FpN code is 16 bits; a leaf stores the logarithm of its width.
 FPN_LARGEST_LOG = 4
-# Nodes whose masks are unpacked at a time: the bits of 256 lower nodes are a megabyte.
+# Nodes checked at a time: the first damage ends the check, however many bits the other masks have.
 NODES_AT_A_TIME = 256
-
-
-@dataclass(frozen=True)
-class _Level:
-    name: str
-    begin: int
-    count: int
-    size: int
-
-    @property
-    def end(self) -> int:
-        return self.begin + self.count * self.size
 
 
 class _Damage(Exception):
@@ -80,7 +54,7 @@ def check_head(head: NDArray[np.uint8], size: int, where: str) -> GridLayout:
     try:
         if int(grid_header(head)["grid_size"]) != size:
             raise _Damage(f"its header says {int(grid_header(head)['grid_size'])} bytes and its file {size}")
-        _levels(head, layout, size)
+        _check_levels(grid_nodes(head, layout), size)
     except _Damage as damage:
         raise _refusal(where, damage) from None
     return layout
@@ -97,21 +71,27 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
         The layout of the grid's type.
 
     Raises:
-        FileFormatError: A node, a child or the blind data lies outside its range.
+        FileFormatError: A node, a child or the blind data lies outside its range, or a node says another place than
+            that of its slot, or a bool is neither 0 nor 1.
         UnsupportedGridError: The grid's version, type or node order is not supported.
     """
     layout = check_head(buffer, len(buffer), where)
     try:
-        root, upper, lower, leaf = _levels(buffer, layout, len(buffer))
-        end = _check_root(buffer, layout, root, upper)
-        for level in (upper, lower, leaf):
+        grid = grid_nodes(buffer, layout)
+        _check_levels(grid, len(buffer))
+        end, origins, empty_upper = _check_root(grid)
+        for level in (grid.upper, grid.lower, grid.leaf):
             if level.count and level.begin < end:
                 raise _Damage(f"the {level.name} nodes overlap what comes before them")
             end = max(end, level.end) if level.count else end
-        _check_children(buffer, upper, lower, layout.upper_table, UPPER_SLOTS, layout.table_stride)
-        _check_children(buffer, lower, leaf, layout.lower_table, LOWER_SLOTS, layout.table_stride, layout.leaf_bits < 0)
+        origins, empty_lower = _check_children(grid.upper, grid.lower, origins)
+        _check_children(grid.lower, grid.leaf, origins, layout.leaf_bits < 0)
+        _check_empty(grid, empty_upper, empty_lower)
+        if layout.background.base.kind == "b":
+            _check_bools(grid)
         _check_blind_data(buffer, end)
-        _check_indices(buffer, layout, root, upper, lower, leaf)
+        if layout.name in INDEX_LAYOUTS and (damage := index_damage(grid)):
+            raise _Damage(damage)
     except _Damage as damage:
         raise _refusal(where, damage) from None
     return layout
@@ -137,53 +117,39 @@ def mark_checked(volume: SparseVolume) -> None:
     volume._cache.keep(_CHECKED, True)
 
 
-def _check_indices(buffer: NDArray[np.uint8], layout: GridLayout, root: _Level, *levels: _Level) -> None:
-    if layout.name in INDEX_LAYOUTS:
-        damage = index_damage(buffer, layout, root.begin, *((level.begin, level.count) for level in levels))
-        if damage:
-            raise _Damage(damage)
-
-
 def _refusal(where: str, damage: _Damage) -> FileFormatError:
     return FileFormatError(f"{where}: the grid is damaged, {damage}; get the file again from its source")
 
 
-def _levels(head: NDArray[np.uint8], layout: GridLayout, size: int) -> tuple[_Level, _Level, _Level, _Level]:
-    tree = tree_header(head)
-    sizes = (layout.leaf_size, layout.lower_size, layout.upper_size, layout.root_size)
-    counts = (*(int(n) for n in tree["node_count"]), 1)
+def _check_levels(grid: GridNodes, size: int) -> None:
     if size % ALIGNMENT:
         raise _Damage(f"{size} bytes are no multiple of {ALIGNMENT}")
-    found = []
-    for name, offset, count, node in zip(
-        ("leaf", "lower", "upper", "root"), tree["node_offset"], counts, sizes, strict=True
-    ):
-        begin = TREE_OFFSET + int(offset)
-        level = _Level(name, begin, count, node)
-        if count and (begin < HEAD_SIZE or begin % ALIGNMENT or level.end > size):
-            raise _Damage(f"{count} {name} nodes do not fit where its header puts them")
-        found.append(level)
-    return found[3], found[2], found[1], found[0]
+    for level in (grid.leaf, grid.lower, grid.upper, grid.root):
+        if level.count and (level.begin < HEAD_SIZE or level.begin % ALIGNMENT or level.end > size):
+            raise _Damage(f"{level.count} {level.name} nodes do not fit where its header puts them")
 
 
-def _check_root(buffer: NDArray[np.uint8], layout: GridLayout, root: _Level, upper: _Level) -> int:
-    count = int(buffer[root.begin + 24 : root.begin + 28].view("<u4")[0])
-    end = root.end + count * layout.root_tile_size
-    if end > len(buffer):
+def _check_root(grid: GridNodes) -> tuple[int, NDArray[np.int32], NDArray[np.bool_]]:
+    """End of the root's table, and of the upper nodes, by address: origins, and which of them have an empty box."""
+    root, upper, count = grid.root, grid.upper, int(grid.entry_count[0])
+    end = root.end + count * root.layout.root_tile_size
+    if end > len(root.buffer):
         raise _Damage(f"{count} tiles of the root do not fit")
-    table = buffer[root.end : end].reshape(count, layout.root_tile_size)
-    keys = table[:, :8].copy().view("<u8")[:, 0]
+    keys, child = grid.table["key"], grid.table["child"]
     if len(np.unique(keys)) != count:
         raise _Damage("two tiles of the root stand for the same place")
-    child = table[:, 8:16].copy().view("<i8")[:, 0]
-    child = child[child != 0]
+    if (keys >> np.uint64(63)).any():
+        raise _Damage("a tile of the root stands for no place")
+    keys, child = keys[child != 0], child[child != 0]
     _check_targets(child.astype(np.float64) + root.begin, child + np.int64(root.begin), upper)
     if len(np.unique(child)) != upper.count or len(child) != upper.count:
         raise _Damage(f"the root leads to {len(child)} of {upper.count} upper nodes")
-    return end
+    order = np.argsort(child)
+    origins = root_origins(keys[order])
+    return end, origins, _check_origins(upper, root.begin + child[order], origins)
 
 
-def _check_targets(rough: NDArray[np.float64], target: NDArray[np.int64], level: _Level) -> None:
+def _check_targets(rough: NDArray[np.float64], target: NDArray[np.int64], level: NodeLevel) -> None:
     # The float sum reveals an overflow that wrapping would hide in the integer sum.
     inside = (rough >= level.begin) & (rough < level.end) & (target >= level.begin) & (target < level.end)
     if not inside.all() or ((target - level.begin) % level.size).any():
@@ -191,31 +157,79 @@ def _check_targets(rough: NDArray[np.float64], target: NDArray[np.int64], level:
 
 
 def _check_children(
-    buffer: NDArray[np.uint8], nodes: _Level, below: _Level, table: int, slots: int, stride: int, variable: bool = False
-) -> None:
-    parts = []
-    for first in range(0, nodes.count, NODES_AT_A_TIME):
-        count = min(NODES_AT_A_TIME, nodes.count - first)
-        begin = nodes.begin + first * nodes.size
-        mask = np.ndarray((count, slots // 8), np.uint8, buffer, begin + 32 + slots // 8, (nodes.size, 1))
-        offsets = np.ndarray((count, slots), "<i8", buffer, begin + table, (nodes.size, stride))
-        node, slot = np.nonzero(np.unpackbits(mask, axis=1, bitorder="little"))
-        base = begin + node * nodes.size
-        child = offsets[node, slot]
+    nodes: NodeLevel, below: NodeLevel, origins: NDArray[np.int32], variable: bool = False
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Check the children of nodes with the given origins; returns their origins, and which have an empty box."""
+    parts, places = [np.empty(0, np.int64)], [np.empty((0, 3), np.int32)]
+    for first, part in nodes.parts(NODES_AT_A_TIME):
+        node, slot = set_bits(part.child_mask)
+        base = part.begin + node * part.size
+        child = part.child_offsets[node, slot]
         if not variable:
             _check_targets(base.astype(np.float64) + child, base + child, below)
-        elif len(child) and (np.abs(child.astype(np.float64)) > len(buffer)).any():
+        elif len(child) and (np.abs(child.astype(np.float64)) > len(nodes.buffer)).any():
             raise _Damage(f"an offset does not lead to a {below.name} node")
         parts.append(base + child)
-    target = np.sort(np.concatenate(parts)) if parts else np.empty(0, np.int64)
+        places.append(origins[first + node] + nodes.span * slot_places(slot, nodes.width))
+    target, origins = np.concatenate(parts), np.concatenate(places)
+    if (target[1:] < target[:-1]).any():
+        order = np.argsort(target)
+        target, origins = target[order], origins[order]
     if len(target) != below.count or (target[1:] == target[:-1]).any():
         raise _Damage(f"the {nodes.name} nodes lead to {len(target)} of {below.count} {below.name} nodes")
     if variable and len(target):
-        _check_variable_leaves(buffer, target, below)
+        _check_variable_leaves(target, below)
+    return origins, _check_origins(below, target, origins)
 
 
-def _check_variable_leaves(buffer: NDArray[np.uint8], start: NDArray[np.int64], leaf: _Level) -> None:
+def _check_origins(level: NodeLevel, starts: NDArray[np.int64], origins: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Check that nodes say the places that their slots have: kernels find nodes by slots, OpenVDB by what they say.
+
+    Returns:
+        The nodes whose box says no place because it is empty, (N,).
+    """
+    words = level.buffer.view("<i4")
+    box = words[(starts // 4)[:, None] + np.arange(3 if level.name == "leaf" else 6)]
+    empty = np.zeros(len(box), np.bool_) if level.name == "leaf" else (box[:, :3] > box[:, 3:]).all(axis=1)
+    stated = box[:, :3] & ~np.int32(level.width * level.span - 1)
+    wrong = (stated != origins).any(axis=1) & ~empty
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        said, place = stated[row].tolist(), origins[row].tolist()
+        raise _Damage(f"{level.name} node {row} says that it begins at {said}, and its slot begins at {place}")
+    return np.asarray(empty)
+
+
+def _check_empty(grid: GridNodes, upper: NDArray[np.bool_], lower: NDArray[np.bool_]) -> None:
+    """Check that nodes with an empty box have no active voxel below them: OpenVDB writes such boxes for them."""
+    if not (upper.any() or lower.any()):
+        return
+    starts = grid.leaf.starts
+    masks = grid.root.buffer[starts[:, None] + np.arange(16, 16 + LEAF_VOXELS // 8)]
+    active: NDArray[np.bool_] = masks.any(axis=1)
+    for level, empty in ((grid.lower, lower), (grid.upper, upper)):
+        node, _, start = level.links()
+        below = active[np.searchsorted(starts, start)]
+        active = np.asarray(level.tile_mask.any(axis=1))
+        active[node[below]] = True
+        if (active & empty).any():
+            row = int(np.argmax(active & empty))
+            raise _Damage(f"{level.name} node {row} has active voxels, and says that it has none")
+        starts = level.starts
+
+
+def _check_bools(grid: GridNodes) -> None:
+    """Check that tiles of bools are 0 or 1: C++ code may do anything with another byte."""
+    found = [grid.background[None], grid.table["value"][grid.table["child"] == 0]]
+    for level in (grid.upper, grid.lower):
+        found += [part.values[~bits_of(part.child_mask)] for _, part in level.parts()]
+    if any((values.view(np.uint8) > 1).any() for values in found):
+        raise _Damage("a tile or the background is neither true nor false")
+
+
+def _check_variable_leaves(start: NDArray[np.int64], leaf: NodeLevel) -> None:
     # Each leaf stores its own width in bits; it must end before the next one starts.
+    buffer = leaf.buffer
     if start[0] != leaf.begin or start[-1] + leaf.size > len(buffer) or (start % ALIGNMENT).any():
         raise _Damage("an offset does not lead to a leaf node")
     width = buffer[start + 15] >> 5

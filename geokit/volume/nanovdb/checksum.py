@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.header import HEAD_SIZE, MAJOR_VERSION, TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import GridLayout, layout_of
+from geokit.volume.nanovdb.nodes import grid_nodes
 
 __all__ = ["checksum_matches", "checksum_mode", "full_checksum", "partial_checksum"]
 
@@ -109,22 +110,17 @@ def _tails(buffer: NDArray[np.uint8], *, old: bool | None = None) -> tuple[int, 
 
 def _node_sums(buffer: NDArray[np.uint8], layout: GridLayout) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     # Early writers took the C++ size of a leaf, which for an FpN leaf is its header; later ones take the whole leaf.
-    tree = tree_header(buffer)
+    grid = grid_nodes(buffer, layout)
     headers: list[int] = []
     whole: list[int] = []
     memory = buffer.data
-    for level, size in ((2, layout.upper_size), (1, layout.lower_size), (0, layout.leaf_size)):
-        begin = TREE_OFFSET + int(tree["node_offset"][level])
-        count = int(tree["node_count"][level])
-        if level == 0 and layout.leaf_bits < 0:
-            at = begin
-            for _ in range(count):
-                end = at + layout.leaf_header + (64 << (int(memory[at + 15]) >> 5))
+    for level in (grid.upper, grid.lower, grid.leaf):
+        if level.name == "leaf" and layout.leaf_bits < 0:
+            for at in level.starts.tolist():
                 headers.append(crc32(memory[at : at + layout.leaf_header]))
-                whole.append(crc32(memory[at:end]))
-                at = end
+                whole.append(crc32(memory[at : at + layout.leaf_header + (64 << (int(memory[at + 15]) >> 5))]))
             continue
-        sums = [crc32(memory[at : at + size]) for at in range(begin, begin + count * size, size)]
+        sums = [crc32(memory[at : at + level.size]) for at in level.starts.tolist()]
         headers += sums
         whole += sums
     return np.array(headers, dtype="<u4"), np.array(whole, dtype="<u4")

@@ -13,7 +13,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError, MissingDependencyError
+from geokit._packages import require_package
+from geokit.errors import FileFormatError
 
 __all__ = ["CODECS", "Fetch", "compress_into", "decompress", "decompress_head", "largest_size"]
 
@@ -154,11 +155,7 @@ def _refusal(where: str, codec: str, detail: str) -> FileFormatError:
 
 
 def _blosc() -> Any:
-    try:
-        import blosc
-    except ImportError as error:
-        raise MissingDependencyError("blosc is not installed; install it with: pip install blosc") from error
-    return blosc
+    return require_package("blosc")
 
 
 def _length_prefixed(stored: memoryview, start: int) -> memoryview:

@@ -7,7 +7,7 @@ file is any number of segments. Since NanoVDB 32.6 it may also be grid buffers o
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -16,13 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import require_file
+from geokit.core.memory.needs import require_free
 from geokit.errors import DeviceMemoryError, FileFormatError, UnsupportedGridError
 from geokit.volume.nanovdb.checks import check_grid, check_head
 from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode, full_checksum, partial_checksum
 from geokit.volume.nanovdb.codecs import BLOSC_FRAME, CODECS, decompress, decompress_head, largest_size
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import (
+    FLAG_LONG_NAME,
     GRID_CLASSES,
     HEAD_SIZE,
     MAGIC_FILE,
@@ -36,10 +39,11 @@ from geokit.volume.nanovdb.header import (
     info_of,
     version_text,
 )
-from geokit.volume.nanovdb.layout import GRID_TYPES
+from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS
 from geokit.volume.nanovdb.metadata import metadata_of, without_metadata
+from geokit.volume.nanovdb.part import Part
 
-__all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read"]
+__all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read", "read_part"]
 
 FILE_HEADER = np.dtype([("magic", "<u8"), ("version", "<u4"), ("grid_count", "<u2"), ("codec", "<u2")])
 FILE_METADATA = np.dtype(
@@ -121,12 +125,15 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
     return infos
 
 
-def read(path: str | os.PathLike[str], indices: Sequence[int] | None = None) -> list[NvdbGrid]:
+def read(
+    path: str | os.PathLike[str], indices: Sequence[int] | None = None, *, memory_limit: int | None = None
+) -> list[NvdbGrid]:
     """Read grids of a file, each into its own buffer, with all checks.
 
     Args:
         path: A .nvdb file.
         indices: Positions of the grids in the file; None for all.
+        memory_limit: Largest size of these grids together [bytes]; None is the rule of core/content_limit.py.
 
     Returns:
         The grids in the requested order.
@@ -136,12 +143,54 @@ def read(path: str | os.PathLike[str], indices: Sequence[int] | None = None) -> 
         FileFormatError: The file is damaged, truncated or no .nvdb file, or a checksum does not match.
         UnsupportedGridError: geokit does not read a grid's type or version.
         MissingDependencyError: A grid is Blosc-compressed and blosc is not installed.
-        DeviceMemoryError: A grid is larger than the host's memory.
+        DeviceMemoryError: The grids are larger than memory_limit.
     """
     path = Path(path)
     with _opened(path) as file:
         entries = list(_entries(file, path))
-        return [_read_grid(file, entries[i], path) for i in (range(len(entries)) if indices is None else indices)]
+        chosen = entries if indices is None else [entries[i] for i in indices]
+        limit = content_limit(os.fstat(file.fileno()).st_size, memory_limit)
+        require_content(path, sum(entry.grid_size for entry in chosen), limit)
+        return [_read_grid(file, entry, path) for entry in chosen]
+
+
+def read_part(
+    path: str | os.PathLike[str],
+    index: int,
+    box_of: Callable[[GridInfo], tuple[NDArray[np.int64], NDArray[np.int64]]],
+    *,
+    memory_limit: int | None = None,
+) -> NvdbGrid:
+    """Read the nodes of a grid that meet a box; the whole grid if it is compressed, or its leaves differ in size.
+
+    Of a part no checksum is compared, because it is that of the whole grid.
+
+    Args:
+        path: A .nvdb file.
+        index: Position of the grid in the file.
+        box_of: First and last voxel of the box, from what is known of the grid.
+        memory_limit: Largest size of what is read [bytes]; None is the rule of core/content_limit.py.
+
+    Raises:
+        As :func:`read`.
+    """
+    path = Path(path)
+    with _opened(path) as file:
+        entry = list(_entries(file, path))[index]
+        where = f"{path}: {entry.where}"
+        head = _head_of(file, entry, INSPECTED, where)
+        layout = check_head(head, entry.grid_size, where)
+        is_long = int(grid_header(head)["flags"]) & FLAG_LONG_NAME
+        if entry.codec != "none" or layout.leaf_bits < 0 or layout.name in INDEX_LAYOUTS or is_long:
+            return read(path, [index], memory_limit=memory_limit)[0]
+        grid = np.memmap(file, np.uint8, "r", entry.start, entry.grid_size)
+        low, high = box_of(info_of(head, name=entry.name, where=where))
+        part = Part(grid, layout, low, high, where)
+        require_content(path, part.size, content_limit(os.fstat(file.fileno()).st_size, memory_limit))
+        require_free(part.size, f"load: the part of {entry.where}", always=True)
+        buffer = part.buffer()
+        check_grid(buffer, where)
+        return NvdbGrid(buffer, entry.name or grid_name(buffer), "none", _attached(file, entry, where)[0])
 
 
 def _opened(path: str | os.PathLike[str]) -> BufferedReader:
@@ -279,7 +328,13 @@ def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
     where = f"{path}: {entry.where}"
     # The headers are checked before memory for the whole grid is allocated.
     check_head(_head_of(file, entry, HEAD_SIZE, where), entry.grid_size, where)
-    buffer = _memory(entry.grid_size, where)
+    try:
+        buffer = aligned_buffer(entry.grid_size)
+    except MemoryError as error:
+        raise DeviceMemoryError(
+            f"{where}: {entry.grid_size} bytes of memory are not to be had; load it on a larger machine",
+            need=entry.grid_size,
+        ) from error
     file.seek(entry.start)
     if entry.codec == "none":
         if file.readinto(buffer.data) != entry.grid_size:
@@ -293,21 +348,6 @@ def _read_grid(file: BufferedReader, entry: _Entry, path: Path) -> NvdbGrid:
     buffer, metadata = without_metadata(buffer, where)
     _make_single(buffer, checksum)
     return NvdbGrid(buffer, entry.name or grid_name(buffer), checksum, metadata)
-
-
-def _memory(size: int, where: str) -> NDArray[np.uint8]:
-    try:
-        present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not available on every system
-        present = size
-    try:
-        if size > present:
-            raise MemoryError
-        return aligned_buffer(size)
-    except MemoryError as error:
-        raise DeviceMemoryError(
-            f"{where}: {size} bytes do not fit into memory ({present} bytes); load it on a larger machine"
-        ) from error
 
 
 def _make_single(buffer: NDArray[np.uint8], checksum: str) -> None:

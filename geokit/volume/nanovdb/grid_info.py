@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.provenance import ACHIEVED_999, ACHIEVED_ERROR, ORDER, TOLERANCE, known_number
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["GridInfo"]
 
@@ -47,6 +44,12 @@ class GridInfo:
     index_bounds: NDArray[np.int64] | None
     byte_count: int
     metadata: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "metadata": dict(self.metadata)}  # a read-only view cannot be pickled
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, metadata=MappingProxyType(state["metadata"]))
 
     @property
     def world_bounds(self) -> NDArray[np.float64] | None:

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError, UnsupportedGridError
+from geokit.core.require import described, require_text
+from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout, layout_of, type_name
 from geokit.volume.nanovdb.types import GRID_CLASSES
@@ -42,6 +43,7 @@ __all__ = [
     "grid_header",
     "grid_name",
     "info_of",
+    "is_aligned",
     "require_header",
     "require_supported",
     "tree_header",
@@ -115,6 +117,11 @@ def aligned_buffer(size: int, *, zeroed: bool = False) -> NDArray[np.uint8]:
     memory = make(size + BUFFER_ALIGNMENT, dtype=np.uint8)
     start = -memory.ctypes.data % BUFFER_ALIGNMENT
     return memory[start : start + size]
+
+
+def is_aligned(buffer: NDArray[np.uint8]) -> bool:
+    """Whether a buffer starts where :func:`aligned_buffer` would let it start."""
+    return bool(buffer.ctypes.data % BUFFER_ALIGNMENT == 0)
 
 
 def grid_header(buffer: NDArray[np.uint8]) -> Any:
@@ -270,7 +277,10 @@ def decoded_name(text: bytes) -> str:
 
 def encoded_name(name: str) -> bytes:
     """Encode a name to the bytes from which :func:`decoded_name` made it."""
-    return name.encode("utf-8", "surrogateescape")
+    try:
+        return require_text(name, "name").encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError as error:
+        raise InputError(f"name: {described(name)} has characters that no file can hold; use others") from error
 
 
 def _background(buffer: NDArray[np.uint8], root: int, layout: GridLayout) -> Any:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.require import read_array, require_text
 from geokit.errors import InputError
 from geokit.volume.nanovdb.header import (
     FLAG_BREADTH_FIRST,
@@ -46,7 +47,7 @@ def checked_options(transform: NDArray[np.float64], name: str, grid_class: str) 
     if len(encoded) > LONGEST_NAME or b"\0" in encoded:
         raise InputError(f"name: {len(encoded)} bytes; use at most {LONGEST_NAME} without a zero byte")
     matrix = checked_transform(transform)
-    code = grid_class_code(grid_class)
+    code = grid_class_code(require_text(grid_class, "grid_class"))
     if code == 0 and grid_class != "unknown":
         raise InputError(f"grid_class: NanoVDB has no class {grid_class!r}; use 'level set', 'fog volume' or 'unknown'")
     return GridOptions(matrix, encoded, code)
@@ -58,7 +59,7 @@ def checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     Raises:
         InputError: No grid can have it.
     """
-    matrix = np.array(transform, np.float64)
+    matrix = np.array(read_array(transform, "transform"), np.float64)
     if matrix.shape != (4, 4):
         raise InputError(f"transform: shape {matrix.shape} is not (4, 4); give index to world")
     linear = matrix[:3, :3]

@@ -15,28 +15,19 @@ from numpy.typing import NDArray
 
 from geokit.errors import UnsupportedGridError
 from geokit.volume.nanovdb.header import FLAG_BREADTH_FIRST, grid_header, require_header, version_text
-from geokit.volume.nanovdb.layout import (
-    INDEX_LAYOUTS,
-    LEAF_VOXELS,
-    LOWER_SLOTS,
-    UPPER_SLOTS,
-    GridLayout,
-    type_name,
-)
+from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LEAF_VOXELS, GridLayout, type_name
+from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of
 
-__all__ = ["index_damage", "index_layout", "leaf_offsets", "masks_of", "slots_of", "value_count_of"]
+__all__ = ["index_damage", "index_layout", "leaf_offsets", "value_count_of"]
 
 # First version, packed as in NanoVDB, whose leaves have an offset and prefix sums.
 FIRST_VERSION = 32 << 21 | 6 << 10
 LEAF_FLAGS = 15
-LEAF_MASK = 16
 LEAF_OFFSET = 80
 LEAF_PREFIX = 88
 # Leaves with statistics store their minimum, maximum, average and deviation directly after their voxels.
 HAS_STATISTICS = 16
 STATISTICS = 4
-# Nodes checked together: the slots of 64 upper nodes are 16 megabytes.
-NODES_AT_A_TIME = 64
 
 
 def index_layout(head: NDArray[np.uint8], where: str) -> GridLayout | None:
@@ -64,78 +55,39 @@ def value_count_of(buffer: NDArray[np.uint8]) -> int:
     return int(grid_header(buffer)["data_1"])
 
 
-def masks_of(buffer: NDArray[np.uint8], begin: int, count: int, size: int, at: int, slots: int) -> NDArray[np.uint8]:
-    """Stored bit masks of consecutive nodes, shape (count, slots / 8), sharing the buffer's memory."""
-    return np.ndarray((count, slots // 8), np.uint8, buffer, begin + at, (size, 1))
+def leaf_offsets(leaf: NodeLevel) -> NDArray[np.uint64]:
+    """The index of the first voxel of each leaf, (L,)."""
+    return np.asarray(leaf.column("<u8", LEAF_OFFSET, 1)[:, 0])
 
 
-def slots_of(
-    buffer: NDArray[np.uint8], begin: int, count: int, size: int, table: int, slots: int
-) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-    """Slots (count, slots) of consecutive nodes of an index grid, and the mask of those that hold children."""
-    entries = np.ndarray((count, slots), "<u8", buffer, begin + table, (size, 8))
-    children = masks_of(buffer, begin, count, size, 32 + slots // 8, slots)
-    return entries, np.unpackbits(children, axis=1, bitorder="little").view(np.bool_)
-
-
-def leaf_offsets(
-    buffer: NDArray[np.uint8], begin: int, count: int, layout: GridLayout
-) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """The index of the first voxel (L,) of consecutive leaves, and their prefix sums (L,)."""
-    strides = (layout.leaf_size,)
-    return (
-        np.ndarray((count,), "<u8", buffer, begin + LEAF_OFFSET, strides),
-        np.ndarray((count,), "<u8", buffer, begin + LEAF_PREFIX, strides),
-    )
-
-
-def index_damage(
-    buffer: NDArray[np.uint8], layout: GridLayout, root: int, upper: tuple[int, int], lower: tuple[int, int],
-    leaf: tuple[int, int],
-) -> str | None:  # fmt: skip
-    """Describe what is wrong with the indices of a grid whose nodes are already checked; None if they are valid.
-
-    Args:
-        buffer: The whole grid.
-        layout: One of INDEX_LAYOUTS.
-        root: Offset of the root.
-        upper: Offset and number of the upper nodes; likewise ``lower`` and ``leaf``.
-    """
-    values = value_count_of(buffer)
-    at = root + layout.root_background
-    if int(buffer[at : at + 8].view("<u8")[0]) >= max(values, 1):
+def index_damage(grid: GridNodes) -> str | None:
+    """Describe what is wrong with the indices of an index grid whose nodes are already checked; None if valid."""
+    values = value_count_of(grid.root.buffer)
+    if int(grid.background) >= max(values, 1):
         return f"the background's index is not below its {values} values"
-    tiles = int(buffer[root + 24 : root + 28].view("<u4")[0])
-    table = buffer[root + layout.root_size : root + layout.root_size + tiles * layout.root_tile_size]
-    table = table.reshape(tiles, layout.root_tile_size)
-    child, index = table[:, 8:16].copy().view("<i8")[:, 0], table[:, 24:32].copy().view("<u8")[:, 0]
-    if (index[child == 0] >= values).any():
+    if (grid.table["value"][grid.table["child"] == 0] >= values).any():
         return f"a tile of the root has an index that is not below its {values} values"
-    for (begin, count), size, start, slots in (
-        (upper, layout.upper_size, layout.upper_table, UPPER_SLOTS),
-        (lower, layout.lower_size, layout.lower_table, LOWER_SLOTS),
-    ):
-        for first in range(0, count, NODES_AT_A_TIME):
-            some = min(NODES_AT_A_TIME, count - first)
-            entries, children = slots_of(buffer, begin + first * size, some, size, start, slots)
-            if ((entries >= values) & ~children).any():
+    for level in (grid.upper, grid.lower):
+        for _, part in level.parts():
+            if ((part.values >= values) & ~bits_of(part.child_mask)).any():
                 return f"a tile has an index that is not below its {values} values"
-    return _leaf_damage(buffer, layout, *leaf, values)
+    return _leaf_damage(grid.leaf, values)
 
 
-def _leaf_damage(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: int, values: int) -> str | None:
-    if not count:
+def _leaf_damage(leaf: NodeLevel, values: int) -> str | None:
+    if not leaf.count:
         return None
-    offset, prefix = leaf_offsets(buffer, begin, count, layout)
-    flags = np.ndarray((count,), np.uint8, buffer, begin + LEAF_FLAGS, (layout.leaf_size,))
+    count, offset, prefix = leaf.count, leaf_offsets(leaf), leaf.column("<u8", LEAF_PREFIX, 1)
+    flags = leaf.column(np.uint8, LEAF_FLAGS, 1)[:, 0]
     used = np.full(count, LEAF_VOXELS, np.uint64)
-    if layout.name.startswith("on"):
-        bits = np.unpackbits(masks_of(buffer, begin, count, layout.leaf_size, LEAF_MASK, LEAF_VOXELS), axis=1)
-        sums = bits.reshape(count, 8, 64).sum(axis=2, dtype=np.uint64).cumsum(axis=1, dtype=np.uint64)
+    if leaf.layout.name.startswith("on"):
+        sums = (
+            bits_of(leaf.value_mask).reshape(count, 8, 64).sum(axis=2, dtype=np.uint64).cumsum(axis=1, dtype=np.uint64)
+        )
         used = sums[:, 7]
         # Readers add these prefix sums to the offset unchecked: a wrong one leads out of the leaf's range.
         shifts = np.arange(7, dtype=np.uint64) * np.uint64(9)
-        if ((prefix[:, None] >> shifts & np.uint64(511)) != (sums[:, :7] & np.uint64(511))).any():
+        if ((prefix >> shifts & np.uint64(511)) != (sums[:, :7] & np.uint64(511))).any():
             return "the prefix sums of a leaf do not fit its mask"
     used = used + np.where(flags & HAS_STATISTICS, np.uint64(STATISTICS), np.uint64(0))
     # Compared in this order, since adding to a damaged offset could wrap around.

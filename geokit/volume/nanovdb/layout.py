@@ -112,6 +112,13 @@ class GridLayout:
         table = _round(self._after_statistics(80), ALIGNMENT)
         return _round(table + self.leaf_bits * LEAF_VOXELS // 8, ALIGNMENT)
 
+    @cached_property
+    def leaf_table(self) -> int:
+        """Offset of a leaf's values, codes or offset; values are its last entry and fill a multiple of 32 bytes."""
+        if self.leaf_header or self.leaf_bits <= 1:
+            return self.leaf_header or 80
+        return self.leaf_size - LEAF_VOXELS * self.leaf_bits // 8
+
     def _after_statistics(self, offset: int) -> int:
         # Minimum and maximum have the value type, average and deviation the statistics type; each is aligned to its own
         # size.

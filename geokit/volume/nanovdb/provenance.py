@@ -14,6 +14,10 @@ The keys are stored in .vdb as OpenVDB metadata and in .nvdb as a channel of bli
 ``geokit:order``              order of interpolation for which it holds
 ``geokit:level``              number of a level of an adaptive field, 0 the coarsest
 ``geokit:level_count``        number of its levels
+``geokit:unit``               unit of lengths in the world, if its file said so: m, cm, mm, um, nm or angstrom
+``geokit:space``              where the axes of the world point in a body, if its file said so: RAS, LPS, ...
+``geokit:meters_per_unit``    length of that unit [m], where it is none of these
+``geokit:up_axis``            axis of the world that points up, if its file said so: y or z
 ``geokit:version``            version of geokit that made the volume
 ============================  =============================================================================
 """
@@ -35,8 +39,12 @@ if TYPE_CHECKING:
 __all__ = [
     "ACHIEVED_999",
     "ACHIEVED_ERROR",
+    "METERS_PER_UNIT",
     "ORDER",
+    "SPACE",
     "TOLERANCE",
+    "UNIT",
+    "UP_AXIS",
     "VOXEL_SIZE",
     "content_hash",
     "known_number",
@@ -53,6 +61,10 @@ ACHIEVED_ERROR = "geokit:achieved_error"
 ACHIEVED_999 = "geokit:achieved_error_999"
 WITHIN = "geokit:checked_within"
 ORDER = "geokit:order"
+UNIT = "geokit:unit"
+METERS_PER_UNIT = "geokit:meters_per_unit"
+SPACE = "geokit:space"
+UP_AXIS = "geokit:up_axis"
 VERSION = "geokit:version"
 
 

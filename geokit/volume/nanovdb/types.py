@@ -29,7 +29,6 @@ __all__ = [
     "GRID_TYPES",
     "INDEX_TYPES",
     "ISOSURFACE_TYPES",
-    "OPENVDB_TOOL_TYPES",
     "QUANTIZED",
     "SCALAR_TYPES",
     "TYPES",
@@ -62,7 +61,6 @@ class GridType:
         statistic_bytes: Size and alignment of an average or deviation in a node.
         leaf_bits: Bits of a voxel in a leaf's table; 0 if leaves have no table, -1 if each has its own width.
         openvdb: OpenVDB's name of the value type that geokit writes into .vdb files; None if OpenVDB has none.
-        has_openvdb_tools: Whether OpenVDB's library has operations for such grids.
         classes: Grid classes that NanoVDB allows for this type, in addition to "unknown".
         align: Alignment of a value [bytes]; 0 for the size of one component.
     """
@@ -74,7 +72,6 @@ class GridType:
     statistic_bytes: int = 0
     leaf_bits: int = 0
     openvdb: str | None = None
-    has_openvdb_tools: bool = False
     classes: tuple[str, ...] = ()
     align: int = 0
 
@@ -125,22 +122,22 @@ def _index(number: int, name: str, leaf_bits: int) -> GridType:
 
 TYPES: tuple[GridType, ...] = (
     GridType(0, "unknown", "none"),
-    _scalar(1, "float", "float", "<f4", 4, openvdb="float", has_openvdb_tools=True, classes=(*DISTANCE, COLORS)),
-    _scalar(2, "double", "float", "<f8", 8, openvdb="double", has_openvdb_tools=True, classes=(*DISTANCE, COLORS)),
+    _scalar(1, "float", "float", "<f4", 4, openvdb="float", classes=(*DISTANCE, COLORS)),
+    _scalar(2, "double", "float", "<f8", 8, openvdb="double", classes=(*DISTANCE, COLORS)),
     _scalar(9, "half", "float", "<f2", 4, classes=DISTANCE),
     _quantized(13, "fp4", 4),
     _quantized(14, "fp8", 8),
     _quantized(15, "fp16", 16),
     _quantized(16, "fpn", -1),
     _scalar(3, "int16", "integer", "<i2", 4),
-    _scalar(4, "int32", "integer", "<i4", 4, openvdb="int32", has_openvdb_tools=True),
-    _scalar(5, "int64", "integer", "<i8", 8, openvdb="int64", has_openvdb_tools=True),
+    _scalar(4, "int32", "integer", "<i4", 4, openvdb="int32"),
+    _scalar(5, "int64", "integer", "<i8", 8, openvdb="int64"),
     _scalar(26, "uint8", "integer", "u1", 4),
     _scalar(10, "uint32", "integer", "<u4", 4, openvdb="uint32", classes=("point index", "point data", COLORS)),
-    _scalar(11, "bool", "bool", "?", 1, leaf_bits=1, openvdb="bool", has_openvdb_tools=True),
+    _scalar(11, "bool", "bool", "?", 1, leaf_bits=1, openvdb="bool"),
     _scalar(8, "mask", "mask", "?", 1, leaf_bits=0, openvdb="mask", classes=("topology",)),
-    _vector(6, "vec3f", "<f4", 3, 4, openvdb="vec3s", has_openvdb_tools=True, classes=("staggered", COLORS)),
-    _vector(7, "vec3d", "<f8", 3, 8, openvdb="vec3d", has_openvdb_tools=True, classes=("staggered", COLORS)),
+    _vector(6, "vec3f", "<f4", 3, 4, openvdb="vec3s", classes=("staggered", COLORS)),
+    _vector(7, "vec3d", "<f8", 3, 8, openvdb="vec3d", classes=("staggered", COLORS)),
     _vector(24, "vec3u8", "u1", 3, 4),
     _vector(25, "vec3u16", "<u2", 3, 4),
     _vector(17, "vec4f", "<f4", 4, 4, openvdb="vec4s", classes=("staggered",)),
@@ -168,7 +165,6 @@ SCALAR_TYPES = tuple(name for name, count in COMPONENTS.items() if count == 1)
 ISOSURFACE_TYPES = tuple(kind.name for kind in TYPES if kind.has_isosurface)
 # Types that a channel of an index grid can have.
 CHANNEL_TYPES = tuple(kind.name for kind in TYPES if kind.has_plain_leaves)
-OPENVDB_TOOL_TYPES = tuple(kind.name for kind in TYPES if kind.has_openvdb_tools)
 
 QUANTIZED = tuple(kind.name for kind in TYPES if kind.family == "quantized")
 # Bits of a voxel of the quantized types whose leaves all have the same size.

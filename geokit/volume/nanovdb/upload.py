@@ -8,7 +8,8 @@ from geokit.core.download import download_into
 from geokit.core.launcher import resolve_device
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.checks import check_volume
-from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, tree_header
+from geokit.volume.nanovdb.grid_array import array_of, copied_grid, made_volume, uploaded_grid
+from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, tree_header
 from geokit.volume.nanovdb.layout import ALIGNMENT
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
         UnsupportedGridError: The grid's type is not supported.
         DeviceMemoryError: The device has too little free memory.
     """
-    import warp as wp
-
     found = resolve_device(device)
     if found.alias in volume._uploads:
         return volume._uploads[found.alias][0]
@@ -49,41 +48,44 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
     if found.is_cuda and found.free_memory < len(buffer):
         raise DeviceMemoryError(
             f"volume {volume.info.name!r}: {len(buffer)} bytes do not fit into the {found.free_memory} free bytes of "
-            f"{found.alias}; use a coarser grid or another device"
+            f"{found.alias}; use a coarser grid or another device",
+            need=len(buffer),
         )
     if found.is_cpu and buffer.ctypes.data % ALIGNMENT:
         moved = aligned_buffer(len(buffer))
         moved[:] = buffer
         buffer = moved
     try:
-        array: Any = wp.array(buffer, dtype=wp.uint8, device=found, copy=not found.is_cpu)
+        array = array_of(buffer) if found.is_cpu else uploaded_grid(buffer, found)
     except (RuntimeError, MemoryError) as error:
         raise DeviceMemoryError(
             f"volume {volume.info.name!r}: {len(buffer)} bytes could not be had on {found.alias}; use a coarser "
-            "grid or another device"
+            "grid or another device",
+            need=len(buffer),
         ) from error
     try:
-        made = wp.Volume(array, copy=False)
+        made: Any = made_volume(array, len(buffer))
     except RuntimeError:
         # Warp identifies a volume by its address, so a buffer that another volume already uses must be copied.
         if found.is_cpu:
             moved = aligned_buffer(len(buffer))
             moved[:] = buffer
-            array, buffer = wp.array(moved, dtype=wp.uint8, device=found, copy=False), moved
+            array, buffer = array_of(moved), moved
         else:
-            array = wp.clone(array)
-        made = wp.Volume(array, copy=False)
+            array = copied_grid(array, len(buffer))
+        made = made_volume(array, len(buffer))
     # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, even if the
     # caller keeps no other reference.
     made._geokit_source = (array, buffer)
-    volume._uploads[found.alias] = (made, array, buffer)
-    return made
+    # Of threads that come at the same time all get the first one's: kernels know its address, and nobody may free it.
+    kept: wp.Volume = volume._uploads.setdefault(found.alias, (made, array, buffer))[0]
+    return kept
 
 
 def download(volume: SparseVolume) -> NDArray[np.uint8]:
     """Download the host buffer of a volume that :func:`made_on_device` has made."""
     source = _source(volume)
-    return _front(source, len(source))
+    return _front(source, int(grid_header(_front(source, HEAD_SIZE))["grid_size"]))
 
 
 def above_leaves(volume: SparseVolume) -> NDArray[np.uint8]:

@@ -32,7 +32,7 @@ from geokit.volume.nanovdb.metadata import body_with_metadata
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = ["write"]
+__all__ = ["file_metadata", "file_version", "segment_start", "write"]
 
 # OpenVDB 10 writes this version. Its tools reject later versions' magic numbers, and later tools read this one.
 OLD_VERSION = 32 << 21 | 4 << 10 | 2
@@ -67,7 +67,7 @@ def write(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], *, code
         raise InputError(f"{path}: no volumes to save; give at least one")
     prepared = [_prepared(volume, i) for i, volume in enumerate(volumes)]
     with atomic_path(path) as part, open(part, "wb") as file:
-        for (magic, version), group in groupby(prepared, key=lambda grid: _file_version(grid.head)):
+        for (magic, version), group in groupby(prepared, key=lambda grid: file_version(grid.head)):
             grids = list(group)
             for first in range(0, len(grids), GRIDS_PER_SEGMENT):
                 _write_segment(file, grids[first : first + GRIDS_PER_SEGMENT], magic, version, codec)
@@ -113,42 +113,55 @@ def _prepared(volume: SparseVolume, index: int) -> _Prepared:
     return _Prepared(head, body, volume)
 
 
-def _file_version(head: NDArray[np.uint8]) -> tuple[int, int]:
+def file_version(head: NDArray[np.uint8]) -> tuple[int, int]:
+    """Magic number and version of the segment of a grid with this head."""
     grid = grid_header(head)
     return MAGIC_FILE if int(grid["magic"]) == MAGIC_GRID else MAGIC_OLD, int(grid["version"])
 
 
 def _write_segment(file: BinaryIO, grids: list[_Prepared], magic: int, version: int, codec: str) -> None:
-    header = np.zeros(1, FILE_HEADER)
-    header["magic"], header["version"] = magic, version
-    header["grid_count"], header["codec"] = len(grids), CODECS.index(codec)
-    blocks = [_file_metadata(grid.head, grid.volume, codec) for grid in grids]
-    names = [encoded_name(grid.volume.info.name) + b"\0" for grid in grids]
+    names = [encoded_name(grid.volume.info.name) for grid in grids]
+    blocks = []
+    for grid, name in zip(grids, names, strict=True):
+        root = TREE_OFFSET + int(tree_header(grid.head)["node_offset"][3])
+        blocks.append(file_metadata(grid.head, name, grid.volume.nanovdb[root : root + 24].view("<i4"), codec))
     start = file.tell()
     # Compressed sizes are known only afterwards, so the metadata is written into its place at the end.
-    file.seek(FILE_HEADER.itemsize + sum(FILE_METADATA.itemsize + len(name) for name in names), os.SEEK_CUR)
+    file.seek(len(segment_start(magic, version, codec, blocks, names)), os.SEEK_CUR)
     for block, grid in zip(blocks, grids, strict=True):
         block["file_size"] = compress_into(codec, [grid.head, *grid.body], file)
     end = file.tell()
     file.seek(start)
-    file.write(header.tobytes())
-    for block, name in zip(blocks, names, strict=True):
-        file.write(block.tobytes())
-        file.write(name)
+    file.write(segment_start(magic, version, codec, blocks, names))
     file.seek(end)
 
 
-def _file_metadata(head: NDArray[np.uint8], volume: SparseVolume, codec: str) -> Any:
+def segment_start(magic: int, version: int, codec: str, blocks: Sequence[Any], names: Sequence[bytes]) -> bytes:
+    """What stands before the grids of a segment: its header, and each grid's metadata and name."""
+    header = np.zeros(1, FILE_HEADER)
+    header["magic"], header["version"] = magic, version
+    header["grid_count"], header["codec"] = len(blocks), CODECS.index(codec)
+    parts = (block.tobytes() + name + b"\0" for block, name in zip(blocks, names, strict=True))
+    return header.tobytes() + b"".join(parts)
+
+
+def file_metadata(head: NDArray[np.uint8], name: bytes, index_box: NDArray[np.int32], codec: str) -> Any:
+    """Metadata of a grid in its segment, still without its size in the file.
+
+    Args:
+        head: The grid's first 736 bytes.
+        name: Its name.
+        index_box: Box of its active voxels, (6,).
+        codec: One of CODECS.
+    """
     grid, tree = grid_header(head), tree_header(head)
-    root = TREE_OFFSET + int(tree["node_offset"][3])
-    name = encoded_name(volume.info.name)
     block = np.zeros(1, FILE_METADATA)[0]
     block["grid_size"] = grid["grid_size"]
     block["name_key"] = _name_key(name)
     block["voxel_count"] = tree["voxel_count"]
     for field in ("grid_type", "grid_class", "world_bbox", "voxel_size", "version"):
         block[field] = grid[field]
-    block["index_bbox"] = volume.nanovdb[root : root + 24].view("<i4")
+    block["index_bbox"] = index_box
     block["name_size"] = len(name) + 1
     block["node_count"] = [*tree["node_count"], 1]
     block["tile_count"] = tree["tile_count"]

@@ -2,8 +2,11 @@
 // reaches the ray's start.
 //
 // Expects field, a RayField of the density around both grids; emission_volume, a grid with the same transform; scale;
-// the names of ray_box.inl; the constants OPAQUE, STEP_DEPTH and SHORTEST_STEP. Returns both as a wp::vec_t of two
-// doubles.
+// the names of ray_box.inl; the constants OPAQUE, STEP_DEPTH and SHORTEST_STEP. Hooks:
+// - IS_DARK: whether a stretch with the emission e0 to e3 needs no quadrature.
+// - ON_LIGHT, ON_STRETCH, ON_LIGHT_CELL, ON_END: files of the derivatives (emission_slopes_start.inl), at each Gauss
+//   point, behind each stretch, in each cell of the emission where the density is constant, and behind the walk.
+// Without these, returns both as a wp::vec_t of two doubles.
 #include "volume/rays/ray_field.inl"
 {
     const unsigned long long volume = emission_volume;
@@ -14,6 +17,8 @@
     typedef address address_e;
     auto& find_e = find;
     auto& voxel_e = voxel;
+    const pnanovdb_grid_type_t grid_type_e = grid_type;
+    (void)grid_type_e;
     {
         const unsigned long long volume = field.volume;
 #include "volume/nanovdb/cached_accessor.inl"
@@ -35,7 +40,7 @@
             const double weight[6] = {0.08566224618958514, 0.18038078652406936, 0.23395696728634552,
                                       0.23395696728634552, 0.18038078652406936, 0.08566224618958514};
             double from = 0.0, step = 1.0, before = 0.0;
-            bool dark = e0 == 0.0 && e1 == 0.0 && e2 == 0.0 && e3 == 0.0;
+            bool dark = IS_DARK;
             while (!dark && from < 1.0 && depth + before < OPAQUE) {
                 step = wp::min(step, 1.0 - from);
                 double after = depth_at(from + step);
@@ -44,9 +49,11 @@
                     after = depth_at(from + step);
                 }
                 for (int g = 0; g < 6; ++g) {
-                    const double s = from + step * node[g];
-                    light +=
-                        span * step * weight[g] * (e0 + s * (e1 + s * (e2 + s * e3))) * wp::exp(-(depth + depth_at(s)));
+                    const double s = from + step * node[g], through = wp::exp(-(depth + depth_at(s)));
+                    light += span * step * weight[g] * (e0 + s * (e1 + s * (e2 + s * e3))) * through;
+#ifdef ON_LIGHT
+#include ON_LIGHT
+#endif
                 }
                 from += step;
                 step *= 2.0;
@@ -55,6 +62,9 @@
                 dark = !(after == after);
             }
             depth += all;
+#ifdef ON_STRETCH
+#include ON_STRETCH
+#endif
         };
         // Crosses a region of constant density.
         auto cross_region = [&](double even) {
@@ -84,6 +94,9 @@
                 } else {
 #include "volume/rays/emission_voxels.inl"
                     add(tb - ta, even, 0.0, 0.0, 0.0, p0, p1, p2, p3);
+#ifdef ON_LIGHT_CELL
+#include ON_LIGHT_CELL
+#endif
                 }
                 ta = leave;
                 if (!(ta <= end)) break;
@@ -102,6 +115,10 @@
 #include "volume/rays/traverse.inl"
 #undef SAME
 #undef ON_REGION
+#ifdef ON_END
+#include ON_END
+#else
         return wp::vec_t<2, double>(depth, light);
+#endif
     }
 }

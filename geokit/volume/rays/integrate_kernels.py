@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 # Largest optical depth of a step of the emission's quadrature. The integrand is a cubic times e^-x, where x is a
 # quartic; six Gauss points are then off by 1e-12, and four were off by 1e-7 in rough fields.
 STEP_DEPTH = 0.5
+NO_EMISSION = "e0 == 0.0 && e1 == 0.0 && e2 == 0.0 && e3 == 0.0"
 # The shortest step, as a share of a cell. Where the density needs a shorter one, no light leaves the cell anyway.
 SHORTEST_STEP = 1e-12
 # e^-x is zero in float64 beyond this.
@@ -46,7 +47,7 @@ def optical_depth(  # noqa: F811
 @wp.func_native(
     cpp(
         "volume/rays/emission.inl",
-        defines={"FLOAT_GRID": "0", "ON_CELL": '"volume/rays/emission_cell.inl"'},
+        defines={"FLOAT_GRID": "0", "ON_CELL": '"volume/rays/emission_cell.inl"', "IS_DARK": NO_EMISSION},
         STEP_DEPTH=STEP_DEPTH,
         SHORTEST_STEP=SHORTEST_STEP,
         OPAQUE=OPAQUE,

@@ -11,8 +11,7 @@ from geokit.core import user_arrays
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
-from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
-from geokit.volume.nanovdb.layout import GridLayout, layout_of
+from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins
 from geokit.volume.nanovdb.types import SCALAR_TYPES
 
 if TYPE_CHECKING:
@@ -25,8 +24,6 @@ OUTERMOST_VOXEL = 2**31 - 16
 # Edges [voxels] of a root entry's region and of a leaf.
 ROOT_SPAN = 4096
 LEAF_SPAN = 8
-# Nodes whose slots are scanned together; the slots of 64 upper nodes take 16 MiB.
-NODES_AT_A_TIME = 64
 
 
 def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) -> Any:
@@ -87,8 +84,8 @@ def read_rays(origins: Any, directions: Any, device: "wp.Device") -> tuple[user_
     Raises:
         InputError: A wrong shape or dtype, or lengths that differ.
     """
-    rays = user_arrays.read_vectors(origins, "origins", device, defer=True)
-    heading = user_arrays.read_vectors(directions, "directions", device, defer=True)
+    rays = user_arrays.read_vectors(origins, "origins", device, defer=True, single=True)
+    heading = user_arrays.read_vectors(directions, "directions", device, defer=True, single=True)
     if len(rays) != len(heading):
         raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
     return rays, heading
@@ -127,67 +124,27 @@ def anchor_of(box: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _find_box(buffer: NDArray[np.uint8]) -> NDArray[np.int64] | None:
-    layout = layout_of(int(grid_header(buffer)["grid_type"]), "volume")
-    tree = tree_header(buffer)
-    root, upper, lower = (TREE_OFFSET + int(tree["node_offset"][level]) for level in (3, 2, 1))
+    grid = grid_nodes(buffer)
     # Compared as bits, so that NaN equals itself; that -0.0 then differs from 0.0 does no harm.
-    bits = np.dtype(f"<u{layout.background.itemsize}")
-    background = buffer[root + layout.root_background :][: bits.itemsize].view(bits)[0]
-
-    count = int(buffer[root + 24 : root + 28].view("<u4")[0])
-    table = buffer[root + layout.root_size :][: count * layout.root_tile_size].reshape(count, layout.root_tile_size)
-    key = table[:, :8].copy().view("<u8")[:, 0]
-    child = table[:, 8:16].copy().view("<i8")[:, 0]
-    at = -(-20 // layout.align) * layout.align
-    tile = np.ascontiguousarray(table[:, at : at + bits.itemsize]).view(bits)[:, 0]
-    # A key has 20 bits of each coordinate, z lowest; the left shift puts their sign bit in place.
-    parts = np.stack([key >> np.uint64(42), key >> np.uint64(21), key], axis=1).astype(np.uint32)
-    origins = (parts << np.uint32(12)).view(np.int32).astype(np.int64)
-    boxes = [np.stack([origins, origins + ROOT_SPAN - 1], axis=1)[(child == 0) & (tile != background)]]
-    at_nodes, origins = child[child != 0] + root, origins[child != 0]
-    for begin, size, offset, width, span in (
-        (upper, layout.upper_size, layout.upper_table, 32, 128),
-        (lower, layout.lower_size, layout.lower_table, 16, 8),
-    ):
-        order = np.argsort(at_nodes)
-        assert (at_nodes[order] == begin + size * np.arange(len(order))).all(), "check_grid has seen to that"
-        origins = origins[order]
-        children, at_children = [], []
-        for first in range(0, len(origins), NODES_AT_A_TIME):
-            rows = origins[first : first + NODES_AT_A_TIME]
-            start = begin + first * size
-            tiles, found, offsets = _slots(buffer, len(rows), start, size, offset, width**3, layout, background)
-            used = tiles | found if span == LEAF_SPAN else tiles
-            boxes.append(_boxes_of(rows, used.reshape(-1, width, width, width), span))
-            node, slot = np.nonzero(found)
-            cell = np.stack([slot // width**2, slot // width % width, slot % width], axis=1)
-            children.append(rows[node] + span * cell)
-            at_children.append(start + node * size + offsets[node, slot])
-        origins = np.concatenate(children) if children else origins[:0]
-        at_nodes = np.concatenate(at_children) if children else at_nodes[:0]
+    bits = np.dtype(f"<u{grid.root.layout.background.itemsize}")
+    background, table = grid.background.view(bits), grid.table
+    is_tile = (table["child"] == 0) & (table["value"].view(bits) != background)
+    tiles = root_origins(table["key"][is_tile]).astype(np.int64)
+    boxes = [np.stack([tiles, tiles + ROOT_SPAN - 1], axis=1)]
+    upper = grid.upper_places().origins
+    for level, origins in ((grid.upper, upper), (grid.lower, grid.upper.children(upper).origins)):
+        for first, part in level.parts():
+            child = bits_of(part.child_mask)
+            used = ~child & (part.values.view(bits) != background)
+            if level.span == LEAF_SPAN:
+                used |= child
+            rows = origins[first : first + part.count].astype(np.int64)
+            boxes.append(_boxes_of(rows, used.reshape(-1, *3 * (level.width,)), level.span))
     found = np.concatenate(boxes)
     if not len(found):
         return None
     box = np.stack([found[:, 0].min(axis=0), found[:, 1].max(axis=0)])
     return np.clip(box, -OUTERMOST_VOXEL, OUTERMOST_VOXEL)
-
-
-def _slots(
-    buffer: NDArray[np.uint8],
-    count: int,
-    start: int,
-    size: int,
-    table: int,
-    slots: int,
-    layout: GridLayout,
-    background: Any,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
-    """For ``count`` nodes: slots of tiles other than background, slots of children, and the children's offsets."""
-    mask = np.ndarray((count, slots // 8), np.uint8, buffer, start + 32 + slots // 8, (size, 1))
-    found = np.unpackbits(mask, axis=1, bitorder="little").view(np.bool_)
-    values = np.ndarray((count, slots), background.dtype, buffer, start + table, (size, layout.table_stride))
-    offsets: NDArray[np.int64] = np.ndarray((count, slots), "<i8", buffer, start + table, (size, layout.table_stride))
-    return ~found & (values != background), found, offsets
 
 
 def _boxes_of(origins: NDArray[np.int64], used: NDArray[np.bool_], span: int) -> NDArray[np.int64]:

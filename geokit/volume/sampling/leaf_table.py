@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.launches import replay
 
 if TYPE_CHECKING:
     import warp as wp
@@ -51,8 +52,8 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
     volume._uploads[asked] = volume._uploads.get(asked, 0) + count
     if volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
         return None
-    table = volume._uploads[key] = _make(volume, device, *box)
-    return table
+    replay.refuse()
+    return volume._uploads.setdefault(key, _make(volume, device, *box))
 
 
 def _box(volume: SparseVolume) -> tuple[np.ndarray, np.ndarray] | None:
@@ -83,7 +84,9 @@ def _most_entries(volume: SparseVolume, first: np.ndarray, size: np.ndarray) -> 
     return int(size.prod()) + 4096 * min(active, volume.info.byte_count // LOWER_NODE)
 
 
-def _make(volume: SparseVolume, device: "wp.Device", lower: np.ndarray, size: np.ndarray) -> Any:
+def _make(
+    volume: SparseVolume, device: "wp.Device", lower: np.ndarray, size: np.ndarray, *, with_pairs: bool = True
+) -> Any:
     import warp as wp
 
     from geokit.volume.sampling import leaf_table_kernels as kernels
@@ -107,7 +110,7 @@ def _make(volume: SparseVolume, device: "wp.Device", lower: np.ndarray, size: np
     table.lower, table.size = where
     table.top = wp.array(starts, dtype=wp.int32, device=device)
     table.slots = slots
-    if device.is_cuda:
+    if device.is_cuda and with_pairs:
         add_pairs(table, listed, int(PAIRS_SHARE * device.free_memory))
     return table
 

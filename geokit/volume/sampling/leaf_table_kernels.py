@@ -12,7 +12,7 @@ The entry of a leaf is its byte offset divided by 32. The entry of a tile is ~(b
 import warp as wp
 
 from geokit.core.cpp import cpp
-from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, is_leaf, node_of
+from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -70,7 +70,7 @@ def fill_top_kernel(first: int, volume: wp.uint64, lower: wp.vec3i, size: wp.vec
     c = corner_of(t, lower, size)
     entry = int(0)
     if level_of(volume, c[0], c[1], c[2]) > 1:
-        entry = tile_entry(node_of(volume, FLOAT_TYPE, c[0], c[1], c[2]))
+        entry = tile_entry(node_of(volume, grid_type_of(volume), c[0], c[1], c[2]))
     out_top[t] = entry
 
 
@@ -86,7 +86,7 @@ def fill_slots_kernel(
     t = first + wp.tid()
     c = corner_of(places[t / BLOCK], lower, size)
     s = t % BLOCK
-    node = node_of(volume, FLOAT_TYPE, c[0] + s / 256 * 8, c[1] + s / 16 % 16 * 8, c[2] + s % 16 * 8)
+    node = node_of(volume, grid_type_of(volume), c[0] + s / 256 * 8, c[1] + s / 16 % 16 * 8, c[2] + s % 16 * 8)
     if is_leaf(node):
         out_slots[t] = int(node >> wp.uint64(5))
     else:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
+from geokit.core.memory.row_products import row_product
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 
@@ -68,7 +69,7 @@ def target_leaves(
     if not len(origins):
         return np.empty((0, 3), np.int32)
     linear, shift = way_between(source, target)
-    center = (origins.astype(np.float64) + 3.5) @ linear.T + shift
+    center = row_product(origins + 3.5, linear.T, shift)
     # Half the extent of a leaf, with half a voxel around its voxel centers and a margin for rounding.
     reach = 4.0 * np.abs(linear).sum(axis=1) * (1.0 + 1e-9) + 1e-6
     lowest, highest = np.floor((center - reach) / 8.0), np.floor((center + reach) / 8.0)
@@ -80,7 +81,8 @@ def target_leaves(
     if need > have:
         raise DeviceMemoryError(
             f"voxel_size: the result may need {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use voxels about "
-            f"{(need / have) ** (1.0 / 3.0):.2g} times as large"
+            f"{(need / have) ** (1.0 / 3.0):.2g} times as large",
+            need=need,
         )
     size = size.astype(np.int64)
     count = size.prod(axis=1)

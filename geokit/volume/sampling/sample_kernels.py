@@ -12,7 +12,7 @@ import warp as wp
 
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_cell, read_voxel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Voxel coordinates are int32. The upper end is two less, because a cell reads one voxel further and rounding to the
 # nearest voxel adds a half.
@@ -52,6 +52,19 @@ def trilinear(c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, 
     low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
     high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
     return mix(low, high, f[0])
+
+
+@wp.func
+def trilinear_slopes(
+    c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, c110: Any, c111: Any, f: wp.vec3d
+):
+    """Derivatives of the trilinear interpolant along each index axis, with the same sums as trilinear_sums.inl."""
+    # Differences come before averages, so that a large common value does not cancel the digits of a small slope.
+    return (
+        mix(mix(c100 - c000, c101 - c001, f[2]), mix(c110 - c010, c111 - c011, f[2]), f[1]),
+        mix(mix(c010 - c000, c011 - c001, f[2]), mix(c110 - c100, c111 - c101, f[2]), f[0]),
+        mix(mix(c001 - c000, c011 - c010, f[1]), mix(c101 - c100, c111 - c110, f[1]), f[0]),
+    )
 
 
 @wp.func
@@ -106,12 +119,8 @@ def linear_differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
     base = wp.vec3d(wp.floor(u[0]), wp.floor(u[1]), wp.floor(u[2]))
     f = u - base
     c000, c001, c010, c011, c100, c101, c110, c111 = read_cell(volume, int(base[0]), int(base[1]), int(base[2]), zero)
-    # Differences come before averages, so that a large common value does not cancel the digits of a small slope.
-    return (
-        mix(mix(c100 - c000, c101 - c001, f[2]), mix(c110 - c010, c111 - c011, f[2]), f[1]),
-        mix(mix(c010 - c000, c011 - c001, f[2]), mix(c110 - c100, c111 - c101, f[2]), f[0]),
-        mix(mix(c001 - c000, c011 - c010, f[1]), mix(c101 - c100, c111 - c110, f[1]), f[0]),
-    )
+    a, b, c = trilinear_slopes(c000, c001, c010, c011, c100, c101, c110, c111, f)
+    return a, b, c
 
 
 @wp.func

@@ -9,7 +9,7 @@ import warp as wp
 from geokit.volume.sampling.sample_kernels import has_voxels, store_column, world_derivative
 from geokit.volume.sampling.stencil_kernels import stencil_gradient, stencil_hessian, stencil_value, weights
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
 @wp.func
@@ -41,7 +41,7 @@ def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
         name: Warp module of the kernels. Each interpolant has its own, so that an unused one is not compiled.
     """
     module = wp.get_module(name)
-    wp.set_module_options({"enable_backward": False, "max_unroll": 1}, module=module)
+    wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False}, module=module)
 
     @wp.kernel(module=module)
     def sample_kernel(

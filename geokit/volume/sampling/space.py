@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.errors import InputError
+from geokit.core.require import require_choice
 from geokit.volume._model import SparseVolume
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ def require_space(space: str) -> None:
     Raises:
         InputError: ``space`` is neither "world" nor "index".
     """
-    if space not in SPACES:
-        raise InputError(f"space: {space!r} is not known; use one of {', '.join(map(repr, SPACES))}")
+    require_choice(space, "space", SPACES)
 
 
 def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from geokit.volume.sampling.sample_kernels import central_differences, linear_di
 from geokit.volume.sampling.smooth_kernels import smooth_gradient, smooth_value
 from geokit.volume.sampling.stencil_kernels import Cubic, Quadratic
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
 @wp.func

@@ -17,7 +17,7 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, grid_type_of, node_of, read_voxel
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 mat34d = wp.types.matrix(shape=(3, 4), dtype=wp.float64)
 vec9d = wp.types.vector(length=9, dtype=wp.float64)

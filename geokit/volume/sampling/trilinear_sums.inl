@@ -4,7 +4,7 @@
 // Expects c0 to c7, the cell's voxels, k fastest; x, y, z, the point's fractions in the cell; the macro GRADIENT, 0
 // or 1; for gradients m00 to m22, world to index. Defines value; or g0, g1, g2.
 #if GRADIENT
-// Differences come before averages, as in linear_differences.
+// Differences come before averages, as in trilinear_slopes.
 const double i_low = (c4 - c0) + ((c5 - c1) - (c4 - c0)) * z, i_high = (c6 - c2) + ((c7 - c3) - (c6 - c2)) * z;
 const double j_low = (c2 - c0) + ((c3 - c1) - (c2 - c0)) * z, j_high = (c6 - c4) + ((c7 - c5) - (c6 - c4)) * z;
 const double k_low = (c1 - c0) + ((c3 - c2) - (c1 - c0)) * y, k_high = (c5 - c4) + ((c7 - c6) - (c5 - c4)) * y;

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher, user_arrays
-from geokit.core.pinned import host_flags
+from geokit.core.memory.pinned import host_flags
 from geokit.volume.sampling.leaf_table import leaf_table
 from geokit.volume.sampling.space import world_to_index
 
@@ -47,13 +47,13 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
         return None
     from geokit.volume.sampling import trilinear_table_kernels as kernels
 
-    batch = user_arrays.read_vectors(points, "points", device, defer=True, keep_float32=True)
+    batch = user_arrays.read_vectors(points, "points", device, defer=True, keep_float32=True, single=True)
     count = len(batch)
     if gradient:
-        choices = kernels.GRADIENT_GROUPS if device.is_cpu else kernels.GRADIENT_SINGLES
+        choices = kernels.GRADIENT_CPU if device.is_cpu else kernels.GRADIENT_CUDA
         kinds, background = (wp.vec3f, wp.vec3d), wp.vec3d(0.0, 0.0, 0.0)
     else:
-        choices = kernels.SAMPLE_GROUPS if device.is_cpu else kernels.SAMPLE_SINGLES
+        choices = kernels.SAMPLE_CPU if device.is_cpu else kernels.SAMPLE_CUDA
         kinds, background = (wp.float32, wp.float64), wp.float64(volume.info.background)
     out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
     bad = host_flags(1, device)
@@ -68,5 +68,5 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
 def _count(points: Any) -> int:
     try:
         return len(points)
-    except TypeError:
+    except Exception:  # of the caller's own type; the points are read and refused later
         return 0

@@ -121,10 +121,10 @@ def is_unanswered(slope: wp.vec3d) -> bool:  # noqa: F811
 
 
 # An item is a group of queries on a CPU, a single query on CUDA. Queries that the table does not answer go through the
-# tree. Non-finite points are among them and set out_bad to 1. ``background`` is the grid's background for values, and a
-# zero vector for gradients.
+# tree. Non-finite points are among them and set out_nonfinite to 1. ``background`` is the grid's background for values,
+# and a zero vector for gradients.
 @wp.kernel
-def interpolate_groups_kernel(
+def interpolate_cpu_kernel(
     first: int,
     volume: wp.uint64,
     table: LeafTable,
@@ -133,7 +133,7 @@ def interpolate_groups_kernel(
     to_index: wp.mat33d,
     background: Any,
     out: wp.array(dtype=Any),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
     start = (first + wp.tid()) * GROUP
     stop = wp.min(start + GROUP, points.shape[0])
@@ -143,13 +143,13 @@ def interpolate_groups_kernel(
             if (left >> wp.uint64(q - start)) & wp.uint64(1) == wp.uint64(1):
                 point = wp.vec3d(points[q])
                 if not wp.isfinite(point):
-                    out_bad[0] = 1
+                    out_nonfinite[0] = 1
                 u = to_index * (point - origin)
                 out[q] = out.dtype(interpolate_by_tree(volume, u, to_index, background))
 
 
 @wp.kernel
-def interpolate_singles_kernel(
+def interpolate_cuda_kernel(
     first: int,
     volume: wp.uint64,
     table: LeafTable,
@@ -158,7 +158,7 @@ def interpolate_singles_kernel(
     to_index: wp.mat33d,
     background: Any,
     out: wp.array(dtype=Any),
-    out_bad: wp.array(dtype=int),
+    out_nonfinite: wp.array(dtype=int),
 ):
     i = first + wp.tid()
     point = wp.vec3d(points[i])
@@ -166,7 +166,7 @@ def interpolate_singles_kernel(
     found = interpolate_single(table, u, to_index, background)
     if is_unanswered(found):
         if not wp.isfinite(point):
-            out_bad[0] = 1
+            out_nonfinite[0] = 1
         found = interpolate_by_tree(volume, u, to_index, background)
     out[i] = out.dtype(found)
 
@@ -181,7 +181,7 @@ def overloads(kernel: Any, background: Any, single: Any, double: Any) -> dict[bo
     }
 
 
-SAMPLE_GROUPS = overloads(interpolate_groups_kernel, wp.float64, wp.float32, wp.float64)
-SAMPLE_SINGLES = overloads(interpolate_singles_kernel, wp.float64, wp.float32, wp.float64)
-GRADIENT_GROUPS = overloads(interpolate_groups_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
-GRADIENT_SINGLES = overloads(interpolate_singles_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
+SAMPLE_CPU = overloads(interpolate_cpu_kernel, wp.float64, wp.float32, wp.float64)
+SAMPLE_CUDA = overloads(interpolate_cuda_kernel, wp.float64, wp.float32, wp.float64)
+GRADIENT_CPU = overloads(interpolate_cpu_kernel, wp.vec3d, wp.vec3f, wp.vec3d)
+GRADIENT_CUDA = overloads(interpolate_cuda_kernel, wp.vec3d, wp.vec3f, wp.vec3d)

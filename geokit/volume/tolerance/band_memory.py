@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geokit.volume.band.sign_change_tiles import with_sign_changes
 from geokit.volume.band.tiles import TILE_VOXELS, WORKING_BYTES, Lattice, near_tiles
 from geokit.volume.nanovdb.header import HEAD_SIZE
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
@@ -19,6 +20,8 @@ __all__ = ["BandCounts", "BandMemory", "lattice_within"]
 
 # Most tiles that are counted. Above this the count is extrapolated with the square of the resolution.
 MOST_COUNTED = 60_000
+# Voxels along the mesh's longest side where the tiles in its holes are counted; their number grows with the square.
+COUNTED_VOXELS = 200.0
 # Edges of a lower and of an upper node, in tiles.
 LOWER_TILES, UPPER_TILES = 16, 512
 
@@ -51,10 +54,12 @@ class BandMemory:
     Attributes:
         surface: Surface of the bands.
         offset: Distance [world] of the field's surface from the mesh.
+        method: Sign method, or "none" for unsigned distances.
     """
 
     surface: Surface
     offset: float
+    method: str = "none"
     _known: dict[tuple[float, float, float | None], int] = field(default_factory=dict)
 
     def counts(self, voxel_size: float, width: float) -> BandCounts:
@@ -63,6 +68,7 @@ class BandMemory:
         expected = 1.5 * self._area / (TILE_VOXELS * voxel_size) ** 2
         coarser = max(1.0, expected / MOST_COUNTED) ** 0.5
         leaves = self._counted(voxel_size * coarser, width * coarser) * coarser * coarser
+        leaves += self._sign_change_area / (TILE_VOXELS * voxel_size) ** 2
         # A node is counted as a tile of larger voxels.
         tile = TILE_VOXELS * voxel_size
         lowers = min(self._counted(voxel_size * LOWER_TILES, width, tile), leaves)
@@ -75,6 +81,17 @@ class BandMemory:
             lattice = lattice_within(self.surface, voxel_size, width, self.offset, tile=tile)
             self._known[key] = max(1, len(near_tiles(lattice).keys))
         return float(self._known[key])
+
+    @cached_property
+    def _sign_change_area(self) -> float:
+        """Area [world^2] of the tiles' faces, as many as there are tiles in the holes of an open mesh."""
+        if self.method == "none" or self.surface.is_closed:
+            return 0.0
+        size = 2.0 * float(self.surface.scale) / COUNTED_VOXELS
+        lattice = lattice_within(self.surface, size, size, self.offset)
+        near = near_tiles(lattice)
+        more = len(with_sign_changes(lattice, near, self.method).keys) - len(near.keys)
+        return more * (TILE_VOXELS * size) ** 2
 
     @cached_property
     def _area(self) -> float:

@@ -51,13 +51,20 @@ class Made(NamedTuple):
     achieved: Achieved | None
 
 
-def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most_leaves: float = math.inf) -> Made:
+def made_within(
+    search: Search,
+    make: Callable[[Setting], SparseVolume],
+    *,
+    most_leaves: float = math.inf,
+    check: Callable[[SparseVolume, Setting, int], Achieved] | None = None,
+) -> Made:
     """Build the field of least memory that keeps the tolerance at all checked points.
 
     Args:
         search: The search for settings.
         make: Builds the field of a setting.
         most_leaves: Fields that are predicted to have more leaves are not built, and their settings not checked.
+        check: Returns the errors of a field at points that differ with the number given; None for checked_errors.
     Raises:
         InputError, DeviceMemoryError: The tolerance cannot be kept; the message says which one can.
     """
@@ -69,7 +76,10 @@ def made_within(search: Search, make: Callable[[Setting], SparseVolume], *, most
         if setting.counts.leaves > most_leaves:
             return Made(setting, None, None)
         volume = make(setting)
-        achieved = checked_errors(search.zone, volume, setting, FIRST_SEED + trial)
+        if check is None:
+            achieved = checked_errors(search.zone, volume, setting, FIRST_SEED + trial)
+        else:
+            achieved = check(volume, setting, trial)
         if achieved.largest <= search.tolerance:
             return Made(setting, volume, achieved)
         best = min(best, achieved.largest)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import user_arrays
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
 from geokit.volume.band.band import BandShape, build_band, make_band
 from geokit.volume.band.fields import (
@@ -23,7 +25,7 @@ from geokit.volume.nanovdb.provenance import provenance, with_more
 from geokit.volume.tolerance.band_memory import BandMemory, lattice_within
 from geokit.volume.tolerance.checked_fields import made_within
 from geokit.volume.tolerance.search import CODECS, ORDERS, Search, Setting, options_of
-from geokit.volume.tolerance.zone import Zone, checked_within
+from geokit.volume.tolerance.zone import Zone, checked_within, require_extent
 from geokit.volume.tree.leaf_codecs import LeafReader
 
 if TYPE_CHECKING:
@@ -35,6 +37,8 @@ __all__ = ["make_setting", "tolerance_search", "within_tolerance"]
 
 # Voxels along the longest side of the band whose leaf ranges are measured: it has a few hundred to a thousand leaves.
 RANGED_VOXELS = 100.0
+# Least tolerance as a share of the field's size: a few roundings of its coordinates.
+LEAST_SHARE = 1e-15
 
 
 def tolerance_search(
@@ -58,10 +62,10 @@ def tolerance_search(
     from geokit.volume._quantize import CODECS as ALL_CODECS
 
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
-    if order is not None and (isinstance(order, bool) or order not in ORDERS):
-        raise InputError(f"order: {order!r} is no order of a field with a tolerance; use one of 1, 2, 3")
-    if codec is not None and codec not in ALL_CODECS:
-        raise InputError(f"codec: {codec!r} is not known; use one of {', '.join(map(repr, ALL_CODECS))}")
+    if order is not None:
+        order = require_count(order, "order", min(ORDERS), max(ORDERS))
+    if codec is not None:
+        require_choice(codec, "codec", ALL_CODECS)
     if isinstance(half_width, (tuple, list)):
         raise InputError("half_width: a pair of widths has no meaning with tolerance; give one, or none")
     if half_width is not None:
@@ -78,6 +82,12 @@ def tolerance_search(
         return sample_surface(surface.mesh, count, seed=seed).points
 
     zone = Zone(truth, seeds, surface.bounds, within, offset)
+    require_extent(zone.longest)
+    if tolerance < LEAST_SHARE * zone.longest:
+        raise InputError(
+            f"tolerance: {tolerance:g} is out of reach for a field of {zone.longest:.3g} across, whose coordinates are "
+            f"float64; use {LEAST_SHARE * zone.longest:.2g} or more"
+        )
     options = options_of(ORDERS if order is None else (order,), CODECS if codec is None else (codec,))
     most_bytes = Lattice(surface, zone.longest, 0.0).free
 
@@ -92,7 +102,7 @@ def tolerance_search(
         values = reader.values(0, reader.count)
         return np.asarray((values.max(axis=1) - values.min(axis=1)) / (2.0 * reach), np.float64)
 
-    memory = BandMemory(surface, offset)
+    memory = BandMemory(surface, offset, method)
     return Search(zone, memory, tolerance, options, most_bytes, leaf_ranges, half_width, sign, method)
 
 
@@ -115,11 +125,18 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
 
 
 def within_tolerance(
-    mesh: TriangleMesh | Surface, tolerance: float, options: dict[str, Any], sign: str, method: str, name: str | None
+    mesh: TriangleMesh | Surface,
+    tolerance: float,
+    options: dict[str, Any],
+    sign: str,
+    method: str,
+    name: str | None,
+    progress: Progress | None = None,
 ) -> SparseVolume:
     if method != "geokit":
         raise InputError("method: only 'geokit' makes fields with a tolerance; the others are off by what they are")
     search = tolerance_search(mesh, tolerance, sign=sign, **options)
+    search.progress = progress
     setting, volume, achieved = made_within(search, lambda s: make_setting(search, s, name))
     assert volume is not None
     assert achieved is not None
@@ -130,4 +147,6 @@ def within_tolerance(
         checked_within=search.zone.within,
         order=setting.option.order,
     )
+    if progress:
+        progress(100, 100)
     return with_more(volume, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.types import FIXED_BITS
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["REACH", "Stencils", "interpolation_errors", "quantization_step", "stencils_of"]
+__all__ = ["REACH", "STENCILS", "Stencils", "axis_weights", "interpolation_errors", "quantization_step", "stencils_of"]
 
 # First voxel of an order's stencil along an axis, relative to the voxel below the point, and number of voxels.
 STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
 # Distance [voxels] from a point to the farthest voxel of its stencil.
 REACH = {1: 3.0**0.5, 2: 2.0 * 3.0**0.5, 3: 2.0 * 3.0**0.5}
+# Numbers are marked in a table of up to so many times their count; sorting them takes longer.
+TABLE = 8
 
 
 class Stencils(NamedTuple):
@@ -58,15 +61,25 @@ def stencils_of(
     index = points / voxel_size
     below = np.floor(index)
     lowest = below.min(axis=0) + begin
-    offsets = np.stack(np.meshgrid(*[np.arange(width)] * 3, indexing="ij"), axis=-1)
-    voxels = (below + begin - lowest).astype(np.int64)[:, None, None, None] + offsets
-    extent = voxels.reshape(-1, 3).max(axis=0) + 1
-    keys = (voxels[..., 0] * extent[1] + voxels[..., 1]) * extent[2] + voxels[..., 2]
-    kept, rows = np.unique(keys, return_inverse=True)
+    corner = (below + begin - lowest).astype(np.int64)
+    extent = corner.max(axis=0) + width
+    strides = np.array([extent[1] * extent[2], extent[2], 1])
+    keys = (corner @ strides)[:, None, None, None] + np.tensordot(strides, np.indices((width,) * 3), 1)
+    kept, rows = _unique(keys, math.prod(extent.tolist()))
     places = np.stack([kept // (extent[1] * extent[2]), kept // extent[2] % extent[1], kept % extent[2]], axis=1)
     values = zone.truth((places + lowest) * voxel_size).astype(np.float32).astype(np.float64)
     noise = np.random.default_rng(len(values)).uniform(-1.0, 1.0, len(values))
-    return Stencils(values, noise, rows.reshape(keys.shape), -begin, index - below, exact)
+    return Stencils(values, noise, rows, -begin, index - below, exact)
+
+
+def _unique(numbers: NDArray[np.int64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The numbers below ``limit`` that occur, in order, and the place of each number among them."""
+    if limit > TABLE * numbers.size:
+        kept, rows = np.unique(numbers, return_inverse=True)
+        return kept, rows.reshape(numbers.shape)
+    occurs = np.zeros(limit, bool)
+    occurs[numbers] = True
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[numbers]
 
 
 def interpolation_errors(stencils: Stencils, order: int, limit: float, step: float = 0.0) -> NDArray[np.float64]:
@@ -83,7 +96,7 @@ def interpolation_errors(stencils: Stencils, order: int, limit: float, step: flo
     axis = slice(stencils.first + begin, stencils.first + begin + width)
     corners = values[stencils.rows[:, axis, axis, axis]]
     for k in (2, 1, 0):
-        corners = np.einsum("n...i,ni->n...", corners, _weights(order, stencils.fraction[:, k]))
+        corners = np.einsum("n...i,ni->n...", corners, axis_weights(order, stencils.fraction[:, k]))
     return np.abs(corners - stencils.exact)
 
 
@@ -92,7 +105,7 @@ def quantization_step(codec: str, half_width: float, voxel_size: float) -> float
     return 2.0 * half_width * voxel_size / (2.0 ** FIXED_BITS[codec] - 1.0) if codec in FIXED_BITS else 0.0
 
 
-def _weights(order: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
+def axis_weights(order: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weights of a stencil's voxels along an axis, as in ``sample``; shape (N, width)."""
     if order == 1:
         return np.stack([1.0 - t, t], axis=1)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.blocks.chunked_queries import Progress
 from geokit.volume.nanovdb.types import FIXED_BITS, QUANTIZED
 from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
 from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantization_step, stencils_of
@@ -55,6 +56,10 @@ SCANNED, SCAN = 2, (1.35, 1.0, 12)
 STUCK, STUCK_OVER = 0.9, 1.9
 # Settings within this ratio of memory are ordered by how fast they are to read.
 SAME_MEMORY = 1.05
+
+
+# Searches evaluate errors 35 to 230 times: the percent said halves what is left after so many, and ends there.
+HALF_DONE, LAST_PERCENT = 40, 95
 
 
 class Option(NamedTuple):
@@ -123,6 +128,7 @@ class Search:
         seed: Random seed of the points.
         levels: The voxel sizes tried so far, the largest first.
         is_limited_by_memory: Whether finer voxels were left out because they do not fit.
+        progress: Called as ``progress(percent, 100)`` while errors are evaluated.
     """
 
     zone: Zone
@@ -137,6 +143,8 @@ class Search:
     seed: int = 0
     levels: list[_Level] = field(default_factory=list)
     is_limited_by_memory: bool = False
+    progress: Progress | None = None
+    _evaluations: int = 0
     _missed: int = 0
     _shares: dict[float, NDArray[np.float64]] = field(default_factory=dict)
     _told: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
@@ -278,6 +286,9 @@ class Search:
         voxel_size: float,
         options: list[Option],
     ) -> dict[Option, NDArray[np.float64]]:
+        self._evaluations += 1
+        if self.progress:
+            self.progress(int(LAST_PERCENT * (1.0 - 0.5 ** (self._evaluations / HALF_DONE))), 100)
         stencils = stencils_of(self.zone, points, exact, voxel_size, max(option.order for option in options))
         return {
             option: interpolation_errors(

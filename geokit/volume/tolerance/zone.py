@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError
 
-__all__ = ["Zone", "checked_within"]
+__all__ = ["Zone", "checked_within", "require_extent"]
 
 # Width of the zone of an open mesh, as a share of the tolerance. Beside the mesh's border the sign jumps, and the field
 # is off by twice the distance there.
 OPEN_SHARE = 0.25
 
+# Sizes of fields [world] between which voxels and distances are normal float32 numbers, with 6 digits to spare.
+SHORTEST, LONGEST = 1e-32, 1e32
+
 # Most draws of points; for a shell, only a small part of a draw may lie in the zone.
 DRAWS = 8
+# Rounding of a distance, as a share of the largest coordinate: some 64 units in the last place.
+ROUNDING = 1.5e-14
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,24 @@ class Zone:
     def kept(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The points that lie in the zone, and the field there."""
         exact = self.truth(points)
-        inside = np.abs(exact) <= self.within
+        # Points on the surface are off it by the rounding of their coordinates.
+        inside = np.abs(exact) <= self.within + ROUNDING * (float(np.abs(self.bounds).max()) + self.offset)
         return points[inside], exact[inside]
+
+
+def require_extent(longest: float) -> None:
+    """Refuse fields whose voxels and distances would not be normal float32 numbers.
+
+    Args:
+        longest: Longest side of the box around the field's surface [world].
+    Raises:
+        InputError: It is too long, or zero.
+    """
+    if not SHORTEST < longest < LONGEST:
+        raise InputError(
+            f"mesh: the field's surface is {longest:.3g} across, which float32 does not divide into voxels; scale the "
+            "mesh, or use another thickness"
+        )
 
 
 def checked_within(within: float | None, tolerance: float, *, jumps: bool) -> float:

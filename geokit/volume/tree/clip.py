@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
-from geokit.volume.tree.typed_tree import Nodes, TypedTree, bits_of, differs, tree_of
+from geokit.volume.nanovdb.nodes import bits_of
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["clipped"]
@@ -215,5 +216,6 @@ def _require_memory(volume: SparseVolume, need: int) -> None:
     if need > have:
         raise DeviceMemoryError(
             f"volume: the tiles of grid {volume.info.name!r} that the box cuts through need about {need >> 20} MiB, of "
-            f"{have >> 20} MiB free; use a smaller box"
+            f"{have >> 20} MiB free; use a smaller box",
+            need=need,
         )

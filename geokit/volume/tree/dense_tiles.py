@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.nanovdb.nodes import grid_nodes, slot_of
 
-__all__ = ["VOXELS_AT_A_TIME", "DenseTiles", "block_keys"]
+__all__ = ["BYTES_PER_FILLED_LEAF", "BYTES_PER_LEAF", "VOXELS_AT_A_TIME", "DenseTiles", "mark_inside"]
 
+# A float leaf; its values and mask before it is written; its origin and place. Some are filled where they will stay.
+BYTES_PER_LEAF = 2144 + 2112 + 96
+BYTES_PER_FILLED_LEAF = 2144 + 96
 # Voxels processed together, so that memory does not grow with the array.
 VOXELS_AT_A_TIME = 1 << 22
 # Fewest tiles that are worth a slice of a launch: each takes a microsecond.
@@ -66,19 +70,30 @@ class DenseTiles:
 
     def contents(self, leaves: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Values (L, 512) and packed masks (L, 64) of the tiles with the given origins."""
-        from geokit.volume.tree.dense_tiles_kernels import fill_tiles_kernel
-
         values = np.empty((len(leaves), LEAF_VOXELS), np.float32)
         masks = np.empty((len(leaves), LEAF_VOXELS // 8), np.uint8)
+        self.fill(leaves, np.arange(len(leaves)), values, masks)
+        return values, masks
+
+    def fill(
+        self,
+        leaves: NDArray[np.int64],
+        rows: NDArray[np.int64],
+        values: NDArray[np.float32],
+        masks: NDArray[np.uint8],
+    ) -> None:
+        """Write values and masks of the tiles with the given origins to rows of arrays like those of :meth:`contents`,
+        whose rows may lie apart."""
+        from geokit.volume.tree.dense_tiles_kernels import fill_tiles_kernel
+
         tile = (leaves - self.first) >> 3
         order = np.argsort(tile[:, 0], kind="stable")
         for x, slab, shift in self._slabs():
             ends = np.searchsorted(tile[order, 0], [x, x + -(-(shift[0] + slab.shape[0]) // 8)])
-            rows = order[ends[0] : ends[1]]
-            tiles = (tile[rows] - np.array([x, 0, 0])).astype(np.int32)
-            inputs = [slab, shift, tiles, rows.astype(np.int32), *self.rule]
-            _launch_on_host(fill_tiles_kernel, len(rows), inputs, [values, masks])
-        return values, masks
+            part = order[ends[0] : ends[1]]
+            tiles = (tile[part] - np.array([x, 0, 0])).astype(np.int32)
+            inputs = [slab, shift, tiles, rows[part].astype(np.int32), *self.rule]
+            _launch_on_host(fill_tiles_kernel, len(part), inputs, [values, masks])
 
     def _slabs(self) -> Iterator[tuple[int, NDArray[Any], tuple[int, int, int]]]:
         """First tile along x, part of the array as float32 or float64, and its offset in that tile."""
@@ -107,8 +122,8 @@ class DenseTiles:
         leaves: NDArray[np.int64], inside: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         # A tile needs a lower node (128^3 voxels) to be stored in: if no leaf creates one, a tile becomes a leaf.
-        have = np.unique(block_keys(leaves))
-        keys = block_keys(inside)
+        have = np.unique(_block_keys(leaves))
+        keys = _block_keys(inside)
         _, rows = np.unique(keys, return_index=True)
         rows = rows[~np.isin(keys[rows], have)]
         return np.concatenate([leaves, inside[rows]]), np.delete(inside, rows, axis=0)
@@ -127,8 +142,19 @@ def _launch_on_host(kernel: Any, count: int, inputs: list[Any], outputs: list[An
     launcher.launch(kernel, count, [*map(shared, inputs)], [*map(shared, outputs)], device, grain=TILE_GRAIN)
 
 
-def block_keys(origins: NDArray[np.int64]) -> NDArray[np.int64]:
+def _block_keys(origins: NDArray[np.int64]) -> NDArray[np.int64]:
     """One key for each lower node (128^3 voxels) that contains one of the voxels (N, 3) of an array."""
     # int32 indices leave 25 bits of each coordinate of a block, of which 21 distinguish the blocks of an array.
     block = (origins >> 7) & ((1 << 21) - 1)
     return block[:, 0] << 42 | block[:, 1] << 21 | block[:, 2]
+
+
+def mark_inside(buffer: NDArray[np.uint8], inside: NDArray[np.int64], background: float) -> None:
+    """Write the value of the inner tiles into their slots; each has a lower node. The checksum does not cover nodes."""
+    if not len(inside):
+        return
+    lower = grid_nodes(buffer).lower
+    node_keys = _block_keys(lower.origins.astype(np.int64))
+    order = np.argsort(node_keys, kind="stable")
+    node = order[np.searchsorted(node_keys[order], _block_keys(inside))]
+    lower.values[node, slot_of(inside, lower.width, lower.span)] = -background

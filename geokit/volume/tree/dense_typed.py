@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
 from geokit.core.launcher import thread_count
+from geokit.core.memory import available_memory
+from geokit.core.require import described, read_array
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, GridLayout
+from geokit.volume.nanovdb.nodes import slot_of
 from geokit.volume.nanovdb.types import CLASS_TYPES, WHOLE_TYPES, WHOLE_VECTOR_TYPES
-from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, slot_of, tree_of_leaves
+from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, tree_of_leaves
 
 __all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
 
@@ -97,7 +99,8 @@ def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule
         if need > have:
             raise DeviceMemoryError(
                 f"values: {len(places)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger "
-                "tolerance, or parts of the array"
+                "tolerance, or parts of the array",
+                need=need,
             )
         values = np.empty((len(places), LEAF_VOXELS, *background.shape), background.dtype)
         masks = np.empty((len(places), LEAF_VOXELS // 8), np.uint8)
@@ -250,16 +253,13 @@ def background_of(value: Any, layout: GridLayout) -> NDArray[Any]:
     """
     kind = layout.background
     remedy = f"give {'a number' if not kind.shape else f'one number, or {kind.shape[0]},'} that {layout.name} holds"
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"background: {error}; {remedy}") from None
+    given = read_array(value, "background", kinds="fiub")
     if given.dtype.kind not in "fiub" or given.shape not in ((), kind.shape):
-        raise InputError(f"background: {value!r} is no value of type {layout.name}; {remedy}")
+        raise InputError(f"background: {described(value)} is no value of type {layout.name}; {remedy}")
     with np.errstate(all="ignore"):
         stored = np.array(np.broadcast_to(given, kind.shape).astype(kind.base))
     if _cannot_hold(stored, given).any():
-        raise InputError(f"background: {value!r} is no value of type {layout.name}; {remedy}")
+        raise InputError(f"background: {described(value)} is no value of type {layout.name}; {remedy}")
     if layout.name == "mask" and stored:
         raise InputError("background: what a mask does not store is off; give False, or invert the array")
     return stored

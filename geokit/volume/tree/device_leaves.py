@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
+from geokit.volume.nanovdb.nodes import NodeLevel, slot_of
 from geokit.volume.tree.device_writer import Leaves, build_on_device
 from geokit.volume.tree.grid_head import GridHead
 from geokit.volume.tree.root_table import root_keys_of
-from geokit.volume.tree.typed_tree import slot_of
 
-__all__ = ["build_leaves", "leaf_keys"]
+__all__ = ["build_leaves", "fill_leaves", "leaf_keys"]
 
 
 def build_leaves(
@@ -52,34 +53,72 @@ def build_leaves(
         if np.shape(array) != (count, row):
             raise InputError(f"{what}: shape {np.shape(array)} is not {(count, row)}; give a row per leaf")
     masks = np.ascontiguousarray(leaf_masks if packed else np.packbits(leaf_masks, axis=1, bitorder="little"))
+    leaves, _ = _ordered(origins)
+    device, rows = leaves.keys.device, leaves.rows
+    inside = None
+    if signed:
+        inside = wp.empty((count, 8), dtype=wp.uint64, device=device)
+        flat = _shared(values.reshape(-1), wp.float32)
+        launcher.launch(negative_bits_kernel, 8 * count, [wp.int64(0), rows, flat], [inside], device)
+
+    def write(buffer: Any, begin: int) -> None:
+        words = _shared(values.reshape(-1).view(np.int32), wp.int32)
+        bits = _shared(masks.reshape(-1).view(np.uint64), wp.uint64)
+        launcher.launch(copy_leaves_kernel, 8 * count, [wp.int64(begin), rows, words, bits], [buffer], device)
+
+    built = build_on_device(leaves, head, write, inside)
+    assert built.host is not None  # the device is the CPU
+    return built.host
+
+
+def fill_leaves(
+    head: GridHead,
+    leaf_origins: NDArray[np.int32],
+    fill: Callable[[NDArray[np.int64], NDArray[Any], NDArray[np.uint8]], None],
+) -> NDArray[np.uint8]:
+    """As :func:`build_leaves`, for values that are written to the grid at once, without a copy of them.
+
+    Args:
+        head, leaf_origins: As there.
+        fill: Called with the rows of the leaves, (L,), and the arrays that it fills: values (L, 512), and masks
+            (L, 64) of packed bits.
+    """
+    leaves, order = _ordered(_checked_origins(leaf_origins))
+    count, layout = len(order), head.layout
+    rows = np.empty(count, np.int64)
+    rows[order] = np.arange(count)
+
+    def write(buffer: Any, begin: int) -> None:
+        level = NodeLevel(
+            buffer.numpy(), layout, "leaf", begin, count, layout.leaf_size, layout.leaf_table, width=8, span=1
+        )
+        fill(rows, level.values, level.value_mask)
+
+    built = build_on_device(leaves, head, write)
+    assert built.host is not None  # the device is the CPU
+    return built.host
+
+
+def _ordered(origins: NDArray[np.int32]) -> tuple[Leaves, NDArray[np.int64]]:
+    """Leaves in the order of their keys, on the CPU, and which of the origins each is."""
+    import warp as wp
+
     keys, uppers = leaf_keys(origins)
     order = np.argsort(keys, kind="stable")
     twice = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     if len(twice):
         first, second = order[twice[0]], order[twice[0] + 1]
         raise InputError(f"leaf_origins: row {second} repeats row {first}; give each leaf once")
+    rows = _shared(order.astype(np.int32), wp.int32)
+    return Leaves(_shared(keys[order], wp.int64), _shared(origins >> 3, wp.vec3i), rows, uppers), order
+
+
+def _shared(numbers: NDArray[Any], dtype: Any) -> Any:
+    """The numbers as a warp array on the CPU, without a copy where they are contiguous."""
+    import warp as wp
 
     device = launcher.resolve_device("cpu")
-
-    def array_of(numbers: NDArray[Any], dtype: Any) -> Any:
-        return wp.array(np.ascontiguousarray(numbers), dtype=dtype, device=device, copy=False)
-
-    rows = array_of(order.astype(np.int32), wp.int32)
-    leaves = Leaves(array_of(keys[order], wp.int64), array_of(origins >> 3, wp.vec3i), rows, uppers)
-    inside = None
-    if signed:
-        inside = wp.empty((count, 8), dtype=wp.uint64, device=device)
-        flat = array_of(values.reshape(-1), wp.float32)
-        launcher.launch(negative_bits_kernel, 8 * count, [wp.int64(0), rows, flat], [inside], device)
-
-    def write(buffer: Any, begin: int) -> None:
-        words = array_of(values.reshape(-1).view(np.int32), wp.int32)
-        bits = array_of(masks.reshape(-1).view(np.uint64), wp.uint64)
-        launcher.launch(copy_leaves_kernel, 8 * count, [wp.int64(begin), rows, words, bits], [buffer], device)
-
-    built = build_on_device(leaves, head, write, inside)
-    assert built.host is not None  # the device is the CPU
-    return built.host
+    return wp.array(np.ascontiguousarray(numbers), dtype=dtype, device=device, copy=False)
 
 
 def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.device_arena import Scratch, ScratchArray
-from geokit.core.host_array import HostArray
-from geokit.core.pinned import PinnedArray, host_arrays
+from geokit.core.memory.device_arena import Scratch, ScratchArray
+from geokit.core.memory.host_array import HostArray
+from geokit.core.memory.pinned import PinnedArray, host_arrays
 from geokit.core.scan import prefix_sum_async
 from geokit.volume.nanovdb.checksum import partial_checksum
-from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer
+from geokit.volume.nanovdb.grid_array import array_of, empty_grid
+from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
+from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
 
 if TYPE_CHECKING:
@@ -67,12 +69,18 @@ class Leaves:
 class BuiltGrid:
     """A grid on a device, with a copy of its first bytes (headers, root and root table) on the host.
 
-    On the CPU ``host`` is the grid itself and ``buffer`` shares its memory.
+    On the CPU ``host`` is the grid itself and ``buffer`` shares its memory. Of a grid of more than 2^31 - 1 bytes,
+    ``buffer`` shows the first of these.
     """
 
     buffer: "wp.array"
     head: NDArray[np.uint8]
     host: NDArray[np.uint8] | None
+
+    @property
+    def size(self) -> int:
+        """Bytes of the grid."""
+        return int(grid_header(self.head)["grid_size"])
 
 
 @dataclass(frozen=True)
@@ -120,9 +128,10 @@ def build_on_device(
     places = places_of(head.layout, count, lower.count, leaves.upper_places(ranks), fill_gaps=inside is not None)
     buffer, host = _buffer(places.size, device)
     states, faces = _spread_signs(inside, leaves, lower, upper)
-    _link(buffer, head, places, (leaves, lower, upper), states)
+    layouts = _level_layouts(head.layout, places)
+    _link(buffer, head, layouts, (leaves, lower, upper), states)
     write_leaves(buffer, places.leaf_begin)
-    boxes, extrema, active = _statistics(buffer, head, places, leaves, lower, upper)
+    boxes, extrema, active = _statistics(buffer, head, places, layouts, leaves, lower, upper)
     # Nothing has waited for the device so far, and most grids need no wait before the head is written.
     start = write_head(head, places, faces.numpy() if places.gaps else np.zeros(upper.count, np.uint8))
     write_root(start, head, boxes.numpy().reshape(-1, 2, 3), extrema.numpy().view(head.word).reshape(-1, 2), active())
@@ -133,15 +142,12 @@ def build_on_device(
 
 
 def _buffer(size: int, device: "wp.Device") -> tuple["wp.array", NDArray[np.uint8] | None]:
-    import warp as wp
-
     if device.is_cuda:
         # Unwritten bytes are zero too, so that the same leaves give the same bytes.
-        return wp.zeros(size, dtype=wp.uint8, device=device), None
+        return empty_grid(size, device), None
     # Pages from calloc are zero until they are written: padding costs nothing and the leaves are touched once.
     host = aligned_buffer(size, zeroed=True)
-    array: Any = wp.array(host, dtype=wp.uint8, device=device, copy=False)
-    return array, host
+    return array_of(host), host
 
 
 def _put(buffer: "wp.array", host: NDArray[np.uint8] | None, start: NDArray[np.uint8]) -> None:
@@ -226,10 +232,27 @@ def _spread_signs(
     return states, faces
 
 
+def _level_layouts(layout: GridLayout, places: Places) -> tuple[Any, Any]:
+    """The kernels' structs of the lower and of the upper nodes."""
+    from geokit.volume.tree.device_writer_kernels import LevelLayout
+
+    lower, upper = LevelLayout(), LevelLayout()
+    for level, bits, span, begin, size, table, child_begin, child_size in (
+        (lower, LOWER_BITS, LOWER_SPAN, places.lower_begin, layout.lower_size, layout.lower_table,
+         places.leaf_begin, layout.leaf_size),
+        (upper, UPPER_BITS, UPPER_SPAN, places.upper_begin, layout.upper_size, layout.upper_table,
+         places.lower_begin, layout.lower_size),
+    ):  # fmt: skip
+        level.bits, level.span, level.begin, level.size, level.table = 3 * bits, span, begin, size, table
+        level.statistics = 32 + 2 * (1 << level.bits) // 8
+        level.child_begin, level.child_size = child_begin, child_size
+    return lower, upper
+
+
 def _link(
     buffer: "wp.array",
     head: GridHead,
-    places: Places,
+    layouts: tuple[Any, Any],
     levels: tuple[Leaves, _Level, _Level],
     states: list[ScratchArray | None],
 ) -> None:
@@ -238,18 +261,15 @@ def _link(
     from geokit.volume.tree.device_writer_kernels import link_kernel
 
     leaves, lower, upper = levels
-    layout, device = head.layout, buffer.device
+    device = buffer.device
     outside, inside = (wp.uint64(_word_of(value, head.word)) for value in (head.background, head.inside))
-    for children, nodes, bits, state, begin, size, table, child_begin, child_size in (
-        (lower.keys, upper, UPPER_BITS, states[1], places.upper_begin, layout.upper_size, layout.upper_table,
-         places.lower_begin, layout.lower_size),
-        (leaves.keys, lower, LOWER_BITS, states[0], places.lower_begin, layout.lower_size, layout.lower_table,
-         places.leaf_begin, layout.leaf_size),
-    ):  # fmt: skip
+    for children, nodes, level, state in (
+        (lower.keys, upper, layouts[1], states[1]),
+        (leaves.keys, lower, layouts[0], states[0]),
+    ):
         given = wp.empty(0, dtype=wp.uint8, device=device) if state is None else state
-        numbers = [wp.int64(n) for n in (begin, size, table, child_begin, child_size)]
-        inputs = [3 * bits, nodes.keys, nodes.first_child, children, *numbers, given, outside, inside]
-        launcher.launch(link_kernel, nodes.count << (3 * bits - 6), inputs, [buffer], device, grain=64)
+        inputs = [level, nodes.keys, nodes.first_child, children, given, outside, inside]
+        launcher.launch(link_kernel, nodes.count << (level.bits - 6), inputs, [buffer], device, grain=64)
 
 
 def _word_of(value: float, kind: np.dtype[Any]) -> int:
@@ -258,7 +278,13 @@ def _word_of(value: float, kind: np.dtype[Any]) -> int:
 
 
 def _statistics(
-    buffer: "wp.array", head: GridHead, places: Places, leaves: Leaves, lower: _Level, upper: _Level
+    buffer: "wp.array",
+    head: GridHead,
+    places: Places,
+    layouts: tuple[Any, Any],
+    leaves: Leaves,
+    lower: _Level,
+    upper: _Level,
 ) -> tuple[Any, Any, Callable[[], int]]:
     """Write boxes and extrema of all nodes.
 
@@ -268,8 +294,7 @@ def _statistics(
 
     from geokit.volume.tree import node_statistics_kernels as kernels
 
-    device, layout = buffer.device, head.layout
-    is_float = layout.name == "float"
+    device, is_float = buffer.device, head.layout.name == "float"
     of_leaf = kernels.float_leaf_kernel if is_float else kernels.int_leaf_kernel
     of_part = kernels.float_part_kernel if is_float else kernels.int_part_kernel
     of_node = kernels.float_node_kernel if is_float else kernels.int_node_kernel
@@ -287,16 +312,14 @@ def _statistics(
     found: list[Any] = of_leaves
     begin = wp.int64(places.leaf_begin)
     launcher.launch(of_leaf, count, [begin, *where], [buffer, *found, active], device, grain=64)
-    for level, parts, span, begin_at, size, bits, of_nodes in (
-        (lower, lower_parts, LOWER_SPAN, places.lower_begin, layout.lower_size, LOWER_BITS, of_lowers),
-        (upper, 0, UPPER_SPAN, places.upper_begin, layout.upper_size, UPPER_BITS, of_uppers),
+    for level, layout, parts, of_nodes in (
+        (lower, layouts[0], lower_parts, of_lowers),
+        (upper, layouts[1], 0, of_uppers),
     ):
         if parts:
             inputs, found = [parts, level.first_child, *found], of_parts
             launcher.launch(of_part, parts * level.count, inputs, found, device)
-        statistics = 32 + 2 * (1 << (3 * bits)) // 8
-        numbers = [parts, span, wp.int64(begin_at), wp.int64(size), wp.int64(statistics)]
-        inputs = [*numbers, level.first_child, level.first_leaf, *found, *where]
+        inputs = [layout, parts, level.first_child, level.first_leaf, *found, *where]
         found = of_nodes
         launcher.launch(of_node, level.count, inputs, [buffer, *found], device, grain=1)
     boxes, extrema = of_uppers

@@ -76,18 +76,27 @@ def nodes_kernel(
         out_count[1] = upper
 
 
+@wp.struct
+class LevelLayout:
+    """Where the nodes of a level and their children lie in a grid, in bytes from its start."""
+
+    bits: int  # logarithm of the slots of a node
+    span: int  # voxels along an axis of a node
+    begin: wp.int64  # the first node
+    size: wp.int64  # bytes of a node
+    statistics: wp.int64  # bytes from a node to its extrema
+    table: wp.int64  # bytes from a node to its slots
+    child_begin: wp.int64  # the first child
+    child_size: wp.int64  # bytes of a child
+
+
 @wp.func_native(cpp("volume/tree/link_word.inl"))
 def link_word(
     item: int,
-    bits: int,
+    level: LevelLayout,
     parent_keys: wp.array(dtype=wp.int64),
     first_child: wp.array(dtype=int),
     child_keys: wp.array(dtype=wp.int64),
-    begin: wp.int64,
-    size: wp.int64,
-    table: wp.int64,
-    child_begin: wp.int64,
-    child_size: wp.int64,
     state: wp.array(dtype=wp.uint8),
     outside: wp.uint64,
     inside: wp.uint64,
@@ -98,37 +107,18 @@ def link_word(
 @wp.kernel
 def link_kernel(
     first: int,
-    bits: int,
+    level: LevelLayout,
     parent_keys: wp.array(dtype=wp.int64),
     first_child: wp.array(dtype=int),
     child_keys: wp.array(dtype=wp.int64),
-    begin: wp.int64,
-    size: wp.int64,
-    table: wp.int64,
-    child_begin: wp.int64,
-    child_size: wp.int64,
     state: wp.array(dtype=wp.uint8),
     outside: wp.uint64,
     inside: wp.uint64,
     out_buffer: wp.array(dtype=wp.uint8),
 ):
     """Writes 64 slots of a node: offsets of the children, tiles between them, and a word of the child mask."""
-    link_word(
-        first + wp.tid(),
-        bits,
-        parent_keys,
-        first_child,
-        child_keys,
-        begin,
-        size,
-        table,
-        child_begin,
-        child_size,
-        state,
-        outside,
-        inside,
-        out_buffer,
-    )
+    item = first + wp.tid()
+    link_word(item, level, parent_keys, first_child, child_keys, state, outside, inside, out_buffer)
 
 
 # Copies a row of 64 values of 32 bits of any type, and their mask.

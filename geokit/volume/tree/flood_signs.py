@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.tree.root_table import root_keys_of, root_origins, with_gaps
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, slot_of
+from geokit.volume.nanovdb.nodes import root_origins, slot_of
+from geokit.volume.tree.root_table import root_keys_of, with_gaps
+from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
 
 __all__ = ["with_signs"]
 

@@ -32,7 +32,8 @@ from geokit.volume.nanovdb.header_options import (
     write_transform,
 )
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout
-from geokit.volume.tree.root_table import root_keys_of, root_span, root_tile_type, with_gaps
+from geokit.volume.nanovdb.nodes import grid_nodes
+from geokit.volume.tree.root_table import root_keys_of, root_span, with_gaps
 
 __all__ = [
     "GridHead",
@@ -190,8 +191,9 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
     buffer = aligned_buffer(places.upper_begin, zeroed=True)
     begins = (places.leaf_begin, places.lower_begin, places.upper_begin, HEAD_SIZE)
     write_header(buffer, head.layout, head.options, places.size, begins, places.counts)
-    buffer[HEAD_SIZE + 24 : HEAD_SIZE + 28].view("<u4")[0] = len(places.root_keys)
-    table = _root_table(buffer, head, len(places.root_keys))
+    grid = grid_nodes(buffer, head.layout)
+    grid.entry_count[0] = len(places.root_keys)
+    table = grid.table
     table["key"] = places.root_keys
     table["value"] = head.background
     to_upper = places.upper_begin - HEAD_SIZE + places.root_child * head.layout.upper_size
@@ -203,23 +205,17 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
     return buffer
 
 
-def _root_table(buffer: NDArray[np.uint8], head: GridHead, count: int) -> NDArray[np.void]:
-    begin = HEAD_SIZE + head.layout.root_size
-    return np.ndarray((count,), root_tile_type(head.layout), buffer, begin)
-
-
 def write_root(
     buffer: NDArray[np.uint8], head: GridHead, boxes: NDArray[np.int32], extrema: NDArray[Any], active: int
 ) -> None:
     """Write the grid's statistics from those of its upper nodes: boxes (U, 2, 3) and extrema (U, 2)."""
-    root = buffer[HEAD_SIZE:]
-    box = root[:24].view("<i4").reshape(2, 3)
+    grid = grid_nodes(buffer, head.layout)
+    box = grid.root.column(("<i4", 3), 0, 2)[0]
     box[0], box[1] = np.iinfo(np.int32).max, np.iinfo(np.int32).min
     some = boxes[:, 0, 0] <= boxes[:, 1, 0]
-    limits = np.full(2, head.background, head.word)
+    grid.background[...] = grid.root.limits[:] = head.background
     if some.any():
         box[0], box[1] = boxes[some, 0].min(axis=0), boxes[some, 1].max(axis=0)
-        limits[:] = extrema[some, 0].min(), extrema[some, 1].max()
-    root[head.layout.root_background : head.layout.root_background + 12].view(head.word)[:] = (head.background, *limits)
+        grid.root.limits[0] = extrema[some, 0].min(), extrema[some, 1].max()
     tree_header(buffer)["voxel_count"] = active
     root_span(buffer, box if some.any() else None)

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.errors import InputError
+from geokit.volume.nanovdb.grid_array import array_of
 from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import LEAF_VOXELS, QUANTIZED_HEADER, layout_of
+from geokit.volume.nanovdb.nodes import grid_nodes
 from geokit.volume.nanovdb.types import BY_NAME
-from geokit.volume.tree.retype_tree import RetypedTree, leaf_starts
+from geokit.volume.tree.retype_tree import RetypedTree
 
 __all__ = ["HEADER", "LeafReader", "decode", "fewest_bits", "thresholds", "write_codes", "write_floats"]
 
@@ -82,7 +84,7 @@ class LeafReader:
 
     def __init__(self, buffer: NDArray[np.uint8]) -> None:
         self.layout = layout_of(int(grid_header(buffer)["grid_type"]), "grid")
-        self.starts = leaf_starts(buffer)
+        self.starts = grid_nodes(buffer).leaf.starts
         self.count = len(self.starts)
         self._buffer = buffer
 
@@ -96,11 +98,11 @@ class LeafReader:
             leaves = np.empty((stop - first, FLOAT_LEAF), np.uint8)
             loss = np.zeros(stop - first)
 
+            @np.errstate(over="ignore", invalid="ignore")
             def convert(begin: int, end: int, first: int = first, leaves: Any = leaves, loss: Any = loss) -> float:
                 rows = slice(begin - first, end - first)
                 exact = self.values(begin, end)
-                with np.errstate(over="ignore"):
-                    values = exact.astype("<f4", copy=False)
+                values = exact.astype("<f4", copy=False)
                 leaves[rows, :COMMON] = self.rows(begin, end, 0, COMMON)
                 leaves[rows, 88:HEADER] = self.statistics(begin, end).astype("<f4").view(np.uint8)
                 leaves[rows, HEADER:] = np.ascontiguousarray(values).view(np.uint8)
@@ -223,7 +225,7 @@ def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float
         count = len(leaves.starts)
         out = bits[leaves.first : leaves.first + count]
         rest = _on_cpu(tolerance - leaves.loss, wp.float64)
-        inputs = [_on_cpu(leaves.memory, wp.uint8), _on_cpu(leaves.starts, wp.int64), rest]
+        inputs = [array_of(leaves.memory), _on_cpu(leaves.starts, wp.int64), rest]
         inputs.append(_on_cpu(rounding, wp.float32))
         launcher.launch(bits_kernel, count, inputs, [_on_cpu(out, wp.uint8)], device, grain=LEAF_GRAIN)
     return bits
@@ -254,10 +256,10 @@ def write_codes(
     worst = 0.0
     for leaves in reader.float_leaves():
         rows = slice(leaves.first, leaves.first + len(leaves.starts))
-        inputs = [_on_cpu(leaves.memory, wp.uint8), _on_cpu(leaves.starts, wp.int64)]
+        inputs = [array_of(leaves.memory), _on_cpu(leaves.starts, wp.int64)]
         inputs += [_on_cpu(array[rows], wp.uint8) for array in (bits, flags)]
         inputs += [_on_cpu(rounding, wp.float32), _on_cpu(target.leaf_starts[rows], wp.int64)]
-        outputs = [_on_cpu(target.buffer, wp.uint8), _on_cpu(measures[rows], wp.vec3d)]
+        outputs = [array_of(target.buffer), _on_cpu(measures[rows], wp.vec3d)]
         launcher.launch(encode_kernel, len(leaves.starts), inputs, outputs, device, grain=LEAF_GRAIN)
         error = measures[rows, 0]
         if (error < 0.0).any():
@@ -276,9 +278,7 @@ def write_floats(reader: LeafReader, target: RetypedTree) -> float:
         InputError: A value is not finite.
     """
     low, high = np.empty((2, reader.count), np.float32)
-    table = np.ndarray(
-        (reader.count, FLOAT_LEAF), np.uint8, target.buffer, int(target.leaf_starts[0]) if reader.count else 0
-    )
+    table = grid_nodes(target.buffer).leaf.column(np.uint8, 0, FLOAT_LEAF)
 
     def write(first: int, stop: int) -> float:
         exact = reader.values(first, stop)

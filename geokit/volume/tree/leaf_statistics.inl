@@ -1,6 +1,6 @@
 // Box, flag and extrema of a leaf from its mask and values, and how many of its voxels are active.
 //
-// Expects leaf, begin, tiles, rows, out_buffer, out_boxes, out_extrema, out_count; T is the type of the values.
+// Expects core/simd.inl; leaf, begin, tiles, rows, out_buffer, out_boxes, out_extrema, out_count; T is the type of the values.
 //
 // Boxes are first and last voxel; an empty one starts at the leaf.
 
@@ -15,6 +15,35 @@ for (int x = 0; x < 8; ++x) {
     columns |= mask[x];
     first_x = first_x < x ? first_x : x;
     last_x = x;
+}
+#if !defined(__CUDA_ARCH__)
+// Eight at a time. What one at a time decides by the order is left to it: which zero, and NaN.
+bool is_known = false;
+if (columns) {
+    typedef T t8 __attribute__((ext_vector_type(8), aligned(4)));
+    t8 low = values[64 * first_x + __builtin_ctzll(mask[first_x])], high = low;
+    i8 unordered = 0;
+    for (int n = 0; n < 64; ++n) {
+        const i8 active = __builtin_convertvector(__builtin_bit_cast(b8, out[16 + n]), i8) != 0;
+        const t8 value = *(const t8*)(values + 8 * n);
+        low = (active & (value < low)) ? value : low;
+        high = (active & (value > high)) ? value : high;
+        unordered |= active & ~((value <= low) | (value > low));
+    }
+    least = low[0];
+    most = high[0];
+    for (int k = 1; k < 8; ++k) {
+        least = low[k] < least ? low[k] : least;
+        most = high[k] > most ? high[k] : most;
+    }
+    is_known = !mask_of(unordered != 0) && least != 0 && most != 0;
+    if (is_known)
+        for (int x = 0; x < 8; ++x) count += __builtin_popcountll(mask[x]);
+}
+#else
+const bool is_known = false;
+#endif
+for (int x = first_x; x <= last_x && !is_known; ++x)
     for (int b = 0; b < 64; ++b) {
         if (!(mask[x] >> b & 1)) continue;
         const T value = values[64 * x + b];
@@ -22,7 +51,6 @@ for (int x = 0; x < 8; ++x) {
         most = count == 0 || value > most ? value : most;
         ++count;
     }
-}
 int first_y = 8, last_y = -1;
 unsigned line = 0;
 for (int y = 0; y < 8; ++y) {

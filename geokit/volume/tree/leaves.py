@@ -13,15 +13,15 @@ from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import (
     HEAD_SIZE,
-    TREE_OFFSET,
     grid_class_code,
     grid_header,
-    tree_header,
     voxel_size_of,
 )
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
+from geokit.volume.nanovdb.nodes import grid_nodes, set_bits
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.device_leaves import build_leaves
+from geokit.volume.tree.estimates import counts_of, require_host_room
 from geokit.volume.tree.flood_signs import with_signs
 from geokit.volume.tree.grid_head import GridHead, result_head, volume_from_buffer
 from geokit.volume.tree.leaf_codecs import LeafReader, write_floats
@@ -39,6 +39,7 @@ __all__ = [
     "leaves_of",
     "require_volume",
     "uniform_voxel_size",
+    "value_places",
     "voxelized",
 ]
 
@@ -97,6 +98,7 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
     Raises:
         FileFormatError: The buffer is not a valid grid.
         InputError: A value is not finite.
+        DeviceMemoryError: The floats do not fit into memory.
     """
     if volume.info.grid_type not in QUANTIZED:
         return volume
@@ -104,6 +106,7 @@ def dequantized(volume: SparseVolume) -> SparseVolume:
     check_volume(volume)
     reader = LeafReader(buffer)
     layout = LAYOUTS["float"]
+    require_host_room(reader.count * layout.leaf_size, f"volume: the float values of grid {volume.info.name!r}")
     retyped = retype_tree(buffer, GRID_TYPES.index("float"), np.full(reader.count, layout.leaf_size))
     write_floats(reader, retyped)
     grid_header(retyped.buffer)["checksum"] = partial_checksum(retyped.buffer[:HEAD_SIZE], retyped.buffer)
@@ -117,23 +120,32 @@ def voxelized(volume: SparseVolume) -> SparseVolume:
         DeviceMemoryError: The tiles hold more voxels than fit into memory.
     """
     volume = dequantized(volume)
-    if _leaf_active_count(volume) == volume.info.active_voxel_count:
+    if volume.info.grid_type in LAYOUTS and not counts_of(volume).has_tiles:
         return volume
     return rebuilt(voxelized_tree(tree_of(volume), volume.info.name), volume)
 
 
 def leaves_of(volume: SparseVolume) -> Leaves:
-    """Origins and masks of a volume's leaves, in their order in the buffer. Not for quantized grids."""
-    tree = tree_header(volume.nanovdb)
-    count = int(tree["node_count"][0])
-    size = LAYOUTS[volume.info.grid_type].leaf_size
-    begin = TREE_OFFSET + int(tree["node_offset"][0])
-    if not count:
-        return Leaves(np.empty((0, 3), np.int32), np.empty((0, 64), np.uint8))
-    corners = np.ndarray((count, 3), "<i4", volume.nanovdb, begin, (size, 4))
-    masks = np.ndarray((count, 64), np.uint8, volume.nanovdb, begin + 16, (size, 1))
-    # A leaf stores the first voxel of its active box; the leaf's own first voxel is the multiple of eight below it.
-    return Leaves(np.ascontiguousarray(corners & ~np.int32(7)), np.ascontiguousarray(masks))
+    """Origins and masks of a volume's leaves, in their order in the buffer. Not for quantized grids.
+
+    Raises:
+        FileFormatError: The buffer is not a valid grid.
+    """
+    check_volume(volume)
+    leaf = grid_nodes(volume.nanovdb, LAYOUTS[volume.info.grid_type]).leaf
+    return Leaves(leaf.origins, np.ascontiguousarray(leaf.value_mask))
+
+
+def value_places(volume: SparseVolume) -> NDArray[np.int64]:
+    """Place of each active value of a float or double grid in its buffer, in units of a value, (A,)."""
+
+    def find() -> NDArray[np.int64]:
+        leaf = grid_nodes(volume.nanovdb).leaf
+        size = leaf.layout.background.itemsize
+        node, slot = set_bits(np.ascontiguousarray(leaf.value_mask))
+        return np.asarray((leaf.begin + leaf.table + node * leaf.size) // size + slot)
+
+    return volume._cache.find("places of values", find)
 
 
 def assemble(
@@ -182,9 +194,3 @@ def _real_layout(values: NDArray[Any]) -> GridLayout:
     if values.ndim == 2:
         return LAYOUTS["double" if is_double else "float"]
     return LAYOUTS["vec3d" if is_double else "vec3f"]
-
-
-def _leaf_active_count(volume: SparseVolume) -> int:
-    if volume.info.grid_type not in LAYOUTS:
-        return -1
-    return int(np.unpackbits(leaves_of(volume).masks).sum(dtype=np.int64))

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
+from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.leaves import require_volume
-from geokit.volume.tree.typed_tree import bits_of, rows_in, tree_of, tree_of_leaves, voxelized_tree
+from geokit.volume.tree.typed_tree import rows_in, tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["combined_masks"]

@@ -8,6 +8,7 @@ Each node's statistics have a single writer, so no atomics are needed and every 
 import warp as wp
 
 from geokit.core.cpp import cpp
+from geokit.volume.tree.device_writer_kernels import LevelLayout
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -16,7 +17,7 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
     """The kernels for leaves, parts and nodes whose values have the given C++ type."""
 
     def text(*files: str) -> str:
-        return cpp(*(f"volume/tree/{file}.inl" for file in files), defines={"T": name})
+        return cpp("core/simd.inl", *(f"volume/tree/{file}.inl" for file in files), defines={"T": name})
 
     @wp.func_native(text("leaf_statistics"))
     def leaf(
@@ -71,11 +72,8 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
     @wp.func_native(text("node_children", "merge_statistics", "node_statistics"))
     def node(
         node: int,
+        level: LevelLayout,
         parts: int,
-        span: int,
-        begin: wp.int64,
-        size: wp.int64,
-        statistics: wp.int64,
         first_child: wp.array(dtype=int),
         first_leaf: wp.array(dtype=int),
         boxes: wp.array(dtype=int),
@@ -90,11 +88,8 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
     @wp.kernel
     def node_kernel(
         first: int,
+        level: LevelLayout,
         parts: int,
-        span: int,
-        begin: wp.int64,
-        size: wp.int64,
-        statistics: wp.int64,
         first_child: wp.array(dtype=int),
         first_leaf: wp.array(dtype=int),
         boxes: wp.array(dtype=int),
@@ -106,10 +101,8 @@ def _kernels_of(name: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
         out_extrema: wp.array(dtype=int),
     ):
         """Writes box, flag and extrema of an internal node from those of its children."""
-        node(
-            first + wp.tid(), parts, span, begin, size, statistics, first_child, first_leaf, boxes, extrema, tiles,
-            rows, out_buffer, out_boxes, out_extrema,
-        )  # fmt: skip
+        i = first + wp.tid()
+        node(i, level, parts, first_child, first_leaf, boxes, extrema, tiles, rows, out_buffer, out_boxes, out_extrema)
 
     return leaf_kernel, part_kernel, node_kernel
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
+from geokit.volume.tree.estimates import require_openvdb_room
 from geokit.volume.tree.grid_head import volume_from_buffer
 
 __all__ = ["call_openvdb", "scale_factor", "scaled_up"]
@@ -19,26 +20,27 @@ __all__ = ["call_openvdb", "scale_factor", "scaled_up"]
 SMALLEST_VOXEL_VOLUME = 1e-14
 
 
-def call_openvdb(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> Any:
+def call_openvdb(function: Callable[..., Any], *volumes: SparseVolume, **options: Any) -> SparseVolume:
     """Call an operation of ``geokit.native.operations`` on volumes that share a lattice.
 
     Args:
-        function: Takes one buffer for each volume and returns a buffer or a list of them.
+        function: Takes one buffer for each volume and returns a buffer.
         volumes: The operands; the first provides the metadata.
         options: Further arguments of the function.
     Returns:
-        SparseVolume, or a list of them.
+        SparseVolume.
     """
+    for volume in volumes:
+        require_openvdb_room(volume)
     factor = scale_factor(volumes[0].info.transform)
     result = function(*(scaled_up(volume.nanovdb, factor) for volume in volumes), **options)
-    if isinstance(result, list):
-        return [volume_from_buffer(scaled_back(buffer, factor), volumes[0]) for buffer in result]
     return volume_from_buffer(scaled_back(result, factor), volumes[0])
 
 
 def scale_factor(transform: NDArray[np.float64]) -> float:
     """Power of two that scales a transform so that OpenVDB accepts it: 1 for all but tiny voxels."""
-    volume = abs(float(np.linalg.det(transform[:3, :3])))
+    with np.errstate(over="ignore"):
+        volume = abs(float(np.linalg.det(transform[:3, :3])))
     if volume >= SMALLEST_VOXEL_VOLUME:
         return 1.0
     return 2.0 ** -int(np.floor(np.log2(np.abs(transform[:3, :3]).max())))

@@ -9,26 +9,13 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError
 from geokit.volume.nanovdb.header import FLAG_HAS_BBOX, grid_header
-from geokit.volume.nanovdb.layout import GridLayout
 
-__all__ = ["root_keys_of", "root_origins", "root_span", "root_tile_type", "with_gaps"]
+__all__ = ["root_keys_of", "root_span", "with_gaps"]
 
 # Largest number of tiles between upper nodes: they are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
 # Bits of a coordinate in the key of a root entry.
 ROOT_BITS = 20
-
-
-def root_tile_type(layout: GridLayout) -> np.dtype[Any]:
-    """An entry of the root table as a NumPy type."""
-    return np.dtype(
-        {
-            "names": ["key", "child", "state", "value"],
-            "formats": ["<u8", "<i8", "<u4", layout.background],
-            "offsets": [0, 8, 16, -(-20 // layout.align) * layout.align],
-            "itemsize": layout.root_tile_size,
-        }
-    )
 
 
 def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
@@ -71,14 +58,7 @@ def with_gaps(
     return keys[rank], child, gaps
 
 
-def root_origins(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
-    """First voxels (N, 3) of the root entries with the given keys."""
-    low = (1 << 21) - 1
-    at = np.stack([(keys >> np.uint64(shift)).astype(np.int64) & low for shift in (42, 21, 0)], axis=1)
-    at = np.where(at >= 1 << (ROOT_BITS - 1), at - (1 << ROOT_BITS), at)
-    return (at << 12).astype(np.int32)
-
-
+@np.errstate(over="ignore", invalid="ignore")  # transforms of damaged files
 def root_span(buffer: NDArray[np.uint8], box: NDArray[np.int32] | None) -> None:
     """Write the grid's world box; its upper corner is the far side of the last voxel, as in NanoVDB."""
     grid = grid_header(buffer)

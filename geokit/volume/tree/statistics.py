@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.layout import GridLayout
-from geokit.volume.tree.typed_tree import bits_of
+from geokit.volume.nanovdb.nodes import bits_of
 
 __all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
 

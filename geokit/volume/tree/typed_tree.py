@@ -12,24 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
-from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
+from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
-from geokit.volume.tree.root_table import root_origins, root_tile_type
+from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes, root_origins, slot_of, slot_places
+from geokit.volume.tree.estimates import require_host_room
 
 __all__ = [
     "VALUE_TYPES",
     "Nodes",
     "RootTiles",
     "TypedTree",
-    "bits_of",
     "differs",
-    "leaf_values_begin",
     "rows_in",
-    "slot_of",
     "tree_of",
     "tree_of_leaves",
     "voxelized_tree",
@@ -37,8 +33,6 @@ __all__ = [
 
 # Types whose leaves store their values unencoded: all but the quantized ones.
 VALUE_TYPES = tuple(name for name, layout in LAYOUTS.items() if not layout.leaf_header)
-# Nodes processed together: the slots of 64 upper nodes are 16 MiB.
-NODES_AT_A_TIME = 64
 
 
 class Nodes(NamedTuple):
@@ -117,12 +111,6 @@ class TypedTree:
         return values, active
 
 
-def slot_of(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int64]:
-    """Slot index of voxels in nodes of ``width``^3 slots of ``span`` voxels each."""
-    at = (origins.astype(np.int64) // span) & (width - 1)
-    return (at[:, 0] * width + at[:, 1]) * width + at[:, 2]
-
-
 def differs(values: NDArray[Any], background: NDArray[Any]) -> NDArray[np.bool_]:
     """Mask of the values (..., C) that differ from the background, bit by bit."""
     base = values.dtype
@@ -131,48 +119,29 @@ def differs(values: NDArray[Any], background: NDArray[Any]) -> NDArray[np.bool_]
     return unlike.any(axis=-1) if np.ndim(background) else unlike
 
 
-def bits_of(masks: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Unpack masks (N, B) to bits (N, 8 B)."""
-    return np.unpackbits(masks, axis=1, bitorder="little").view(np.bool_)
-
-
-def leaf_values_begin(layout: GridLayout) -> int:
-    """Offset of a leaf's values, which are its last entry and fill a multiple of 32 bytes."""
-    # The bits of a bool leaf directly follow its mask.
-    return 80 if layout.name == "bool" else layout.leaf_size - LEAF_VOXELS * layout.background.itemsize
-
-
 def tree_of(volume: SparseVolume) -> TypedTree:
     """Read the tree of a grid of one of VALUE_TYPES.
 
     Raises:
         FileFormatError: The buffer is not a valid grid.
         UnsupportedGridError: The grid does not store its values unencoded.
+        DeviceMemoryError: A copy of the grid does not fit into memory.
     """
     buffer = volume.nanovdb
     where = f"volume {volume.info.name!r}"
     check_volume(volume)
+    # The arrays, and the grid that an operation makes of them.
+    require_host_room(2 * len(buffer), f"{where}: copies of its nodes")
     layout = layout_of(int(grid_header(buffer)["grid_type"]), where)
-    tree = tree_header(buffer)
-    begins = [TREE_OFFSET + int(offset) for offset in tree["node_offset"]]
-    counts = [int(count) for count in tree["node_count"]]
-    kind = layout.background
-    at = begins[3] + layout.root_background
-    background = buffer[at : at + kind.itemsize].copy().view(kind.base).reshape(kind.shape)
-    entries = int(buffer[begins[3] + 24 : begins[3] + 28].view("<u4")[0])
-    at = begins[3] + layout.root_size
-    table = buffer[at : at + entries * layout.root_tile_size].view(root_tile_type(layout))
-    origins = root_origins(table["key"])
+    grid = grid_nodes(buffer, layout)
+    background, table = grid.background.copy(), grid.table
     is_tile = table["child"] == 0
-    root = RootTiles(origins[is_tile], table["value"][is_tile], table["state"][is_tile] != 0)
-    first = np.empty((counts[2], 3), np.int32)
-    first[(table["child"][~is_tile] + (begins[3] - begins[2])) // layout.upper_size] = origins[~is_tile]
-    level = _Level(buffer, layout, begins[2], layout.upper_size, layout.upper_table, 32, 128)
-    upper, first = level.read(first, background, begins[1], layout.lower_size, counts[1])
-    level = _Level(buffer, layout, begins[1], layout.lower_size, layout.lower_table, 16, 8)
-    lower, first = level.read(first, background, begins[0], layout.leaf_size, counts[0])
-    masks, values = _leaf_contents(buffer, layout, begins[0], counts[0])
-    return TypedTree(layout, background, first, masks, values, lower, upper, root)
+    root = RootTiles(root_origins(table["key"][is_tile]), table["value"][is_tile], table["state"][is_tile] != 0)
+    upper = grid.upper_places().origins
+    lower = grid.upper.children(upper).origins
+    leaf = grid.lower.children(lower).origins
+    nodes = _tiles_of(grid.lower, lower, background), _tiles_of(grid.upper, upper, background)
+    return TypedTree(layout, background, leaf, *_leaf_contents(grid.leaf), *nodes, root)
 
 
 def tree_of_leaves(
@@ -209,17 +178,12 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
     count = sum(len(origins) * width**3 for origins, _, width in sources)
     # The leaves in the tree, in the new grid, and in one copy during the conversion.
     need = count * 3 * (LEAF_VOXELS * max(1, tree.layout.background.itemsize) + 100)
-    have = available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: the active tiles of grid {name!r} need about {need >> 20} MiB as voxels, of {have >> 20} MiB "
-            "free; clip it, or resample it at a larger voxel_size"
-        )
+    require_host_room(need, f"volume: as voxels, the active tiles of grid {name!r}")
     origins, values = [tree.origins], [tree.values]
     for corners, tiles, width in sources:
         if not len(tiles):
             continue
-        steps = np.stack(np.unravel_index(np.arange(width**3), 3 * (width,)), axis=1).astype(np.int32) * 8
+        steps = slot_places(np.arange(width**3), width) * np.int32(8)
         origins.append((corners[:, None] + steps).reshape(-1, 3))
         row = (LEAF_VOXELS, *tree.background.shape)
         values.append(np.broadcast_to(tiles[:, None, None], (len(tiles), width**3, *row)).reshape(-1, *row))
@@ -235,68 +199,28 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
     )
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Location of the nodes of one level: ``width``^3 slots of ``span`` voxels."""
-
-    buffer: NDArray[np.uint8]
-    layout: GridLayout
-    begin: int
-    size: int
-    table: int
-    width: int
-    span: int
-
-    def read(
-        self, origins: NDArray[np.int32], background: NDArray[Any], child_begin: int, child_size: int, child_count: int
-    ) -> tuple[Nodes, NDArray[np.int32]]:
-        """Contents of the nodes with the given origins, and the origins of their children."""
-        slots = UPPER_SLOTS if self.width == 32 else LOWER_SLOTS
-        kind = self.layout.background
-        child_origins = np.empty((child_count, 3), np.int32)
-        kept: list[Nodes] = [
-            Nodes(
-                np.empty((0, 3), np.int32), np.empty((0, slots, *kind.shape), kind.base), np.empty((0, slots), np.bool_)
-            )
-        ]
-        element = kind.base.itemsize
-        for first in range(0, len(origins), NODES_AT_A_TIME):
-            count = min(NODES_AT_A_TIME, len(origins) - first)
-            at = self.begin + first * self.size
-            masks = np.ndarray((count, 2, slots // 8), np.uint8, self.buffer, at + 32, (self.size, slots // 8, 1))
-            child = bits_of(masks[:, 1])
-            active = bits_of(masks[:, 0] & ~masks[:, 1])
-            strides = (self.size, self.layout.table_stride)
-            shape = (count, slots, *kind.shape)
-            tiles = np.ndarray(shape, kind.base, self.buffer, at + self.table, strides + (element,) * (len(shape) - 2))
-            offsets = np.ndarray((count, slots), "<i8", self.buffer, at + self.table, strides)
-            node, slot = np.nonzero(child)
-            row = (at + node * self.size + offsets[node, slot] - child_begin) // child_size
-            steps = np.stack(np.unravel_index(slot, 3 * (self.width,)), axis=1).astype(np.int32) * self.span
-            child_origins[row] = origins[first + node] + steps
-            some = np.flatnonzero((active | (differs(tiles, background) & ~child)).any(axis=1))
-            if len(some):
-                values = tiles[some]
-                values[child[some]] = background
-                kept.append(Nodes(origins[first + some], values, active[some]))
-        return Nodes(*map(np.concatenate, zip(*kept, strict=True))), child_origins
+def _tiles_of(level: NodeLevel, origins: NDArray[np.int32], background: NDArray[Any]) -> Nodes:
+    """The nodes of a level with the given origins that hold a tile other than inactive background."""
+    kind, slots = level.layout.background, level.slots
+    none = np.empty((0, 3), np.int32), np.empty((0, slots, *kind.shape), kind.base), np.empty((0, slots), np.bool_)
+    kept = [Nodes(*none)]
+    for first, part in level.parts():
+        child, active, tiles = bits_of(part.child_mask), bits_of(part.tile_mask), part.values
+        some = np.flatnonzero((active | (differs(tiles, background) & ~child)).any(axis=1))
+        if len(some):
+            values = tiles[some]
+            values[child[some]] = background
+            kept.append(Nodes(origins[first + some], values, active[some]))
+    return Nodes(*map(np.concatenate, zip(*kept, strict=True)))
 
 
-def _leaf_contents(
-    buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: int
-) -> tuple[NDArray[np.uint8], NDArray[Any]]:
-    kind, size = layout.background, layout.leaf_size
-    if not count:
-        return np.empty((0, LEAF_VOXELS // 8), np.uint8), np.empty((0, LEAF_VOXELS, *kind.shape), kind.base)
-    masks = np.ascontiguousarray(np.ndarray((count, LEAF_VOXELS // 8), np.uint8, buffer, begin + 16, (size, 1)))
-    if layout.name == "mask":
+def _leaf_contents(leaf: NodeLevel) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    masks = np.ascontiguousarray(leaf.value_mask)
+    if leaf.layout.name == "mask":
         return masks, bits_of(masks)
-    at = begin + leaf_values_begin(layout)
-    if layout.name == "bool":
-        return masks, bits_of(np.ndarray((count, LEAF_VOXELS // 8), np.uint8, buffer, at, (size, 1)))
-    element = kind.base.itemsize
-    shape = (count, LEAF_VOXELS, *kind.shape)
-    return masks, np.ndarray(shape, kind.base, buffer, at, (size, kind.itemsize, element)[: len(shape)])
+    if leaf.layout.name == "bool":
+        return masks, bits_of(leaf.bits)
+    return masks, leaf.values
 
 
 def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -312,8 +236,7 @@ def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.i
 def _active_tiles(nodes: Nodes, width: int, span: int) -> tuple[NDArray[np.int32], NDArray[Any]]:
     """Corners and values of the active tiles of nodes."""
     node, slot = np.nonzero(nodes.active)
-    steps = np.stack(np.unravel_index(slot, 3 * (width,)), axis=1).astype(np.int32) * span
-    return nodes.origins[node] + steps, nodes.values[node, slot]
+    return nodes.origins[node] + span * slot_places(slot, width), nodes.values[node, slot]
 
 
 def _without_active(nodes: Nodes, background: NDArray[Any]) -> Nodes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,13 +27,19 @@ from geokit.volume.nanovdb.header import (
     tree_header,
 )
 from geokit.volume.nanovdb.header_options import write_header
-from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LEAF_VOXELS, GridLayout
+from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS
+from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, grid_nodes, set_bits, slot_of, slot_places
 from geokit.volume.tree.grid_head import GridHead, head_like
-from geokit.volume.tree.root_table import root_keys_of, root_span, root_tile_type
+from geokit.volume.tree.root_table import root_keys_of, root_span
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
-from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, leaf_values_begin, slot_of
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
 
-__all__ = ["build_grid", "rebuilt"]
+__all__ = [
+    "WIDENED", "build_grid", "name_block", "rebuilt", "widened", "write_heads", "write_leaves", "write_statistics",
+]  # fmt: skip
+
+# Types of small integers that OpenVDB lacks.
+WIDENED = ("int16", "uint8")
 
 # Leaves that a thread processes at a time: 256 of them are half a megabyte of floats, which stays in the cache.
 LEAVES_AT_A_TIME = 256
@@ -72,6 +78,23 @@ def rebuilt(tree: TypedTree, volume: SparseVolume, transform: NDArray[np.float64
     return SparseVolume(buffer, replace(info, grid_class=volume.info.grid_class, metadata=volume.info.metadata))
 
 
+def widened(volume: SparseVolume) -> SparseVolume:
+    """A grid of small integers as one of int32, which OpenVDB has too.
+
+    Raises:
+        FileFormatError: The buffer is not a valid grid.
+    """
+    layout = LAYOUTS["int32"]
+    tree = tree_of(volume)
+
+    def wide(part: Any) -> Any:
+        return part._replace(values=part.values.astype(np.int32))
+
+    outside, values = np.asarray(tree.background, np.int32), tree.values.astype(np.int32)
+    tree = replace(tree, layout=layout, background=outside, values=values)
+    return rebuilt(replace(tree, lower=wide(tree.lower), upper=wide(tree.upper), root=wide(tree.root)), volume)
+
+
 def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
     """Build a NanoVDB grid of any value type from its leaves and tiles.
 
@@ -89,45 +112,44 @@ def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
     keys = root_keys_of(places.upper_origins)
     tile_keys = root_keys_of(tree.root.origins)
     kept = np.flatnonzero(~np.isin(tile_keys, keys))
-    root_begin = HEAD_SIZE
-    upper_begin = root_begin + layout.root_size + (len(keys) + len(kept)) * layout.root_tile_size
+    upper_begin = HEAD_SIZE + layout.root_size + (len(keys) + len(kept)) * layout.root_tile_size
     lower_begin = upper_begin + len(keys) * layout.upper_size
     leaf_begin = lower_begin + len(places.lower_upper) * layout.lower_size
     tree_end = leaf_begin + len(tree.origins) * layout.leaf_size
-    name = _name_block(head)
+    name = name_block(head)
     # Pages from calloc are zero until they are written, so padding costs nothing.
     buffer = aligned_buffer(-(-(tree_end + len(name)) // ALIGNMENT) * ALIGNMENT, zeroed=True)
     buffer[tree_end : tree_end + len(name)] = name
-    begins = (leaf_begin, lower_begin, upper_begin, root_begin)
+    begins = (leaf_begin, lower_begin, upper_begin, HEAD_SIZE)
     counts = (len(tree.origins), len(places.lower_upper), len(keys))
-    _write_heads(buffer, head, begins, counts, tree_end)
+    write_heads(buffer, head, begins, counts, tree_end)
 
-    upper = _level_of(buffer, layout, upper_begin, len(keys), True)
-    lower = _level_of(buffer, layout, lower_begin, len(places.lower_upper), False)
+    grid = grid_nodes(buffer, layout)
+    upper, lower = grid.upper, grid.lower
     active_upper = _fill(upper, tree, tree.upper, places.upper_row, places.upper_origins)
     active_lower = _fill(lower, tree, tree.lower, places.lower_row, places.lower_origins)
-    upper.link(places.lower_upper, places.lower_slot, lower_begin + np.arange(lower.count) * lower.size)
-    lower.link(places.leaf_lower, places.leaf_slot, leaf_begin + np.arange(len(tree.origins)) * layout.leaf_size)
+    _link(upper, places.lower_upper, places.lower_slot, lower.starts)
+    _link(lower, places.leaf_lower, places.leaf_slot, grid.leaf.starts)
 
-    items, voxels = _write_leaves(buffer, tree, places, leaf_begin)
+    items, voxels = write_leaves(grid.leaf, tree, places.leaf_order)
     tile_counts = []
     for level, origins, parent, active in (
         (lower, places.lower_origins, places.leaf_lower, active_lower),
         (upper, places.upper_origins, places.lower_upper, active_upper),
     ):
-        node, slot, values = level.active_tiles(active)
+        node, slot, values = _active_tiles(level, active)
         tile_counts.append(len(node))
         voxels += len(node) * level.span**3
-        steps = np.stack(np.unravel_index(slot, 3 * (level.width,)), axis=1).astype(np.int32) * level.span
-        tiles = items_of_tiles(layout, origins[node] + steps, values, level.span)
+        corners = origins[node] + level.span * slot_places(slot, level.width)
+        tiles = items_of_tiles(layout, corners, values, level.span)
         items = reduced(*add_items(items, parent, tiles, node), level.count)
-        level.write_statistics(origins, items)
+        write_statistics(level, origins, items)
     root = tree.root.rows(kept)
     tile_counts.append(int(root.active.sum()))
     voxels += tile_counts[2] * 4096**3
     tiles = items_of_tiles(layout, root.origins[root.active], root.values[root.active], 4096)
     items = reduced(*add_items(items, np.zeros(upper.count, np.int64), tiles, np.zeros(tile_counts[2], np.int64)), 1)
-    _write_root(buffer, tree, keys, kept, tile_keys, items, upper_begin)
+    _write_root(grid, tree, keys, kept, tile_keys, items)
     header = tree_header(buffer)
     header["tile_count"], header["voxel_count"] = tile_counts, voxels
     grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
@@ -165,78 +187,40 @@ def _places(tree: TypedTree) -> _Places:
     )
 
 
-@dataclass(frozen=True)
-class _Level:
-    """The nodes of one level in the new grid."""
-
-    buffer: NDArray[np.uint8]
-    layout: GridLayout
-    begin: int
-    count: int
-    size: int
-    table: int
-    width: int
-    span: int
-
-    @property
-    def slots(self) -> int:
-        """Number of slots of a node."""
-        return self.width**3
-
-    def column(self, dtype: Any, offset: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> NDArray[Any]:
-        """View of the field that every node has at an offset."""
-        if not self.count:
-            return np.empty((0, *shape), dtype)
-        return np.ndarray((self.count, *shape), dtype, self.buffer, self.begin + offset, (self.size, *strides))
-
-    def tiles(self) -> NDArray[Any]:
-        """Values of the slots."""
-        kind = self.layout.background
-        element = (kind.base.itemsize,) * len(kind.shape)
-        return self.column(kind.base, self.table, (self.slots, *kind.shape), (self.layout.table_stride, *element))
-
-    def link(self, node: NDArray[np.int64], slot: NDArray[np.int64], child: NDArray[np.int64]) -> None:
-        """Store the offsets of children in slots."""
-        offsets = self.column("<i8", self.table, (self.slots,), (self.layout.table_stride,))
-        # A value may be longer than an offset, so the slot is cleared first.
-        self.tiles()[node, slot] = np.zeros(self.layout.background.shape, self.layout.background.base)
-        offsets[node, slot] = child - (self.begin + node * self.size)
-        mask = self.column(np.uint8, 32 + self.slots // 8, (self.slots // 8,), (1,))
-        np.bitwise_or.at(mask, (node, slot >> 3), (1 << (slot & 7)).astype(np.uint8))
-
-    def active_tiles(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-        """Node, slot and value of the active tiles of some nodes."""
-        masks = self.column(np.uint8, 32, (2, self.slots // 8), (self.slots // 8, 1))[rows]
-        masks[:, 0] &= ~masks[:, 1]
-        self.column(np.uint8, 32, (self.slots // 8,), (1,))[rows] = masks[:, 0]
-        node, slot = np.nonzero(np.unpackbits(masks[:, 0], axis=1, bitorder="little"))
-        return rows[node], slot, self.tiles()[rows[node], slot]
-
-    def write_statistics(self, origins: NDArray[np.int32], items: Items) -> None:
-        """Write box, flag, minimum and maximum of the nodes."""
-        some = items.some()
-        # Readers take a node's origin from its box, so an empty box starts at the origin too, and ends before it.
-        empty = np.stack([origins, np.full_like(origins, np.iinfo(np.int32).min)], axis=1)
-        self.column("<i4", 0, (2, 3), (12, 4))[:] = np.where(some[:, None, None], items.boxes, empty)
-        self.column("<u8", 24, (1,), (8,))[:, 0] = np.where(some, FLAG_HAS_BBOX, 0)
-        kind, align = self.layout.background, self.layout.align
-        at = -(-(32 + 2 * self.slots // 8) // align) * align
-        element = (kind.base.itemsize,) * len(kind.shape)
-        limits = self.column(kind.base, at, (2, *kind.shape), (kind.itemsize, *element))
-        limits[some, 0], limits[some, 1] = items.low[some], items.high[some]
+def _link(level: NodeLevel, node: NDArray[np.int64], slot: NDArray[np.int64], child: NDArray[np.int64]) -> None:
+    """Store the offsets of children in slots."""
+    # A value may be longer than an offset, so the slot is cleared first.
+    level.values[node, slot] = np.zeros(level.layout.background.shape, level.layout.background.base)
+    level.child_offsets[node, slot] = child - (level.begin + node * level.size)
+    np.bitwise_or.at(level.child_mask, (node, slot >> 3), (1 << (slot & 7)).astype(np.uint8))
 
 
-def _level_of(buffer: NDArray[np.uint8], layout: GridLayout, begin: int, count: int, is_upper: bool) -> _Level:
-    if is_upper:
-        return _Level(buffer, layout, begin, count, layout.upper_size, layout.upper_table, 32, 128)
-    return _Level(buffer, layout, begin, count, layout.lower_size, layout.lower_table, 16, 8)
+def _active_tiles(
+    level: NodeLevel, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+    """Node, slot and value of the active tiles of some nodes, whose slots with children become inactive."""
+    masks = level.value_mask[rows] & ~level.child_mask[rows]
+    level.value_mask[rows] = masks
+    node, slot = set_bits(masks)
+    return rows[node], slot, level.values[rows[node], slot]
+
+
+def write_statistics(level: NodeLevel, origins: NDArray[np.int32], items: Items) -> None:
+    """Write box, flag, minimum and maximum of the nodes."""
+    some = items.some()
+    # Readers take a node's origin from its box, so an empty box starts at the origin too, and ends before it.
+    empty = np.stack([origins, np.full_like(origins, np.iinfo(np.int32).min)], axis=1)
+    level.column(("<i4", 3), 0, 2)[:] = np.where(some[:, None, None], items.boxes, empty)
+    level.column("<u8", 24, 1)[:, 0] = np.where(some, FLAG_HAS_BBOX, 0)
+    limits = level.limits
+    limits[some, 0], limits[some, 1] = items.low[some], items.high[some]
 
 
 def _fill(
-    level: _Level, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
+    level: NodeLevel, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
 ) -> NDArray[np.int64]:
     """Write the tiles of a level, those of the tree's ``nodes`` and of all others; returns nodes with active ones."""
-    tiles = level.tiles()
+    tiles = level.values
     if tree.background.tobytes().strip(b"\0"):
         tiles[:] = tree.background
     active = _own(level, tiles, nodes, row)
@@ -245,7 +229,7 @@ def _fill(
 
 
 def _filled(
-    level: _Level,
+    level: NodeLevel,
     tiles: NDArray[Any],
     tree: TypedTree,
     fresh: NDArray[np.int64],
@@ -255,7 +239,7 @@ def _filled(
     """Fill nodes missing in the tree with the tile that they replace; returns those with active slots."""
     if len(tree.upper.origins) or len(tree.root.origins):
         values, states = tree.tiles_at(origins, below_root=level.span == 8)
-        masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
+        masks = level.value_mask
         for row in np.flatnonzero(states | differs(values, tree.background)):
             tiles[fresh[row]] = values[row]
             masks[fresh[row]] = 255 if states[row] else 0
@@ -263,90 +247,78 @@ def _filled(
     return np.array(sorted(active), np.int64)
 
 
-def _own(level: _Level, tiles: NDArray[Any], nodes: Nodes, row: NDArray[np.int64]) -> list[int]:
+def _own(level: NodeLevel, tiles: NDArray[Any], nodes: Nodes, row: NDArray[np.int64]) -> list[int]:
     """Copy the tiles of nodes that the tree has; returns the nodes with active tiles."""
     old = np.flatnonzero(row >= 0)
-    masks = level.column(np.uint8, 32, (level.slots // 8,), (1,))
+    masks = level.value_mask
     for node in old:
         tiles[node] = nodes.values[row[node]]
         masks[node] = np.packbits(nodes.active[row[node]], bitorder="little")
     return [int(node) for node in old if nodes.active[row[node]].any()]
 
 
-def _write_leaves(buffer: NDArray[np.uint8], tree: TypedTree, places: _Places, begin: int) -> tuple[Items, int]:
-    layout, count = tree.layout, len(tree.origins)
-    items = Items.empty(layout, count)
-    if not count:
-        return items, 0
-    kind, size = layout.background, layout.leaf_size
-    rows = buffer[begin : begin + count * size].reshape(count, size)
-    at = leaf_values_begin(layout)
-    limits_at = -(-80 // layout.align) * layout.align
+def write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]) -> tuple[Items, int]:
+    """Write a tree's leaves in some order; returns their items and the number of active voxels."""
+    layout = leaf.layout
+    items = Items.empty(layout, leaf.count)
+    first_voxel, extent, flag = leaf.column("<i4", 0, 3), leaf.column(np.uint8, 12, 3), leaf.column(np.uint8, 15, 1)
 
     def write(first: int) -> int:
-        part = slice(first, min(first + LEAVES_AT_A_TIME, count))
-        order = places.leaf_order[part]
+        part = slice(first, min(first + LEAVES_AT_A_TIME, leaf.count))
+        order = leaf_order[part]
         masks, values, origins = tree.masks[order], tree.values[order], tree.origins[order]
-        rows[part, 16:80] = masks
+        leaf.value_mask[part] = masks
         if layout.name == "bool":
-            rows[part, at : at + LEAF_VOXELS // 8] = np.packbits(values, axis=1, bitorder="little")
+            leaf.bits[part] = np.packbits(values, axis=1, bitorder="little")
         elif layout.name != "mask":
-            rows[part, at : at + LEAF_VOXELS * kind.itemsize] = (
-                np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8)
-            )
+            leaf.values[part] = values
         active = items_of_leaves(layout, origins, masks, values, items, part)
         some = items.some(part)
         boxes = items.boxes[part]
-        rows[part, :12] = np.ascontiguousarray(np.where(some[:, None], boxes[:, 0], origins)).view(np.uint8)
-        rows[part, 12:15] = np.where(some[:, None], boxes[:, 1] - boxes[:, 0], 0)
-        rows[part, 15] = np.where(some, FLAG_HAS_BBOX, 0)
+        first_voxel[part] = np.where(some[:, None], boxes[:, 0], origins)
+        extent[part] = np.where(some[:, None], boxes[:, 1] - boxes[:, 0], 0)
+        flag[part, 0] = np.where(some, FLAG_HAS_BBOX, 0)
         if layout.leaf_bits > 1:
             limits = np.stack([items.low[part], items.high[part]], axis=1)
             limits[~some] = 0
-            rows[part, limits_at : limits_at + 2 * kind.itemsize] = limits.reshape(len(limits), -1).view(np.uint8)
+            leaf.limits[part] = limits
         return active
 
+    if leaf.count <= LEAVES_AT_A_TIME:
+        return items, write(0)
     # NumPy releases the GIL in most of these passes.
     with ThreadPoolExecutor(thread_count()) as pool:
-        return items, sum(pool.map(write, range(0, count, LEAVES_AT_A_TIME)))
+        return items, sum(pool.map(write, range(0, leaf.count, LEAVES_AT_A_TIME)))
 
 
 def _write_root(
-    buffer: NDArray[np.uint8],
+    grid: GridNodes,
     tree: TypedTree,
     keys: NDArray[np.uint64],
     kept: NDArray[np.int64],
     tile_keys: NDArray[np.uint64],
     items: Items,
-    upper_begin: int,
 ) -> None:
-    layout = tree.layout
-    kind = layout.background
-    root = buffer[HEAD_SIZE:]
-    root[24:28].view("<u4")[0] = len(keys) + len(kept)
-    table = root[layout.root_size :][: (len(keys) + len(kept)) * layout.root_tile_size].view(root_tile_type(layout))
+    root = grid.root
+    grid.entry_count[0] = len(keys) + len(kept)
+    table = grid.table
     rank = np.argsort(np.argsort(np.concatenate([keys, tile_keys[kept]])))
-    table["value"] = tree.background
+    table["value"] = grid.background[...] = tree.background
     table["key"][rank] = np.concatenate([keys, tile_keys[kept]])
-    table["child"][rank[: len(keys)]] = upper_begin - HEAD_SIZE + np.arange(len(keys)) * layout.upper_size
+    table["child"][rank[: len(keys)]] = grid.upper.starts - root.begin
     table["value"][rank[len(keys) :]] = tree.root.values[kept]
     table["state"][rank[len(keys) :]] = tree.root.active[kept]
-    box = root[:24].view("<i4").reshape(2, 3)
+    box = root.column(("<i4", 3), 0, 2)[0]
     box[0], box[1] = np.iinfo(np.int32).max, np.iinfo(np.int32).min
-    limits = np.stack([tree.background] * 3)
+    root.limits[:] = tree.background if tree.layout.leaf_bits > 1 else False
     some = bool(items.some()[0])
-    if layout.leaf_bits <= 1:
-        limits[1:] = False
     if some:
         box[:] = items.boxes[0]
-        limits[1], limits[2] = items.low[0], items.high[0]
-    root[layout.root_background : layout.root_background + 3 * kind.itemsize] = (
-        np.ascontiguousarray(limits).reshape(-1).view(np.uint8)
-    )
-    root_span(buffer, box if some else None)
+        root.limits[0] = items.low[0], items.high[0]
+    root_span(root.buffer, box if some else None)
 
 
-def _write_heads(
+def write_heads(
     buffer: NDArray[np.uint8],
     head: GridHead,
     begins: tuple[int, int, int, int],
@@ -370,7 +342,7 @@ def _write_heads(
     grid["blind_offset"], grid["blind_count"] = tree_end, int(head.has_long_name)
 
 
-def _name_block(head: GridHead) -> NDArray[np.uint8]:
+def name_block(head: GridHead) -> NDArray[np.uint8]:
     """A name too long for the header as a block of blind data; blind data of other programs is not kept."""
     if not head.has_long_name:
         return np.empty(0, np.uint8)

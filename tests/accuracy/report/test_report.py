@@ -308,6 +308,11 @@ def test_force_replaces_the_report_and_nothing_else(results, tmp_path):
     write_report(results, out, pictures=False)
     (out / "mine.txt").write_text("mine")
     (out / "figures" / "mine.png").write_text("mine")
+    before = {path.stem for path in (out / "figures").iterdir()}
+    write_report(results, out, pictures=False, force=True, figure_format="svg")
+    assert {path.name for path in (out / "figures").iterdir()} == {
+        f"{stem}.{'png' if stem == 'mine' else 'svg'}" for stem in before
+    }
     fewer = Results([found for found in results if found.chart == "sign"], charts=results.charts)
     write_report(fewer, out, pictures=False, force=True)
     assert {path.name for path in out.iterdir()} == {"results.csv", "report.html", "figures", "mine.txt"}

@@ -138,6 +138,15 @@ def green(pixels: np.ndarray) -> int:
     return int(((middle - red > 0.08) & (middle - blue > 0.02)).sum())
 
 
+def test_figures_of_lines(tmp_path):
+    for kind, head, mark in (("svg", b"<?xml", "!["), ("pdf", b"%PDF", "\n[")):
+        page = write_stability(tmp_path, chosen=[sweep("one")], force=True, figure_format=kind)
+        assert (tmp_path / f"figures/stability/one.{kind}").read_bytes().startswith(head)
+        assert re.search(re.escape(mark) + rf"[^\n]*\(figures/stability/one\.{kind}\)", page.read_text())
+    with pytest.raises(InputError, match="figure_format"):
+        write_stability(tmp_path, chosen=[sweep("one")], force=True, figure_format="gif")
+
+
 def test_a_page_is_replaced_only_with_force_and_only_whole(tmp_path):
     page = write_stability(tmp_path, chosen=[sweep()])
     before = page.read_bytes()

@@ -168,6 +168,22 @@ def test_wrong_answers_are_not_on_the_front_of_errors():
     assert front_of([], "error") == []
 
 
+def test_settings_that_answer_another_question_are_on_no_front():
+    def asked(seconds: float, error: float, **parameters: float):
+        return dataclasses.replace(row(str(parameters), seconds=seconds, error=error), parameters=parameters)
+
+    # A short search radius leaves most queries without an answer, and is fast.
+    near = asked(0.1, 0.0, max_distance=0.04)
+    rows = [near, asked(1.0, 1e-6, max_distance=math.inf), asked(2.0, 0.0, max_distance=math.inf)]
+    assert front_of(rows, "error") == [1, 2]
+    assert near not in [choice.row for choice in choices(rows, "error")]
+    few = [asked(0.1, 0.0, k=1), asked(1.0, 0.0, k=8), asked(0.2, 0.0, k=8, radius=0.1), asked(2.0, 0.0, k=8)]
+    assert front_of(few, "wrong") == [1]
+    # A radius alone is a resolution.
+    thin = [asked(1.0, 1e-2, radius=1.0), asked(2.0, 1e-3, radius=0.5)]
+    assert front_of(thin, "error") == [0, 1]
+
+
 def test_calls_compare_where_answers_are_not_as_many():
     # Ten times the triangles in five times the time.
     rows = [row("coarse", seconds=1.0, error=1e-1), row("fine", seconds=0.5, error=1e-2)]

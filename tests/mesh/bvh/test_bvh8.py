@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 
 import geokit as gk
+from benchmarks import scenes
+from geokit.core import launcher
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import NO_CHILD, STACK, WIDTH
+from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
 from tests.support import mesh_catalog, reference
 
 
@@ -33,6 +37,7 @@ MESHES = {
     **{f"copies {n}": copies(n) for n in (9, 3000)},
     **{f"chain {n}": chain(n) for n in (9, 900)},
     "torus": mesh_catalog.torus(),
+    "hall": scenes.hall(5000).mesh,
     "collapsed": mesh_catalog.collapsed_faces(),
 }
 
@@ -54,6 +59,16 @@ def test_every_triangle_has_one_slot(surface):
     filled = slots >= 0
     np.testing.assert_array_equal(corners[filled], surface.mesh.vertices[surface.mesh.faces[slots[filled]]])
     assert np.isnan(corners[~filled]).all()
+
+
+def test_planes_are_those_of_single_slots(surface):
+    # What CUDA computes for each slot, the CPU computes for eight.
+    tree, device = surface._tree, surface._device
+    rows = wp.empty(SLOT_WORDS * len(tree.slot_triangle), dtype=wp.float32, device=device)
+    inputs = [tree.slot_triangle, tree.corners, tree.origin, tree.scale]
+    launcher.launch(leaf_planes_kernel, len(tree.slot_triangle), inputs, [rows], device)
+    single = rows.numpy().reshape(-1, WIDTH, SLOT_WORDS)[..., :PLANE_ROWS].swapaxes(1, 2)
+    np.testing.assert_array_equal(tree.leaves.numpy().reshape(-1, PLANE_ROWS, WIDTH), single)
 
 
 def test_every_node_and_block_has_one_parent_that_comes_before_it(surface):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geokit.mesh import Surface, TriangleMesh
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
+from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
 from tests.support import mesh_catalog
 
 RAYS = 20_000

@@ -49,16 +49,16 @@ class TestOverlapping:
     def test_boxes_against_exact_clipping(self, make, offset):
         mesh = mesh_catalog.far_away(make(), offset) if offset else make()
         rng = np.random.default_rng(3)
-        centres = mesh.bounds[0] + rng.random((12, 3)) * np.ptp(mesh.bounds, axis=0)
+        centers = mesh.bounds[0] + rng.random((12, 3)) * np.ptp(mesh.bounds, axis=0)
         half = 0.2 * mesh.diagonal * rng.random((12, 3)) ** 3
         half[0] = 0.0
-        found = lists(gk.mesh.Surface(mesh, device="cpu").overlapping(centres - half, centres + half))
+        found = lists(gk.mesh.Surface(mesh, device="cpu").overlapping(centers - half, centers + half))
         corners = mesh.vertices[mesh.faces]
-        for ids, centre, h in zip(found, centres, half, strict=True):
+        for ids, center, h in zip(found, centers, half, strict=True):
             near = np.flatnonzero(
-                ((corners.min(axis=1) <= centre + h) & (corners.max(axis=1) >= centre - h)).all(axis=1)
+                ((corners.min(axis=1) <= center + h) & (corners.max(axis=1) >= center - h)).all(axis=1)
             )
-            assert ids == [i for i in near if reference.triangle_meets_box(corners[i], centre - h, centre + h)]
+            assert ids == [i for i in near if reference.triangle_meets_box(corners[i], center - h, center + h)]
 
     def test_none_is_missed_at_corners_of_boxes(self):
         """Boxes that touch a triangle's plane with a corner, where rounding decides."""
@@ -98,7 +98,7 @@ class TestOverlapping:
             ([[0, 0, 0]], [[1, 1, 1], [1, 1, 1]], "upper: 2 rows for 1"),
             ([[0, np.nan, 0]], [[1, 1, 1]], "lower: row 0 is not finite"),
             ([[0, 0, 0]], [[1, np.inf, 1]], "upper: row 0 is not finite"),
-            ([0, 0, 0], [1, 1, 1], "lower: shape"),
+            ([0, 0], [1, 1], "lower: shape"),
         ],
     )
     def test_boxes_that_are_none(self, lower, upper, message):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import chisquare, kstest
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.mesh._sample_surface import sample_surface
@@ -253,7 +253,7 @@ def test_only_meshes():
 
 
 def test_more_points_than_float64_has_there():
-    # At 1e16 neighbouring float64 are 2 apart: the plate has six by six of them at most.
+    # At 1e16 neighboring float64 are 2 apart: the plate has six by six of them at most.
     mesh = mesh_catalog.moved(plate(10.0, 10.0), (1e16, 1e16, 0.0))
     with pytest.raises(InputError, match="count: float64 has only"):
         sample_surface(mesh, 1000, method="poisson_disk")

@@ -49,6 +49,10 @@ def test_clean_meshes_have_pseudonormals(mesh):
         (mesh_catalog.three_on_an_edge(), "boundary edges"),
         (
             mesh_catalog.join(mesh_catalog.box(), mesh_catalog.moved(mesh_catalog.box(), (1, 0, 0))),
+            "pairs of faces back to back, which cancel: 2",
+        ),
+        (
+            mesh_catalog.join(mesh_catalog.box(), mesh_catalog.moved(mesh_catalog.box(), (1, 1, 0))),
             "edges of three faces or more",
         ),
         (mesh_catalog.two_boxes_touching_at_a_vertex(), "vertices that separate fans share"),

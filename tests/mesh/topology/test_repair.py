@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import MeshPart, Surface, TriangleMesh, audit
 from geokit.mesh._repair import drop_degenerate, merge_vertices, orient

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 import geokit as gk
@@ -46,27 +48,52 @@ def assert_planes(points, rows, found):
     assert (np.abs(found.curvature - curvature) <= (count + 16) * UNIT).all()
 
 
-def signs_by_tree(points, normal, k):
-    """Signs that agree along scipy's minimum spanning tree, with the highest point of each part upwards."""
+def edges_that_agree(points, normal, k):
+    """Edges (E, 2), whether their normals are opposite, and how surely: the lesser of both comparisons."""
+    distance, rows = cKDTree(points).query(points, k)
+    pairs = np.stack([np.repeat(np.arange(len(points)), k), rows.ravel()], axis=1)
+    i, j = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0).T
+    e, n, m = points[j] - points[i], normal[i], normal[j]
+    direct = (n * m).sum(axis=1)
+    squared = (e**2).sum(axis=1) + 0.25 * np.minimum(distance[i, -1], distance[j, -1]) ** 2
+    reflected = direct - 2.0 * (e * n).sum(axis=1) * (e * m).sum(axis=1) / squared
+    kept = direct * reflected > 0.0
+    sure = np.minimum(np.minimum(np.abs(direct), np.abs(reflected)), 1.0)
+    return np.stack([i, j], axis=1)[kept], direct[kept] < 0.0, sure[kept]
+
+
+def signs_by_votes(points, normal, k):
+    """Signs, and the part of each point: three rounds along the surest edges, then rounds by votes."""
     count = len(points)
-    rows = nearest(points, k)
-    i, j = np.repeat(np.arange(count), k), rows.ravel()
-    i, j = i[i != j], j[i != j]
-    i, j = np.minimum(i, j), np.maximum(i, j)
-    pairs = np.unique(np.stack([i, j]), axis=1)
-    # Weights of 0 would be no edges to scipy.
-    weight = 2.0 - np.abs((normal[pairs[0]] * normal[pairs[1]]).sum(axis=1))
-    tree = minimum_spanning_tree(coo_array((weight, (pairs[0], pairs[1])), shape=(count, count)).tocsr())
-    sign = np.ones(count)
-    part_count, part = connected_components(tree, directed=False)
-    for number in range(part_count):
-        members = np.flatnonzero(part == number)
-        seed = members[np.argmax(points[members, 2])]
-        sign[seed] = np.sign(normal[seed, 2])
-        order, parent = breadth_first_order(tree, seed, directed=False)
-        for at in order[1:]:
-            sign[at] = sign[parent[at]] * np.sign(normal[at] @ normal[parent[at]])
-    return sign, part_count
+    ends, opposite, sure = edges_that_agree(points, normal, k)
+    sure = 1.0 - (1.0 - sure).astype(np.float32).astype(float)
+    vote = np.where(opposite, -1, 1) * (sure**3 * 2.0**24).astype(np.int64)
+    sign, part = np.ones(count, np.int64), np.arange(count)
+    for turn in itertools.count():
+        across = part[ends[:, 0]] != part[ends[:, 1]]
+        if not across.any():
+            return sign, part
+        pairs, at = np.unique(np.sort(part[ends[across]], axis=1), axis=0, return_inverse=True)
+        votes = (vote * sign[ends].prod(axis=1))[across]
+        total = np.zeros(len(pairs), np.int64)
+        if turn < 3:
+            rising = np.argsort(sure[across], kind="stable")
+            total[at.ravel()[rising]] = votes[rising]
+        else:
+            np.add.at(total, at.ravel(), votes)
+        best = {}
+        for number in np.argsort(np.abs(total), kind="stable"):
+            best.update({pairs[number, 0]: number, pairs[number, 1]: number})
+        chosen = sorted(set(best.values()))
+        joined = coo_array((np.sign(total[chosen]), tuple(pairs[chosen].T)), shape=(count, count)).tocsr()
+        joined = joined + joined.T
+        turned, root = np.ones(count, np.int64), np.arange(count)
+        for first in np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]:
+            order, parent = breadth_first_order(joined, first, directed=False)
+            root[order] = first
+            for node in order[1:]:
+                turned[node] = turned[parent[node]] * joined[parent[node], node]
+        sign, part = sign * turned[part], root[part]
 
 
 @pytest.mark.parametrize("k", [3, 4, 9, 16, 50])
@@ -144,15 +171,18 @@ def test_separate_parts_each_have_an_upward_point():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_propagation_follows_the_minimum_spanning_tree(seed):
-    # In a volume normals are as good as random: any other tree has other signs.
+def test_signs_follow_the_votes(seed):
+    # In a volume normals are as good as random: any other order of joining has other signs.
     points = np.random.default_rng(seed).random((400, 3))
     points[200:] += [5.0, 0.0, 0.0]
     plain = normals(points, k=8, orientation="none", device="cpu").normals
     found = normals(points, k=8, device="cpu").normals
-    sign, parts = signs_by_tree(points, plain, 8)
-    assert parts >= 2
-    np.testing.assert_array_equal(found, plain * sign[:, None])
+    np.testing.assert_array_equal(np.abs(found), np.abs(plain))
+    sign, part = signs_by_votes(points, plain, 8)
+    turned = np.sign((found * plain).sum(axis=1)) * sign
+    assert len(np.unique(part)) >= 2
+    for number in np.unique(part):
+        assert len(np.unique(turned[part == number])) == 1
 
 
 def test_a_long_chain_of_components():

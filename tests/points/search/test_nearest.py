@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import nearest as _nearest
 from geokit.points.search.nearest import MAX_K, KNearest, build_tree, nearest, require_k

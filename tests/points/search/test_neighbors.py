@@ -10,7 +10,8 @@ import warp as wp
 from scipy.spatial import cKDTree
 
 import geokit as gk
-from geokit.core import available_memory, launcher
+from geokit.core import launcher
+from geokit.core.memory import available_memory
 from geokit.points import NeighborGrid
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0], [0, 0, -2]])
@@ -106,7 +107,7 @@ def test_squared_distance_is_rounded_term_by_term():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cells_kernels", "radius_cuda_kernels"])
+@pytest.mark.parametrize("name", ["cells_kernels", "radius_cuda_kernels", "periodic_kernels", "verlet_kernels"])
 def test_cuda_code_has_no_fused_arithmetic(name, tmp_path):
     # nvrtc contracts by default; the compiler comes with warp, so no GPU is needed to inspect its output.
     launcher.resolve_device("cpu")

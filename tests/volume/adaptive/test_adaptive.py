@@ -11,7 +11,7 @@ from geokit.core import launcher
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._surface import Surface
-from geokit.volume import from_mesh, load, save
+from geokit.volume import from_dense, from_mesh, load, quantize, save
 from geokit.volume._adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
 from geokit.volume._model import SparseVolume
 from geokit.volume.adaptive import refine
@@ -19,12 +19,14 @@ from geokit.volume.adaptive import sample_kernels as kernels
 from geokit.volume.adaptive.level_sizes import common_step
 from geokit.volume.adaptive.table import adaptive_table
 from geokit.volume.nanovdb.header import info_of
+from geokit.volume.nanovdb.provenance import ORDER, with_more
 from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.space import world_to_index
 from tests.support import mesh_catalog, reference
 from tests.support.float_grids import build_float_grid
 
+CODECS = ("fp16", "fp8", "fp4")
 SIZE = 0.4
 TOLERANCE = 0.01
 
@@ -49,16 +51,19 @@ def _grid(values, start, size, translation, background=9.0):
     return SparseVolume(buffer, info_of(buffer, {}))
 
 
-def _random_levels(seed=5):
-    """Three levels of random voxels: level 1 has the halves of some cells, level 2 those of some of level 1."""
+def _random_levels(seed=5, low=0, high=2):
+    """Three levels of random voxels: level 1 has the halves of some cells, level 2 those of some of level 1.
+
+    The halves of a cell are its voxels ``low`` to ``high`` along each axis.
+    """
     rng = np.random.default_rng(seed)
     origin = np.array([0.3, -0.2, 0.1])
     values = [{index: rng.normal() for index in np.ndindex(12, 12, 12)}, {}, {}]
     cells = [(3, 3, 3), (3, 3, 4), (7, 7, 7), (5, 2, 9)]
     for level in (1, 2):
         for cell in cells:
-            for offset in np.ndindex(3, 3, 3):
-                values[level].setdefault(tuple(2 * np.array(cell) + offset), rng.normal())
+            for offset in np.ndindex(*[high - low + 1] * 3):
+                values[level].setdefault(tuple(2 * np.array(cell) + offset + low), rng.normal())
         cells = [(6, 6, 6), (7, 7, 9), (15, 14, 15)]
     # One voxel of a cell's halves is missing: the cell is answered by its own level.
     del values[1][10, 4, 18]
@@ -124,7 +129,7 @@ def test_one_by_one_as_on_a_gpu_gives_the_same_bits(pairs):
     field = AdaptiveSDF(levels)
     points = origin + SIZE * np.random.default_rng(2).uniform(-2.0, 14.0, (5000, 3))
     device = launcher.resolve_device("cpu")
-    table = adaptive_table(levels, device)
+    table = adaptive_table(levels, 1, device)
     if pairs:
         for each in table.tables:
             places = np.flatnonzero(each.top.numpy() >= 0).astype(np.int32)
@@ -134,12 +139,118 @@ def test_one_by_one_as_on_a_gpu_gives_the_same_bits(pairs):
     rows = wp.array(points, dtype=wp.vec3d, device=device)
     way = world_to_index(levels[0])
     for kernel, dtype, outside, grouped in (
-        (kernels.SAMPLE_SINGLES[False], wp.float64, wp.float64(9.0), field.sample(points, device="cpu")),
-        (kernels.GRADIENT_SINGLES[False], wp.vec3d, wp.vec3d(0.0, 0.0, 0.0), field.gradient(points, device="cpu")),
+        (kernels.SAMPLE_CUDA[False], wp.float64, wp.float64(9.0), field.sample(points, device="cpu")),
+        (kernels.GRADIENT_CUDA[False], wp.vec3d, wp.vec3d(0.0, 0.0, 0.0), field.gradient(points, device="cpu")),
     ):
         out, bad = wp.empty(len(points), dtype=dtype, device=device), wp.zeros(1, dtype=wp.int32, device=device)
         launcher.launch(kernel, len(points), [table.levels, rows, *way, outside], [out, bad], device)
         np.testing.assert_array_equal(out.numpy(), grouped)
+
+
+# Weights of voxels -1 to 2: the parabola through three of them, and the Catmull-Rom spline.
+WEIGHTS = {
+    2: np.array([[0.0, -0.5, 0.5, 0.0], [1.0, 0.0, -1.0, 0.0], [0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0]]),
+    3: 0.5 * np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]),
+}
+
+
+def _smooth_by_hand(values, origin, point, order):
+    """Level and interpolant of order 2 or 3 by the rule, through dicts."""
+    last = order - 1
+    for level in (2, 1, 0):
+        u = (point - origin) / (SIZE / 2**level)
+        cell = np.floor(u).astype(int)
+        halves = np.ndindex(*[last + 3] * 3)
+        if level and not all(tuple(2 * (cell // 2) + o - 1) in values[level] for o in halves):
+            continue
+        near = np.array([values[level].get(tuple(cell + o - 1), 9.0) for o in np.ndindex(4, 4, 4)])
+        near = near.astype(np.float32).astype(float).reshape(4, 4, 4)
+        x, y, z = (WEIGHTS[order] @ (u - cell) ** np.arange(4)[:, None]).T
+        return level, np.einsum("ijk,i,j,k", near, x, y, z)
+    raise AssertionError
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_finest_level_answers_at_higher_orders(order):
+    values, levels, origin = _random_levels(low=-1, high=order)
+    levels = (with_more(levels[0], {ORDER: order}), *levels[1:])
+    field = AdaptiveSDF(levels)
+    assert (field.order, field.codecs) == (order, ("float",) * 3)
+    rng = np.random.default_rng(1)
+    points = origin + SIZE * rng.uniform(2.0, 10.0, (400, 3))
+    for cell in [(3, 3, 3), (3, 3, 4), (7, 7, 7), (5, 2, 9)]:
+        points = np.concatenate([points, origin + SIZE * (np.array(cell) + rng.uniform(size=(100, 3)))])
+    expected = [_smooth_by_hand(values, origin, point, order) for point in points]
+    assert [sum(e[0] == level for e in expected) > 25 for level in (0, 1, 2)] == [True] * 3
+    np.testing.assert_allclose(field.sample(points, device="cpu"), [e[1] for e in expected], rtol=0, atol=1e-12)
+    step = 1e-6
+    central = [
+        (field.sample(points + step * axis, device="cpu") - field.sample(points - step * axis, device="cpu")) / step / 2
+        for axis in np.eye(3)
+    ]
+    # Beside a border of cells a difference spans two interpolants.
+    inner = (np.abs((points - origin) / (SIZE / 4) % 1.0 - 0.5) < 0.49).all(axis=1)
+    found = field.gradient(points, device="cpu")
+    np.testing.assert_allclose(found[inner], np.transpose(central)[inner], rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("codecs", [("fp16", "fp8", "fpn"), ("fp4", "float", "fp8"), ("fpn", "fp4", "fp16")])
+def test_quantized_levels_answer_as_the_floats_that_their_codes_mean(order, codecs):
+    low, high = (0, 2) if order == 1 else (-1, order)
+    _, levels, origin = _random_levels(low=low, high=high)
+    stored = [quantize(level, codec, tolerance=3.0) for level, codec in zip(levels, codecs, strict=True)]
+    floats = [quantize(level, "float") for level in stored]
+    field, plain = (AdaptiveSDF((with_more(few[0], {ORDER: order}), *few[1:])) for few in (stored, floats))
+    assert field.codecs == codecs
+    points = origin + SIZE * np.random.default_rng(3).uniform(-2.0, 14.0, (4000, 3))
+    atol = 1e-11
+    np.testing.assert_allclose(
+        field.sample(points, device="cpu"), plain.sample(points, device="cpu"), rtol=0, atol=atol
+    )
+    np.testing.assert_allclose(
+        field.gradient(points, device="cpu"), plain.gradient(points, device="cpu"), rtol=0, atol=10 * atol / SIZE
+    )
+    with pytest.raises(InputError, match="row 1 is not finite"):
+        field.sample([[0.0, 0.0, 0.0], [0.0, np.inf, 0.0]], device="cpu")
+    assert field.sample([[1e300, 0.0, 0.0]], device="cpu") == field.levels[0].info.background
+    assert field.sample(points.astype(np.float32), device="cpu").dtype == np.float32
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_one_level_of_any_order_and_codec_is_the_volume(order):
+    volume = with_more(quantize(from_mesh(mesh_catalog.torus(), 0.1, device="cpu"), "fp8"), {ORDER: order})
+    points = np.random.default_rng(3).uniform(-2.5, 2.5, (5000, 3))
+    field = AdaptiveSDF((volume,))
+    np.testing.assert_array_equal(field.sample(points, device="cpu"), volume.sample(points, device="cpu"))
+    np.testing.assert_array_equal(field.gradient(points, device="cpu"), volume.gradient(points, device="cpu"))
+
+
+@pytest.mark.parametrize("ending", [".nvdb", ".vdb"])
+def test_files_keep_order_and_codec(tmp_path, ending):
+    _, levels, origin = _random_levels(low=-1, high=3)
+    stored = [with_more(quantize(level, codec), {ORDER: 3}) for level, codec in zip(levels, CODECS, strict=True)]
+    for number, level in enumerate(stored):
+        with_more(level, {LEVEL: number, LEVEL_COUNT: 3})
+    stored = [SparseVolume(level.nanovdb, replace(level.info, name=f"level {n}")) for n, level in enumerate(stored)]
+    field = AdaptiveSDF(tuple(stored))
+    field.save(tmp_path / f"field{ending}")
+    back = load_adaptive(tmp_path / f"field{ending}")
+    assert back.order == 3
+    # OpenVDB has no quantized grids.
+    assert back.codecs == (CODECS if ending == ".nvdb" else ("float",) * 3)
+    points = origin + SIZE * np.random.default_rng(3).uniform(-2.0, 14.0, (2000, 3))
+    np.testing.assert_allclose(
+        back.sample(points, device="cpu"), field.sample(points, device="cpu"), rtol=0, atol=1e-12
+    )
+
+
+def test_a_field_without_a_record_of_its_order_has_order_1():
+    _, levels, _ = _random_levels()
+    field = AdaptiveSDF(levels)
+    assert (field.order, field.codecs) == (1, ("float",) * 3)
 
 
 def test_a_field_of_one_level_is_the_volume():
@@ -151,15 +262,15 @@ def test_a_field_of_one_level_is_the_volume():
     np.testing.assert_array_equal(field.gradient(points, device="cpu"), volume.gradient(points, order=1, device="cpu"))
 
 
-@pytest.fixture(scope="module")
+# The search takes ten seconds, and with it each test is slow.
+@pytest.fixture(scope="module", params=[pytest.param("profile", marks=pytest.mark.slow)])
 def profile():
     mesh = mesh_catalog.l_profile()
     turn = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
     turned = TriangleMesh(mesh.vertices @ (turn * np.sign(np.linalg.det(turn))).T, mesh.faces, name="profile")
-    return turned, adaptive_from_mesh(turned, TOLERANCE, device="cpu")
+    return turned, adaptive_from_mesh(turned, TOLERANCE, order=1, codec="float", device="cpu")
 
 
-@pytest.mark.slow
 def test_error_against_brute_force(profile):
     mesh, field = profile
     rng = np.random.default_rng(9)
@@ -225,8 +336,9 @@ def test_far_away_it_is_the_band_s_edge(profile):
 @pytest.mark.slow
 def test_a_part_drawn_on_a_lattice_keeps_its_straight_edges_for_nothing():
     mesh = TriangleMesh(mesh_catalog.l_profile().vertices * [1.0, 1.0, 1.0], mesh_catalog.l_profile().faces)
-    aligned = adaptive_from_mesh(mesh, TOLERANCE, device="cpu")
-    turned = adaptive_from_mesh(TriangleMesh(mesh.vertices @ _turn().T, mesh.faces), TOLERANCE, device="cpu")
+    plain = {"order": 1, "codec": "float", "device": "cpu"}
+    aligned = adaptive_from_mesh(mesh, TOLERANCE, **plain)
+    turned = adaptive_from_mesh(TriangleMesh(mesh.vertices @ _turn().T, mesh.faces), TOLERANCE, **plain)
     assert 2 * aligned.byte_count < turned.byte_count
 
 
@@ -312,11 +424,10 @@ def test_points_that_are_refused(profile):
             answer([[0.0, 0.0]], device="cpu")
 
 
-@pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_threads(profile, monkeypatch):
     mesh, field = profile
     monkeypatch.setenv("GEOKIT_THREADS", "1")
-    again = adaptive_from_mesh(Surface(mesh, device="cpu"), TOLERANCE)
+    again = adaptive_from_mesh(Surface(mesh, device="cpu"), TOLERANCE, order=1, codec="float")
     assert [level.nanovdb.tobytes() for level in again.levels] == [level.nanovdb.tobytes() for level in field.levels]
 
 
@@ -327,10 +438,9 @@ def test_an_open_mesh_keeps_it_within_a_quarter():
     assert field.achieved_error <= 0.05
 
 
-@pytest.mark.slow
 def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
     mesh, field = profile
-    two = adaptive_from_mesh(mesh, TOLERANCE, max_levels=2, device="cpu")
+    two = adaptive_from_mesh(mesh, TOLERANCE, order=1, codec="float", max_levels=2, device="cpu")
     assert two.level_count <= 2
     assert two.achieved_error <= TOLERANCE
     assert two.byte_count > field.byte_count
@@ -346,7 +456,7 @@ def test_a_tolerance_out_of_reach_is_refused():
 def test_too_many_cells_are_refused(monkeypatch):
     monkeypatch.setattr(refine.available_memory, "available_host", lambda: 1 << 20)
     with pytest.raises(DeviceMemoryError, match="use a larger tolerance"):
-        adaptive_from_mesh(mesh_catalog.torus(), 1e-4, device="cpu")
+        adaptive_from_mesh(mesh_catalog.torus(), 1e-4, order=1, device="cpu")
 
 
 @pytest.mark.parametrize(
@@ -363,6 +473,8 @@ def test_too_many_cells_are_refused(monkeypatch):
         ({"max_levels": 2.5}, "max_levels: 2.5"),
         ({"sign": "none"}, "sign: 'none'"),
         ({"sign": "guess"}, "sign: 'guess'"),
+        ({"order": 0}, "order: 0"),
+        ({"codec": "fp7"}, "codec: 'fp7'"),
     ],
 )
 def test_arguments_that_are_refused(options, match):
@@ -370,20 +482,27 @@ def test_arguments_that_are_refused(options, match):
         adaptive_from_mesh(mesh_catalog.box(), **{"tolerance": 0.1, **options}, device="cpu")
 
 
+def test_arguments_are_refused_before_anything_is_built(monkeypatch):
+    monkeypatch.setattr(Surface, "__init__", lambda *_, **__: pytest.fail("a surface was built"))
+    for options in ({"max_levels": 0}, {"sign": "none"}, {"sign": "guess"}, {"order": 4}, {"codec": "jpeg"}):
+        with pytest.raises(InputError):
+            adaptive_from_mesh(mesh_catalog.icosphere(4), **{"tolerance": 0.1, **options}, device="cpu")
+
+
 def test_meshes_that_are_refused():
     with pytest.raises(InputError, match="no faces"):
         adaptive_from_mesh(TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), int)), 0.1, device="cpu")
 
 
-def test_levels_that_are_refused(profile):
+def test_levels_that_are_refused():
     _, levels, origin = _random_levels()
     values = _random_levels()[0]
     with pytest.raises(InputError, match="levels: none given"):
         AdaptiveSDF(())
     with pytest.raises(InputError, match=r"levels\[1\]: str is not a SparseVolume"):
         AdaptiveSDF((levels[0], "more"))
-    with pytest.raises(InputError, match=r"levels\[0\]: a grid of type fp8"):
-        AdaptiveSDF((profile[1].levels[0].quantize("fp8"),))
+    with pytest.raises(InputError, match=r"levels\[0\]: a grid of type double; give float or quantized grids"):
+        AdaptiveSDF((from_dense(np.zeros((4, 4, 4)), voxel_size=1.0, grid_type="double"),))
     with pytest.raises(InputError, match="level 1 are not halves of those of level 0"):
         AdaptiveSDF(levels[::2])
     with pytest.raises(InputError, match="level 1 are not halves"):

@@ -23,7 +23,7 @@ ROUNDING = 2.0**-24
 
 
 def dense(grid, lower, upper):
-    """Values at all voxels of the index box, by nearest-voxel sampling at their centres."""
+    """Values at all voxels of the index box, by nearest-voxel sampling at their centers."""
     axes = [np.arange(a, b + 1) for a, b in zip(lower, upper, strict=True)]
     index = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     world = index @ grid.info.transform[:3, :3].T + grid.info.transform[:3, 3]
@@ -224,7 +224,7 @@ def test_signs_are_those_of_the_surface(mesh, sign):
     assert grid.info.metadata["geokit:voxel_size"] == size
 
 
-def test_values_may_be_quantised():
+def test_values_may_be_quantized():
     mesh = mesh_catalog.icosphere(2)
     grid = volume.from_mesh(mesh, 0.05, codec="fp8", device="cpu")
     plain = volume.from_mesh(mesh, 0.05, device="cpu")
@@ -264,7 +264,7 @@ def wall(lower, upper):
 
 
 def test_pieces_thinner_than_a_voxel_are_named():
-    # Voxel centres lie at multiples of 0.1: none of them within the second box, some within the others.
+    # Voxel centers lie at multiples of 0.1: none of them within the second box, some within the others.
     mesh = mesh_catalog.join(
         wall((0, 0, 0), (1, 1, 1)), wall((2, 0.02, 0), (3, 0.06, 1)), wall((4, 0, 0), (5, 0.25, 1))
     )
@@ -364,8 +364,8 @@ def test_a_grid_that_stays_on_its_device_is_fetched_when_asked_for():
     np.testing.assert_array_equal(kept.nanovdb, volume_made.nanovdb)
     assert kept.nanovdb is kept.nanovdb
     assert kept.nanovdb.ctypes.data % 32 == 0
-    with pytest.raises(AttributeError, match="colour"):
-        kept.colour  # noqa: B018
+    with pytest.raises(AttributeError, match="color"):
+        kept.color  # noqa: B018
 
 
 @pytest.mark.skipif(not native.available(), reason="the OpenVDB extension is not built")
@@ -422,7 +422,7 @@ def test_voxels_too_small_for_the_memory_name_a_size_that_fits(voxel_size):
 
 @pytest.mark.slow
 def test_a_grid_has_at_most_2_31_bytes(monkeypatch):
-    from geokit.core import available_memory
+    from geokit.core.memory import available_memory
 
     monkeypatch.setattr(available_memory, "available", lambda device: 1 << 50)
     monkeypatch.setattr(available_memory, "available_host", lambda: 1 << 50)

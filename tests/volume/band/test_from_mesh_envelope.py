@@ -81,8 +81,8 @@ def test_far_from_the_origin(distance):
 @pytest.mark.slow
 @pytest.mark.parametrize("half_width", [1.0, 1.0005, 2.0, 3.0])
 @pytest.mark.parametrize("voxels", [4, 8, 16, 24])
-def test_walls_on_voxel_centres_hold_the_flood(voxels, half_width):
-    # Faces through voxel centres and along the borders of tiles: distances are whole voxels, and sums are the spacing.
+def test_walls_on_voxel_centers_hold_the_flood(voxels, half_width):
+    # Faces through voxel centers and along the borders of tiles: distances are whole voxels, and sums are the spacing.
     mesh = mesh_catalog.box((0, 0, 0), (1, 1, 1))
     size = 1.0 / voxels
     grid = volume.from_mesh(mesh, size, half_width=half_width, device="cpu")

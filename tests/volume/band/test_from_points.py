@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._dense import to_dense
 from geokit.volume._from_points import from_points
@@ -58,6 +58,7 @@ def test_balls_of_all_sizes():
     assert volume.info.metadata["geokit:lost_points"] > 0
 
 
+@pytest.mark.slow
 def test_balls_that_cover_whole_nodes():
     # 300 voxels across: tiles of upper nodes inside, and blocks that are ruled out before they become tiles.
     assert_exact([[0.0, 0.0, 0.0], [40.0, 3.0, 2.0]], [150.0, 2.0], 2.0, 1.0)

@@ -62,7 +62,7 @@ def test_radii_around_the_sizes_of_buckets(radius):
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5, -0.5, 8.0, -8.0, 7.5, 4096.0, -4096.0])
-def test_centres_on_the_borders_of_voxels_leaves_and_nodes(offset):
+def test_centers_on_the_borders_of_voxels_leaves_and_nodes(offset):
     assert errors(np.full((1, 3), offset), 4.0, 1.0) < 3.0 * ROUNDING
 
 

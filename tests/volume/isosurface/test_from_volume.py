@@ -499,7 +499,7 @@ class TestRefusals:
             from_volume(_grid(_ball), device="cpu", method=method)
 
     def test_memory(self, monkeypatch):
-        monkeypatch.setattr("geokit.core.available_memory.available_host", lambda: 1000)
+        monkeypatch.setattr("geokit.core.memory.available_memory.available_host", lambda: 1000)
         monkeypatch.setattr("geokit.volume.isosurface.launch.UNCHECKED_BYTES", 0)
         with pytest.raises(DeviceMemoryError, match="larger voxels"):
             from_volume(_grid(_ball), device="cpu")

@@ -1,4 +1,4 @@
-"""The tables of the 256 cases: loops are closed, sheets of neighbours fit together, triangles turn outward."""
+"""The tables of the 256 cases: loops are closed, sheets of neighbors fit together, triangles turn outward."""
 
 from __future__ import annotations
 

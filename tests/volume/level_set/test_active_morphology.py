@@ -92,7 +92,7 @@ def test_refusals(operation):
     for voxels in (-1, 1.5, True, 1025, "two"):
         with pytest.raises(InputError, match=r"voxels: .* is not a whole number from 0 to 1024"):
             operation(source, voxels=voxels)
-    with pytest.raises(InputError, match="neighbors: 'corners' is not one of faces, edges, vertices"):
+    with pytest.raises(InputError, match="neighbors: 'corners' is not known; use one of 'faces', 'edges', 'vertices'"):
         operation(source, voxels=1, neighbors="corners")
     with pytest.raises(InputError, match="whose surface moves by a distance"):
         operation(level_set(ball(5.0)), voxels=1)

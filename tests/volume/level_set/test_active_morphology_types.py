@@ -237,17 +237,17 @@ def integers_in(volume):
 @pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16", "fpn"])
-def test_quantised_grids_become_float(codec):
+def test_quantized_grids_become_float(codec):
     grid = random_grid("float", 8)
-    quantised = quantize(grid.volume, codec, tolerance=1.0 if codec == "fpn" else None)
-    result = dilate(quantised, voxels=2, device="cpu")
+    quantized = quantize(grid.volume, codec, tolerance=1.0 if codec == "fpn" else None)
+    result = dilate(quantized, voxels=2, device="cpu")
     assert result.info.grid_type == "float"
     _, active = expected_of(grid, "dilate", 2)
     np.testing.assert_array_equal(dense_of(result)[1], active)
     points = np.argwhere(grid.active)[::97] + float(LOW)
     np.testing.assert_array_equal(
         result.sample(points, order=0, space="index", device="cpu"),
-        quantised.sample(points, order=0, space="index", device="cpu"),
+        quantized.sample(points, order=0, space="index", device="cpu"),
     )
 
 

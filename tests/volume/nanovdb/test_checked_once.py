@@ -14,6 +14,7 @@ from geokit.volume import load, save
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb import checks
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
+from geokit.volume.tree.leaves import leaves_of
 from geokit.volume.tree.typed_tree import tree_of
 from tests.support.index_grids import IndexGrid
 from tests.support.sphere_volumes import sphere
@@ -28,9 +29,9 @@ def checked(monkeypatch):
     seen = []
     check_root = checks._check_root  # once in each check_grid, and called by nothing else
 
-    def counted(buffer, *arguments):
-        seen.append(buffer)
-        return check_root(buffer, *arguments)
+    def counted(grid):
+        seen.append(grid.root.buffer)
+        return check_root(grid)
 
     monkeypatch.setattr(checks, "_check_root", counted)
     if native.available():
@@ -133,6 +134,9 @@ USES = {
     "raycast": lambda volume: geokit.volume.raycast(volume, np.zeros((1, 3)), np.ones((1, 3)), device="cpu"),
     "from_volume": lambda volume: geokit.mesh.from_volume(volume, device="cpu"),
     "tree": tree_of,
+    "leaves": leaves_of,
+    "gradient_field": geokit.volume.gradient_field,
+    "offset": lambda volume: geokit.volume.offset(volume, 1.0),
     "quantize": lambda volume: volume.quantize("fp8"),
     "id": lambda volume: volume.id("cpu"),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import dataclasses
 import re
 import shutil
@@ -17,9 +16,9 @@ import pytest
 import warp as wp
 
 from geokit.errors import (
+    DeviceMemoryError,
     FileAccessError,
     FileFormatError,
-    GeokitError,
     InputError,
     MissingDependencyError,
     UnsupportedGridError,
@@ -157,8 +156,8 @@ def test_files_of_other_writers_are_read():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("quantised", ["fp4", "fp8", "fp16", "fpn"])
-def test_quantised_grids_of_nanovdb_convert_are_read(tmp_path, quantised):
+@pytest.mark.parametrize("quantized", ["fp4", "fp8", "fp16", "fpn"])
+def test_quantized_grids_of_nanovdb_convert_are_read(tmp_path, quantized):
     vdb = tmp_path / "s.vdb"
     subprocess.run([tool("vdb_tool"), "-sphere", "r=1.0", "v=0.05", "-write", vdb], check=True, capture_output=True)
     out = tmp_path / "s.nvdb"
@@ -166,7 +165,7 @@ def test_quantised_grids_of_nanovdb_convert_are_read(tmp_path, quantised):
         [
             tool("nanovdb_convert"),
             "-f",
-            "--fpN" if quantised == "fpn" else f"--{quantised}",
+            "--fpN" if quantized == "fpn" else f"--{quantized}",
             "--checksum",
             "full",
             vdb,
@@ -177,7 +176,7 @@ def test_quantised_grids_of_nanovdb_convert_are_read(tmp_path, quantised):
     )
     grid = read(out)[0]
     info = info_of(grid.buffer)
-    assert (info.grid_type, grid.checksum) == (quantised, "full")
+    assert (info.grid_type, grid.checksum) == (quantized, "full")
     assert info.voxel_size == pytest.approx([0.05] * 3)
     write(tmp_path / "again.nvdb", [SparseVolume(grid.buffer, info)], codec="zip")
     assert np.array_equal(read(tmp_path / "again.nvdb")[0].buffer[736:], grid.buffer[736:])
@@ -422,22 +421,23 @@ def test_writing_refuses_what_it_cannot_write(tmp_path):
 def test_without_blosc_the_package_is_named(tmp_path, monkeypatch):
     path = tmp_path / "x.nvdb"
     write(path, [sphere(4.0)], codec="blosc")
-    real = builtins.__import__
-
-    def without_blosc(name, *args, **kwargs):
-        if name == "blosc":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.delitem(sys.modules, "blosc", raising=False)
-    monkeypatch.setattr(builtins, "__import__", without_blosc)
+    monkeypatch.setitem(sys.modules, "blosc", None)
     for use in (lambda: read(path), lambda: inspect(path), lambda: write(path, [sphere(4.0)], codec="blosc")):
         with pytest.raises(MissingDependencyError, match="pip install blosc"):
             use()
 
 
 def test_a_grid_larger_than_the_memory_is_refused(monkeypatch):
-    monkeypatch.setattr(nvdb_file.os, "sysconf", lambda name: 1024)
-    with pytest.raises(MemoryError, match="do not fit") as caught:
+    def fail(size):
+        raise MemoryError
+
+    monkeypatch.setattr(nvdb_file, "aligned_buffer", fail)
+    with pytest.raises(DeviceMemoryError, match="not to be had"):
         read(ROCKS)
-    assert isinstance(caught.value, GeokitError)
+
+
+def test_a_grid_over_the_limit_is_refused_before_it_is_read():
+    size = sum(len(grid.buffer) for grid in read(ROCKS))
+    with pytest.raises(DeviceMemoryError, match="raise memory_limit"):
+        read(ROCKS, memory_limit=size // 2)
+    assert sum(len(grid.buffer) for grid in read(ROCKS, memory_limit=2 * size)) == size

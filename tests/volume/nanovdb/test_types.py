@@ -42,10 +42,8 @@ from geokit.volume.nanovdb.types import (
     WHOLE_VECTOR_TYPES,
 )
 from geokit.volume.tolerance import search
-from tests.native.test_bridge import GRID_TYPES as BRIDGE_TYPES
 from tests.support.index_grids import IndexGrid
-from tests.support.typed_grids import QUANTIZED as QUANTIZED_EXAMPLES
-from tests.support.typed_grids import SCALARS, VALUED, VECTORS, TypedGrid
+from tests.support.typed_grids import TypedGrid
 
 PACKAGE = Path(geokit.__file__).parent
 HEADER = Path(wp.__file__).parent / "native" / "nanovdb" / "PNanoVDB.h"
@@ -56,9 +54,12 @@ with_openvdb = pytest.mark.skipif(not native.available(), reason="built without 
 CHOICES = {
     "volume/nanovdb/read_voxel_kernels.py": "C++ for each type, compared with the table below",
     "native/_metadata.py": "types of metadata values",
+    "native/_points.py": "types of the attributes of points",
     "accuracy/charts/volume_setup.py": "the codecs of a chart",
     "accuracy/stability/volume_sample.py": "the codecs of an envelope",
     "cli/_storage.py": "compared below: a command line must not wait for NumPy",
+    "formats/images/nrrd.py": "names of NRRD, of which some are the same",
+    "volume/images/stage.py": "names of USD, which knows the types of OpenVDB only",
     "volume/_resample.py": "types whose values are interpolated",
 }
 
@@ -118,17 +119,6 @@ def test_codecs_are_the_quantized_types_and_float():
     assert sorted(search.CODECS) == sorted(CODECS)
     widths = [FIXED_BITS.get(codec, 0) for codec in search.CODECS[1:]]
     assert widths == sorted(widths, reverse=True)
-
-
-def test_examples_in_the_tests_cover_the_table():
-    families = {name: BY_NAME[name].family for name in NAMES}
-    assert {name for name in NAMES if BY_NAME[name].has_values} == set(VALUED)
-    assert {name for name in NAMES if families[name] == "quantized"} == set(QUANTIZED_EXAMPLES)
-    assert {name for name in NAMES if families[name] in ("vector", "color")} == set(VECTORS)
-    assert {name for name in NAMES if families[name] in ("float", "integer", "bool", "mask")} == set(SCALARS)
-    assert {kind.name for kind in TYPES if kind.openvdb and kind.family != "quantized"} == set(BRIDGE_TYPES)
-    for name, (number, code, shape) in BRIDGE_TYPES.items():
-        assert (BY_NAME[name].number, BY_NAME[name].value) == (number, np.dtype((code, shape))), name
 
 
 @pytest.mark.parametrize("name", sorted(COMPONENTS))
@@ -231,3 +221,9 @@ def test_no_other_module_lists_grid_types():
         if place not in (*CHOICES, "volume/nanovdb/types.py") and (lists := lists_of_types(path)):
             found[place] = lists
     assert not found, f"take these from nanovdb/types.py: {found}"
+
+
+def test_readme_lists_the_types():
+    text = " ".join((Path(__file__).parents[3] / "README.md").read_text().split())
+    for names in (COMPONENTS, INDEX_TYPES):
+        assert f"`{' '.join(names)}`" in text, f"README.md must list the grids `{' '.join(names)}`"

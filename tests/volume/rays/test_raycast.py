@@ -287,7 +287,7 @@ class TestBlocks:
 class TestGroups:
     """On a CPU rays go side by side, by blocks."""
 
-    def test_neighbours_do_not_matter(self, rough, monkeypatch):
+    def test_neighbors_do_not_matter(self, rough, monkeypatch):
         monkeypatch.setattr(crossing_blocks, "BLOCKS_PER_RAY", 1 << 20)
         start, toward = rays_through(rough.lower - 1.0, rough.lower + rough.dense.shape, 37, 5)
         together = raycast(rough.volume, start, toward, device="cpu")

@@ -19,7 +19,7 @@ ORDERS = (2, 3)
 SHEARED = np.array([[0.5, 0.2, 0.0, 3.0], [-0.1, 0.25, 0.3, -7.0], [0.0, 0.1, 2.0, 11.0], [0.0, 0.0, 0.0, 1.0]])
 SCALARS = [kind for kind in VALUED if not kind.startswith(("vec", "rgba"))]
 VECTORS = sorted(set(VALUED) - set(SCALARS))
-# Quantised voxels are decoded in float32, with or without a fused multiply-add.
+# Quantized voxels are decoded in float32, with or without a fused multiply-add.
 DECODING = 1e-6
 
 

@@ -105,7 +105,7 @@ def test_active_tiles_become_voxels():
 
 class TestStaggered:
     def test_divergence_of_faces(self):
-        # Component c of voxel i is at the lower face along c: half a voxel before the centre.
+        # Component c of voxel i is at the lower face along c: half a voxel before the center.
         size = 0.1
         faces = lambda p: np.stack([(p[:, c] - size / 2) ** 2 for c in range(3)], axis=1)  # noqa: E731
         source = field(faces, transform=cubes(size), dtype=np.float64, background=np.zeros(3), grid_class="staggered")
@@ -137,11 +137,14 @@ class TestRefusals:
             operation(field(quadratic))
 
     def test_tiles_beyond_memory(self, monkeypatch):
-        from geokit.core import available_memory
+        from geokit.core.memory import available_memory
         from geokit.errors import DeviceMemoryError
+        from geokit.volume._dense import from_dense
         from geokit.volume._topology import prune
+        from geokit.volume.tree import estimates
 
-        tiles = prune(field(lambda p: np.full(len(p), 2.0)))
-        monkeypatch.setattr(available_memory, "available_host", lambda: 1000)
+        tiles = prune(from_dense(np.full((64, 64, 64), 2.0), voxel_size=1.0))
+        monkeypatch.setattr(estimates, "UNCHECKED_BYTES", 0)
+        monkeypatch.setattr(available_memory, "available_host", lambda: 2 * tiles.info.byte_count)
         with pytest.raises(DeviceMemoryError, match="active tiles"):
             gradient_field(tiles)

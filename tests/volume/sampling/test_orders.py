@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 
 import numpy as np
@@ -18,7 +19,7 @@ from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Up to 64 products whose weights add up to 1.95 in absolute value: some tens of roundings of 1.1e-16.
 ROUNDING = 1e-13
-# Quantised voxels are decoded in float32, with or without a fused multiply-add.
+# Quantized voxels are decoded in float32, with or without a fused multiply-add.
 DECODING = 1e-6
 SHEARED = np.array([[0.5, 0.2, 0.0, 3.0], [-0.1, 0.25, 0.3, -7.0], [0.0, 0.1, 2.0, 11.0], [0.0, 0.0, 0.0, 1.0]])
 ORDERS = (2, 3)
@@ -67,7 +68,7 @@ class TestEveryType:
         tolerance = (DECODING if grid_type in QUANTIZED else 1e-12) * _scale(grid) * 10
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
-    def test_voxel_centres_give_the_stored_values(self, grid_type, order):
+    def test_voxel_centers_give_the_stored_values(self, grid_type, order):
         grid = TypedGrid(grid_type)
         ijk = np.round(_points()).astype(np.int64)
         found = sample(grid.volume, ijk.astype(float), order=order, device="cpu")
@@ -311,3 +312,25 @@ class TestIndexSpace:
         for query in (volume.sample, volume.gradient, volume.active_at, volume.hessian):
             with pytest.raises(InputError, match="space: 'local' is not known"):
                 query(np.zeros((1, 3)), space="local", device="cpu")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "sampling.sample",
+        "sampling.staggered",
+        "sampling.stencil",
+        "sampling.smooth",
+        "sampling.curvature",
+        "sampling.differential",
+        "sampling.trilinear_table",
+        "adaptive.sample",
+        "adaptive.stencil",
+    ],
+)
+def test_no_kernel_fuses_products_with_sums(name):
+    # Fused products round differently: answers of a GPU would not be those of a CPU.
+    import warp as wp
+
+    module = importlib.import_module(f"geokit.volume.{name}_kernels")
+    assert wp.get_module(module.__name__).options["fuse_fp"] is False

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geokit import native
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._csg import union
 from geokit.volume._dense import from_dense, to_dense
@@ -82,9 +82,9 @@ def test_every_voxel_has_the_nearest_value(grid_type, target):
     np.testing.assert_array_equal(info.transform, target)
     np.testing.assert_allclose(info.voxel_size, np.linalg.norm(target[:3, :3], axis=0))
     world = grid_header(result.nanovdb)["world_bbox"].reshape(2, 3)
-    centres = box @ target[:3, :3].T + lower @ target[:3, :3].T + target[:3, 3]
-    assert (world[0] <= centres.min(axis=0) + 1e-9).all()
-    assert (world[1] >= centres.max(axis=0) - 1e-9).all()
+    centers = box @ target[:3, :3].T + lower @ target[:3, :3].T + target[:3, 3]
+    assert (world[0] <= centers.min(axis=0) + 1e-9).all()
+    assert (world[1] >= centers.max(axis=0) - 1e-9).all()
     np.testing.assert_array_equal(grid.volume.nanovdb, before)
 
 

@@ -19,7 +19,7 @@ from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Seven float64 interpolations and three of the coordinates: some tens of roundings of 1.1e-16, values below 300.
 ROUNDING = 1e-12
-# Quantised voxels are decoded in float32, with or without a fused multiply-add.
+# Quantized voxels are decoded in float32, with or without a fused multiply-add.
 DECODING = 1e-6
 
 

@@ -76,13 +76,13 @@ def test_linear_fields_and_their_gradients_are_exact(seed, lower, coefficients):
 
 @EXAMPLES
 @given(seeds, origins)
-def test_orders_agree_at_voxel_centres(seed, lower):
+def test_orders_agree_at_voxel_centers(seed, lower):
     field = _random_field(seed)
     volume = _volume(lambda ijk: field(ijk, lower), lower, np.eye(4))
-    centres = lower + np.array(list(np.ndindex(24, 16, 16)))[::7]
-    expected = field(centres, lower)
+    centers = lower + np.array(list(np.ndindex(24, 16, 16)))[::7]
+    expected = field(centers, lower)
     for order in (0, 1):
-        np.testing.assert_array_equal(sample(volume, centres, order=order, device="cpu"), expected)
+        np.testing.assert_array_equal(sample(volume, centers, order=order, device="cpu"), expected)
 
 
 @EXAMPLES
@@ -93,7 +93,7 @@ def test_transform_does_not_change_the_values(seed, lower):
     moved = _volume(lambda ijk: field(ijk, lower), lower, transform)
     u = lower + np.random.default_rng(seed).uniform(-3.0, [26, 18, 18], (300, 3))
     points = _to_world(transform, u)
-    # Neighbours differ by less than 10; coordinates and condition as above.
+    # Neighbors differ by less than 10; coordinates and condition as above.
     np.testing.assert_allclose(sample(moved, points, device="cpu"), sample(plain, u, device="cpu"), rtol=0, atol=1e-8)
     index_gradient = np.linalg.solve(transform[:3, :3].T, gradient(plain, u, device="cpu").T).T
     # A point within rounding of a cell's border may be on its other side.

@@ -79,8 +79,8 @@ def test_error_grows_with_the_rounding_of_the_points_only(distance, order, local
     volume = _grid(np.zeros(3, int), _scaled(0.1, translation))
     error = np.abs(sample(volume, local * 0.1 + translation, order=order, device="cpu") - reference[sample, order])
     # Index coordinates are off by the rounding of the point, of the translation and of 0.1; a voxel differs from its
-    # neighbour by less than 8 (normal deviates), and three axes add up. Slopes of orders 2 and 3 are up to three times
-    # the differences of neighbours.
+    # neighbor by less than 8 (normal deviates), and three axes add up. Slopes of orders 2 and 3 are up to three times
+    # the differences of neighbors.
     offset = 3 * 3 * EPSILON * (distance + 2.0) / 0.1
     assert error.max() <= 8 * offset * (1 if order == 1 else 3)
 

@@ -1,4 +1,4 @@
-"""Staggered vector grids: each component is stored at the centre of the voxel's lower face along its own axis."""
+"""Staggered vector grids: each component is stored at the center of the voxel's lower face along its own axis."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def staggered(grid_type: str = "vec3f", transform: np.ndarray | None = None) -> 
     return grid
 
 
-def cell_centred(grid: TypedGrid) -> SparseVolume:
+def cell_centered(grid: TypedGrid) -> SparseVolume:
     buffer = aligned_buffer(len(grid.volume.nanovdb))
     buffer[:] = grid.volume.nanovdb
     return SparseVolume(buffer, dataclasses.replace(grid.volume.info, grid_class="unknown"))
@@ -48,8 +48,8 @@ def test_each_component_is_read_half_a_voxel_further_along_its_axis(grid_type, o
     grid = staggered(grid_type)
     found = sample(grid.volume, points, order=order, device="cpu")
     for axis, step in enumerate(np.eye(3) / 2):
-        at_centres = sample(cell_centred(grid), points + step, order=order, device="cpu")
-        np.testing.assert_array_equal(found[:, axis], at_centres[:, axis])
+        at_centers = sample(cell_centered(grid), points + step, order=order, device="cpu")
+        np.testing.assert_array_equal(found[:, axis], at_centers[:, axis])
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -59,9 +59,9 @@ def test_gradients(order, points):
     found = gradient(grid.volume, world, order=order, device="cpu")
     assert found.shape == (len(points), 3, 3)
     for axis, step in enumerate(SHEARED[:3, :3].T / 2):
-        at_centres = gradient(cell_centred(grid), world + step, order=order, device="cpu")
+        at_centers = gradient(cell_centered(grid), world + step, order=order, device="cpu")
         # The half voxel is added to the world's coordinates here, to those of the index inside.
-        np.testing.assert_allclose(found[:, axis], at_centres[:, axis], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found[:, axis], at_centers[:, axis], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -85,7 +85,7 @@ def test_by_hand():
     for point, axis, value in (([2.5, 4, 5], 0, 3), ([3, 3.5, 5], 1, 104), ([3, 4, 4.5], 2, 205)):
         for order in ORDERS:
             assert sample(grid.volume, [point], order=order, device="cpu")[0, axis] == value
-    # Half way between two faces the field is half way between their values, a cell's centre here.
+    # Half way between two faces the field is half way between their values, a cell's center here.
     found = sample(grid.volume, [[3.0, 4.0, 4.0]], device="cpu")
     np.testing.assert_array_equal(found, [[3.5, 104.5, 204.5]])
     for order in (1, 2, 3):
@@ -93,12 +93,12 @@ def test_by_hand():
         np.testing.assert_allclose(slopes, [np.eye(3)], rtol=0, atol=1e-13)
 
 
-def test_other_grids_of_that_class_are_read_at_voxel_centres(points):
+def test_other_grids_of_that_class_are_read_at_voxel_centers(points):
     # Only vectors of three components have faces to be on.
     for grid_type in ("float", "vec4f"):
         grid = staggered(grid_type)
         found = sample(grid.volume, points, device="cpu")
-        np.testing.assert_array_equal(found, sample(cell_centred(grid), points, device="cpu"))
+        np.testing.assert_array_equal(found, sample(cell_centered(grid), points, device="cpu"))
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -102,7 +102,7 @@ def test_kernels_of_gpus_equal_those_of_cpus(volume, kind, dtype, pairs, monkeyp
         leaf_table.add_pairs(table, wp.array(places, dtype=wp.int32, device="cpu"), memory=1 << 30)
         assert table.pairs.shape[0] > 0
     # A group of one query, answered by the kernel that takes one.
-    monkeypatch.setattr(kernels, f"{kind}_GROUPS", getattr(kernels, f"{kind}_SINGLES"))
+    monkeypatch.setattr(kernels, f"{kind}_CPU", getattr(kernels, f"{kind}_CUDA"))
     monkeypatch.setattr(kernels, "GROUP", 1)
     np.testing.assert_array_equal(function(volume, points, device="cpu"), expected)
 

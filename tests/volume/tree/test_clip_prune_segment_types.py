@@ -1,4 +1,4 @@
-"""Clipping, pruning, parts and statistics of grids of every value type, against the same voxels as dense arrays."""
+"""Clipping, pruning, components and statistics of grids of every value type, against dense arrays."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from geokit import native
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
+from geokit.volume._components import segment
 from geokit.volume._csg import union
 from geokit.volume._differential import divergence, gradient_field, laplacian
 from geokit.volume._filters import smooth
@@ -18,7 +19,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume._morphology import dilate, renormalize
 from geokit.volume._resample import resample
 from geokit.volume._statistics import statistics
-from geokit.volume._topology import OPENVDB_LACKS, clip, prune, segment
+from geokit.volume._topology import clip, prune
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import tree_header
 from geokit.volume.tree.typed_tree import VALUE_TYPES
@@ -36,10 +37,6 @@ def world_inside(box):
     voxels = np.stack(np.meshgrid(*3 * [steps], indexing="ij"), axis=-1)
     world = voxels @ TRANSFORM[:3, :3].T + TRANSFORM[:3, 3]
     return ((world >= box[0]) & (world <= box[1])).all(axis=-1)
-
-
-def types():
-    return [name if name in OPENVDB_LACKS else pytest.param(name, marks=needs_openvdb) for name in VALUE_TYPES]
 
 
 REAL = ("float", "double", "fp8", "fpn")
@@ -96,7 +93,7 @@ def test_what_takes_which_types(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("grid_type", types())
+@pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_clipped(grid_type, seed):
     grid = random_grid(grid_type, seed)
     before = grid.volume.nanovdb.copy()
@@ -138,7 +135,7 @@ def test_clipping_cuts_tiles_of_all_levels(grid_type):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("grid_type", types())
+@pytest.mark.parametrize("grid_type", VALUE_TYPES)
 def test_pruned(grid_type):
     grid = random_grid(grid_type, 2)
     result = prune(grid.volume)
@@ -199,26 +196,24 @@ def test_pruning_to_a_tolerance(grid_type):
 
 
 @pytest.mark.slow
-@needs_openvdb
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
-def test_parts_are_those_that_scipy_labels(grid_type):
+def test_components_are_those_that_scipy_labels(grid_type):
     grid = random_grid(grid_type, 5, speckles=False)
     labels, count = ndimage.label(grid.active)
-    parts = segment(grid.volume)
-    assert len(parts) == count
-    sizes = [part.info.active_voxel_count for part in parts]
+    components = segment(grid.volume)
+    assert len(components) == count
+    sizes = [component.info.active_voxel_count for component in components]
     assert sizes == sorted(np.bincount(labels.ravel())[1:], reverse=True)
-    for part in (parts[0], parts[1], parts[-1]):
-        values, active = dense_of(part)
+    for component in (components[0], components[1], components[-1]):
+        values, active = dense_of(component)
         number = labels[active][0]
         np.testing.assert_array_equal(active, labels == number)
         np.testing.assert_array_equal(values[active], grid.values[active])
-        if grid_type in OPENVDB_LACKS:
-            background = np.asarray(grid.volume.info.background, values.dtype)
-            assert (values[~active] == background).all()
-        info, was = part.info, grid.volume.info
+        background = np.asarray(grid.volume.info.background, values.dtype)
+        assert (values[~active] == background).all()
+        info, was = component.info, grid.volume.info
         assert (info.grid_type, info.name, info.metadata) == (was.grid_type, was.name, was.metadata)
-        check_grid(part.nanovdb, "part")
+        check_grid(component.nanovdb, "component")
 
 
 @pytest.mark.slow
@@ -251,7 +246,6 @@ def test_statistics_of_a_tile_of_the_root():
 
 
 @pytest.mark.slow
-@needs_openvdb
 @pytest.mark.parametrize("operation", [prune, lambda v: clip(v, BOX), lambda v: segment(v)[0]])
 def test_integer_vectors_stay_integers(operation):
     grid = random_grid("vec3d", 7)

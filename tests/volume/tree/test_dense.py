@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._dense import from_dense, to_dense
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of, tree_header
+from geokit.volume.nanovdb.nodes import grid_nodes
 from tests.support.index_grids import IndexGrid
 from tests.support.sphere_volumes import ROTATED, lookup, sphere, sphere_distance
 from tests.support.typed_grids import VALUED, TypedGrid
@@ -96,6 +97,30 @@ def test_what_is_not_background_is_active(origin):
     voxels = np.argwhere(np.ones_like(values, bool))[::3] + np.array(origin)
     expected = values.reshape(-1)[::3].astype(np.float32)
     assert np.array_equal(lookup(volume.nanovdb, voxels), expected)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32])
+def test_boxes_and_extrema_are_those_of_the_active_voxels(dtype):
+    rng = np.random.default_rng(4)
+    kind = "float" if dtype is np.float32 else "int32"
+    for share in (0.002, 0.1, 0.9, 1.0):
+        values = rng.integers(-50, 50, (8, 8, 8)).astype(dtype)
+        values[values == 0] = 1
+        values[rng.random(values.shape) >= share] = 0
+        grid = from_dense(values, voxel_size=1.0, grid_type=kind)
+        if not values.any():
+            continue
+        where = np.argwhere(values)
+        np.testing.assert_array_equal(grid.info.index_bounds, [where.min(axis=0), where.max(axis=0)])
+        limits = grid_nodes(grid.nanovdb).leaf.limits[0]
+        np.testing.assert_array_equal(limits, [values[values != 0].min(), values[values != 0].max()])
+
+
+def test_extrema_of_zeros_are_the_first_zero():
+    values = np.zeros((8, 8, 8), np.float32)
+    values[3, 3, 3], values[5, 5, 5] = -0.0, -0.0
+    leaf = grid_nodes(from_dense(values, voxel_size=1.0, background=1.0).nanovdb).leaf
+    assert not np.signbit(leaf.limits).any()
 
 
 def test_leaves_without_active_voxels_are_not_stored():
@@ -200,7 +225,6 @@ def test_blocks_do_not_matter(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "either a transform or a voxel_size"),
         ({"transform": np.eye(4), "voxel_size": 1.0}, "either a transform or a voxel_size"),
         ({"transform": np.eye(3)}, "transform: shape"),
         ({"transform": "x"}, "transform"),
@@ -226,7 +250,7 @@ def test_from_dense_refuses(options, message):
     ("values", "message"),
     [
         (np.ones((2, 2)), "shape"),
-        (np.ones((2, 2, 2), complex), "real numbers"),
+        (np.ones((2, 2, 2), complex), "real number"),
         ([["a"]], "values"),
         (np.full((1, 2, 3), np.nan), r"voxel \[0, 0, 0\]"),
         (np.array([[[0.0, 1e300]]]), r"voxel \[0, 0, 1\]"),
@@ -281,7 +305,7 @@ def test_channels_of_index_grids(grid_type):
         dense = to_dense(grid.volume, bounds=bounds, channel=channel, device="cpu").values
         np.testing.assert_array_equal(dense, values[expected].reshape(dense.shape))
     with pytest.raises(InputError, match="channel"):
-        to_dense(grid.volume, channel="colour")
+        to_dense(grid.volume, channel="color")
     with pytest.raises(InputError, match="channel"):
         to_dense(sphere(4.0), channel=0)
     with pytest.raises(UnsupportedGridError, match="no channel"):

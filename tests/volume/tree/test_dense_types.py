@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from geokit import native
-from geokit.core import available_memory
+from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._dense import from_dense, to_dense
 from geokit.volume._io import load, save
@@ -270,7 +270,7 @@ def test_containers(grid_type):
         (np.ones((1, 1, 1)), "int8", "grid_type: 'int8' .* use one of float, double"),
         (np.ones((1, 1, 1)), "onindex", "grid_type: 'onindex'"),
         (np.ones((1, 1, 1)), np.float32, "grid_type: "),
-        (np.ones((1, 1, 1, 3), complex), None, "real numbers"),
+        (np.ones((1, 1, 1, 3), complex), None, "real number"),
     ],
 )
 def test_values_are_refused(values, grid_type, message):

@@ -1,4 +1,4 @@
-"""Quantised grids: codes bit for bit as NanoVDB's own, errors as measured, and what is refused."""
+"""Quantized grids: codes bit for bit as NanoVDB's own, errors as measured, and what is refused."""
 
 from __future__ import annotations
 
@@ -296,8 +296,8 @@ def test_nanovdb_validate_accepts_every_codec(tmp_path, file_codec, codec):
     [
         ({}, "tolerance: codec None needs one"),
         ({"codec": "fpn"}, "tolerance: codec 'fpn' needs one"),
-        ({"codec": "fp3"}, "codec: 'fp3' is unknown"),
-        ({"codec": "half"}, "codec: 'half' is unknown"),
+        ({"codec": "fp3"}, "codec: 'fp3' is not known"),
+        ({"codec": "half"}, "codec: 'half' is not known"),
         ({"tolerance": -1.0}, "tolerance: -1.0 is negative"),
         ({"tolerance": np.nan}, "tolerance"),
         ({"tolerance": "x"}, "tolerance"),

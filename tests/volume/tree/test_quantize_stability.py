@@ -1,4 +1,4 @@
-"""Quantisation towards its limits: scales, offsets that eat the bits, subnormal ranges, and gradients of level sets."""
+"""Quantization towards its limits: scales, offsets that eat the bits, subnormal ranges, and gradients of level sets."""
 
 from __future__ import annotations
 

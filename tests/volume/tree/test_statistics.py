@@ -9,6 +9,7 @@ import pytest
 
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
+from geokit.volume._dense import from_dense
 from geokit.volume._morphology import erode
 from geokit.volume._statistics import Statistics, statistics
 from geokit.volume._topology import prune
@@ -73,3 +74,11 @@ def test_refusals():
         statistics(SparseVolume(source.nanovdb, dataclasses.replace(source.info, grid_type="rgba8")))
     with pytest.raises(InputError, match="background"):
         statistics(field(ball(3.0), grid_class="level set"))
+
+
+def test_numbers_whose_squares_overflow_are_no_warning(capfd):
+    values = np.zeros((8, 8, 8))
+    values[2, 3, 4], values[5, 5, 5] = 1e200, -1e200
+    found = statistics(from_dense(values, voxel_size=1.0, grid_type="double"))
+    assert (found.minimum, found.maximum, found.standard_deviation) == (-1e200, 1e200, np.inf)
+    assert capfd.readouterr() == ("", "")

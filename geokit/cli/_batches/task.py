@@ -1,0 +1,212 @@
+"""Runs a recipe on one file, in a process of its own that reads jobs from stdin.
+
+A job works in a folder of its own. Its last act is to rename that folder to one that is named by the input: this is
+the commit. Of two processes that do the same file, the first one's work stays and the other's is dropped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import io
+import json
+import os
+import queue
+import shutil
+import socket
+import sys
+import threading
+import time
+import uuid
+import warnings
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
+from geokit.cli._app import build_app, build_commands
+from geokit.cli._batches.recipe import GLOBAL, Step, names_of
+from geokit.cli._batches.worker import versions
+from geokit.cli._run import show_warning, usage_message
+from geokit.core.files import in_one_line, require_file
+from geokit.errors import GeokitError
+
+__all__ = ["DONE", "OUTPUTS", "RECORD", "WORK", "key_of", "main", "run_task"]
+
+# Folders of the staging area, and what a committed folder holds.
+WORK, DONE, OUTPUTS, RECORD = "work", "done", "outputs", "record.json"
+# No file is to blame for these: the machine is.
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# Longest notices and summaries that a manifest keeps [characters].
+LONGEST = 2000
+# An idle process ends after this time [s].
+PATIENCE = 60.0
+
+
+def key_of(source: str) -> str:
+    """Name of an input's folders and its place among shards: a hash of its path."""
+    return hashlib.sha256(os.fsencode(source)).hexdigest()[:24]
+
+
+def hash_of(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
+    """Run the steps on one file, and commit its folder.
+
+    Returns:
+        The record of the file: "done", "failed" with its error, or "no room", which is not committed.
+    """
+    started, key = time.perf_counter(), key_of(source)
+    done, folder = staging / DONE / key, staging / WORK / f"{key}-{uuid.uuid4().hex[:8]}"
+    with contextlib.suppress(OSError):  # done by a worker that was lost with its answer
+        return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
+    reset_high_water()
+    record: dict[str, Any] = {"input": source, "status": "done", "host": socket.gethostname(), "versions": versions()}
+    try:
+        (folder / OUTPUTS).mkdir(parents=True)
+        _run_steps(steps, Path(source), folder, record)
+        record["seconds"] = round(time.perf_counter() - started, 4)
+        record["peak_bytes"] = resident_status("VmHWM")
+        if record["status"] == "no room":
+            raise OSError(errno.ENOSPC, record["error"]["message"])
+        with open(folder / RECORD, "w", encoding="utf-8") as file:
+            json.dump(record, file)
+            file.flush()
+            os.fsync(file.fileno())
+        folder.rename(done)
+        return record
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
+        message = f"{staging.parent}: {error.strerror or error}; make room there, and run the batch again"
+        return {**record, "status": "no room", "error": {"type": "FileAccessError", "message": message}}
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run_steps(steps: list[Step], source: Path, folder: Path, record: dict[str, Any]) -> None:
+    """Fill the record with what the steps did."""
+    names = names_of(source)
+    names["previous"] = names["input"]
+    notices, record["steps"] = io.StringIO(), []
+    for number, step in enumerate(steps, 1):
+        started, printed, target = time.perf_counter(), io.StringIO(), None
+        try:
+            if number == 1:
+                found = require_file(source).stat()
+                record.update(size=found.st_size, mtime_ns=found.st_mtime_ns, hash=hash_of(source))
+            if step.output is not None:
+                made = folder / (OUTPUTS if step.keep else "scratch") / step.output.format_map(names)
+                made.parent.mkdir(parents=True, exist_ok=True)
+                target = str(made)
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(notices):
+                code = _command(step)({**names, "target": target or ""})
+            if code:
+                raise GeokitError(f"ended with exit code {code}")
+            names["previous"] = names[f"step{number}"] = target or names["previous"]
+        except (Exception, SystemExit) as error:
+            record.update(_failure(error, number, step, folder))
+            break
+        summary = _summary(_scrubbed(printed.getvalue(), folder))
+        record["steps"].append({"verb": step.verb, "seconds": round(time.perf_counter() - started, 4), **summary})
+    if notices.getvalue():
+        record["notices"] = _scrubbed(notices.getvalue(), folder)[-LONGEST:]
+    if record["status"] == "done":
+        kept = sorted(path for path in (folder / OUTPUTS).rglob("*") if path.is_file())
+        record["outputs"] = [
+            {"name": path.relative_to(folder / OUTPUTS).as_posix(), "bytes": path.stat().st_size, "hash": hash_of(path)}
+            for path in kept
+        ]
+
+
+@lru_cache
+def _command(step: Step) -> Callable[[dict[str, str]], Any]:
+    """The command of a step, as a function of the names of a file: parsing takes longer than small files do."""
+    line = step.words(_Marks(), "{target}" if step.output else None)
+    if any(word[2:].partition("=")[0] in GLOBAL for word in step.options):
+        return lambda names: build_app()(
+            [word.format_map(names) if "{" in word else word for word in line], exit_on_error=False, print_error=False
+        )
+    command, bound, _ = build_commands().parse_args(line, exit_on_error=False, print_error=False)
+
+    def filled(value: Any, names: dict[str, str]) -> Any:
+        if isinstance(value, (list, tuple)) and any(isinstance(item, Path) for item in value):
+            return type(value)(filled(item, names) for item in value)
+        return Path(str(value).format_map(names)) if isinstance(value, Path) and "{" in str(value) else value
+
+    def call(names: dict[str, str]) -> Any:
+        options = {name: filled(value, names) for name, value in bound.kwargs.items()}
+        return command(*(filled(value, names) for value in bound.args), **options)
+
+    return call
+
+
+class _Marks(dict[str, str]):
+    """Names that leave placeholders as they are."""
+
+    def __missing__(self, key: str) -> str:
+        return f"{{{key}}}"
+
+
+def _scrubbed(text: str, folder: Path) -> str:
+    """Text with names as people know them, without the folder of the job."""
+    return text.replace(f"{folder / OUTPUTS}{os.sep}", "").replace(f"{folder}{os.sep}", "")
+
+
+def _summary(printed: str) -> dict[str, Any]:
+    if 0 < len(printed) <= LONGEST:
+        with contextlib.suppress(ValueError):
+            return {"summary": json.loads(printed)}
+    return {}
+
+
+def _failure(error: BaseException, number: int, step: Step, folder: Path) -> dict[str, Any]:
+    if type(error).__module__.startswith("cyclopts"):
+        message = usage_message(error)
+    else:
+        expected = isinstance(error, (GeokitError, OSError))
+        message = str(error) if expected else f"internal error: {type(error).__name__}: {error}"
+    message = in_one_line(_scrubbed(message, folder), LONGEST)
+    cause: BaseException | None = error
+    full = False
+    while cause is not None and not full:
+        full = isinstance(cause, OSError) and cause.errno in NO_ROOM
+        cause = cause.__cause__ or cause.__context__
+    told = {"type": type(error).__name__, "message": message, "step": number, "verb": step.verb}
+    return {"status": "no room" if full else "failed", "error": told}
+
+
+def main() -> None:
+    """Run the jobs that stdin holds, one JSON object a line, and write their records to stdout."""
+    # What libraries print must not come between the records.
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    warnings.showwarning = show_warning
+    jobs: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            jobs.put(line)
+        # Who asked is gone, even killed: nobody waits for what runs now, and it may be running elsewhere already.
+        os._exit(1)
+
+    threading.Thread(target=listen, daemon=True).start()
+    with contextlib.suppress(queue.Empty):
+        while True:
+            job = json.loads(jobs.get(timeout=PATIENCE))
+            steps = [
+                Step(**{**step, "options": tuple(step["options"]), "files": tuple(step["files"])})
+                for step in job["steps"]
+            ]
+            answers.write(json.dumps(run_task(steps, job["input"], Path(job["staging"]))) + "\n")
+            answers.flush()
+    os._exit(0)

@@ -1,0 +1,167 @@
+"""What a worker of a batch runs: it has files done by a process of its own, which may crash or be killed.
+
+One thread has one process, which is kept for the next files. On a cluster the thread is one of a Dask worker.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import json
+import os
+import platform
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import weakref
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import geokit
+
+__all__ = ["TRIES", "about_here", "end_processes", "run_files", "set_aside", "versions"]
+
+# A file whose process ends this often is set aside.
+TRIES = 3
+# How often the memory of a process is looked at [s].
+LOOK = 0.05
+# The first entry of sys.path is the working folder here, and the user's files must not shadow modules.
+_START = "import sys; sys.path[0] = sys.argv[1]; from geokit.cli._batches.task import main; main()"
+
+_mine = threading.local()
+_all: weakref.WeakSet[_Process] = weakref.WeakSet()
+
+
+@cache
+def versions() -> dict[str, str]:
+    """What must be the same on all machines for the same answers."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"geokit": geokit.__version__, "warp": importlib.metadata.version("warp-lang"), "python": python}
+
+
+def about_here(staging: str) -> dict[str, Any]:
+    """The versions of this machine, whether it sees the folder of the batch, and its address on a cluster."""
+    worker = ""
+    if "distributed" in sys.modules:
+        with contextlib.suppress(ValueError):  # not on a cluster
+            worker = sys.modules["distributed"].get_worker().address
+    return {"versions": versions(), "host": socket.gethostname(), "sees": Path(staging).is_dir(), "worker": worker}
+
+
+def set_aside(source: str, reason: str) -> dict[str, Any]:
+    """The record of a file that its workers do not survive."""
+    message = f"{source}: {reason}; it is set aside"
+    return {"input": source, "status": "set aside", "error": {"type": "WorkerError", "message": message}}
+
+
+def end_processes() -> None:
+    """End all processes of this one, in the middle of their work if need be; no more are started."""
+    for process in list(_all):
+        process.closed = True
+        if process.running is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.running.pid, signal.SIGKILL)
+
+
+def run_files(batch: dict[str, Any], sources: list[str]) -> list[dict[str, Any]]:
+    """Run the steps of a batch on some files.
+
+    Args:
+        batch: "steps", "staging", "versions", "memory" [bytes] or None, "threads".
+        sources: Paths of the files.
+    Returns:
+        A record of each file; its status is "refused" where this machine has other versions than the batch.
+    """
+    here = about_here(batch["staging"])
+    if here["versions"] != batch["versions"] or not here["sees"]:
+        return [{"input": source, "status": "refused", **here} for source in sources]
+    process = getattr(_mine, "process", None)
+    if process is None:
+        process = _mine.process = _Process(batch["threads"])
+    return [{**process.run(batch, source), "worker": here["worker"]} for source in sources]
+
+
+class _Process:
+    """A process that runs jobs one after the other, and is started again when it has ended."""
+
+    def __init__(self, threads: int) -> None:
+        paths = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
+        self.environment = {"GEOKIT_THREADS": str(threads), **os.environ, "PYTHONPATH": paths}
+        self.running: subprocess.Popen[bytes] | None = None
+        self.closed = False
+        _all.add(self)
+
+    def __del__(self) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End the process, and those that it started."""
+        ended, self.running = self.running, None
+        if ended is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(ended.pid, signal.SIGKILL)
+            ended.wait()
+            for pipe in (ended.stdin, ended.stdout):
+                with contextlib.suppress(OSError):
+                    pipe.close()  # type: ignore[union-attr]
+
+    def run(self, batch: dict[str, Any], source: str) -> dict[str, Any]:
+        """The record of a file."""
+        job = {"steps": batch["steps"], "staging": batch["staging"], "input": source}
+        end = ""
+        for _ in range(0 if self.closed else TRIES):
+            if self.running is not None and self.running.poll() is not None:
+                self.stop()  # it was idle for long
+            if self.running is None:
+                command = [sys.executable, "-c", _START, str(Path(geokit.__file__).parents[1])]
+                # A session of its own, so that processes that it starts end with it.
+                pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
+                self.running = subprocess.Popen(command, env=self.environment, **pipes)  # type: ignore[call-overload]
+            answer, end = self._ask(json.dumps(job).encode() + b"\n", batch["memory"])
+            if answer:
+                return dict(json.loads(answer))
+            self.stop()
+            if end.startswith("needs") or self.closed:
+                break
+        else:
+            return set_aside(source, f"{end} in {TRIES} tries")
+        error = {"type": "DeviceMemoryError", "message": f"{source}: {end}"}
+        return {"input": source, "status": "failed", "error": error}
+
+    def _ask(self, line: bytes, memory: int | None) -> tuple[bytes, str]:
+        """The answer to a job, or why there is none."""
+        running = self.running
+        assert running is not None
+        assert running.stdin is not None
+        assert running.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            running.stdin.write(line)
+            running.stdin.flush()
+        while memory is not None and not select.select([running.stdout], [], [], LOOK)[0]:
+            used = _resident(running.pid)
+            if used > memory:
+                return b"", (
+                    f"needs more than the {memory >> 20} MiB of --task-memory (it has {used >> 20} MiB); raise it, "
+                    "or choose a larger voxel size"
+                )
+        answer = running.stdout.readline()
+        if answer.endswith(b"\n"):
+            return answer, ""
+        code = running.wait()
+        reason = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        return b"", f"its process ended by {reason}"
+
+
+def _resident(leader: int) -> int:
+    """Resident memory of a process and of its children [bytes]; 0 where the system does not say."""
+    total = 0
+    pids = [leader]
+    for pid in pids:
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            total += int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+            pids += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return total

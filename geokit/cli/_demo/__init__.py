@@ -1,0 +1,1 @@
+"""The demonstration: its input, its steps, its figures and its log."""

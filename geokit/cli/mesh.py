@@ -1,0 +1,345 @@
+"""``geokit mesh``: simple bodies, pieces, affine maps and attributes of meshes, from file to file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from geokit.cli._console import announce_compiling, print_json, step
+from geokit.cli._kinds import may_write
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    from geokit.mesh import TriangleMesh
+
+__all__ = ["app"]
+
+app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
+
+Flag = Annotated[bool, Parameter(negative="")]
+Source = Annotated[Path, Parameter(name="IN")]
+Target = Annotated[Path, Parameter(name="OUT")]
+Point = tuple[float, float, float]
+
+
+def _deliver(made: TriangleMesh, target: Path, *, force: bool, json: bool) -> None:
+    """Write a mesh, and say what it is."""
+    from geokit.mesh import save
+
+    may_write(target, force=force)
+    with step(f"writing {target}", quiet=json):
+        save(target, made)
+    summary: dict[str, Any] = {"target": str(target), "vertices": made.vertex_count, "faces": made.face_count}
+    if json:
+        print_json(summary)
+    else:
+        print(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
+
+
+@app.command
+def box(target: Target, /, *, size: Point, center: Point = (0, 0, 0), force: Flag = False, json: Flag = False) -> None:
+    """Write a box along the axes.
+
+    Args:
+        target: The file to write.
+        size: Its lengths along x, y and z.
+        center: Its middle.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    _deliver(mesh.box(size, center=center), target, force=force, json=json)
+
+
+@app.command
+def sphere(
+    target: Target,
+    /,
+    *,
+    radius: float,
+    segments: int = 48,
+    center: Point = (0, 0, 0),
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write a sphere.
+
+    Args:
+        target: The file to write.
+        radius: Its radius.
+        segments: Triangles around it.
+        center: Its middle.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    _deliver(mesh.sphere(radius, segments=segments, center=center), target, force=force, json=json)
+
+
+@app.command
+def cylinder(
+    target: Target,
+    /,
+    *,
+    radius: float,
+    height: float,
+    segments: int = 48,
+    center: Point = (0, 0, 0),
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write a cylinder around z.
+
+    Args:
+        target: The file to write.
+        radius: Its radius.
+        height: Its length along z.
+        segments: Quads around it.
+        center: Its middle.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    _deliver(mesh.cylinder(radius, height, segments=segments, center=center), target, force=force, json=json)
+
+
+@app.command
+def cone(
+    target: Target,
+    /,
+    *,
+    radius: float,
+    height: float,
+    segments: int = 48,
+    center: Point = (0, 0, 0),
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write a cone around z, with its tip above.
+
+    Args:
+        target: The file to write.
+        radius: Radius of its base.
+        height: Its length along z.
+        segments: Triangles around it.
+        center: The middle between base and tip.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    _deliver(mesh.cone(radius, height, segments=segments, center=center), target, force=force, json=json)
+
+
+@app.command
+def torus(
+    target: Target,
+    /,
+    *,
+    radius: float,
+    tube_radius: float,
+    segments: int = 48,
+    tube_segments: int = 24,
+    center: Point = (0, 0, 0),
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write a torus around z.
+
+    Args:
+        target: The file to write.
+        radius: Distance of the tube's middle from the axis.
+        tube_radius: Radius of the tube.
+        segments: Quads around the axis.
+        tube_segments: Quads around the tube.
+        center: Its middle.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    made = mesh.torus(radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
+    _deliver(made, target, force=force, json=json)
+
+
+@app.command
+def plane(
+    target: Target,
+    /,
+    *,
+    size: tuple[float, float],
+    segments: int = 1,
+    center: Point = (0, 0, 0),
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write a rectangle that faces along z.
+
+    Args:
+        target: The file to write.
+        size: Its lengths along x and y.
+        segments: Quads along each side.
+        center: Its middle.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    _deliver(mesh.plane(size, segments=segments, center=center), target, force=force, json=json)
+
+
+@app.command
+def split(
+    source: Source, target: Target, /, *, by: str = "components", force: Flag = False, json: Flag = False
+) -> None:
+    """Write the pieces of a mesh, each to a file of its own: OUT-1.ply, OUT-2.ply, ... for OUT.ply.
+
+    Args:
+        source: The mesh to read.
+        target: The name of the files to write, to which the numbers are added.
+        by: What a piece is: components (connected faces), parts (named ranges of faces) or materials.
+        force: Replace existing outputs.
+        json: Print a summary as JSON.
+    """
+    from geokit.mesh import load, save
+    from geokit.mesh import split as split_mesh
+
+    with step(f"splitting {source}", quiet=json) as splitting:
+        pieces = split_mesh(load(source), by=by)
+        splitting.result = f"{len(pieces)} pieces"
+        digits = len(str(len(pieces)))
+        targets = [target.with_stem(f"{target.stem}-{number + 1:0{digits}}") for number in range(len(pieces))]
+        for path in targets:
+            may_write(path, force=force)
+        for path, piece in zip(targets, pieces, strict=True):
+            save(path, piece)
+    rows = [{"target": str(p), "name": m.name, "faces": len(m)} for p, m in zip(targets, pieces, strict=True)]
+    if json:
+        print_json({"source": str(source), "pieces": rows})
+    else:
+        for row in rows:
+            print(f"{row['target']}: name {row['name']}, faces {row['faces']}")
+
+
+@app.command
+def keep_largest(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    count: int = 1,
+    share: float | None = None,
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Keep the connected components with the largest area.
+
+    Args:
+        source: The mesh to read.
+        target: The mesh to write.
+        count: How many to keep.
+        share: Keep all with at least this share of the largest one's area, from 0 to 1, whatever --count is.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    may_write(target, force=force)
+    with step(f"splitting {source}", quiet=json):
+        found = mesh.keep_largest(mesh.load(source), count, share=share)
+    _deliver(found, target, force=force, json=json)
+
+
+@app.command
+def transform(
+    source: Source,
+    target: Target,
+    /,
+    *,
+    move: Point = (0, 0, 0),
+    scale: float = 1.0,
+    rotate: tuple[float, float, float, float] | None = None,
+    matrix: Annotated[list[float] | None, Parameter(consume_multiple=True, negative="")] = None,
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Scale a mesh, then rotate it, then move it; or apply a matrix. Normals follow.
+
+    Args:
+        source: The mesh to read.
+        target: The mesh to write.
+        move: Distances along x, y and z.
+        scale: Factor; a negative one mirrors.
+        rotate: Axis and angle in degrees: x y z angle.
+        matrix: The 16 numbers of a matrix for column vectors, row by row, in place of the others.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    import numpy as np
+
+    from geokit import mesh
+
+    may_write(target, force=force)
+    if matrix is None:
+        table = np.eye(4)
+        table[:3, :3] = scale * _rotation(rotate)
+        table[:3, 3] = move
+    elif len(matrix) != 16 or rotate is not None or (move, scale) != ((0, 0, 0), 1.0):
+        raise InputError(f"--matrix: {len(matrix)} numbers are given; give 16, and no --move, --scale or --rotate")
+    else:
+        table = np.reshape(matrix, (4, 4))
+    with step(f"reading {source}", quiet=json):
+        found = mesh.load(source)
+    _deliver(mesh.transform(found, table), target, force=force, json=json)
+
+
+def _rotation(given: tuple[float, float, float, float] | None) -> Any:
+    """The matrix (3, 3) of an axis and an angle in degrees."""
+    import numpy as np
+
+    if given is None:
+        return np.eye(3)
+    axis, angle = np.array(given[:3]), np.radians(given[3])
+    length = float(np.linalg.norm(axis))
+    if not 0.0 < length < np.inf:
+        raise InputError(f"--rotate: {given[0]:g} {given[1]:g} {given[2]:g} is not an axis; give a direction")
+    x, y, z = axis / length
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+@app.command
+def transfer(
+    source: Source,
+    other: Annotated[Path, Parameter(name="FROM")],
+    target: Target,
+    /,
+    *,
+    name: Annotated[list[str] | None, Parameter(negative="")] = None,
+    device: str | None = None,
+    force: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Give a mesh the attributes of another one at closest points: colors, texture coordinates, any array.
+
+    Args:
+        source: The mesh that gets them.
+        other: The mesh that has them.
+        target: The mesh to write.
+        name: An attribute; may be given several times. By default all.
+        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        force: Replace an existing output.
+        json: Print a summary as JSON.
+    """
+    from geokit import mesh
+
+    may_write(target, force=force)
+    announce_compiling()
+    with step(f"taking attributes from {other}", quiet=json):
+        found = mesh.transfer_attributes(mesh.load(source), mesh.load(other), names=name, device=device)
+    _deliver(found, target, force=force, json=json)

@@ -1,0 +1,81 @@
+"""``geokit view``: an interactive page of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import CycloptsError, Parameter
+
+from geokit.cli._console import announce_compiling, note, step
+from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write
+from geokit.core.files import extension
+from geokit.formats.table import FORMATS
+
+__all__ = ["view"]
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def view(
+    *sources: Annotated[Path, Parameter(name="FILE")],
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    grid: str | None = None,
+    up: UpAxis | None = None,
+    colormap: str | None = None,
+    max_voxels: int | None = None,
+    title: str = "",
+    device: str | None = None,
+    finite_only: FiniteOnly = True,
+    force: Flag = False,
+) -> None:
+    """Show meshes, volumes and point clouds in a browser: one HTML file, which needs no network.
+
+    Without --output the page is written to a temporary file and opened.
+
+    Args:
+        sources: Meshes, volumes and point clouds.
+        output: The .html file to write; it is not opened.
+        grid: Name of the grid, if a volume file holds several.
+        up: The axis that points up at first; by default that of the first file, as in render.
+        colormap: The color map to begin with (viridis, coolwarm, gray, ...).
+        max_voxels: Most voxels of a volume's box; larger ones are shown coarser. By default 16,777,216.
+        title: Title of the page; by default the names of the files.
+        device: Where volumes are read: cpu, cuda:0, ...
+        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        force: Replace an existing output.
+    """
+    if not sources:
+        raise CycloptsError(msg="FILE: none is given; name a mesh, a volume or a point cloud")
+    if output is not None:
+        may_write(output, force=force)
+    kinds = [kind_of_input(source, grid) for source in sources]
+    announce_compiling()
+    from geokit.render import _view as drawing
+    from geokit.render._camera import up_of, up_of_points
+
+    def read(source: Path, kind: str) -> Any:
+        if kind == "volume":
+            return load_grid(source, grid, as_floats=True)
+        if kind == "cloud":
+            return load_cloud(source, finite_only, grid if extension(source) == ".vdb" else None)
+        from geokit.mesh import load
+
+        return load(source)
+
+    options: dict[str, Any] = {"title": title, "device": device}
+    options |= {} if colormap is None else {"colormap": colormap}
+    options |= {} if max_voxels is None else {"max_voxels": max_voxels}
+    with step("making the page"):
+        things = [read(source, kind) for source, kind in zip(sources, kinds, strict=True)]
+        usual = FORMATS[extension(sources[0])].up
+        options["up"] = up or usual
+        if up is None and kinds[0] == "mesh":
+            options["up"] = up_of(things[0], usual)
+        elif up is None and kinds[0] == "cloud":
+            options["up"] = up_of_points(things[0].points, usual)
+        options["names"] = [source.name.encode("utf-8", "replace").decode() for source in sources]
+        page = drawing.view(*things, path=output or drawing.temporary_path(), **options)
+    print(f"{page.path}: {len(page.html)} bytes")
+    if output is None and not drawing.open_in_browser(page):
+        note("no browser opens here; copy the file to where there is one")

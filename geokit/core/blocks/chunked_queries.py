@@ -1,0 +1,94 @@
+"""Splits queries into chunks that fit in device memory, and reports progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.core import user_arrays
+from geokit.core.memory import available_memory
+from geokit.core.require import require_callable
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Progress", "in_chunks"]
+
+# Called with the number of queries answered so far and the total number.
+Progress = Callable[[int, int], None]
+
+# Bounds for the queries of a chunk: a full one is milliseconds of work on a GPU and seconds on a CPU.
+MOST_ROWS = 1 << 22
+FEWEST_ROWS = 1 << 14
+# Device memory of a query with its results and its entry in the query order, rounded up.
+BYTES_PER_ROW = 256
+# Share of the free memory that a chunk may take.
+SHARE = 0.25
+
+
+def in_chunks(
+    query: Callable[..., Any],
+    values: Sequence[Any],
+    names: Sequence[str],
+    device: "wp.Device",
+    progress: Progress | None,
+    *,
+    defer: bool = False,
+) -> Any:
+    """Run ``query(*batches)`` over all rows, in chunks where a GPU query reads many rows from the host.
+
+    Rows that need no copy (they are on the query device, or the query runs on the CPU) form a single chunk. NumPy
+    rows of a CPU query are split as well if ``progress`` is given.
+
+    Args:
+        query: Takes one Batch for each of ``values`` and returns an array or a NamedTuple of arrays, of the caller's
+            kind. It may pass the rows to kernels only; see ``pin`` of :func:`geokit.core.user_arrays.read_vectors`.
+        values: The caller's arrays, shape (N, 3) each.
+        names: Their names for error messages.
+        device: The query device.
+        progress: Called after each chunk with (rows done, rows in total).
+        defer: Leave the check for rows that are not finite to the query's kernel; see
+            :func:`geokit.core.user_arrays.read_vectors`.
+    Returns:
+        The result of ``query`` for all rows.
+    """
+    if progress is not None:
+        require_callable(progress, "progress")
+    on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
+    total = len(values[0]) if on_host else 0
+    rows = _chunk_rows(device, total) if on_host else 0
+    if not on_host or total <= rows or (device.is_cpu and progress is None) or any(len(v) != total for v in values):
+        batches = [
+            user_arrays.read_vectors(v, name, device, defer=defer, pin=True, single=True)
+            for v, name in zip(values, names, strict=True)
+        ]
+        answer = query(*batches)
+        if progress:
+            progress(len(batches[0]), len(batches[0]))
+        return answer
+    whole: list[np.ndarray] = []
+    for start in range(0, total, rows):
+        stop = min(total, start + rows)
+        part = query(
+            *(
+                user_arrays.read_vectors(v[start:stop], name, device, defer=defer, first_row=start)
+                for v, name in zip(values, names, strict=True)
+            )
+        )
+        arrays = part if isinstance(part, tuple) else (part,)
+        whole = whole or [np.empty((total, *array.shape[1:]), array.dtype) for array in arrays]
+        for target, array in zip(whole, arrays, strict=True):
+            target[start:stop] = array
+        if progress:
+            progress(stop, total)
+    return type(part)(*whole) if isinstance(part, tuple) else whole[0]
+
+
+def _chunk_rows(device: "wp.Device", total: int) -> int:
+    if device.is_cpu:
+        return MOST_ROWS
+    if total <= FEWEST_ROWS:  # reading the free memory takes a tenth of the time of a small query
+        return FEWEST_ROWS
+    return int(np.clip(SHARE * available_memory.available(device) / BYTES_PER_ROW, FEWEST_ROWS, MOST_ROWS))

@@ -1,0 +1,264 @@
+"""Queries on several devices: each answers a block of the rows, and the answers are joined in order.
+
+A row's answer does not depend on the other rows, so it has the bits that one device gives.
+
+Held by: tests/core/blocks/test_several_devices.py
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import itertools
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from geokit.core import launcher
+from geokit.core.gradients.rules import held_by, is_tracked
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["OnDevices", "devices_of", "over_devices", "shares"]
+
+# Fewest rows for each device; the first device alone answers fewer.
+LEAST_ROWS = 1 << 15
+
+_Arguments = ParamSpec("_Arguments")
+_Answer = TypeVar("_Answer")
+_Class = TypeVar("_Class", bound=type)
+
+
+def devices_of(device: Any) -> list["wp.Device"] | None:
+    """The devices of a list, or None for what is not a list.
+
+    Raises:
+        InputError: The list is empty, or there is no such device.
+    """
+    if not isinstance(device, (list, tuple)):
+        return None
+    if not device:
+        raise InputError("device: the list is empty; name at least one device")
+    return [launcher.resolve_device(one) for one in device]
+
+
+class OnDevices:
+    """Base of an object that has a replica on each of several devices; all but its queries is that of the first."""
+
+    _parts: tuple[Any, ...]
+
+    def __getattr__(self, name: str) -> Any:
+        # Called for what is not in this object itself.
+        if name == "_parts":
+            raise AttributeError(name)
+        return getattr(self._parts[0], name)
+
+    @property
+    def _aliases(self) -> list[str]:
+        return [part.device for part in self._parts]
+
+
+def shares(**queries: int) -> Callable[[_Class], _Class]:
+    """Decorate a subclass of :class:`OnDevices`: give it these queries of its other base.
+
+    Args:
+        queries: How many of the arguments of each are rows, (N, 3).
+    """
+
+    def decorate(cls: _Class) -> _Class:
+        for name, rows in queries.items():
+            setattr(cls, name, _shared(getattr(cls, name), rows))
+        return cls
+
+    return decorate
+
+
+def _shared(query: Callable[..., Any], rows: int) -> Callable[..., Any]:
+    names = _row_names(query, rows)
+
+    @functools.wraps(query)
+    def run(owner: Any, *given: Any, **options: Any) -> Any:
+        queries = [functools.partial(query, part) for part in owner._parts]
+        if held_by(owner._parts[0]) or options.get("groups") is not None:
+            return queries[0](*given, **options)
+        values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
+        return _answer(queries, [part._device for part in owner._parts], rows, values, options)
+
+    return run
+
+
+def _row_names(query: Callable[..., Any], rows: int) -> list[str]:
+    return list(inspect.signature(query).parameters)[1 : rows + 1]
+
+
+def over_devices(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
+    """Decorate a query whose option ``device`` may be a list.
+
+    Args:
+        rows: Number of the arguments after the first that are rows, (N, 3).
+    """
+
+    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
+        names = _row_names(query, rows)
+
+        @functools.wraps(query)
+        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
+            if type(options.get("device")) not in (list, tuple):
+                return query(*given, **options)
+            answer: _Answer = on_each(*given, **options)
+            return answer
+
+        def on_each(volume: Any, *given: Any, device: Any, **options: Any) -> Any:
+            devices: Any = devices_of(device)
+            queries: list[Any] = [functools.partial(query, volume, device=one) for one in devices]
+            if held_by(volume):
+                return queries[0](*given, **options)
+            values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
+            return _answer(queries, devices, rows, values, options)
+
+        return run
+
+    return decorate
+
+
+def _answer(
+    queries: Sequence[Callable[..., Any]],
+    devices: Sequence["wp.Device"],
+    rows: int,
+    given: Sequence[Any],
+    options: dict[str, Any],
+) -> Any:
+    """The answer to rows that are arguments of one kind: arrays of NumPy or of warp, or tensors of torch."""
+    values, total = given[:rows], _rows_of(given, rows)
+    if any(held_by(value) or is_tracked(value) for value in options.values()):
+        total = 0  # a graph stays on its device
+    count = min(len(queries), total // LEAST_ROWS)
+    if count < 2:
+        return queries[0](*given, **options)
+    ends = [total * k // count for k in range(count + 1)]
+    each = {name for name, value in options.items() if name == "radius" and np.ndim(value) == 1}
+    progress = options.get("progress")
+    done = _Progress(progress, total, count) if callable(progress) else None
+    calls = []
+    for k, (first, stop) in enumerate(itertools.pairwise(ends)):
+        # Copies between GPUs are enqueued by this thread, whose stream has made the rows.
+        moved = [_part(value, first, stop, devices[k]) for value in values]
+        own = {name: value[first:stop] if name in each else value for name, value in options.items()}
+        if done is not None:
+            own["progress"] = functools.partial(done, k)
+        calls.append(functools.partial(queries[k], *moved, *given[rows:], **own))
+    with ThreadPoolExecutor(count - 1) as pool:
+        others = [pool.submit(call) for call in calls[1:]]
+        try:
+            answers = [calls[0](), *(other.result() for other in others)]
+        except InputError:
+            # Of a row, whose number is that in its part: asked again it is named as the caller counts.
+            return queries[0](*given, **options)
+    return _joined(answers, values[0])
+
+
+class _Progress:
+    """Adds up the progress of the parts."""
+
+    def __init__(self, told: Callable[[int, int], None], total: int, count: int) -> None:
+        self._told, self._total, self._done = told, total, [0] * count
+        self._lock = threading.Lock()
+
+    def __call__(self, part: int, done: int, _: int) -> None:
+        with self._lock:
+            self._done[part] = done
+            self._told(sum(self._done), self._total)
+
+
+def _rows_of(given: Sequence[Any], rows: int) -> int:
+    """Number of rows; 0 for what the query has to judge, and for what one device answers."""
+    values = given[:rows]
+    if len(values) < rows or any(type(value) is not type(values[0]) for value in values):
+        return 0
+    if not _is_known(values[0]) or any(np.ndim(value) != 2 or is_tracked(value) for value in values):
+        return 0
+    return len(values[0]) if len({len(value) for value in values}) == 1 else 0
+
+
+def _is_known(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return True
+    torch, warp = sys.modules.get("torch"), sys.modules.get("warp")
+    return (torch is not None and type(value) is torch.Tensor) or (warp is not None and isinstance(value, warp.array))
+
+
+def _part(value: Any, first: int, stop: int, device: "wp.Device") -> Any:
+    part = value[first:stop]
+    if isinstance(value, np.ndarray) or device.is_cpu:
+        return part
+    return _on(part, device.alias)
+
+
+def _on(value: Any, alias: str) -> Any:
+    """A part of what the caller gave, or of an answer, on a GPU; what is on the host stays there."""
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(value, torch.Tensor):
+        return value if value.is_cpu else value.to(alias)
+    import warp as wp
+
+    return value if value.device.is_cpu or value.device.alias == alias else wp.clone(value, device=alias)
+
+
+def _joined(answers: list[Any], like: Any) -> Any:
+    first = answers[0]
+    if not isinstance(first, tuple):
+        return _concatenated(answers, like)
+    fields: list[Any] = []
+    for name, *parts in zip(getattr(first, "_fields", ()), *answers, strict=True):
+        if parts[0] is None:
+            fields.append(None)
+        elif name == "offsets":
+            # Those of a part begin where the lists of the parts before it end.
+            begins = itertools.accumulate((int(_host(part)[-1]) for part in parts), initial=0)
+            moved = [_plus(part, begin) for part, begin in zip(parts, begins, strict=False)]
+            fields.append(_concatenated([moved[0], *(part[1:] for part in moved[1:])], like))
+        else:
+            fields.append(_concatenated(parts, like))
+    return tuple.__new__(type(first), fields)
+
+
+def _host(value: Any) -> Any:
+    return value.numpy() if isinstance(value, _warp_array()) else value
+
+
+def _plus(value: Any, number: int) -> Any:
+    if not isinstance(value, _warp_array()):
+        return value + number
+    import warp as wp
+
+    return wp.array(value.numpy() + number, dtype=value.dtype, device=value.device)
+
+
+def _warp_array() -> Any:
+    import warp as wp
+
+    return wp.array
+
+
+def _concatenated(parts: Sequence[Any], like: Any) -> Any:
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts)
+    if not isinstance(parts[0], _warp_array()):
+        torch: Any = sys.modules["torch"]
+        return torch.cat([_on(part, str(like.device)) for part in parts])
+    import warp as wp
+
+    total = sum(map(len, parts))
+    joined = wp.empty((total, *parts[0].shape[1:]), dtype=parts[0].dtype, device=like.device)
+    begin = 0
+    for part in parts:
+        if len(part):
+            wp.copy(joined[begin : begin + len(part)], part)
+        begin += len(part)
+    return joined

@@ -1,0 +1,1 @@
+"""Gradients of answers: torch tensors that require gradients and jax tracers pass through queries."""

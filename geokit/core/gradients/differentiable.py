@@ -1,0 +1,78 @@
+"""Queries that take tensors with gradients and give tensors that carry them."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from geokit.core.gradients.rules import Asked, Call, Entry, is_tracked, refuse_gradients
+
+__all__ = ["differentiable", "library_of"]
+
+_Query = TypeVar("_Query", bound=Callable[..., Any])
+
+
+def differentiable(
+    rule: str, *inputs: str, single: bool = True, holders: tuple[str, ...] = ()
+) -> Callable[[_Query], _Query]:
+    """Make a query accept tensors that require gradients, and give tensors that carry them.
+
+    Args:
+        rule: Where the rule stands, as "package.module:NAME".
+        inputs: Parameters that may be such tensors. Tensors that the first argument holds (:func:`hold`) count too.
+        single: Whether one point of shape (3,) is taken, and answered without the leading axis.
+        holders: Keywords whose objects may hold such tensors too; rules know them as "keyword.name".
+    """
+
+    def decorate(query: _Query) -> _Query:
+        entry = Entry(query, rule, inputs, single, holders)
+
+        @functools.wraps(query)
+        def run(*args: Any, **kwargs: Any) -> Any:
+            torch = sys.modules.get("torch")
+            if torch is None:
+                # Without torch and jax nothing can have a gradient; this costs a tenth of a microsecond.
+                if "jax" not in sys.modules:
+                    return query(*args, **kwargs)
+            elif torch.compiler.is_compiling():
+                from geokit.core.gradients.torch_operator import traced
+
+                return traced(entry, args, kwargs)
+            held = entry.held(args, kwargs)
+            if not held and not any(map(is_tracked, args)) and not any(map(is_tracked, kwargs.values())):
+                return query(*args, **kwargs)
+            arguments = entry.bind(args, kwargs)
+            for name, value in arguments.items():
+                if name not in inputs and is_tracked(value):
+                    raise refuse_gradients(name)
+            alone = entry.widen(arguments)
+            # All inputs are tensors then, also those given as NumPy: so is the answer.
+            tensors = {name: arguments[name] for name in inputs if arguments[name] is not None} | held
+            answer = _attach(Call(entry, tuple(tensors), Asked(tensors, arguments)))
+            return entry.first(answer) if alone else answer
+
+        return run  # type: ignore[return-value]
+
+    return decorate
+
+
+def library_of(tensor: Any) -> Any:
+    """The library of a tensor (:class:`geokit.core.gradients.library.Library`)."""
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(tensor, torch.Tensor):
+        from geokit.core.gradients import with_torch as library
+    else:
+        from geokit.core.gradients import with_jax as library  # type: ignore[no-redef]
+    return library.LIBRARY
+
+
+def _attach(call: Call) -> Any:
+    if any(getattr(value, "requires_grad", False) is True for value in call.asked.tensors.values()):
+        from geokit.core.gradients import with_torch
+
+        return with_torch.attach(call)
+    from geokit.core.gradients import with_jax
+
+    return with_jax.attach(call)

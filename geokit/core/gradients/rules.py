@@ -1,0 +1,251 @@
+"""Rules of gradients: how an answer depends on what was asked and on what an object holds.
+
+A query searches once, without gradients. Its rule then has the closed form of the answer's derivative, so that a
+backward pass searches nothing. A rule knows neither torch nor jax: it is written with the functions of a
+:class:`~geokit.core.gradients.library.Library`, and both libraries differentiate what it builds.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from geokit.core.interop.objects import points_of
+from geokit.core.require import read_array
+from geokit.errors import InputError
+
+__all__ = [
+    "Asked",
+    "Call",
+    "Deferred",
+    "Entry",
+    "Rule",
+    "held_by",
+    "hold",
+    "is_tracked",
+    "refuse_gradients",
+    "split",
+    "untracked",
+]
+
+# Attribute of an object (Surface, SparseVolume, NeighborGrid) that holds tensors with gradients.
+_HELD = "_held_tensors"
+
+
+class Rule(NamedTuple):
+    """How an answer depends on tensors.
+
+    Attributes:
+        build: ``build(library, asked, answer)`` gives each output again as a function of the tensors, or None where an
+            output has no derivative. ``asked`` is a :class:`Asked`; ``answer`` is a tuple of tensors that count as
+            constants.
+        prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
+            search.
+        quick: ``quick(library, asked, answer, slopes, wanted)``: the first derivatives that are wanted, by name, where
+            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. Only
+            torch asks for it: it may look at values.
+        pull: In place of ``build``: ``pull(library, asked, answer, slopes)`` gives the derivative with respect to each
+            tensor in ``asked.tensors``, by name; ``slopes`` are those with respect to the outputs.
+        has_slope: For each output, whether it has a derivative.
+        on_host: ``on_host(asked)(asked, slopes)`` gives the first derivatives for NumPy arrays, by name, where
+            ``prepare`` finds arrays whose shapes depend on values: jax calls it in place of ``build``. The first call
+            sees tracers.
+        shapes: ``shapes(asked)`` gives shape and kind ("float" for that of the tensors, or "int32") of each output, for
+            jax and torch.compile, which need them before the answer.
+    """
+
+    has_slope: tuple[bool, ...]
+    build: Callable[..., tuple[Any, ...]] | None = None
+    prepare: Callable[..., Any] | None = None
+    quick: Callable[..., dict[str, Any] | None] | None = None
+    pull: Callable[..., dict[str, Any]] | None = None
+    on_host: Callable[[Asked], Callable[[Asked, Any], dict[str, Any]]] | None = None
+    shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None
+
+
+class Asked(NamedTuple):
+    """One call.
+
+    Attributes:
+        tensors: What the answer depends on, by name: tensors of the call and those that the object holds.
+        arguments: All arguments by name, also the object under its parameter's name.
+        prepared: What the rule's ``prepare`` found.
+    """
+
+    tensors: dict[str, Any]
+    arguments: dict[str, Any]
+    prepared: Any = None
+
+
+class Entry:
+    """A query that may carry gradients.
+
+    Attributes:
+        query: The query, for arguments without gradients.
+        rule: Gives its rule.
+        inputs: Parameters that may be tensors with gradients.
+        single: Whether one point of shape (3,) is taken.
+        holders: Parameters besides the first whose objects may hold tensors.
+        parameters: Names and defaults of all parameters.
+        kind: Container of the outputs: a NamedTuple's class, or None for a single array.
+        address: Of this object.
+    """
+
+    def __init__(
+        self, query: Callable[..., Any], rule: str, inputs: tuple[str, ...], single: bool, holders: tuple[str, ...] = ()
+    ) -> None:
+        signature = inspect.signature(query)
+        self.query, self.inputs, self._rule, self.single, self.holders = query, inputs, rule, single, holders
+        self._signature = signature
+        self.parameters = tuple((name, parameter.default) for name, parameter in signature.parameters.items())
+        # Results are defined above the queries that return them.
+        kind = inspect.unwrap(query).__globals__.get(str(signature.return_annotation))
+        self.kind: Any = kind if hasattr(kind, "_fields") else None
+        self.address = id(self)
+
+    def rule(self) -> Rule:
+        """The query's rule; its module is imported by the first call with gradients."""
+        module, _, name = self._rule.partition(":")
+        found: Rule = getattr(importlib.import_module(module), name)
+        return found
+
+    def run(self, arguments: dict[str, Any]) -> Any:
+        """The answer for arguments without gradients."""
+        first, *others = (arguments[name] for name, _ in self.parameters[:1])
+        rest = {name: value for name, value in arguments.items() if name != self.parameters[0][0]}
+        return self.query(first, *others, **rest)
+
+    def held(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+        """The tensors that the objects of a call hold, by name; "keyword.name" for those of other holders."""
+        found = held_by(args[0] if args else kwargs.get(self.parameters[0][0]))
+        for holder in self.holders:
+            found = {**found, **{f"{holder}.{key}": value for key, value in held_by(kwargs.get(holder)).items()}}
+        return found
+
+    def owner(self, name: str) -> tuple[str, str]:
+        """The parameter whose object holds a tensor, and the tensor's name there."""
+        holder, _, key = name.rpartition(".")
+        return holder or self.parameters[0][0], key
+
+    def widen(self, arguments: dict[str, Any]) -> bool:
+        """Make tables of inputs that are objects with points, or one point; return whether all are one point."""
+        given = {name: points_of(arguments[name], name) for name in self.inputs if arguments[name] is not None}
+        arguments.update(given)
+        if not self.single or not given:
+            return False
+        rows = {name: value if hasattr(value, "ndim") else read_array(value, name) for name, value in given.items()}
+        if any(tuple(value.shape) != (3,) for value in rows.values()):
+            return False
+        arguments.update({name: value[None] for name, value in rows.items()})
+        return True
+
+    def first(self, answer: Any) -> Any:
+        """The answer for one point, from that for a table of it."""
+        return answer[0] if self.kind is None else self.kind(*(out[0] for out in answer))
+
+    def bind(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+        """All arguments of a call by name.
+
+        Raises:
+            TypeError: The call does not fit the query.
+        """
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return dict(bound.arguments)
+
+
+class Call(NamedTuple):
+    """A call of a query that is to carry gradients.
+
+    Attributes:
+        entry: The query.
+        names: Names of the tensors.
+        asked: The call; its tensors are those with gradients.
+    """
+
+    entry: Entry
+    names: tuple[str, ...]
+    asked: Asked
+
+    def run(self, *plain: Any) -> Any:
+        """The answer for tensors without gradients, given in the order of ``names``."""
+        arguments = {name: untracked(value) for name, value in self.asked.arguments.items()}
+        given = dict(zip(self.names, plain, strict=True))
+        return self.entry.run({name: given.get(name, value) for name, value in arguments.items()})
+
+
+def hold(holder: Any, **tensors: Any) -> None:
+    """Let the answers of an object's queries carry gradients with respect to these tensors."""
+    object.__setattr__(holder, _HELD, tensors)
+
+
+class Deferred:
+    """An object of jax arrays, whose values are known when a query runs: in a callback.
+
+    Queries of the object that is made take this one in its place, and rules read its attributes.
+    """
+
+    def made(self, **arrays: NDArray[Any]) -> Any:
+        """The object of NumPy arrays in place of those that this one holds."""
+        raise NotImplementedError
+
+    def constant(self, held: dict[str, Any]) -> Any:
+        """The same, of constants."""
+        raise NotImplementedError
+
+    def holding(self, held: dict[str, Any]) -> Any:
+        """The same, of other arrays."""
+        other: Any = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        hold(other, **held)
+        return other
+
+
+def split(values: Any) -> tuple[Any, Any]:
+    """Values without gradients, and the tensor that carries gradients (None if there is none)."""
+    if _needs_gradient(values):
+        return values.detach(), values
+    return values, None
+
+
+def held_by(holder: Any) -> dict[str, Any]:
+    """The tensors with gradients that an object holds, by name."""
+    return getattr(holder, "__dict__", {}).get(_HELD) or {}
+
+
+def untracked(holder: Any) -> Any:
+    """The object without the tensors that it holds; one that is made of them (:class:`Deferred`) has constants."""
+    held = held_by(holder)
+    if not held:
+        return holder
+    if isinstance(holder, Deferred):
+        return holder.constant(held)
+    plain: Any = object.__new__(type(holder))
+    plain.__dict__.update({name: value for name, value in holder.__dict__.items() if name != _HELD})
+    return plain
+
+
+def refuse_gradients(name: str) -> InputError:
+    """The error for a tensor that requires gradients where the answer has none."""
+    return InputError(f"{name}: a tensor that requires gradients, but answers carry none for it; detach it")
+
+
+def is_tracked(value: Any) -> bool:
+    """Whether a value is a tensor in a graph, or a tracer."""
+    if _needs_gradient(value):
+        return True
+    jax = sys.modules.get("jax")
+    return jax is not None and isinstance(value, jax.core.Tracer)
+
+
+def _needs_gradient(value: Any) -> bool:
+    # Arrays of warp have the attribute too; their tapes are refused where the arrays are read.
+    if getattr(value, "requires_grad", False) is not True:
+        return False
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)

@@ -1,0 +1,229 @@
+"""Gradients through torch."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import torch
+
+from geokit.core.gradients.library import Library
+from geokit.core.gradients.rules import Asked, Call, Rule, untracked
+from geokit.core.require import read_array
+from geokit.errors import InputError
+
+__all__ = ["LIBRARY", "attach", "pulled"]
+
+
+def attach(call: Call) -> Any:
+    """Answer a call with tensors that carry gradients."""
+    given = call.asked.tensors
+    like = next(value for value in given.values() if isinstance(value, torch.Tensor))
+    tensors = [_tensor(given[name], name, like) for name in call.names]
+    devices = {str(tensor.device) for tensor in tensors}
+    if len(devices) > 1:
+        raise InputError(f"{', '.join(call.names)}: tensors on {', '.join(sorted(devices))}; move them to one device")
+    for name, tensor in zip(call.names, tensors, strict=True):
+        if tensor.dtype not in (torch.float32, torch.float64):
+            raise InputError(f"{name}: {tensor.dtype} has no gradients; give float32 or float64")
+    answer = _Query.apply(call, *tensors)
+    return answer[0] if call.entry.kind is None else call.entry.kind(*answer)
+
+
+def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any]:
+    """Derivatives with respect to the tensors ``wanted``, from those with respect to the answer, by name."""
+    if not torch.is_grad_enabled():
+        # Nothing is differentiated further: the searches of this pass are plain ones.
+        plain = {name: tensor.detach() for name, tensor in asked.tensors.items()}
+        arguments = {name: plain.get(name, untracked(value)) for name, value in asked.arguments.items()}
+        asked = asked._replace(tensors=plain, arguments=arguments)
+        if rule.quick is not None:
+            short = rule.quick(LIBRARY, asked, answer, slopes, wanted)
+            if short is not None:
+                return short
+    slopes = [torch.zeros_like(out) if slope is None else slope for out, slope in zip(answer, slopes, strict=True)]
+    if rule.pull is not None:
+        return rule.pull(LIBRARY, asked, answer, slopes)
+    build: Any = rule.build
+    if rule.prepare is not None:
+        plain = {name: tensor.detach() for name, tensor in asked.tensors.items()}
+        asked = asked._replace(prepared=rule.prepare(LIBRARY, asked._replace(tensors=plain)))
+
+    def outputs(*some: Any) -> tuple[Any, ...]:
+        # In float64 throughout, as the search itself.
+        given = {**asked.tensors, **dict(zip(wanted, some, strict=True))}
+        built = build(LIBRARY, asked._replace(tensors={name: value.double() for name, value in given.items()}), answer)
+        return tuple(out for out in built if out is not None)
+
+    _, pull, *_ = torch.func.vjp(outputs, *(asked.tensors[name] for name in wanted))
+    wide = tuple(slope.double() for slope, some in zip(slopes, rule.has_slope, strict=True) if some)
+    return dict(zip(wanted, pull(wide), strict=True))
+
+
+def _tensor(values: Any, name: str, like: Any) -> Any:
+    return values if isinstance(values, torch.Tensor) else torch.tensor(read_array(values, name), device=like.device)
+
+
+class _Query(torch.autograd.Function):
+    """One search, and the derivative of its answer by the call's rule."""
+
+    generate_vmap_rule = False
+
+    @staticmethod
+    def forward(call: Call, *tensors: Any) -> Any:
+        answer = call.run(*(tensor.detach() for tensor in tensors))
+        return tuple(answer) if isinstance(answer, tuple) else (answer,)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.call, *tensors = inputs
+        ctx.set_materialize_grads(False)
+        has_slope = ctx.call.entry.rule().has_slope
+        ctx.mark_non_differentiable(*(out for out, some in zip(output, has_slope, strict=True) if not some))
+        ctx.save_for_backward(*tensors, *output)
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Any) -> Any:
+        call: Call = ctx.call
+        count = len(call.names)
+        try:
+            saved = ctx.saved_tensors
+        except RuntimeError as error:
+            if "a second time" not in str(error):  # such as a tensor that was changed in place
+                raise
+            raise InputError(
+                f"{', '.join(call.names)}: an earlier backward pass has freed what this one needs; give that one "
+                "retain_graph=True, or ask the query again"
+            ) from error
+        tensors, answer = saved[:count], [output.detach() for output in saved[count:]]
+        wanted = [name for name, need in zip(call.names, ctx.needs_input_grad[1:], strict=True) if need]
+        asked = call.asked._replace(tensors=dict(zip(call.names, tensors, strict=True)))
+        found = pulled(call.entry.rule(), asked, answer, slopes, wanted)
+        of = zip(call.names, tensors, strict=True)
+        return (None, *(found[name].to(tensor.dtype) if name in wanted else None for name, tensor in of))
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, call: Call, *tensors: Any) -> Any:
+        """All batches as the rows of one call."""
+        size, flat = info.batch_size, []
+        for name, tensor, dim in zip(call.names, tensors, in_dims[1:], strict=True):
+            is_held = name not in call.asked.arguments
+            if is_held and dim is not None:
+                raise InputError(f"{name}: vmap over what an object holds is not supported; loop over the objects")
+            if not is_held:
+                batch = tensor.expand(size, *tensor.shape) if dim is None else tensor.movedim(dim, 0)
+                tensor = batch.reshape(-1, *batch.shape[2:])
+            flat.append(tensor)
+        answer = _Query.apply(call, *flat)
+        return tuple(out.reshape(size, -1, *out.shape[1:]) for out in answer), tuple(0 for _ in answer)
+
+
+# Torch asks for the signature in each call, and to find it takes longer than all else there.
+_Query.forward.__signature__ = inspect.signature(_Query.forward)  # type: ignore[attr-defined]
+
+
+class _Take(torch.autograd.Function):
+    """Rows of a table; backward is :class:`_Add`."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(table: Any, index: Any) -> Any:
+        return table[index]
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        table, index = inputs
+        ctx.rows = table.shape[0]
+        ctx.save_for_backward(index)
+
+    @staticmethod
+    def backward(ctx: Any, slope: Any) -> Any:
+        (index,) = ctx.saved_tensors
+        return _Add.apply(slope, index, ctx.rows), None
+
+
+class _Add(torch.autograd.Function):
+    """Sums of the rows of each index, in the order of the rows; backward is :class:`_Take`."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(rows: Any, index: Any, count: int) -> Any:
+        flat, places = rows.reshape(index.numel(), -1), index.reshape(-1)
+        if rows.is_cuda:
+            # index_add_ adds in any order there.
+            order = torch.argsort(places, stable=True)
+            lengths = torch.bincount(places, minlength=count)
+            total = torch.segment_reduce(flat[order], "sum", lengths=lengths, axis=0, unsafe=True)
+        else:
+            total = torch.zeros(count, flat.shape[1], dtype=rows.dtype).index_add_(0, places, flat)
+        return total.reshape(count, *rows.shape[index.ndim :])
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(inputs[1])
+
+    @staticmethod
+    def backward(ctx: Any, slope: Any) -> Any:
+        (index,) = ctx.saved_tensors
+        return _Take.apply(slope, index), None, None
+
+
+def _take(table: Any, index: Any) -> Any:
+    return _Take.apply(table, index) if torch.is_grad_enabled() else _Take.forward(table, index)
+
+
+def _add(rows: Any, index: Any, count: int) -> Any:
+    return _Add.apply(rows, index, count) if torch.is_grad_enabled() else _Add.forward(rows, index, count)
+
+
+def _constant(values: Any, like: Any) -> Any:
+    """An array as a tensor on the device of another; whole numbers as int64, which indexes."""
+    tensor = values if isinstance(values, torch.Tensor) else torch.tensor(values, device=like.device)
+    return tensor.double() if tensor.is_floating_point() else tensor.long() if tensor.dtype != torch.bool else tensor
+
+
+def _kept(cache: Any, name: str, values: Any, like: Any) -> Any:
+    return cache.find((name, str(like.device)), lambda: _constant(values, like))
+
+
+class _Once(torch.autograd.Function):
+    """A tensor whose backward pass raises an error with the given message."""
+
+    @staticmethod
+    def forward(message: str, tensor: Any, *of: Any) -> Any:
+        return tensor.clone()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.message = inputs[0]
+
+    @staticmethod
+    def backward(ctx: Any, slope: Any) -> Any:
+        raise InputError(ctx.message)
+
+
+def _once(tensor: Any, message: str, of: dict[str, Any]) -> Any:
+    # Nothing is differentiated further unless a graph is made of the backward pass.
+    if not torch.is_grad_enabled():
+        return tensor
+    return _Once.apply(message, tensor, *of.values())
+
+
+LIBRARY = Library(
+    where=torch.where,
+    sqrt=torch.sqrt,
+    floor=torch.floor,
+    arctan2=torch.arctan2,
+    stack=torch.stack,
+    take=_take,
+    add=_add,
+    constant=_constant,
+    kept=_kept,
+    wide=lambda tensor: tensor.double(),
+    whole=lambda tensor: tensor.long(),
+    detach=lambda tensor: tensor.detach(),
+    on_host=lambda tensor: tensor.detach().cpu().numpy(),
+    once=_once,
+)

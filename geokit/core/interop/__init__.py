@@ -1,0 +1,1 @@
+"""Arrays and objects of other libraries."""

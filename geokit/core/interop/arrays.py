@@ -1,0 +1,125 @@
+"""Zero-copy exchange of arrays with other libraries, through DLPack and the CUDA array interface."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["as_table", "exporter_like", "import_array", "is_exporter", "reinterpreted"]
+
+
+def is_exporter(values: Any) -> bool:
+    # NumPy reads everything without these protocols (pandas columns, memory views, nested lists).
+    return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
+
+
+def import_array(values: Any, name: str) -> "wp.array":
+    import warp as wp
+
+    if getattr(values, "requires_grad", False):
+        raise InputError(f"{name}: the {type(values).__name__} requires gradients, which are not recorded; detach() it")
+    try:
+        if hasattr(values, "__dlpack__"):
+            from geokit.core.launcher import resolve_device
+
+            resolve_device("cpu")  # starts warp, which sharing does not
+            torch = sys.modules.get("torch")
+            if torch is not None and isinstance(values, torch.Tensor):
+                device = wp.device_from_torch(values.device)
+                return wp.from_torch(values) if _in_order(torch, device) else wp.from_dlpack(values)
+            device, _ = values.__dlpack_device__()
+            if isinstance(device, int):
+                return wp.from_dlpack(values)
+            # warp compares the device with plain numbers; Open3D names it by an enumeration of its own.
+            return wp.from_dlpack(values.__dlpack__())
+        interface = values.__cuda_array_interface__
+        dtype = wp.dtype_from_numpy(np.dtype(interface["typestr"]))
+        array = wp.array(
+            ptr=interface["data"][0],
+            dtype=dtype,
+            shape=interface["shape"],
+            strides=interface.get("strides"),
+            device=_device_of_pointer(interface["data"][0]),
+            copy=False,
+        )
+        array._geokit_source = values
+        return array
+    except Exception as error:  # of the other library, the driver, or warp
+        kind = type(values).__name__
+        raise InputError(f"{name}: the {kind} cannot be shared ({error}); pass a contiguous float array") from error
+
+
+def _device_of_pointer(pointer: int) -> str:
+    # The protocol does not name the GPU; the driver knows it.
+    import ctypes
+
+    driver = ctypes.CDLL("libcuda.so.1")
+    ordinal = ctypes.c_int(-1)
+    attribute_device_ordinal = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
+    status = driver.cuPointerGetAttribute(ctypes.byref(ordinal), attribute_device_ordinal, ctypes.c_uint64(pointer))
+    return f"cuda:{ordinal.value}" if status == 0 else "cuda:0"
+
+
+def exporter_like(values: Any) -> Callable[["wp.array"], Any]:
+    """A function that converts a result into the kind of array that ``values`` is.
+
+    It uses ``from_dlpack`` of the array type, else of the type's library; without either it returns a warp array.
+    """
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(values, torch.Tensor):
+        return lambda out: _to_torch(torch, as_table(out))
+    kind = type(values)
+    importer = getattr(kind, "from_dlpack", None)
+    if importer is None and hasattr(values, "__array_namespace__"):
+        importer = getattr(values.__array_namespace__(), "from_dlpack", None)
+    if importer is None:
+        library = sys.modules.get(kind.__module__.partition(".")[0])
+        importer = getattr(library, "from_dlpack", None) or getattr(
+            getattr(library, "dlpack", None), "from_dlpack", None
+        )
+    if importer is None:
+        return as_table
+    return lambda out: importer(as_table(out))
+
+
+def _to_torch(torch: Any, out: "wp.array") -> Any:
+    import warp as wp
+
+    return torch.utils.dlpack.from_dlpack(wp.to_dlpack(out) if _in_order(torch, out.device) else out)
+
+
+def _in_order(torch: Any, device: "wp.Device") -> bool:
+    """Whether torch's work and warp's on a device follow each other without events, which take 40 us an array.
+
+    So it is on the same stream, and where torch works on CUDA's null stream: blocking streams, such as those that warp
+    makes, wait for that one, and it for them.
+    """
+    if device.is_cpu:
+        return True
+    stream, other = device.stream, torch.cuda.current_stream(device.ordinal).cuda_stream
+    return bool(other == (stream.cuda_stream or 0) or (other == 0 and stream.is_blocking))
+
+
+def as_table(out: "wp.array") -> "wp.array":
+    """View an (N,) array of vec3 as (N, 3) scalars over the same memory; return scalar arrays unchanged."""
+    import warp as wp
+
+    scalar = {wp.vec3f: wp.float32, wp.vec3d: wp.float64}.get(out.dtype)
+    return out if scalar is None else reinterpreted(out, scalar, (*out.shape, 3))
+
+
+def reinterpreted(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
+    """View contiguous memory under another type and shape; the view keeps the owner alive."""
+    import warp as wp
+
+    view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
+    view._geokit_source = array
+    return view

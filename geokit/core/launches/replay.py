@@ -1,0 +1,369 @@
+"""Replays of small queries on a CPU: the launches of a query are recorded once and repeated for other rows.
+
+A query of one point takes 50 to 400 us from its arguments to its answer, and its kernels one or two of them: the rest
+is reading arguments, making arrays and launching. Between two calls for the same number of rows with the same options
+nothing of that changes but the rows. So the second such call is recorded: the rows' arrays, the launches with their
+arguments, and the arrays of the answer. Later calls copy their rows to where the recorded launches read them, make the
+launches, and copy the answer.
+
+Tensors of torch on the host share their memory with arrays of NumPy, and so does the answer: such calls are replayed
+too.
+
+Nothing is checked less: recorded kernels raise the same flags, rows that kernels do not check are checked here, and
+whatever is unusual (a raised flag, another type, an option of a type of its own) goes the general way, which names it.
+
+What a query does between its launches is not repeated. A query that is decorated must depend on its rows in its
+launches only, and in flags (:func:`geokit.core.memory.pinned.host_flags`); where it cannot, it calls :func:`refuse`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, ParamSpec, TypeVar
+
+import numpy as np
+
+from geokit.core.launches import warp_private
+from geokit.core.launches.launch_cache import launch_argument
+from geokit.core.object_cache import ObjectCache
+
+__all__ = ["Recorder", "current", "refuse", "replayed"]
+
+# Above this number of rows kernels take longer than what a replay saves.
+MOST_ROWS = 256
+# Calls that an object keeps: numbers of rows, types and options.
+MOST_KEPT = 64
+# Arrays that a query reads before it writes to them are restored for each replay. A larger one [bytes] is kept for
+# later calls, such as a part of a tree, rather than made for this one.
+LARGEST_RESTORED = 1 << 14
+# Key of the recordings in the cache of the object that is queried.
+KEPT = "replays"
+# Types of options that are compared by type and value. Others (arrays, functions, devices) are not recorded.
+PLAIN = frozenset((bool, int, float, str, type(None), np.float64, np.int64))
+# Marks calls that cannot be recorded.
+NEVER = ()
+
+_Arguments = ParamSpec("_Arguments")
+_Answer = TypeVar("_Answer")
+
+
+class _Thread(threading.local):
+    recorder: Recorder | None = None
+
+
+_thread = _Thread()
+
+
+def replayed(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
+    """Decorate a query so that small calls on a CPU are replayed.
+
+    Args:
+        rows: Number of the arguments after the first that are rows, (N, 3). The first argument is the object that is
+            queried. It keeps the recordings in ``_cache`` (:class:`geokit.core.object_cache.CacheAttribute`): they end
+            with it, and when it is cleared.
+    Returns:
+        The decorator.
+
+    Held by: tests/core/launches/test_replay.py, tests/core/launches/test_replay_property.py
+    """
+
+    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
+        name = query.__qualname__
+
+        @functools.wraps(query)
+        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
+            torch: Any = sys.modules.get("torch")
+            if torch is not None and len(given) > rows and type(given[1]) is torch.Tensor:
+                plain: Any = _host_rows(torch, given, rows)
+                if plain is not None:
+                    return _as_tensors(torch, answered(*plain, **options))
+            return answered(*given, **options)
+
+        def answered(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
+            key = _key_of(name, rows, given, options)
+            if key is None or _thread.recorder is not None:
+                return query(*given, **options)
+            cache = getattr(given[0], "_cache", None)
+            if type(cache) is not ObjectCache:  # what was given is not what is queried, which the query will refuse
+                return query(*given, **options)
+            kept: dict[Any, Any] = cache.find(KEPT, dict)
+            idle = kept.get(key)
+            if idle:
+                try:
+                    recording = idle.pop()  # one thread at a time
+                except IndexError:
+                    return query(*given, **options)
+                try:
+                    answer = recording.replay(given)
+                except MemoryError:
+                    answer = None
+                idle.append(recording)
+                return query(*given, **options) if answer is None else answer
+            if idle is NEVER:
+                return query(*given, **options)
+            if idle is not None:
+                return _recorded(query, rows, given, options, kept, key)
+            # What is built at the first call is not part of the others.
+            answer = query(*given, **options)
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept.setdefault(key, [])
+            return answer
+
+        return run
+
+    return decorate
+
+
+def _host_rows(torch: Any, given: Sequence[Any], rows: int) -> tuple[Any, ...] | None:
+    """Arguments with tensors on the host as arrays of NumPy, which share their memory; None where that cannot be."""
+    arrays = []
+    for tensor in given[1 : rows + 1]:
+        if type(tensor) is not torch.Tensor:
+            arrays.append(tensor)
+        elif tensor.is_cpu and tensor.dtype in (torch.float32, torch.float64) and not tensor.requires_grad:
+            try:
+                arrays.append(tensor.numpy())
+            except RuntimeError:  # of a tensor inside torch.func's transforms, which has no memory
+                return None
+        else:
+            return None
+    return (given[0], *arrays, *given[rows + 1 :])
+
+
+def _as_tensors(torch: Any, answer: Any) -> Any:
+    if isinstance(answer, tuple):
+        return tuple.__new__(type(answer), [_as_tensors(torch, part) for part in answer])
+    if not isinstance(answer, (np.ndarray, np.generic)):
+        return answer
+    return torch.from_numpy(np.require(answer, requirements="W"))
+
+
+def _key_of(name: str, rows: int, given: Sequence[Any], options: dict[str, Any]) -> Any:
+    """Key of the calls that one recording answers; None for a call that is not replayed."""
+    if len(given) <= rows:
+        return None
+    first = given[1]
+    key: tuple[Any, ...]
+    if type(first) is not np.ndarray or not 0 < first.size <= 3 * MOST_ROWS:
+        return None
+    if rows == 1:
+        key = name, first.shape, first.dtype
+    else:
+        second = given[2]
+        if type(second) is not np.ndarray or second.size != first.size:
+            return None
+        key = name, first.shape, first.dtype, second.shape, second.dtype
+    if len(given) == rows + 1 and not options:
+        return key
+    values = (*given[rows + 1 :], *options.values())
+    kinds = tuple(map(type, values))
+    return (key, tuple(options), values, kinds) if PLAIN.issuperset(kinds) else None
+
+
+def _recorded(
+    query: Any, rows: int, given: Sequence[Any], options: dict[str, Any], kept: dict[Any, Any], key: Any
+) -> Any:
+    recorder = _thread.recorder = Recorder(given[1 : rows + 1])
+    try:
+        answer = query(*given, **options)
+    finally:
+        _thread.recorder = None
+    recording = recorder.finished(answer)
+    if recording is None:
+        kept[key] = NEVER
+        return answer
+    kept.setdefault(key, []).append(recording)
+    return recording.answer()  # the arrays themselves are those of the next call
+
+
+def current() -> Recorder | None:
+    """The recorder of the query that this thread is recording."""
+    return _thread.recorder
+
+
+def refuse() -> None:
+    """Do not record the present call: what it does depends on its rows, or is kept for later calls."""
+    if _thread.recorder is not None:
+        _thread.recorder.usable = False
+
+
+class _Result(NamedTuple):
+    """An array of the answer: where the kernels leave it, and how it is converted to what the caller gets."""
+
+    memory: np.ndarray
+    convert: Callable[[np.ndarray], np.ndarray]
+
+
+class Recorder:
+    """Notes what a query does."""
+
+    def __init__(self, arguments: Sequence[np.ndarray]) -> None:
+        self.usable = True
+        self._arguments = list(arguments)
+        self._rows: list[np.ndarray | None] = [None] * len(arguments)
+        self._checked: list[tuple[np.ndarray, float]] = []
+        self._calls: list[Callable[[], Any]] = []
+        self._flags: list[np.ndarray] = []
+        self._results: dict[int, tuple[Any, _Result]] = {}
+        self._empty: dict[int, Any] = {}  # arrays that kernels write to before they read them
+        self._restored: list[tuple[np.ndarray, np.ndarray]] = []
+        self._seen: set[int] = set()
+        self._device: Any = None
+        self._alive: list[Any] = []
+
+    def rows_of(self, given: Any, table: np.ndarray, *, largest: float | None) -> np.ndarray:
+        """The memory where the launches of all replays read an argument's rows, with the rows of this call.
+
+        Args:
+            given: The argument as the caller gave it.
+            table: Its rows, as kernels take them.
+            largest: Largest magnitude of a number, which replays check; None where a kernel does.
+        """
+        place = next((k for k, a in enumerate(self._arguments) if a is given and self._rows[k] is None), None)
+        if place is None or given.dtype.kind not in "fiu":
+            self.usable = False
+            return table
+        rows = self._rows[place] = table.copy()
+        if largest is not None:
+            self._checked.append((rows.reshape(-1), largest))
+        return rows
+
+    def flags(self, array: Any) -> None:
+        """Note flags that are zero before each call; where one is raised, the call is repeated the general way."""
+        self._flags.append(array.values)
+        self.empty(array)
+
+    def is_flagged(self) -> bool:
+        """Whether a kernel has raised a flag."""
+        return any(flags.any() for flags in self._flags)
+
+    def empty(self, array: Any) -> None:
+        """Note an array whose contents before the call do not matter."""
+        self._empty[id(array)] = array
+
+    def filled(self, array: Any) -> None:
+        """Note that an array has been written."""
+        self._empty.pop(id(array), None)
+
+    def read(self, values: np.ndarray) -> None:
+        """Note that the host reads an array of kernel results."""
+        if not any(values is flags for flags in self._flags):
+            self.usable = False
+
+    def derived(self, values: np.ndarray, memory: np.ndarray, convert: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Note that ``values`` is ``convert(memory)``."""
+        self._results[id(values)] = values, _Result(memory, convert)
+
+    def result(self, values: np.ndarray, memory: np.ndarray, *, is_float32: bool) -> None:
+        """Note an array of the answer, which is ``memory`` cast to float32 or as it is."""
+        if id(memory) in self._results:  # cast or not, it is computed from other memory
+            self._results[id(values)] = values, self._results[id(memory)][1]
+        else:
+            self._results[id(values)] = values, _Result(memory, _as_float32 if is_float32 else np.ndarray.copy)
+
+    def element(self, values: np.ndarray) -> Any:
+        """The first entry of an array of the answer, noted as the answer for one point."""
+        first = values[0]
+        if (noted := self._results.get(id(values))) is not None:
+            memory, convert = noted[1]
+            self._results[id(first)] = first, _Result(memory, lambda results: convert(results)[0])
+        return first
+
+    def launch(self, kernel: Any, count: int, arguments: list[Any], outputs: Sequence[Any], device: Any) -> None:
+        """Note a launch of one slice that is about to be made.
+
+        Args:
+            kernel: A warp kernel.
+            count: Its number of items.
+            arguments: All its arguments.
+            outputs: Those of them that it writes to.
+            device: The CPU.
+        """
+        if not self.usable:
+            return
+        for output in outputs:
+            if id(output) not in self._empty:
+                self._keep_contents(output)
+        packed = [launch_argument(argument) for argument in arguments]
+        command = warp_private.record_launch(kernel, count, packed, device)
+        self._calls.append(warp_private.direct_call(command))
+        self._alive.append((command, packed, arguments))
+        self._device = device
+
+    def _keep_contents(self, output: Any) -> None:
+        """Keep what an array holds before the first launch that writes to it: the query may have filled it."""
+        for memory in warp_private.arrays_of(output):
+            address = memory.__array_interface__["data"][0]
+            if address in self._seen or not memory.size:
+                continue
+            self._seen.add(address)
+            if memory.nbytes > LARGEST_RESTORED:
+                self.usable = False
+            else:
+                self._restored.append((memory, memory.copy()))
+
+    def finished(self, answer: Any) -> Recording | None:
+        """The recording; None if the call cannot be replayed."""
+        arrays = answer if isinstance(answer, tuple) else (answer,)
+        if not self.usable or not self._calls or self.is_flagged() or any(rows is None for rows in self._rows):
+            return None
+        found = [self._results.get(id(array)) for array in arrays]
+        if any(entry is None for entry in found):
+            return None
+        kind = type(answer) if isinstance(answer, tuple) else None
+        return Recording(self, kind, [entry[1] for entry in found if entry is not None])
+
+
+class Recording:
+    """The launches of a query, made again for other rows. One thread uses it at a time."""
+
+    __slots__ = ("_alive", "_calls", "_checked", "_device", "_flags", "_kind", "_restored", "_results", "_rows")
+
+    def __init__(self, made: Recorder, kind: Any, results: list[_Result]) -> None:
+        self._rows = [rows for rows in made._rows if rows is not None]  # all, or it would not have been made
+        self._checked, self._calls = made._checked, made._calls
+        self._flags = [memoryview(flags.data) for flags in made._flags]  # faster to index than arrays
+        self._restored, self._alive = made._restored, (made._alive, made._flags)
+        self._kind, self._results, self._device = kind, results, made._device
+
+    def replay(self, given: Sequence[Any]) -> Any:
+        """The answer to the query with other rows; None if the general way has to answer.
+
+        Args:
+            given: Its positional arguments: the object, then the rows.
+        """
+        if self._device.is_capturing:
+            return None
+        for place, rows in enumerate(self._rows, 1):
+            rows[...] = given[place]
+        for rows, largest in self._checked:
+            numbers = rows.tolist()
+            # A sum that is finite has no NaN in it, which would confuse the comparisons.
+            if not (math.isfinite(sum(numbers)) and -largest <= min(numbers) and max(numbers) <= largest):
+                return None
+        for memory, contents in self._restored:
+            memory[...] = contents
+        for call in self._calls:
+            call()
+        for flags in self._flags:
+            if any(flags):
+                for k in range(len(flags)):
+                    flags[k] = 0
+                return None
+        return self.answer()
+
+    def answer(self) -> Any:
+        """New arrays with the present results."""
+        if self._kind is None:
+            memory, convert = self._results[0]
+            return convert(memory)
+        return tuple.__new__(self._kind, [convert(memory) for memory, convert in self._results])
+
+
+def _as_float32(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float32)

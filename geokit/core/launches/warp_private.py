@@ -1,0 +1,266 @@
+"""What geokit uses of warp besides its documented API, and what it does where a version of warp has no such part.
+
+All of it makes small calls faster or checks the kernel cache; with ``wp.launch`` and ``wp.load_module`` alone the
+answers are the same. ``missing()`` says what the installed warp lacks, and the test prints it.
+
+Held by: tests/core/launches/test_warp_private.py
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import re
+from collections.abc import Callable, Iterator, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = [
+    "arrays_of",
+    "descriptor_of",
+    "descriptor_type",
+    "direct_call",
+    "has_code",
+    "has_failed_to_build",
+    "is_packed",
+    "is_struct",
+    "last_noted_error",
+    "load_module",
+    "mark_modified",
+    "missing",
+    "module_files",
+    "module_folder",
+    "module_name",
+    "native_library",
+    "output_name",
+    "packed_parameters",
+    "parameters",
+    "record_launch",
+]
+
+# Fields of the descriptor by which a kernel sees an array. HostArray fills in the address, shape, strides and ndim.
+DESCRIPTOR = ("data", "grad", "shape", "strides", "ndim", "flags")
+# Versions of warp whose CPU kernels are known to be functions of (launch bounds, arguments in one struct). A test
+# compares the source of warp's own call; another convention would crash.
+FIRST_DIRECT, LAST_DIRECT = (1, 18), (1, 19)
+
+
+def missing() -> dict[str, str]:
+    """Parts that the installed warp does not have, with what changed; geokit then uses warp's public way."""
+    import warp as wp
+
+    found = {}
+    for name, check in (("descriptor", _check_descriptor), ("launch", _check_launch), ("module", _check_module)):
+        try:
+            check()
+        except Exception as error:  # whatever an attribute of another meaning leads to
+            found[name] = f"{type(error).__name__}: {error}"
+    version = tuple(int(part) for part in re.findall(r"\d+", wp.__version__)[:2])
+    if not FIRST_DIRECT <= version <= LAST_DIRECT:
+        found["direct"] = f"warp {wp.__version__} is not between {FIRST_DIRECT} and {LAST_DIRECT}"
+    elif "launch" in found:
+        found["direct"] = found["launch"]
+    return found
+
+
+@functools.lru_cache(maxsize=1)
+def _missing() -> frozenset[str]:
+    return frozenset(missing())
+
+
+def _check_descriptor() -> None:
+    import warp as wp
+
+    fields = tuple(name for name, _ in type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())._fields_)
+    if fields != DESCRIPTOR:
+        raise AttributeError(f"an array's descriptor has the fields {fields}, not {DESCRIPTOR}")
+
+
+def _check_launch() -> None:
+    import warp as wp
+
+    lacking = {"hooks", "params", "params_addr", "bounds", "fwd_args"} - set(signature(wp.Launch.__init__).parameters)
+    if lacking:
+        raise AttributeError(f"a recorded launch has no {', '.join(sorted(lacking))}")
+
+
+def _check_module() -> None:
+    import warp as wp
+
+    module = wp.get_module("geokit.core.launches.none")
+    for name in ("load", "get_module_identifier", "_get_compile_output_name", "_get_meta_name"):
+        if "block_dim" not in signature(getattr(module, name)).parameters:
+            raise AttributeError(f"a module's {name} takes no block_dim")
+    if len(module.failed_builds) or not callable(module.mark_modified):
+        raise AttributeError("a module's failed builds are kept in another way")
+
+
+# Arrays
+
+
+def descriptor_of(value: Any) -> Any:
+    """The ctypes struct by which a kernel sees an array or a warp struct; it shares its memory with the original."""
+    return value.__ctype__()
+
+
+def is_struct(value: Any) -> bool:
+    """Whether a value is a warp struct, where it is no array."""
+    return hasattr(value, "__ctype__")
+
+
+@functools.lru_cache(maxsize=1)
+def descriptor_type() -> Any:
+    """The class of an array's descriptor; None if it is not known, and kernels then take warp arrays only."""
+    import warp as wp
+
+    return None if "descriptor" in _missing() else type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())
+
+
+def arrays_of(argument: Any) -> Iterator[np.ndarray]:
+    """The memory of an argument of a CPU kernel: that of an array, or of all arrays in a struct."""
+    import warp as wp
+
+    if isinstance(argument, wp.array) or hasattr(argument, "descriptor"):
+        yield argument.numpy() if isinstance(argument, wp.array) else argument.values
+    elif is_struct(argument):
+        for value in vars(argument).values():
+            yield from arrays_of(value)
+
+
+# Kernels and launches
+
+
+def parameters(kernel: Any) -> list[tuple[str, Any]] | None:
+    """Names and types of a kernel's parameters; None if they are not known."""
+    return None if "launch" in _missing() else [(argument.label, argument.type) for argument in kernel.adj.args]
+
+
+def has_code(kernel: Any) -> bool:
+    """Whether a kernel has code of its own: a generic kernel has none until it has an overload."""
+    return not getattr(kernel, "is_generic", False) or bool(kernel.overloads)
+
+
+def is_packed(kernel: Any) -> bool:
+    """Whether the arguments of a recorded launch may be written to by :func:`packed_parameters`."""
+    return not {"launch", "descriptor"} & _missing() and not getattr(kernel, "is_generic", True)
+
+
+def record_launch(kernel: Any, count: int, arguments: Sequence[Any], device: "wp.Device", block_dim: int = 1) -> Any:
+    """Record a launch, which can then be made any number of times."""
+    import warp as wp
+
+    return wp.launch(
+        kernel, count, inputs=arguments, device=device, record_tape=False, record_cmd=True, block_dim=block_dim
+    )
+
+
+def packed_parameters(command: Any) -> tuple[list[Any], Any]:
+    """The bounds and arguments of a recorded launch in the form that kernels take, and where a GPU finds their
+    addresses (None on a CPU), both to be written to. The launch then keeps no array alive.
+
+    Only for kernels that :func:`is_packed` names.
+    """
+    command.fwd_args = None
+    return command.params, command.params_addr
+
+
+def direct_call(command: Any) -> Callable[[], Any]:
+    """A function that makes a recorded launch on a CPU.
+
+    A launch is a call of a C function. What warp does before (it looks for a capture, and makes the struct of the
+    arguments) takes 10 us and always comes to the same.
+    """
+    if "direct" in _missing():
+        launch: Callable[[], Any] = command.launch
+        return launch
+    bounds, *values = command.params
+    # Launches of generic kernels have the overload here.
+    names = (argument.label for argument in command.kernel.adj.args)
+    arguments = _struct(tuple((name, type(value)) for name, value in zip(names, values, strict=True)))(*values)
+    # Both references keep what they refer to alive.
+    return functools.partial(command.hooks.forward, ctypes.byref(bounds), ctypes.byref(arguments))
+
+
+@functools.lru_cache(maxsize=1024)
+def _struct(fields: tuple[tuple[str, Any], ...]) -> Any:
+    return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+
+
+# Modules
+
+
+def native_library() -> Any:
+    """warp's compiled library, as ctypes loaded it; None if it is not known."""
+    import warp as wp
+
+    with contextlib.suppress(AttributeError):
+        return wp._src.context.runtime.core
+    return None
+
+
+def last_noted_error() -> str:
+    """The last error that warp's compiled library has noted in this process; empty if none, or if it is not known."""
+    import warp as wp
+
+    with contextlib.suppress(AttributeError):
+        return str(wp._src.context.runtime.get_error_string() or "")
+    return ""
+
+
+def load_module(module: Any, device: "wp.Device", block_dim: int, shipped: Any = None) -> None:
+    """Compile a kernel module, or load it from the cache; or load what came with the package."""
+    import warp as wp
+
+    if "module" in _missing():
+        wp.load_module(module, device, block_dim=block_dim)
+    elif shipped is not None:
+        module.load(device, block_dim, shipped.binary, shipped.arch, shipped.meta)
+    else:
+        module.load(device, block_dim=block_dim)
+
+
+def module_folder(module: Any, block_dim: int) -> Path | None:
+    """The folder of a module in the kernel cache; None if it is not known."""
+    import warp as wp
+
+    if "module" in _missing():
+        return None
+    return Path(str(wp.config.kernel_cache_dir)) / str(module.get_module_identifier(block_dim))
+
+
+def module_files(module: Any, device: "wp.Device", block_dim: int) -> tuple[Path, Path] | None:
+    """Object and metadata of a module in the kernel cache; None if they are not known."""
+    folder = module_folder(module, block_dim)
+    if folder is None:
+        return None
+    return folder / module._get_compile_output_name(device, block_dim=block_dim), folder / module._get_meta_name(
+        block_dim=block_dim
+    )
+
+
+def module_name(module: Any, block_dim: int) -> str | None:
+    """Name of a module with the digest of all that goes into it; None if it is not known."""
+    return None if "module" in _missing() else str(module.get_module_identifier(block_dim))
+
+
+def output_name(module: Any, device: "wp.Device", block_dim: int) -> str:
+    """File name of a module's object for a device."""
+    return str(module._get_compile_output_name(device, block_dim=block_dim))
+
+
+def has_failed_to_build(module: Any) -> bool:
+    """Whether the compiler has refused a module; True if that is not known."""
+    return "module" in _missing() or bool(module.failed_builds)
+
+
+def mark_modified(module: Any) -> None:
+    """Make warp load a module anew."""
+    if "module" not in _missing():
+        module.mark_modified()

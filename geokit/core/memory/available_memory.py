@@ -1,0 +1,114 @@
+"""Free memory of the host and of a device.
+
+It is checked before a large allocation, because a process that the system kills cannot report an error.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None  # type: ignore[assignment]
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["available", "available_host"]
+
+# Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
+ASSUMED_BYTES = 4 << 30
+UNLIMITED = 1 << 62
+
+
+def available_host() -> int:
+    """Bytes that this process can allocate without swapping.
+
+    The least of the system's free memory, what the limits of its control groups leave (versions 1 and 2, also those of
+    groups around its own), and what its limit of address space (``ulimit -v``) leaves.
+    """
+    return min(_free(), _control_group_rest(), _address_space_rest())
+
+
+def available(device: "wp.Device") -> int:
+    """Bytes that can still be allocated on ``device``."""
+    return available_host() if device.is_cpu else int(device.free_memory)
+
+
+def _free() -> int:
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) << 10
+    except OSError:
+        if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names:
+            return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return ASSUMED_BYTES
+
+
+def _address_space_rest() -> int:
+    """Bytes that can still be mapped; every mapping counts, whether it is used or not."""
+    if resource is None:
+        return UNLIMITED
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return UNLIMITED
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return max(0, limit - int(file.read().split()[0]) * resource.getpagesize())
+    except (OSError, ValueError):
+        return UNLIMITED
+
+
+def _control_group_rest() -> int:
+    return min((_rest_of(*files) for files in _control_groups()), default=UNLIMITED)
+
+
+@lru_cache(maxsize=1)
+def _control_groups(
+    groups: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")
+) -> list[tuple[Path, Path, Path]]:
+    """Files with the limit, the use and the statistics of each control group that bounds this process's memory.
+
+    Groups without a limit are left out, since each costs as long as the rest of the answer.
+    """
+    try:
+        lines = groups.read_text().splitlines()
+    except OSError:
+        return []
+    found = []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            root, names = mounted, ("memory.max", "memory.current")
+        elif "memory" in controllers.split(","):
+            root, names = mounted / "memory", ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        else:
+            continue
+        # In a container the path may be that of the host, and its own group be mounted as the root.
+        own = root / path.lstrip("/")
+        for folder in {root, own, *(parent for parent in own.parents if root in parent.parents)}:
+            files = folder / names[0], folder / names[1], folder / "memory.stat"
+            if _rest_of(*files) < UNLIMITED:
+                found.append(files)
+    return found
+
+
+def _rest_of(limit: Path, use: Path, statistics: Path) -> int:
+    try:
+        with open(limit, "rb") as file:
+            most = file.read().strip()
+        if not most.isdigit() or int(most) >= UNLIMITED >> 2:  # "max", or the largest number of pages
+            return UNLIMITED
+        used = int(use.read_text())
+        # The content of files that were read counts as used, but is given up when memory is needed. Version 1 has
+        # a figure with the groups below, and one without.
+        kept = dict(line.split() for line in statistics.read_text().splitlines())
+        return max(0, int(most) - used + int(kept.get("total_inactive_file", kept.get("inactive_file", 0))))
+    except (OSError, ValueError):
+        return UNLIMITED

@@ -1,0 +1,180 @@
+"""What public operations need: compared with the free memory before they start, and stated where it runs out.
+
+Every way in which memory can run out inside an operation, also in the libraries below, ends in a DeviceMemoryError.
+"""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+import threading
+import traceback
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+from geokit.core.forks import renew_after_fork
+from geokit.core.memory import available_memory
+from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError
+
+__all__ = ["file_size", "is_out_of_memory", "needs", "require_free", "rows", "silence_cuda"]
+
+# Needs up to this many bytes are not checked: to ask for the free memory takes 50 us.
+UNCHECKED_BYTES = 1 << 24
+# What libraries and the interpreter allocate beside the data. C++ libraries end the process where they lack it.
+RESERVED_BYTES = 16 << 20
+# What other libraries say where an allocation failed.
+TEXTS = (
+    "to allocate",
+    "cannot allocate",
+    "out of memory",
+    "bad_alloc",
+    "can't start new thread",
+    "failed to map segment",
+    "insufficient memory",
+    "without exception set",  # the interpreter, where it has no memory for the exception
+    "without setting an exception",
+    "codec configuration error",  # of Pillow, as the next
+    "quantization error",
+    "must not exceed the maximum representable value",  # of warp, for arrays of more than 2^31 items
+    "in function scan_device",  # warp goes on without the temporary memory that it did not get
+)
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def needs(
+    estimate: Callable[..., float] | None = None, *, late: bool = False, fatal: bool = False, name: str = ""
+) -> Callable[[Callable[_Parameters, _Result]], Callable[_Parameters, _Result]]:
+    """Decorate a public function with the memory that it needs.
+
+    Args:
+        estimate: Called with the function's arguments, and returns bytes: the peak, beyond the arguments. None where
+            nobody can know.
+        late: Call it only where memory runs out. For queries that a call should not delay.
+        fatal: A library below ends the process where it gets no memory, so the smallest need is checked too.
+        name: Name in messages; by default that of the function.
+    """
+
+    def decorated(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+        is_class = function.__name__ == "__init__"
+        what = name or (function.__qualname__.split(".")[0] if is_class else function.__name__)
+
+        def bytes_of(*args: Any, **kwargs: Any) -> int:
+            try:
+                return int(min(estimate(*args, **kwargs), LARGEST_NEED)) if estimate else 0
+            except Exception:  # of bad arguments, which the function itself names
+                return 0
+
+        @functools.wraps(function)
+        def guarded(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+            if not late:
+                require_free(bytes_of(*args, **kwargs), what, always=fatal)
+            try:
+                if _native is None:
+                    return function(*args, **kwargs)
+                with _native:
+                    return function(*args, **kwargs)
+            except DeviceMemoryError as error:
+                _restate(error, what, bytes_of(*args, **kwargs))
+                raise
+            except Exception as error:
+                if not is_out_of_memory(error):
+                    raise
+                # What the operation has made so far is freed, so that there is memory for the message.
+                traceback.clear_frames(error.__traceback__)
+                raise _refusal(what, bytes_of(*args, **kwargs), available_memory.available_host()) from error
+
+        guarded._geokit_bytes = bytes_of  # type: ignore[attr-defined]
+        return guarded
+
+    return decorated
+
+
+class _Silenced:
+    """Warp's native code, which prints what CUDA refuses to stderr; silent while a public operation runs."""
+
+    def __init__(self, core: Any) -> None:
+        self._core, self._was_on = core, True
+        self._after_fork()
+        renew_after_fork(self)
+
+    def _after_fork(self) -> None:
+        self._lock, self._running = threading.Lock(), 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._running:
+                self._was_on = bool(self._core.wp_is_error_output_enabled())
+                self._core.wp_set_error_output_enabled(0)
+            self._running += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._running -= 1
+            if not self._running:
+                self._core.wp_set_error_output_enabled(int(self._was_on))
+
+
+_native: _Silenced | None = None
+
+
+def silence_cuda(core: Any) -> None:
+    """Keep warp's native code from printing where memory runs out; the errors themselves are raised as ever."""
+    global _native
+    if _native is None and hasattr(core, "wp_set_error_output_enabled"):
+        _native = _Silenced(core)
+
+
+def rows(values: Any) -> int:
+    """Number of rows of a table of any container."""
+    return len(values) if hasattr(values, "__len__") else 0
+
+
+def file_size(path: Any) -> int:
+    """Size of a file [bytes]."""
+    return os.stat(path).st_size
+
+
+def require_free(need: int, what: str, *, always: bool = False, have: int | None = None) -> None:
+    """Check that ``need`` bytes, and some for libraries, are free on the host.
+
+    Args:
+        need: Bytes.
+        what: Begin of the message.
+        always: Check small needs as well.
+        have: Free bytes, if the caller knows them.
+    Raises:
+        DeviceMemoryError: They are not; the message starts with ``what`` and states the estimate.
+    """
+    if not always and need <= UNCHECKED_BYTES:
+        return
+    have = available_memory.available_host() if have is None else have
+    if need + RESERVED_BYTES > have:
+        raise _refusal(what, need, have)
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error, not of geokit, says that memory ran out."""
+    if isinstance(error, GeokitError):
+        return False
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+        return True
+    return isinstance(error, (RuntimeError, SystemError, ImportError, OSError, ValueError)) and any(
+        t in str(error).lower() for t in TEXTS
+    )
+
+
+def _restate(error: DeviceMemoryError, name: str, need: int) -> None:
+    """Let an error of a part of an operation say what the whole needs."""
+    if need > error.need:
+        error.need = need
+        error.args = (f"{error.args[0]} ({name} needs about {need / 2**20:.0f} MiB in all)",)
+
+
+def _refusal(what: str, need: int, have: int) -> DeviceMemoryError:
+    needed = f"needs about {need / 2**20:.0f} MiB" if need else "needs more memory"
+    return DeviceMemoryError(
+        f"{what}: {needed}, of {have / 2**20:.0f} MiB free; give it less at a time, or free some memory", need=need
+    )

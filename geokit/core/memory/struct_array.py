@@ -1,0 +1,89 @@
+"""Arrays of warp structs, one for each of many objects, whose arrays are parts of large ones."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.forks import Lock
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Parts", "layout_of_struct", "struct_array", "struct_rows", "struct_table"]
+
+_lock = Lock()
+
+
+class Parts(NamedTuple):
+    """Part k of an array: ``counts[k]`` elements from ``starts[k]`` on."""
+
+    array: "wp.array"
+    starts: NDArray[Any]
+    counts: NDArray[Any]
+
+
+def layout_of_struct(struct: Any) -> np.dtype[Any]:
+    """NumPy type of a struct."""
+    with _lock:
+        return _layout_of(struct)
+
+
+@functools.cache
+def _layout_of(struct: Any) -> np.dtype[Any]:
+    # NumPy parses each field with Python's own parser, which fails in threads that do so at the same time (CPython
+    # 3.11: "AST constructor recursion depth mismatch").
+    return np.dtype(struct.numpy_dtype())
+
+
+def struct_array(table: NDArray[Any], struct: Any, device: "wp.Device") -> "wp.array":
+    """An array of structs on a device, as ``warp.array(table, dtype=struct)``, which parses the struct at each call."""
+    import warp as wp
+
+    rows = table.copy()
+    there = {"dtype": struct, "shape": (len(rows),), "device": device}
+    if device.is_cpu:
+        shared: Any = wp.array(ptr=rows.ctypes.data, **there)
+        shared._geokit_source = rows
+        return shared
+    made: Any = wp.empty(**there)
+    size = rows.nbytes
+    if size:
+        source: Any = wp.array(rows.view(np.uint8).reshape(-1), dtype=wp.uint8, device="cpu", copy=False)
+        wp.copy(wp.array(ptr=made.ptr, dtype=wp.uint8, shape=(size,), device=device), source)
+    return made
+
+
+def struct_table(struct: Any, count: int, **fields: Any) -> NDArray[Any]:
+    """Rows of structs as warp reads them, for :func:`struct_array`.
+
+    The table holds addresses: whoever uses it keeps the arrays.
+
+    Args:
+        struct: The class of the structs.
+        count: Number of structs.
+        fields: Values by field: an array of one value each, a table of structs, :class:`Parts` of an array, or one
+            array for all of them. Other fields are 0.
+    """
+    import warp as wp
+
+    table = np.zeros(count, layout_of_struct(struct))
+    for name, value in fields.items():
+        if isinstance(value, wp.array):
+            value = Parts(value, np.zeros(count, np.int64), np.full(count, len(value)))
+        if not isinstance(value, Parts):
+            table[name] = value
+            continue
+        part, size = table[name], wp.types.type_size_in_bytes(value.array.dtype)
+        part["data"] = (value.array.ptr or 0) + np.asarray(value.starts, np.uint64) * np.uint64(size)
+        part["shape"][:, 0], part["strides"][:, 0], part["ndim"] = value.counts, size, 1
+    return table
+
+
+def struct_rows(struct: Any, values: Iterable[Any]) -> NDArray[Any]:
+    """The table of structs that exist."""
+    return np.array([value.numpy_value() for value in values], layout_of_struct(struct))

@@ -1,0 +1,61 @@
+"""Functions of warp that allocate on a GPU, and go on without what they did not get."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from geokit.core.launches.warp_private import last_noted_error
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["allocating", "sort_pairs"]
+
+# What several small allocations are rounded up to, together.
+ROUNDING = 1 << 20
+
+
+class allocating:
+    """Around a call of warp that allocates without checking: ``with allocating(device, size): ...``.
+
+    Without memory warp's sort leaves its keys as they are, and its trees are written to the address 0, after which the
+    GPU is lost for the process. Warp notes the error of an allocation, but never forgets it. So the note tells what
+    happened in this call only if there was none before; else the memory is asked for, and given back, before the call.
+
+    Args:
+        device: Where warp allocates. On a CPU nothing is done.
+        size: Most that it allocates [bytes].
+        fatal: Whether the call does damage without the memory: it is always asked for then.
+    Raises:
+        RuntimeError: There is not that much, in the words of warp's own allocations.
+
+    Held by: tests/core/memory/test_unchecked.py
+    """
+
+    def __init__(self, device: "wp.Device", size: int, *, fatal: bool = False) -> None:
+        self._device, self._size, self._fatal = device, size + ROUNDING, fatal
+
+    def __enter__(self) -> None:
+        self._had_error = False
+        if self._device.is_cuda:
+            self._had_error = bool(last_noted_error())
+            if self._fatal or self._had_error:
+                import warp as wp
+
+                wp.empty(self._size, dtype=wp.uint8, device=self._device)
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None and self._device.is_cuda and not self._had_error and last_noted_error():
+            raise RuntimeError(f"Failed to allocate {self._size} bytes on device '{self._device}'")
+
+
+def sort_pairs(keys: "wp.array", values: "wp.array", count: int, **bits: Any) -> None:
+    """``wp.utils.radix_sort_pairs``, which needs room for 2 * count in both arrays.
+
+    Raises:
+        RuntimeError: A GPU has no memory for it.
+    """
+    import warp as wp
+
+    with allocating(keys.device, count):
+        wp.utils.radix_sort_pairs(keys, values, count, **bits)

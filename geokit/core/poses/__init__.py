@@ -1,0 +1,1 @@
+"""Queries of bodies that a rigid map has moved."""

@@ -1,0 +1,1 @@
+"""Files that are read block after block: their content need not fit into memory."""

@@ -1,0 +1,145 @@
+"""Scans of terrestrial scanners (.e57) through pye57, whose libE57Format reads in a separate process."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit._packages import require_package
+from geokit.core.files import in_one_line
+from geokit.core.memory.row_products import row_product
+from geokit.errors import FileFormatError
+from geokit.formats.columns import Columns
+
+__all__ = ["prepare", "read_points"]
+
+_CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+# Not 0 where a pulse has no echo, or only a direction.
+_INVALID = ("cartesianInvalidState", "sphericalInvalidState")
+_NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
+_COLORS = ("colorRed", "colorGreen", "colorBlue")
+_SIGNATURE = b"ASTM-E57"
+
+
+def prepare() -> None:
+    """Import libE57Format."""
+    require_package("pye57")
+
+
+def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
+    """Read the points of all scans, each at its pose, with their numbers by name.
+
+    Points that the file declares invalid are left out. Coordinates and scaled integers are float64, other numbers have
+    the file's type. ``rgb`` (N, 3) is uint8 or uint16, ``normals`` turn with the pose, and ``scan`` is the number of
+    the scan where there are several. What not all scans have is left out with a warning.
+
+    Raises:
+        FileFormatError: The file is damaged, or holds no scan.
+    """
+    with open(path, "rb") as file:
+        if file.read(len(_SIGNATURE)) != _SIGNATURE:
+            raise FileFormatError(f"{path}: does not start with 'ASTM-E57'; the file is damaged or not an .e57 file")
+    libe57 = require_package("pye57").libe57
+    try:
+        file = libe57.ImageFile(str(path), "r")
+        listed = file.root()["data3D"] if file.root().isDefined("data3D") else ()
+        scans = [_scan(libe57, file, listed[at]) for at in range(len(listed))]
+    except libe57.E57Exception as error:
+        # What follows is for developers of the library.
+        reason = in_one_line(str(error).partition("****")[0])
+        raise FileFormatError(f"{path}: cannot be read ({reason}); the file is damaged, get a whole copy") from None
+    if not scans:
+        raise FileFormatError(f"{path}: holds no scan; export the points themselves")
+    points = np.concatenate([found for found, _ in scans])
+    shared = [name for name in scans[0][1] if all(name in data for _, data in scans)]
+    left = sorted({name for _, data in scans for name in data} - set(shared))
+    if left:
+        warnings.warn(f"not all scans have {', '.join(left)}; left out", UserWarning, stacklevel=2)
+    columns: Columns = {name: np.concatenate([data[name] for _, data in scans]) for name in shared}
+    if len(scans) > 1:
+        columns["scan"] = np.repeat(np.arange(len(scans), dtype=np.int32), [len(found) for found, _ in scans])
+    return points, columns
+
+
+def _scan(libe57: Any, file: Any, scan: Any) -> tuple[NDArray[np.float64], Columns]:
+    """The valid points of one scan at its pose, and their columns."""
+    points = scan["points"]
+    prototype = libe57.StructureNode(points.prototype())
+    raw: Columns = {}
+    buffers = libe57.VectorSourceDestBuffer()
+    for at in range(prototype.childCount()):
+        node = prototype[prototype.get(at).elementName()]
+        kind = _type(libe57, node)
+        if kind is not None:
+            name = node.elementName()
+            raw[name] = np.zeros(points.childCount(), kind)
+            buffers.append(libe57.SourceDestBuffer(file, name, raw[name], len(raw[name]), True, True))
+    if raw and points.childCount():
+        reader = points.reader(buffers)
+        got = reader.read()
+        reader.close()
+        if got != points.childCount():
+            raise FileFormatError(f"ends in point {got} of the {points.childCount()} it declares; get a whole copy")
+    if set(_CARTESIAN) <= raw.keys():
+        xyz = np.stack([raw.pop(name).astype(np.float64) for name in _CARTESIAN], axis=1)
+    elif set(_SPHERICAL) <= raw.keys():
+        reach, azimuth, elevation = (raw.pop(name).astype(np.float64) for name in _SPHERICAL)
+        flat = reach * np.cos(elevation)
+        xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), reach * np.sin(elevation)], axis=1)
+    else:
+        raise FileFormatError(f"a scan has no coordinates; its columns are {in_one_line(', '.join(raw))}")
+    valid = np.ones(len(xyz), bool)
+    for name in _INVALID:
+        if name in raw:
+            valid &= raw.pop(name) == 0
+    for name in _SPHERICAL + _CARTESIAN:
+        raw.pop(name, None)
+    turn, shift = _pose(scan)
+    columns: Columns = {name: values[valid] for name, values in raw.items()}
+    for name, parts in (("normals", _NORMALS), ("rgb", _COLORS)):
+        if set(parts) <= columns.keys():
+            joined = np.stack([columns.pop(part) for part in parts], axis=1)
+            columns[name] = row_product(joined, turn.T) if name == "normals" else joined
+    return row_product(xyz[valid], turn.T, shift), columns
+
+
+def _type(libe57: Any, node: Any) -> Any:
+    """NumPy's type for a column; None for text."""
+    if isinstance(node, libe57.IntegerNode):
+        least, most = node.minimum(), node.maximum()
+        if node.elementName() in _COLORS and least >= 0:
+            return np.uint8 if most <= 255 else np.uint16
+        return next((kind for kind in (np.int8, np.uint8, np.int16, np.uint16, np.int32)
+                     if np.iinfo(kind).min <= least and most <= np.iinfo(kind).max), np.int64)  # fmt: skip
+    if isinstance(node, libe57.FloatNode):
+        return np.float32 if node.precision() == libe57.E57_SINGLE else np.float64
+    return np.float64 if isinstance(node, libe57.ScaledIntegerNode) else None
+
+
+def _pose(scan: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The rotation matrix and the translation of a scan."""
+
+    def numbers(name: str, parts: str, default: tuple[float, ...]) -> NDArray[np.float64]:
+        if not scan.isDefined(f"pose/{name}"):
+            return np.array(default)
+        found = scan["pose"][name]
+        return np.array([found[part].value() for part in parts], np.float64)
+
+    quaternion = numbers("rotation", "wxyz", (1.0, 0.0, 0.0, 0.0))
+    length = float(np.linalg.norm(quaternion))
+    if not length > 0.0:
+        raise FileFormatError("the rotation of a scan's pose is zero; export it again")
+    w, x, y, z = quaternion / length
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return turn, numbers("translation", "xyz", (0.0, 0.0, 0.0))

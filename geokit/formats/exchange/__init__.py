@@ -1,0 +1,1 @@
+"""Scenes of other programs, through the libraries of their formats: COLLADA, FBX, CAD."""

@@ -1,0 +1,65 @@
+"""NumPy files (.npy) as volumes: (X, Y, Z), or (X, Y, Z, C) with 3 or 4 components, as arrays in memory.
+
+They have no place: voxels are 1 long, and the first one lies at the origin.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.errors import FileFormatError
+from geokit.formats.images.image import Image, fitting_codec, reading, require_three
+from geokit.formats.images.stream import rows_at_a_time
+
+__all__ = ["is_volume", "open_images", "write_image"]
+
+
+def is_volume(path: Path) -> bool:
+    """Whether the array of a file has three axes, and not the three coordinates of an image of points."""
+    shape = _mapped(path).shape
+    return len(shape) == 4 or (len(shape) == 3 and shape[2] != 3)
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    with reading(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote: they are read all the same
+        array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return array
+
+
+def open_images(path: Path, limit: int) -> list[Image]:
+    """Map the array."""
+    array = _mapped(path)
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.ndim not in (3, 4):
+        held = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise FileFormatError(f"{path}: holds {held}; a volume is (X, Y, Z) or (X, Y, Z, C) of real numbers")
+    components = array.shape[3] if array.ndim == 4 else 1
+    if components not in (1, 3, 4):
+        raise FileFormatError(f"{path}: has {components} numbers in a voxel; voxels have 1, 3 or 4")
+    values = array[..., 0] if array.ndim == 4 and components == 1 else array
+    axis = 0 if array.flags.c_contiguous else 2
+
+    def slabs() -> Iterator[NDArray[Any]]:
+        step = rows_at_a_time(values.nbytes // max(1, values.shape[axis]))
+        for first in range(0, values.shape[axis], step):
+            yield values[first : first + step] if axis == 0 else values[:, :, first : first + step]
+
+    shape = require_three(path, array.shape[:3])
+    return [Image(shape, values.dtype, np.eye(4), slabs, axis=axis, components=components)]
+
+
+def write_image(path: Path, image: Image, codec: str | None) -> None:
+    """Write voxels; the place is left out, with a warning."""
+    fitting_codec(path, codec, ("none",))
+    shape = image.shape if image.components == 1 else (*image.shape, image.components)
+    with open(path, "wb") as file:
+        facts: Any = {"descr": np.lib.format.dtype_to_descr(image.dtype), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, facts)
+        for slab in image.slabs():
+            file.write(np.ascontiguousarray(slab).data)

@@ -1,0 +1,171 @@
+"""Zarr by the package zarr: an OME-NGFF image at its full size, an array, or a group of arrays; a folder.
+
+Axes that are called x, y and z are those of space, all others (t, c) count grids. Without names an array is (X, Y, Z),
+as in memory. Chunks are read a row at a time.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit._packages import require_package
+from geokit.core.files import in_one_line
+from geokit.errors import FileFormatError
+from geokit.formats.images.image import (
+    METERS,
+    Image,
+    fitting_codec,
+    grids_of,
+    note_of,
+    noted,
+    reading,
+    require_straight,
+    require_three,
+)
+from geokit.formats.images.stream import rows_at_a_time
+
+__all__ = ["open_images", "write_image"]
+
+UNITS = {
+    "meter": "m",
+    "centimeter": "cm",
+    "millimeter": "mm",
+    "micrometer": "um",
+    "nanometer": "nm",
+    "angstrom": "angstrom",
+}
+# It holds no axes but those of the world: others are turned to them, where they are parallel.
+STRAIGHT = True
+# Edge of the chunks that are written.
+CHUNK = 64
+
+
+def open_images(path: Path, limit: int) -> list[Image]:
+    """Read the metadata."""
+    zarr = require_package("zarr")
+    with reading(path):
+        node = zarr.open(str(path), mode="r")
+        if not hasattr(node, "arrays"):
+            return _of_array(path, node, "", {}, {})
+        facts = dict(node.attrs)
+        scales = facts.get("multiscales", (facts.get("ome") or {}).get("multiscales"))
+        if scales:
+            return _of_array(path, node[str(scales[0]["datasets"][0]["path"])], "", scales[0], facts)
+        found = [_of_array(path, array, name, {}, {}) for name, array in sorted(node.arrays())]
+        if not found:
+            raise FileFormatError(f"{path}: holds no arrays at its top; name the group or array that holds them")
+    return list(itertools.chain.from_iterable(found))
+
+
+def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any) -> list[Image]:
+    sizes, dtype = [int(n) for n in array.shape], np.dtype(array.dtype)
+    if dtype.kind not in "fiub":
+        raise FileFormatError(f"{path}: holds {in_one_line(str(dtype))}; convert it to real numbers")
+    named = getattr(getattr(array, "metadata", None), "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
+    axes = scale.get("axes") or [{"name": one} for one in named or ()]
+    axes = [one if isinstance(one, dict) else {"name": one} for one in axes]
+    labels = [str(one.get("name")).lower() for one in axes] or ["x", "y", "z", "component"][: len(sizes)]
+    if len(labels) != len(sizes) or not {"x", "y"} <= set(labels) or len(set(labels)) != len(labels):
+        raise FileFormatError(f"{path}: has the axes {labels} of sizes {sizes}; a volume has x, y and z")
+    spatial = [labels.index(axis) for axis in "xyz" if axis in labels]
+    last = [at for at in range(len(sizes)) if labels[at] == "component" and sizes[at] in (3, 4)]
+    others = [at for at in range(len(sizes)) if at not in spatial + last]
+    shape = require_three(path, ([sizes[at] for at in spatial] + [1, 1, 1])[:3])
+    matrix = np.eye(4)
+    steps, shifts = _transforms(scale, len(sizes))
+    matrix[: len(spatial), : len(spatial)] = np.diag(steps[spatial])
+    matrix[: len(spatial), 3] = shifts[spatial]
+    units = {str(axes[at].get("unit", "")) for at in spatial} if axes else {""}
+    unit = UNITS.get(text := units.pop(), text) if len(units) == 1 else ""
+    # The first axis of the array is the one whose chunks are read a row at a time.
+    slow = min(spatial)
+    count = int(np.prod([sizes[at] for at in others], dtype=object)) if others else 1
+    row_bytes = (
+        int(np.prod([n for at, n in enumerate(sizes) if at not in (slow, *others)], dtype=object)) * dtype.itemsize
+    )
+
+    def slabs(grid: int) -> Iterator[NDArray[Any]]:
+        chunk = int(array.chunks[slow])
+        step = max(chunk, rows_at_a_time(row_bytes) // chunk * chunk)
+        key: list[Any] = [slice(None)] * len(sizes)
+        for at, index in (
+            zip(others, np.unravel_index(grid, [sizes[at] for at in others]), strict=True) if others else ()
+        ):
+            key[at] = int(index)
+        kept = [at for at in range(len(sizes)) if at not in others]
+        order = [kept.index(at) for at in spatial + last]
+        for first in range(0, sizes[slow], step):
+            key[slow] = slice(first, min(first + step, sizes[slow]))
+            with reading(path):
+                part = np.asarray(array[tuple(key)]).transpose(order)
+            yield part if len(spatial) == 3 else np.expand_dims(part, 2)
+
+    note = note_of(facts.get("geokit"))
+    fill = array.fill_value
+    image = Image(
+        shape=shape,
+        dtype=dtype,
+        transform=matrix,
+        slabs=lambda: iter(()),
+        axis=spatial.index(slow),
+        components=sizes[last[0]] if last else 1,
+        name=name,
+        unit=unit if unit in METERS else "",
+        space=str(note.get("space", "")),
+        background=fill if isinstance(fill, np.generic) and not last else None,
+        packed=True,
+        note=note,
+    )
+    return grids_of(path, image, count, slabs)
+
+
+def _transforms(scale: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Scale and translation of each axis, of the first data set and then of all."""
+    steps, shifts = np.ones(count), np.zeros(count)
+    datasets = scale.get("datasets") or [{}]
+    for one in [*datasets[0].get("coordinateTransformations", ()), *scale.get("coordinateTransformations", ())]:
+        if "scale" in one:
+            factors = np.asarray(one["scale"], np.float64)
+            steps, shifts = steps * factors, shifts * factors
+        if "translation" in one:
+            shifts = shifts + np.asarray(one["translation"], np.float64)
+    return steps, shifts
+
+
+def write_image(path: Path, image: Image, codec: str | None) -> None:
+    """Write an OME-NGFF 0.4 image with one level; the folder must not exist."""
+    zarr = require_package("zarr")
+    fitting_codec(path, codec, ("zip",))
+    spacing = require_straight(path, image.transform, turned=False, remedy="use .nrrd or .nii")
+    vectors = image.components > 1
+    unit = {kind: name for name, kind in UNITS.items()}.get(image.unit)
+    axes = [{"name": axis, "type": "space", **({"unit": unit} if unit else {})} for axis in "zyx"]
+    axes += [{"name": "component", "type": "component"}] * vectors
+    ones, zeros = [1.0] * vectors, [0.0] * vectors
+    moves = [
+        {"type": "scale", "scale": [*spacing[::-1].tolist(), *ones]},
+        {"type": "translation", "translation": [*image.transform[2::-1, 3].tolist(), *zeros]},
+    ]
+    group = zarr.open_group(str(path), mode="w", zarr_format=2)
+    shape = (*image.shape[::-1], *([image.components] if vectors else []))
+    array = group.create_array(
+        "0",
+        shape=shape,
+        chunks=tuple(min(CHUNK, size) for size in shape),
+        dtype=image.dtype,
+        chunk_key_encoding={"name": "v2", "separator": "/"},
+    )
+    scale = {"version": "0.4", "axes": axes, "datasets": [{"path": "0", "coordinateTransformations": moves}]}
+    group.attrs["multiscales"] = [scale]
+    group.attrs["geokit"] = noted({**image.note, "space": image.space})
+    at = 0
+    for slab in image.slabs():
+        values = slab.transpose(2, 1, 0, *range(3, slab.ndim))
+        array[at : at + len(values)] = values
+        at += len(values)

@@ -1,0 +1,203 @@
+"""Reading files with other libraries, in a separate process.
+
+Those libraries expect valid files. On damaged ones some hang, some exit or crash the process, some allocate whatever
+size the file claims, and most print. A process with a time limit and a memory limit turns each of these into one named
+error. Each file has a process of its own, a fork of one that has the library ready; see server.py.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.files import in_one_line
+from geokit.core.memory.available_memory import available_host
+from geokit.errors import FileAccessError, FileFormatError, GeokitError, MissingDependencyError, WorkerError
+from geokit.formats.body import Body, FileMaterial
+from geokit.formats.reader import server as reader_server
+from geokit.formats.reader.warnings import warn_of
+from geokit.formats.reader.worker import HEAD_SIZE
+
+__all__ = ["ask", "read_mesh", "read_points", "reading_seconds"]
+
+# The process has its libraries ready; the slowest reader (ASCII .msh) takes 0.4 s for a megabyte.
+BASE_SECONDS = 15.0
+SECONDS_PER_MEGABYTE = 2.0
+# Address space, not resident memory: the libraries and their threads alone map 2 GiB.
+LIBRARY_BYTES = 4 << 30
+# The content of a file, the same amount again in columns, and copies in the library and in the output.
+COPIES = 4
+
+# Answers without arrays are no longer than this, whatever the limit.
+LONGEST_ERROR = 1 << 16
+
+# Signals that no reader gets for what it does: those of the system when memory runs out, of users, of batch systems.
+FROM_OUTSIDE = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+
+Named = list[tuple[str, NDArray[Any]]]
+
+
+def read_mesh(
+    path: Path, module: str, limit: int, folders: Sequence[Path] | None, tolerance: float | None = None
+) -> list[Body]:
+    """Run ``read_mesh(path)`` of a module in a new process and return its bodies.
+
+    Args:
+        path: The file.
+        module: Full name of the module that reads it.
+        limit: Largest size of the content in bytes.
+        folders: Folders of referenced files besides the file's own; None if the module takes none.
+        tolerance: Of curved faces; None if none is given.
+    Raises:
+        FileAccessError: The file refers to one outside these folders.
+        FileFormatError: The reader rejected the file, crashed, or exceeded its time or memory limit.
+        MissingDependencyError: The reader's library is not installed.
+        WorkerError: The process did not start, or was killed from outside.
+    """
+    request = _request(path, "mesh", limit, None if folders is None else [str(folder) for folder in folders])
+    request["tolerance"] = tolerance
+    facts, arrays = ask(path, module, request, reading_seconds(path), "export it again")
+    bodies, rest = [], iter(arrays)
+    for fact in facts:
+        (_, points), (_, counts), (_, indices) = (next(rest) for _ in range(3))
+        matrix = None if fact["transform"] is None else np.asarray(fact["transform"], np.float64)
+        groups = tuple((name, first, count) for name, first, count in fact["groups"])
+        body = Body(points.reshape(-1, 3), counts, indices.ravel(), fact["name"], matrix, fact["clockwise"], groups)
+        data = [dict(next(rest) for _ in range(count)) for count in fact["data"]]
+        materials = tuple(
+            FileMaterial(name, color and tuple(color), image, bytes(next(rest)[1]), cutoff)
+            for name, color, image, cutoff in fact["materials"]
+        )
+        bodies.append(
+            body._replace(
+                vertex_data=data[0],
+                polygon_data=data[1],
+                corner_data=data[2],
+                materials=materials,
+                meters_per_unit=fact["meters_per_unit"],
+                up_axis=fact["up_axis"],
+                notes=tuple(fact["notes"]),
+            )
+        )
+    return bodies
+
+
+def read_points(path: Path, module: str, limit: int) -> tuple[NDArray[np.float64], dict[str, NDArray[np.generic]]]:
+    """Run ``read_points(path)`` of a module in a new process and return its points and arrays.
+
+    Args:
+        path: The file.
+        module: Full name of the module that reads it.
+        limit: Largest size of the content in bytes.
+    Raises:
+        FileFormatError: The reader rejected the file, crashed, or exceeded its time or memory limit.
+        MissingDependencyError: The reader's library is not installed.
+        WorkerError: The process did not start, or was killed from outside.
+    """
+    request = _request(path, "points", limit)
+    _, arrays = ask(path, module, request, reading_seconds(path), "get a whole copy")
+    (_, points), *data = arrays
+    return points, dict(data)
+
+
+def reading_seconds(path: Path) -> float:
+    """How long a file may take to read: its reader is stopped then."""
+    return BASE_SECONDS + SECONDS_PER_MEGABYTE * path.stat().st_size / 1e6
+
+
+def _request(path: Path, content: str, limit: int, names: list[str] | None = None) -> dict[str, Any]:
+    memory = LIBRARY_BYTES + min(COPIES * limit, available_host())
+    return {"content": content, "path": str(path.resolve()), "names": names, "limit": limit, "memory": memory}
+
+
+def ask(path: Path, module: str, request: dict[str, Any], seconds: float, advice: str) -> tuple[Any, Named]:
+    """Have a module read a file in a new process.
+
+    Args:
+        path: The file, for messages.
+        module: Full name of the module.
+        request: What :class:`geokit.formats.reader.worker.Request` holds, but for the time and the environment.
+        seconds: Time that it may take.
+        advice: What to do about a damaged file.
+    Returns:
+        What the module says of the content, and arrays by name, in order.
+    Raises:
+        FileAccessError, FileFormatError, MissingDependencyError, WorkerError: As :func:`read_mesh`.
+    """
+    limit = request["limit"]
+    too_late = f"{path}: not read after {seconds:.0f} s, its reader was stopped; the file is damaged, {advice}"
+    too_large = FileFormatError(
+        f"{path}: needs more memory than its size explains ({limit / 2**30:.3g} GiB); the file is "
+        f"damaged, {advice}, or raise memory_limit (--memory-limit)"
+    )
+    try:
+        with reader_server.exchange(module, request, seconds) as found:
+            # A damaged file may have changed what the process says, so the sizes are checked here too.
+            (size,) = HEAD_SIZE.unpack(found.receive(HEAD_SIZE.size).tobytes())
+            if size > limit + LONGEST_ERROR:
+                raise too_large
+            answer = json.loads(found.receive(size).tobytes())
+            if "arrays" in answer:
+                need = sum(np.dtype(kind).itemsize * math.prod(shape) for _, kind, shape in answer["arrays"])
+                if need > limit:
+                    raise too_large
+                arrays = _arrays(answer["arrays"], found.receive(need))
+    except reader_server.TimeExpired:
+        raise FileFormatError(too_late) from None
+    except reader_server.Ended as end:
+        raise _ended(path, end, too_late, advice) from None
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise FileFormatError(f"{path}: its reader gave a wrong answer ({error}); {advice}") from None
+    if "arrays" in answer:
+        warn_of(path, map(str, answer.get("warnings", ())))
+        return answer["facts"], arrays
+    if "missing" in answer:
+        raise MissingDependencyError(answer["missing"])
+    if "access" in answer:
+        raise FileAccessError(f"{path}: {in_one_line(answer['access'], LONGEST_ERROR)}")
+    if "error" in answer:
+        raise FileFormatError(f"{path}: {in_one_line(answer['error'], LONGEST_ERROR)}")
+    if "memory" in answer:
+        raise too_large
+    reason = in_one_line(str(answer.get("reason")))
+    raise FileFormatError(f"{path}: cannot be read ({reason}); the file is damaged or not what its name says, {advice}")
+
+
+def _ended(path: Path, end: reader_server.Ended, too_late: str, advice: str) -> GeokitError:
+    """What it means that the process ended before its answer was complete."""
+    if isinstance(end.reason, int):
+        name = reader_server.status_name(end.reason)
+    else:
+        name = end.reason or "its server was killed"
+    if not end.started:
+        return WorkerError(
+            f"{path}: the process that reads it did not start ({name}); free memory, or raise its limits (ulimit -a), "
+            "and read the file again"
+        )
+    if not isinstance(end.reason, int) or -end.reason in FROM_OUTSIDE:
+        return WorkerError(
+            f"{path}: the process that reads it was killed from outside ({name}), perhaps for want of memory; read the "
+            "file again"
+        )
+    if -end.reason == signal.SIGALRM:
+        return FileFormatError(too_late)
+    if end.reason < 0:
+        return FileFormatError(f"{path}: crashed its reader ({name}); the file is damaged, {advice}")
+    return FileFormatError(f"{path}: its reader ended without an answer ({name}); {advice}")
+
+
+def _arrays(listed: list[Any], payload: NDArray[np.uint8]) -> Named:
+    payload.flags.writeable = False
+    arrays, at = [], 0
+    for name, kind, shape in listed:
+        array = np.frombuffer(payload, kind, math.prod(shape), at).reshape(shape)
+        at += array.nbytes
+        arrays.append((name, array))
+    return arrays

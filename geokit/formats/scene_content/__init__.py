@@ -1,0 +1,1 @@
+"""What scene files hold beside plain meshes. Standard library and NumPy only."""

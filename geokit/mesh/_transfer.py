@@ -1,0 +1,100 @@
+"""Attributes of one mesh on another, by closest points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.memory.needs import needs
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
+from geokit.mesh._surface import Surface
+from geokit.mesh.attributes.derived import with_data
+from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes, weights_within
+
+__all__ = ["transfer_attributes"]
+
+# How far a corner is moved towards the middle of its face, as a share of the way, so that the closest point lies on its
+# own side of a crease or a seam.
+INWARDS = 0.01
+
+
+def _bytes(mesh: TriangleMesh, source: TriangleMesh | Surface, **_: Any) -> float:
+    held = source.mesh if isinstance(source, Surface) else require_mesh(source, "source")
+    corners, faces = 3 * mesh.face_count if held.corner_data else 0, mesh.face_count if held.face_data else 0
+    points = max(mesh.vertex_count if held.vertex_data else 0, corners, faces)
+    return 96 * mesh.face_count + 72 * corners + interpolation_bytes(held) * points
+
+
+@needs(_bytes)
+def transfer_attributes(
+    mesh: TriangleMesh, source: TriangleMesh | Surface, *, names: Sequence[str] | None = None, device: Any = None
+) -> TriangleMesh:
+    """Give a mesh the attributes of another one, by closest points.
+
+    Attributes of vertices are those of the source at the closest points of the mesh's vertices, attributes of faces
+    those of the closest face of the face's middle. Attributes of corners are taken on the side of the face: a face that
+    lies across a seam of the source mixes both sides. They are interpolated as in
+    :meth:`geokit.mesh.Surface.sample_attributes`.
+
+    The mesh keeps its other attributes. With ``material`` it gets the materials of the source.
+
+    Args:
+        mesh: The mesh that gets the attributes.
+        source: The mesh, or its surface, that has them.
+        names: The attributes; None for all.
+        device: Where to search closest points of a mesh; None for the first GPU, else the CPU.
+    Returns:
+        The mesh with the attributes.
+    Raises:
+        InputError: One is not a mesh, the source has no faces or no attribute of a name, or there is no such device.
+    Example:
+        >>> torus = gk.mesh.load("data/samples/torus.ply")
+        >>> heights = gk.mesh.TriangleMesh(torus.vertices, torus.faces, vertex_data={"height": torus.vertices[:, 2]})
+        >>> small = gk.mesh.simplify(torus, tolerance=0.01).mesh
+        >>> small = gk.mesh.transfer_attributes(small, heights)
+        >>> bool(abs(small.vertex_data["height"] - small.vertices[:, 2]).max() < 0.01)
+        True
+
+    Held by: tests/mesh/attributes/test_transfer.py
+    """
+    mesh = require_mesh(mesh, "mesh")
+    if not isinstance(source, Surface):
+        source = Surface(require_mesh(source, "source"), device=device)
+    held = source.mesh
+    asked = chosen_names(held, names)
+    data: dict[str, dict[str, NDArray[Any]]] = {
+        kind: dict(getattr(mesh, kind)) for kind in ("vertex_data", "face_data", "corner_data")
+    }
+
+    def wanted(kind: str) -> list[str]:
+        return (
+            [name for name in asked if name in getattr(held, kind)] if mesh.face_count or kind == "vertex_data" else []
+        )
+
+    corners = mesh.vertices[mesh.faces]
+    middle = corners.mean(axis=1)
+    if found := wanted("vertex_data"):
+        triangle_id, weights = _closest(source, mesh.vertices)
+        plain = with_data(held, corner_data={}, face_data={})
+        data["vertex_data"] |= interpolated(plain, triangle_id, weights, found)
+    if found := wanted("face_data"):
+        plain = with_data(held, corner_data={}, vertex_data={})
+        triangle_id, weights = _closest(source, middle)
+        data["face_data"] |= interpolated(plain, triangle_id, weights, found)
+    if found := wanted("corner_data"):
+        inside = corners + INWARDS * (middle[:, None] - corners)
+        triangle_id, _ = _closest(source, inside.reshape(-1, 3))
+        weights = weights_within(held.vertices[held.faces[triangle_id]], corners.reshape(-1, 3))
+        for name, values in interpolated(held, triangle_id, weights, found).items():
+            data["corner_data"][name] = values.reshape(-1, 3, *values.shape[1:])
+    materials = held.materials if "material" in wanted("face_data") else mesh.materials
+    return with_data(mesh, **data, materials=materials)
+
+
+def _closest(surface: Surface, points: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    found = surface.closest_point(points)
+    return found.triangle_id, found.barycentric

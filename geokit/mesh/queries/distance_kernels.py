@@ -1,0 +1,129 @@
+"""The nearest pair of triangles of two surfaces: a pair for each leaf, then the points of the nearest one."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.atomic_kernels import lower_to
+from geokit.core.cpp import cpp
+from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
+from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
+from geokit.mesh.bvh.nearest_kernels import nearest_slot
+from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
+from geokit.mesh.queries.intersecting_kernels import AREA_ERROR, PAIR_GAP_ERROR, PARTS, VOLUME_ERROR
+
+# Without fused multiply-adds a GPU gives the same bits as a CPU, and so the same pair.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# A bound from a vertex is widened by more than the rounding by which the pair's own distance may exceed it.
+WIDENED = wp.constant(wp.float64(1.0 + 1e-9))
+
+_GAP = [
+    "mesh/bvh/exact_arithmetic.inl",
+    "mesh/bvh/predicates.inl",
+    "mesh/queries/triangle_pair.inl",
+    "mesh/bvh/closest_on_triangle.inl",
+    "mesh/queries/triangle_gap.inl",
+]
+_GAP_CONSTANTS = {
+    "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
+    "PAIR_GAP_ERROR": PAIR_GAP_ERROR,
+    "VOLUME_ERROR": VOLUME_ERROR,
+    "AREA_ERROR": AREA_ERROR,
+    "PARTS": PARTS,
+}
+_SEARCH = cpp(
+    "core/simd.inl",
+    "mesh/bvh/load_node_bvh2.inl",
+    *_GAP,
+    "mesh/queries/nearest_pair.inl",
+    **_GAP_CONSTANTS,
+    **NODE_CONSTANTS,
+    BOX_PADDING=BOX_PADDING,
+    STACK=STACK,
+)
+
+
+@wp.func_native(_SEARCH)
+def nearest_pair(
+    item: int,
+    corners: wp.array(dtype=wp.vec3d),
+    slot_triangle: wp.array(dtype=int),
+    tree: SurfaceTree,
+    slot_boxes: wp.array(dtype=wp.float32),
+    unit: wp.float64,
+    limit: wp.float64,
+    out_squared: wp.array(dtype=wp.float64),
+    out_slots: wp.array(dtype=int),
+) -> wp.float64:
+    """Write the nearest pair of one item if it is as near as the limit; returns the smaller of both."""
+    ...
+
+
+@wp.func_native(cpp(*_GAP, "mesh/queries/points_of_pair.inl", **_GAP_CONSTANTS))
+def points_of_pair(
+    corners: wp.array(dtype=wp.vec3d),
+    slot: int,
+    tree: SurfaceTree,
+    other: int,
+    unit: wp.float64,
+    out_points: wp.array(dtype=wp.vec3d),
+): ...
+
+
+@wp.kernel
+def bound_by_corners_kernel(
+    first: int,
+    corners: wp.array(dtype=wp.vec3d),
+    slot_triangle: wp.array(dtype=int),
+    stride: int,
+    tree: SurfaceTree,
+    unit: wp.float64,
+    out_bound: wp.array(dtype=wp.int64),
+):
+    """Lower the bound to the distance of one corner of each ``stride``-th slot.
+
+    The bound is the bits of a number that is not negative: they sort as the numbers do.
+    """
+    slot = (first + wp.tid()) * stride
+    if slot_triangle[slot] < 0:
+        return
+    p = corners[3 * slot]
+    other = nearest_slot(tree, p, wp.float64(wp.inf), -1)
+    a = tree.corners[3 * other]
+    b = tree.corners[3 * other + 1]
+    c = tree.corners[3 * other + 2]
+    offset = unit * offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c))
+    lower_to(out_bound, 0, wp.cast(wp.dot(offset, offset) * WIDENED, wp.int64))
+
+
+@wp.kernel
+def nearest_pair_kernel(
+    first: int,
+    corners: wp.array(dtype=wp.vec3d),
+    slot_triangle: wp.array(dtype=int),
+    tree: SurfaceTree,
+    slot_boxes: wp.array(dtype=wp.float32),
+    unit: wp.float64,
+    out_bound: wp.array(dtype=wp.int64),
+    out_squared: wp.array(dtype=wp.float64),
+    out_slots: wp.array(dtype=int),
+):
+    """The bound falls while items are at work: it saves time and changes no answer."""
+    limit = wp.cast(out_bound[0], wp.float64)
+    best = nearest_pair(first + wp.tid(), corners, slot_triangle, tree, slot_boxes, unit, limit, out_squared, out_slots)
+    lower_to(out_bound, 0, wp.cast(best, wp.int64))
+
+
+@wp.kernel
+def points_of_pair_kernel(
+    first: int,
+    corners: wp.array(dtype=wp.vec3d),
+    slot: int,
+    tree: SurfaceTree,
+    other: int,
+    unit: wp.float64,
+    out_points: wp.array(dtype=wp.vec3d),
+):
+    points_of_pair(corners, slot, tree, other, unit, out_points)

@@ -1,0 +1,103 @@
+"""Edge collapse by quadric errors: vertices are prepared side by side, edges are collapsed by one thread."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.cpp import cpp
+from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+# Vertices with more faces stay.
+MOST = 128
+# Weight of a vertex's distance from where it was, beside that from the planes of its faces: where sides are flat it
+# alone decides. It moves no corner of them by more than SAME_PLACE.
+EVENNESS = 1.0e-8
+# Squared share of the edge within which a place is that of an end.
+SAME_PLACE = 1.0e-10
+# Squared share of the edge that the new vertex may be away from its middle.
+FARTHEST = 4.0
+# Share of the trace's third power below which a quadric has no place of least error.
+SINGULAR = 1.0e-24
+# Squared cosine of the largest angle by which a face may turn in one collapse.
+FLAT = 0.04
+# Squared share of the limit within which a sample keeps its face.
+WELL_WITHIN = 0.0625
+
+
+@wp.struct
+class Decimation:
+    """A mesh that loses edges, and the input that it is compared with, at unit size.
+
+    A removed face has -1 as its first corner. Lists end with -1: corners of a vertex, samples of a face.
+    """
+
+    position: wp.array(dtype=wp.vec3d)
+    face: wp.array(dtype=int)
+    first_corner: wp.array(dtype=int)
+    next_corner: wp.array(dtype=int)
+    quadric: wp.array(dtype=wp.float64)
+    # Vertices that stay: they are not manifold, or already gone.
+    locked: wp.array(dtype=int)
+    # The edge that each vertex has chosen; -1 for none. Then the one that it last tried in vain; a negative error for
+    # none.
+    error: wp.array(dtype=wp.float64)
+    partner: wp.array(dtype=int)
+    tried: wp.array(dtype=wp.float64)
+    tried_partner: wp.array(dtype=int)
+    heap: wp.array(dtype=int)
+    heap_place: wp.array(dtype=int)
+    # Points of the input, each with its face there, in lists of the faces that they are near now.
+    sample: wp.array(dtype=wp.vec3d)
+    sample_face: wp.array(dtype=int)
+    first_sample: wp.array(dtype=int)
+    next_sample: wp.array(dtype=int)
+    input_position: wp.array(dtype=wp.vec3d)
+    input_face: wp.array(dtype=int)
+    limit: wp.float64
+    # Points of new faces have barycentric weights that are multiples of one divided by this.
+    lattice: int
+    # Vertices in the heap, faces left.
+    count: wp.array(dtype=int)
+
+
+_FILES = ["mesh/bvh/closest_on_triangle.inl", "mesh/simplification/edge_quadrics_cpu.inl"]
+_CONSTANTS = {
+    "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
+    "MOST": MOST,
+    "EVENNESS": EVENNESS,
+    "SAME_PLACE": SAME_PLACE,
+    "FARTHEST": FARTHEST,
+    "SINGULAR": SINGULAR,
+    "FLAT": FLAT,
+    "WELL_WITHIN": WELL_WITHIN,
+}
+
+
+@wp.func_native(cpp(*_FILES, "mesh/simplification/prepare_vertex_cpu.inl", **_CONSTANTS))
+def prepare(v: int, state: Decimation): ...
+
+
+@wp.func_native(cpp(*_FILES, **_CONSTANTS) + "#if !defined(__CUDA_ARCH__)\nchoose(v);\n#endif\n")
+def choose(v: int, state: Decimation): ...
+
+
+@wp.func_native(cpp(*_FILES, "mesh/simplification/collapse_edges_cpu.inl", **_CONSTANTS))
+def collapse(state: Decimation, wanted: int, steps: int): ...
+
+
+@wp.kernel
+def prepare_kernel(first: int, out_state: Decimation):
+    prepare(first + wp.tid(), out_state)
+
+
+@wp.kernel
+def choose_kernel(first: int, out_state: Decimation):
+    choose(first + wp.tid(), out_state)
+
+
+@wp.kernel
+def collapse_kernel(first: int, wanted: int, steps: int, out_state: Decimation):
+    """Tries the next ``steps`` edges, until ``wanted`` faces are left."""
+    collapse(out_state, wanted, steps)

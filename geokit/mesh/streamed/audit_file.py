@@ -1,0 +1,233 @@
+"""Audits of meshes that do not fit into memory."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.content_limit import working_memory
+from geokit.core.equal_rows import merge_equal_points, repeated_triples
+from geokit.core.files import require_room
+from geokit.core.memory.needs import needs
+from geokit.core.private_folder import private_folder
+from geokit.core.require import require_callable, require_path
+from geokit.errors import FileAccessError
+from geokit.formats.blocks.boxes import Boxes
+from geokit.formats.blocks.triangles import TriangleFile, open_triangles
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh.streamed.order_statistics import OrderStatistics
+from geokit.mesh.streamed.tiles import AT_A_TIME, Tiles, survey
+from geokit.mesh.topology.audit import (
+    ASPECT_QUANTILES,
+    MeshAudit,
+    area_and_volume,
+    aspect_ratios,
+    audit_topology,
+    diagonal_of,
+)
+from geokit.mesh.topology.connectivity import connected_components, mesh_topology
+from geokit.mesh.topology.doubled_faces import back_to_back_pairs
+from geokit.mesh.topology.measures import measure_faces
+
+__all__ = ["audit_file"]
+
+# Memory for each triangle of a part, and for what is read and sorted at a time.
+BYTES_PER_TRIANGLE, BYTES_AT_A_TIME = 700, 64 << 20
+# Parts of the work: the first pass, sorting, the audit of the parts.
+SURVEYED, SORTED = 0.15, 0.5
+
+
+@needs()
+def audit_file(
+    path: str | os.PathLike[str],
+    *,
+    memory_limit: int | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> MeshAudit:
+    """Defects, topology and measures of a mesh in a file that need not fit into memory.
+
+    The audit is that of :func:`audit` after equal positions have become one vertex and unused vertices are gone:
+    ``vertex_count`` is the number of positions that faces use, ``coincident_count`` and ``unreferenced_count`` are 0.
+    All other counts and the aspect ratios are the same; area and volume are summed in another order.
+
+    Triangles are sorted into boxes with about equally many, in temporary files of 44 bytes a triangle (80 in a .ply of
+    doubles), and a tenth more for triangles in several boxes. A box has all triangles with a corner in it, so that all
+    there is around its vertices and edges is known.
+
+    Args:
+        path: A mesh of triangles in a binary .stl or .ply file. Vertices of a .ply file are mapped into memory, and
+            read fast where faces refer to vertices that lie near each other in the file.
+        memory_limit: Bytes that may be taken beyond those of the running process, at least 2^28; None for half of the
+            free memory.
+        folder: Where the temporary files go; None for the folder of the source. They are removed.
+        progress: Called as ``progress(percent, 100)``.
+    Returns:
+        MeshAudit. Its ``self_intersection_count`` is None.
+    Raises:
+        InputError: An argument is out of range.
+        FileAccessError: The file is missing, or the folder cannot be written or has no room for the temporary files.
+        FileFormatError: The mesh file is text, damaged, or has other faces than triangles.
+    Example:
+        >>> gk.mesh.save("ball.ply", gk.mesh.sphere())
+        >>> gk.mesh.audit_file("ball.ply").watertight
+        True
+
+    Held by: tests/mesh/streamed/test_audit_file.py
+    """
+    path = require_path(path)
+    memory = max(working_memory(memory_limit) - BYTES_AT_A_TIME, BYTES_AT_A_TIME)
+    place = path.parent if folder is None else require_path(folder, "folder")
+    if progress is not None:
+        require_callable(progress, "progress")
+
+    def report(done: float) -> None:
+        if progress is not None:
+            progress(int(100.0 * min(done, 1.0)), 100)
+
+    source = open_triangles(path)
+    if source.count == 0:
+        empty = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        return audit_topology(empty, mesh_topology(empty))
+    bounds, sample = survey(source)
+    report(SURVEYED)
+    boxes = Boxes(sample, -(-source.count * BYTES_PER_TRIANGLE // memory))
+    bytes_on_disk = source.count * (9 * source.dtype.itemsize + 16)
+    require_room(place / path.name, bytes_on_disk, "the temporary files of its audit", "give another folder")
+    try:
+        with private_folder(place) as private:
+            tiles, done = Tiles(boxes, private, source.dtype), 0
+            for count in tiles.add(source.blocks(AT_A_TIME)):
+                done += count
+                report(SURVEYED + (SORTED - SURVEYED) * done / source.count)
+            sums = _Sums(tiles, bounds, private / "aspects")
+            for tile in range(tiles.count):
+                sums.add(tile)
+                report(SORTED + (1.0 - SORTED) * (tile + 1) / tiles.count)
+            return sums.audit(source)
+    except OSError as error:
+        if isinstance(error, FileAccessError):
+            raise
+        raise FileAccessError(
+            f"{place}: cannot write there ({error.strerror or error}); name another folder"
+        ) from error
+
+
+class _Sums:
+    """What adds up over the parts of a mesh: each vertex, edge and face counts in one of them.
+
+    Args:
+        tiles: The parts.
+        bounds: The box around all.
+        path: A file for the aspect ratios.
+    """
+
+    def __init__(self, tiles: Tiles, bounds: NDArray[np.float64], path: Path) -> None:
+        self._tiles, self._bounds, self._aspects = tiles, bounds, OrderStatistics(path)
+        self._position_count = self._vertex_count = self._edge_count = self._spread_count = 0
+        self._boundary = self._non_manifold = self._split = self._duplicates = self._back_to_back = self._flat = 0
+        self._oriented, self._area, self._volume = True, 0.0, 0.0
+        # Components of single parts, numbered; the one of each triangle that lies in several, and those which it joins.
+        self._pieces, self._piece_of = 0, np.full(tiles.shared_count, -1, np.int64)
+        self._joined: list[NDArray[np.int64]] = [np.zeros((0, 2), np.int64)]
+
+    def add(self, tile: int) -> None:
+        """Add what belongs to one part."""
+        corners, shared = self._tiles.take(tile)
+        if not len(corners):
+            return
+        first, group = merge_equal_points(corners.reshape(-1, 3))
+        positions = corners.reshape(-1, 3)[first] + 0.0
+        del corners
+        faces = group.astype(np.int32).reshape(-1, 3)
+        mesh = TriangleMesh(positions, faces)
+        _, _, collapsed, topology = mesh_topology(mesh)
+        here = self._tiles.of(positions) == tile
+        # What has several vertices belongs where the first of them does, in an order that all parts share.
+        rank = np.empty(len(positions), np.int64)
+        rank[np.lexsort(positions.T)] = np.arange(len(positions))
+
+        def is_here(ends: NDArray[Any]) -> NDArray[np.bool_]:
+            return here[np.take_along_axis(ends, rank[ends].argmin(axis=1)[:, None], axis=1)[:, 0]]
+
+        half_edge = topology.order[topology.starts]
+        following = half_edge + np.where(half_edge % 3 == 2, -2, 1)
+        edges = is_here(np.stack([topology.start[half_edge], topology.start[following]], axis=1))
+        self._edge_count += int(np.count_nonzero(edges))
+        self._boundary += int(np.count_nonzero(edges & (topology.uses == 1)))
+        self._non_manifold += int(np.count_nonzero(edges & (topology.uses > 2)))
+        self._oriented &= bool(topology.opposed[edges[topology.uses == 2]].all())
+        self._position_count += int(np.count_nonzero(here))
+        self._vertex_count += int(np.count_nonzero(here & (topology.face_counts > 0)))
+        self._split += int(np.count_nonzero(here[topology.split_vertices()]))
+        own = is_here(faces)
+        self._spread_count += int(np.count_nonzero(own & ~collapsed))
+        repeats, repeated = repeated_triples(faces)
+        repeats, repeated = repeats[own[repeats]], repeated[own[repeats]]
+        self._duplicates += len(repeats)
+        spread = ~collapsed[repeats]
+        if spread.any():
+            self._back_to_back += int(back_to_back_pairs(faces, repeats[spread], repeated[spread])[1].sum())
+        self._measure(TriangleMesh(positions, faces[own]), collapsed[own])
+        self._join(topology.pieces(faces[collapsed])[faces[:, 0]], shared)
+
+    def _measure(self, mesh: TriangleMesh, collapsed: NDArray[np.bool_]) -> None:
+        measures = measure_faces(mesh, self._bounds)
+        flat = measures.flat | collapsed
+        area, volume = area_and_volume(measures)
+        self._flat += int(np.count_nonzero(flat))
+        self._area, self._volume = self._area + area, self._volume + volume
+        self._aspects.add(aspect_ratios(measures, flat))
+
+    def _join(self, label: NDArray[np.int32], shared: NDArray[np.int64]) -> None:
+        """Number the components of a part, given for each face, and note which of other parts they continue."""
+        kinds, number = np.unique(label, return_inverse=True)
+        rows = np.flatnonzero(shared >= 0)
+        piece, at = self._pieces + number[rows], shared[rows]
+        before = self._piece_of[at]
+        links = np.stack([before, piece], axis=1)[before >= 0]
+        self._joined.append(np.unique(links, axis=0) if len(links) else links)
+        self._piece_of[at] = piece
+        self._pieces += len(kinds)
+
+    def _component_count(self) -> int:
+        joined = np.concatenate(self._joined)
+        pieces, ends = np.unique(joined, return_inverse=True)
+        ends = ends.reshape(-1, 2)
+        label = connected_components(len(pieces), ends[:, 0], ends[:, 1])
+        return self._pieces - len(pieces) + int(np.count_nonzero(label == np.arange(len(pieces))))
+
+    def audit(self, source: TriangleFile) -> MeshAudit:
+        """The audit of the whole mesh."""
+        watertight = self._boundary == 0 and self._non_manifold == 0
+        oriented = self._spread_count > 0 and self._oriented
+        ranks = [round(quantile * (source.count - 1)) for quantile in ASPECT_QUANTILES]
+        return MeshAudit(
+            vertex_count=self._position_count,
+            face_count=source.count,
+            component_count=self._component_count(),
+            boundary_edge_count=self._boundary,
+            non_manifold_edge_count=self._non_manifold,
+            watertight=watertight,
+            manifold=self._spread_count > 0 and self._non_manifold == 0 and self._split == 0,
+            oriented=oriented,
+            non_manifold_vertex_count=self._split,
+            degenerate_count=self._flat,
+            duplicate_count=self._duplicates,
+            back_to_back_count=self._back_to_back,
+            coincident_count=0,
+            unreferenced_count=0,
+            signed_volume=self._volume,
+            inside_out=watertight and oriented and self._volume < 0.0,
+            area=self._area,
+            bounds=self._bounds,
+            diagonal=diagonal_of(self._bounds),
+            euler_number=self._vertex_count - self._edge_count + self._spread_count,
+            aspect_ratio_quantiles=self._aspects.at(ranks),
+            self_intersection_count=None,
+        )

@@ -1,0 +1,115 @@
+"""Point clouds for other libraries; each library is imported when it is asked for."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from geokit._packages import require_package
+from geokit.core.memory.needs import needs, rows
+from geokit.errors import MissingDependencyError
+from geokit.points._io import PointCloud
+
+__all__ = ["to_open3d", "to_pyvista", "to_trimesh"]
+
+# Largest value of a color channel by the type of its array; floats are taken as shares.
+_WHITE = {"u1": 255.0, "u2": 65535.0}
+
+
+def _bytes(points: Any) -> int:
+    data = points.data if isinstance(points, PointCloud) else {}
+    return 48 * rows(points) + 2 * sum(values.nbytes for values in data.values())
+
+
+@needs(_bytes, fatal=True)
+def to_pyvista(points: PointCloud) -> Any:
+    """A ``pyvista.PolyData`` of points, with their arrays as point data.
+
+    Args:
+        points: A PointCloud, positions (N, 3), or a cloud of another library.
+    Returns:
+        pyvista.PolyData with copies of all arrays.
+    Raises:
+        InputError: points holds no points (N, 3).
+        MissingDependencyError: PyVista is not installed.
+
+    Held by: tests/points/test_objects.py
+    """
+    cloud = _cloud(points)
+    pyvista = require_package("pyvista")
+    found = pyvista.PolyData(np.array(cloud.points)) if len(cloud) else pyvista.PolyData()
+    for name, values in cloud.data.items():
+        found.point_data[name] = np.array(values)
+    return found
+
+
+@needs(_bytes)
+def to_open3d(points: PointCloud) -> Any:
+    """An ``open3d.geometry.PointCloud`` of points, with the arrays ``normals`` and ``rgb`` where there are any.
+
+    Open3D's colors are shares of 1. Other arrays have no place there and are left out, which a UserWarning says; the
+    tensor cloud (``open3d.t.geometry.PointCloud``) has room for them.
+
+    Args:
+        points: A PointCloud, positions (N, 3), or a cloud of another library.
+    Returns:
+        open3d.geometry.PointCloud with copies of the arrays, float64.
+    Raises:
+        InputError: points holds no points (N, 3).
+        MissingDependencyError: Open3D is not installed.
+
+    Held by: tests/points/test_objects.py
+    """
+    cloud = _cloud(points)
+    try:
+        import open3d
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"to_open3d needs the package open3d ({error}); install it with: pip install open3d"
+        ) from None
+    vectors, lost = open3d.utility.Vector3dVector, list[str]()
+    found = open3d.geometry.PointCloud(vectors(np.array(cloud.points)))
+    for name, values in cloud.data.items():
+        if name == "normals" and values.shape == cloud.points.shape:
+            found.normals = vectors(np.array(values, np.float64))
+        elif name == "rgb" and values.shape == cloud.points.shape:
+            found.colors = vectors(np.asarray(values, np.float64) / _WHITE.get(values.dtype.str[1:], 1.0))
+        else:
+            lost.append(name)
+    _say(lost, "Open3D")
+    return found
+
+
+@needs(_bytes)
+def to_trimesh(points: PointCloud) -> Any:
+    """A ``trimesh.PointCloud`` of points, with the array ``rgb`` as colors where there is one.
+
+    It has no place for other arrays; a UserWarning names them.
+
+    Args:
+        points: A PointCloud, positions (N, 3), or a cloud of another library.
+    Returns:
+        trimesh.PointCloud with copies of the arrays, float64.
+    Raises:
+        InputError: points holds no points (N, 3).
+
+    Held by: tests/points/test_objects.py
+    """
+    cloud = _cloud(points)
+    import trimesh
+
+    colors = cloud.data.get("rgb")
+    _say([name for name in cloud.data if name != "rgb"], "trimesh")
+    return trimesh.PointCloud(np.array(cloud.points), colors=None if colors is None else np.array(colors))
+
+
+def _cloud(points: Any) -> PointCloud:
+    return points if isinstance(points, PointCloud) else PointCloud(points)
+
+
+def _say(lost: list[str], library: str) -> None:
+    if lost:
+        held = ", ".join(map(repr, lost))
+        warnings.warn(f"{library} has no place for {held} of points; left out", UserWarning, stacklevel=4)

@@ -1,0 +1,45 @@
+"""Verlet lists on a CPU: the search of :mod:`geokit.points.search.radius_cpu_kernels`, without distances."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.cpp import cpp
+from geokit.points.search.cells_kernels import CellGrid
+from geokit.points.search.neighbors_kernels import Queries
+from geokit.points.search.radius_cpu_kernels import NUMBERS, RUNS, SHARE
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func_native(cpp(*RUNS, "points/search/verlet_list_cpu.inl", **NUMBERS))
+def list_places(
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    offset: wp.array(dtype=wp.int64),
+    note: wp.array(dtype=wp.int32),
+    note_size: wp.int32,
+    share: wp.int32,
+    first_query: wp.int32,
+    last_query: wp.int32,
+    out_place: wp.array(dtype=wp.int32),
+): ...
+
+
+@wp.kernel
+def list_kernel(
+    first: int,
+    queries: Queries,
+    grid: CellGrid,
+    radius: wp.array(dtype=wp.float64),
+    offset: wp.array(dtype=wp.int64),
+    note_size: wp.int32,
+    note: wp.array(dtype=wp.int32),
+    out_place: wp.array(dtype=wp.int32),
+):
+    """Candidates of SHARE points each: their places, by ascending rank, which is ``grid.index``."""
+    share = first + wp.tid()
+    begin = share * SHARE
+    end = wp.min(begin + SHARE, queries.index.shape[0])
+    list_places(queries, grid, radius, offset, note, note_size, share, begin, end, out_place)

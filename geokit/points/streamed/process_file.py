@@ -1,0 +1,285 @@
+"""Downsampling, normals and densities of point clouds that do not fit into memory, from file to file."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core import launcher
+from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.content_limit import working_memory
+from geokit.core.files import atomic_path, require_extension, require_room
+from geokit.core.memory.available_memory import available
+from geokit.core.memory.needs import needs
+from geokit.core.private_folder import private_folder
+from geokit.core.require import require_callable, require_flag, require_mapping, require_path
+from geokit.core.user_arrays import require_finite_scalar
+from geokit.errors import InputError
+from geokit.formats.blocks.points import KINDS, PointFile, PointFileWriter, open_points
+from geokit.formats.blocks.workers import TASK_MEMORY, Workers, require_executor
+from geokit.formats.columns import Columns
+from geokit.points._density import density as density_of
+from geokit.points._normals import normals as normals_of
+from geokit.points.streamed.answers import TileAnswers, answer_on_worker
+from geokit.points.streamed.columns import Density, Normals
+from geokit.points.streamed.records import AT_A_TIME, BYTES_AT_A_TIME, Block, Known, survey, type_of
+from geokit.points.streamed.results import Results
+from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
+from geokit.points.streamed.voxels import Voxels
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["ProcessedFile", "process_file"]
+
+# Share of the free memory of a GPU that is taken.
+DEVICE_SHARE = 0.5
+# Parts of the work, of 100, after which the points are known, and downsampled, and their arrays are there.
+SURVEYED, DOWNSAMPLED, COMPUTED = 10, 50, 90
+
+
+class ProcessedFile(NamedTuple):
+    """What :func:`process_file` did.
+
+    Attributes:
+        read_count: Number of points in the source.
+        left_out_count: Number of those that are not finite.
+        written_count: Number of points in the target.
+    """
+
+    read_count: int
+    left_out_count: int
+    written_count: int
+
+
+@needs()
+def process_file(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    voxel_size: float | None = None,
+    normals: Mapping[str, Any] | None = None,
+    density: Mapping[str, Any] | None = None,
+    finite_only: bool = False,
+    memory_limit: int | None = None,
+    device: Any = None,
+    executor: Any = None,
+    progress: Progress | None = None,
+) -> ProcessedFile:
+    """Downsample a point cloud and add normals and densities, from file to file; neither has to fit into memory.
+
+    The points are those of ``downsample(voxel_size=...)`` bit for bit and in its order, with the arrays of the point
+    that is nearest to each centroid; without ``voxel_size`` all points, in the order of the source. Then arrays are
+    added to those of the source, or replace them:
+
+    - ``normals``: "normals" and "curvature" of :func:`normals`, of what it finds in the whole cloud. Bit for bit if the
+      neighborhoods are the nearest points. Within a radius the same points are summed in another order, which changes
+      last digits (the error bound is that of :func:`normals`).
+    - ``density``: "density" of :func:`density`, bit for bit for the kernel "count", and within its error bound for the
+      others.
+
+    Points are sorted into tiles of about equally many, in files beside ``out``. Each tile is answered with the points
+    around it: those within the radius, or as far as the nearest points reach. The files take about the size of the
+    points (32 bytes each, with ``voxel_size`` also the arrays) and of what is added; they are removed at the end, and
+    after ``kill -9`` when geokit next writes into that folder.
+
+    Args:
+        path: A .las or .laz file (with laspy), or a binary .ply file that begins with its vertices. A .laz file is
+            decompressed in this process.
+        out: Target, .ply, .las or .laz; an existing file is replaced. It appears complete or not at all.
+        voxel_size: Edge length of the voxels [world] whose centroids replace the points; None keeps all points.
+        normals: Arguments of :func:`normals` besides points and device; None for no normals. ``orientation`` is "none"
+            if it is not given; "propagation" is refused, because the sign of a normal may depend on all others.
+        density: Arguments of :func:`density` besides points, queries and device, with one mass for all points; None for
+            no densities.
+        finite_only: Leave out points that are not finite. Otherwise they raise FileFormatError.
+        memory_limit: Bytes that may be taken beyond those of the running process, at least 2^28; with an executor, by
+            each of its tasks too. None for half of the free memory, or for 2^30 with an executor.
+        device: Where to compute: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
+        executor: Workers that make normals and densities of tiles, side by side: an executor of
+            ``concurrent.futures``, a Dask ``Client``, or another object whose ``submit(function, *arguments)`` gives
+            such futures. All must see the folder of ``out``. The file is that of the calling process with the same
+            ``memory_limit``, byte for byte. None for the calling process.
+        progress: Called as ``progress(percent, 100)``.
+    Returns:
+        ProcessedFile with the numbers of points.
+    Raises:
+        InputError: An argument is out of range or not one of the function that it is for, the target cannot hold an
+            array of the source, or voxel_size is too small for the coordinates.
+        FileAccessError: A file is missing, or cannot be written, or the disk has no room for the result.
+        FileFormatError: The source is text or damaged, or a point is not finite; the message gives the row.
+        DeviceMemoryError: More points lie within a radius than fit into the memory.
+        WorkerError: The executor lost a worker, or a worker does not see the folder of ``out``.
+        MissingDependencyError: A file is .las or .laz and laspy is not installed.
+    Source:
+        Isenburg, Liu, Shewchuk, Snoeyink, Streaming computation of Delaunay triangulations (2006), for points that are
+        sorted on disk before they are processed. Bentley, Multidimensional binary search trees used for associative
+        searching (1975), for the tiles.
+    Example:
+        >>> gk.points.save("scan.ply", gk.points.sample(gk.mesh.sphere(), 5000))
+        >>> gk.points.process_file("scan.ply", "thin.ply", voxel_size=0.1, normals={"k": 12}, device="cpu").read_count
+        5000
+
+    Held by: tests/points/streamed/test_process_file.py, tests/points/streamed/test_process_file_property.py
+    """
+    path, target = require_path(path), require_path(out, "out")
+    require_extension(target, KINDS, "streamed point")
+    if voxel_size is not None:
+        voxel_size = require_finite_scalar(voxel_size, "voxel_size", low=0.0)
+    require_flag(finite_only, "finite_only")
+    if progress is not None:
+        require_callable(progress, "progress")
+    resolved = launcher.resolve_device(device)
+    if executor is not None:
+        require_executor(executor)
+        memory_limit = TASK_MEMORY if memory_limit is None else memory_limit
+    memory = working_memory(memory_limit) - BYTES_AT_A_TIME
+    if resolved.is_cuda:
+        memory = min(memory, int(DEVICE_SHARE * available(resolved)))
+    work = _Work(normals, density, memory, resolved)
+    source = open_points(path)
+
+    def part_of(first: int, last: int) -> Callable[[float], None]:
+        def report(done: float) -> None:
+            if progress is not None:
+                progress(int(first + (last - first) * done), 100)
+
+        return report
+
+    with atomic_path(target) as part, private_folder(part.parent) as folder:
+        known = survey(_told(_source(source, finite_only), source.count, part_of(0, SURVEYED)), source.count)
+        read_count, left_out_count = source.count, source.count - known.count
+        # What the format cannot hold is refused before the work.
+        with PointFileWriter(part, {**known.data, **work.data}, 0, None):
+            pass
+        least = known.count * (type_of(known.data).itemsize + (work.bytes_on_disk if voxel_size is None else 0))
+        require_room(target, least, "the points and what is written before them", "use another disk")
+        with np.errstate(over="ignore"):
+            if not np.isfinite(known.upper - known.lower).all():
+                raise InputError(
+                    f"{path}: its points spread from {known.lower.tolist()} to {known.upper.tolist()}, more than a "
+                    "float64 can hold; scale them down"
+                )
+        points: Callable[[], Iterator[Block]] = functools.partial(_source, source, finite_only)
+        if voxel_size is not None:
+            report = part_of(SURVEYED, DOWNSAMPLED)
+            kept = Voxels(voxel_size, memory, folder, resolved, report).of(points(), known)
+            points, known = kept.blocks, survey(kept.blocks(), kept.count)
+        results = work.done(points(), known, folder, executor, part_of(DOWNSAMPLED, COMPUTED))
+        limits = (known.lower, known.upper) if known.count else None
+        with PointFileWriter(part, {**known.data, **work.data}, known.count, limits) as file:
+            for some, data in _told(points(), known.count, part_of(COMPUTED, 100)):
+                if len(some):
+                    file.write(some, {**data, **results.take(len(some))} if results else data)
+    return ProcessedFile(read_count, left_out_count, known.count)
+
+
+def _source(source: PointFile, finite_only: bool) -> Iterator[Block]:
+    return source.blocks(AT_A_TIME, finite_only=finite_only)
+
+
+def _told(blocks: Iterable[Block], count: int, report: Callable[[float], None]) -> Iterator[Block]:
+    done = 0
+    for points, data in blocks:
+        yield points, data
+        done += len(points)
+        report(min(done / max(count, 1), 1.0))
+
+
+class _Work:
+    """The arrays that are added.
+
+    Args:
+        normals: Arguments of normals, or None.
+        density: Arguments of density, or None.
+        memory: Bytes that may be taken.
+        device: Where to compute.
+    """
+
+    def __init__(self, normals: Any, density: Any, memory: int, device: "wp.Device") -> None:
+        self.data: Columns = {}
+        self._parts: list[Normals | Density] = []
+        self._memory = memory
+        none = np.zeros((0, 3))
+        if normals is not None:
+            given = {"orientation": "none", **_arguments(normals, "normals", normals_of, ("points", "device"))}
+            if given["orientation"] == "propagation":
+                raise InputError(
+                    "normals: orientation 'propagation' carries signs across the whole cloud, which need not fit into "
+                    "memory; use 'none' or 'viewpoint', or points.normals"
+                )
+            # It checks its arguments.
+            normals_of(none, **given, device="cpu")
+            k, radius = int(given.get("k", 16)), given.get("radius")
+            viewpoint = None if given.get("viewpoint") is None else [float(x) for x in given["viewpoint"]]
+            most = min(memory // Normals.bytes_per_point(k if radius is None else 0), MOST_POINTS)
+            self._parts.append(Normals(k, None if radius is None else float(radius), viewpoint, most, str(device)))
+            self.data.update(normals=none, curvature=np.zeros(0))
+        if density is not None:
+            given = _arguments(density, "density", density_of, ("points", "queries", "device"))
+            if "radius" not in given:
+                raise InputError("density: radius is missing; give one, as in density={'radius': 0.1}")
+            if np.ndim(given.get("mass", 1.0)):
+                raise InputError("density: mass has several numbers; give one for all points")
+            density_of(none, **given, device="cpu")
+            most = min(memory // Density.BYTES_PER_POINT, MOST_POINTS)
+            self._parts.append(Density(given, most, str(device)))
+            self.data["density"] = np.zeros(0)
+
+    @property
+    def bytes_on_disk(self) -> int:
+        """Of a point in its tile, and of its arrays, there and in the target."""
+        return ROW.itemsize + 2 * type_of(self.data).itemsize if self.data else 0
+
+    def done(
+        self, points: Iterable[Block], known: Known, folder: Path, executor: Any, report: Callable[[float], None]
+    ) -> Results | None:
+        """The arrays of all points; None if there are none."""
+        if not self._parts:
+            return None
+        results = Results(self.data, folder, self._memory // 4)
+        most = min(part.most for part in self._parts)
+        tiles = Tiles(points, known, max(int(OWN_SHARE * most), 1), folder)
+        answers = TileAnswers(tiles, self._parts, self.data)
+        done = 0
+        with closing(_here(answers) if executor is None else _on_workers(executor, answers, folder)) as found:
+            for records in found:
+                results.add(records)
+                done += len(records)
+                report(done / known.count)
+        return results
+
+
+def _here(answers: TileAnswers) -> Generator[NDArray[Any], None, None]:
+    for number in range(len(answers)):
+        yield answers.of(number)
+
+
+def _on_workers(executor: Any, answers: TileAnswers, folder: Path) -> Generator[NDArray[Any], None, None]:
+    """The records of tiles by the workers of an executor, in the order in which they are done."""
+    saved = folder / "answers"
+    answers.save(saved)
+    with Workers(executor, folder.parent) as workers:
+        for number in range(len(answers)):
+            workers.submit(number, answer_on_worker, saved, number, folder)
+        for _, path in workers.results():
+            yield np.fromfile(path, answers.dtype)
+            path.unlink()
+
+
+def _arguments(given: Any, name: str, function: Callable[..., Any], left_out: tuple[str, ...]) -> dict[str, Any]:
+    """Checked names of arguments of a function."""
+    options = require_mapping(given, name)
+    known = [key for key in inspect.signature(function).parameters if key not in left_out]
+    for key in options:
+        if key not in known:
+            raise InputError(f"{name}: {key!r} is none of its arguments; use {', '.join(known)}")
+    return options

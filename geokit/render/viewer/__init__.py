@@ -1,0 +1,1 @@
+"""The interactive page: what a scene becomes in it, and the scripts that draw it in a browser."""

@@ -1,0 +1,1 @@
+"""Dense volumes of files as sparse ones, and back: geokit/formats/images has the formats."""

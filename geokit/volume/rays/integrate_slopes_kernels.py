@@ -1,0 +1,192 @@
+"""How transmittances and emissions change with the ray and with the values of both grids.
+
+Each value's shares from all rays are added as whole numbers, in any order. Their unit is 2^-40 of the power of two
+above the largest share, which a first walk finds.
+"""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.cpp import cpp
+from geokit.volume.rays.integrate_kernels import NO_EMISSION, OPAQUE, SHORTEST_STEP, STEP_DEPTH
+from geokit.volume.rays.raycast_kernels import RayField, index_ray
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
+
+# Rays whose shares are added up together. A ray crosses the eight cells of a voxel once each; with 2^4 shares a ray, of
+# at most 2^40 units each, sums stay below 2^62.
+RAYS_AT_ONCE = 1 << 18
+# Of a share divided by the largest power of two in its value's shares.
+WHOLE = 2.0**39
+# Reciprocal of the smallest such power, and its bits: shares below it count as 0 units or few.
+LARGEST_RECIPROCAL_BITS = (1023 + 960) << 52
+
+
+def _slopes(rays: int, on_share: str) -> str:
+    hooks = {"ON_CELL": "cell", "ON_LIGHT_CELL": "light_cell", "ON_LIGHT": "light", "ON_STRETCH": "stretch"}
+    hooks |= {"ON_END": "end", "ON_SHARE": on_share}
+    files = {name: f'"volume/rays/emission_slopes_{file}.inl"' for name, file in hooks.items()}
+    # Where the emission's values are asked for, those that are 0 have derivatives too.
+    dark = f"glow == 0.0 || (least_light.shape[0] == 0 && {NO_EMISSION})"
+    return cpp(
+        "volume/rays/emission_slopes_start.inl",
+        "volume/rays/emission.inl",
+        defines={"FLOAT_GRID": "0", "RAYS": str(rays), "IS_DARK": dark, **files},
+        STEP_DEPTH=STEP_DEPTH,
+        SHORTEST_STEP=SHORTEST_STEP,
+        OPAQUE=OPAQUE,
+        WHOLE=WHOLE,
+    )
+
+
+@wp.func_native(_slopes(1, "measure"))
+def measure_slopes(
+    ray: int,
+    field: RayField,
+    emission_volume: wp.uint64,
+    scale: wp.float64,
+    unit: wp.float64,
+    seen: wp.float64,
+    glow: wp.float64,
+    total: wp.float64,
+    start: wp.vec3d,
+    toward: wp.vec3d,
+    t_first: wp.float64,
+    t_last: wp.float64,
+    out_along: wp.array(dtype=wp.vec3d),
+    out_lever: wp.array(dtype=wp.vec3d),
+    out_length: wp.array(dtype=wp.vec2d),
+    least: wp.array(dtype=wp.int64),
+    least_light: wp.array(dtype=wp.int64),
+): ...
+
+
+@wp.func_native(_slopes(0, "add"))
+def add_slopes(
+    field: RayField,
+    emission_volume: wp.uint64,
+    scale: wp.float64,
+    unit: wp.float64,
+    seen: wp.float64,
+    glow: wp.float64,
+    total: wp.float64,
+    start: wp.vec3d,
+    toward: wp.vec3d,
+    t_first: wp.float64,
+    t_last: wp.float64,
+    least: wp.array(dtype=wp.float64),
+    least_light: wp.array(dtype=wp.float64),
+    sums: wp.array(dtype=wp.int64),
+    sums_light: wp.array(dtype=wp.int64),
+): ...
+
+
+@wp.kernel
+def ray_slopes_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    slopes: wp.array(dtype=wp.vec3d),
+    field: RayField,
+    emission_volume: wp.uint64,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    extinction: wp.float64,
+    out_origins: wp.array(dtype=wp.vec3d),
+    out_directions: wp.array(dtype=wp.vec3d),
+    out_length: wp.array(dtype=wp.vec2d),
+    out_least: wp.array(dtype=wp.int64),
+    out_least_light: wp.array(dtype=wp.int64),
+):
+    """Derivatives by the rays, and the least reciprocal of a power of two in the shares of each value.
+
+    A row of ``slopes`` has the slope by the transmittance times the transmittance, the slope by the emission, and the
+    emission.
+    """
+    i = first + wp.tid()
+    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    length = wp.length(directions[i])
+    unit = length / scale
+    measure_slopes(
+        i,
+        field,
+        emission_volume,
+        extinction * unit,
+        unit,
+        slopes[i][0],
+        slopes[i][1],
+        slopes[i][2],
+        start,
+        toward,
+        t_first,
+        t_last,
+        out_origins,
+        out_directions,
+        out_length,
+        out_least,
+        out_least_light,
+    )
+    to_world = wp.transpose(field.to_index)
+    out_origins[i] = to_world * out_origins[i]
+    # Integrals over t grow with the length of the direction, and a ray of limited length ends at its reach over that.
+    along = out_length[i][0] + slopes[i][1] * slopes[i][2]
+    if wp.isfinite(max_distance):
+        along = along - out_length[i][1] * scale * (max_distance / length)
+    out_directions[i] = to_world * out_directions[i] / scale + directions[i] * (along / (length * length))
+
+
+@wp.kernel
+def add_slopes_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    slopes: wp.array(dtype=wp.vec3d),
+    field: RayField,
+    emission_volume: wp.uint64,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    extinction: wp.float64,
+    least: wp.array(dtype=wp.float64),
+    least_light: wp.array(dtype=wp.float64),
+    out_sums: wp.array(dtype=wp.int64),
+    out_sums_light: wp.array(dtype=wp.int64),
+):
+    """Add the shares of each value of both grids, in units of 2^-39 over its ``least``."""
+    i = first + wp.tid()
+    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    unit = wp.length(directions[i]) / scale
+    add_slopes(
+        field,
+        emission_volume,
+        extinction * unit,
+        unit,
+        slopes[i][0],
+        slopes[i][1],
+        slopes[i][2],
+        start,
+        toward,
+        t_first,
+        t_last,
+        least,
+        least_light,
+        out_sums,
+        out_sums_light,
+    )
+
+
+@wp.kernel
+def collect_kernel(
+    first: int,
+    places: wp.array(dtype=wp.int64),
+    sums: wp.array(dtype=wp.int64),
+    least: wp.array(dtype=wp.float64),
+    out_total: wp.array(dtype=wp.float64),
+):
+    """Add the sums of the active values to their totals; NaN where a share was not finite."""
+    i = first + wp.tid()
+    place = places[i]
+    share = wp.float64(sums[place]) / wp.float64(WHOLE) / least[place]
+    if not least[place] > wp.float64(0.0):
+        share = wp.float64(wp.NAN)
+    out_total[i] = out_total[i] + share

@@ -1,0 +1,1 @@
+"""Objects of geokit's kernels for GPUs, and a table of them."""

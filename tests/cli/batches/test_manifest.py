@@ -1,0 +1,184 @@
+"""The manifest: wherever a batch is killed, what was done is recorded once and its outputs are in place."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from geokit.cli._batches import manifest as manifest_module
+from geokit.cli._batches.manifest import Manifest, merge, read_manifest, write_failures
+from geokit.cli._batches.recipe import read_recipe
+from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, key_of
+from geokit.errors import FileAccessError, FileFormatError, InputError
+
+
+def _record(source: Path, status: str = "done", output: str = "a.off") -> dict[str, Any]:
+    found = source.stat()
+    facts = {"input": str(source), "status": status, "size": found.st_size, "mtime_ns": found.st_mtime_ns, "hash": "h"}
+    return {**facts, **({"outputs": [{"name": output, "bytes": 1, "hash": "o"}]} if status == "done" else {})}
+
+
+def _commit(staging: Path, record: dict[str, Any]) -> None:
+    """What a worker leaves."""
+    folder = staging / DONE / key_of(record["input"])
+    (folder / OUTPUTS).mkdir(parents=True)
+    for output in record.get("outputs", ()):
+        (folder / OUTPUTS / output["name"]).write_text("x")
+    (folder / RECORD).write_text(json.dumps(record))
+
+
+class Killed(BaseException):
+    pass
+
+
+@pytest.mark.parametrize(
+    "moment", ["before anything", "before a move", "after a move", "before a record", "after it", "in its removal"]
+)
+def test_killed_at_any_moment(tmp_path, corners, recipe, records_in, monkeypatch, moment: str) -> None:
+    (source,), read, out = corners(1), read_recipe(recipe), tmp_path / "out"
+
+    def kill(*_: object, **__: object) -> None:
+        raise Killed
+
+    def remove_some_and_kill(folder: Path, **_: object) -> None:
+        (folder / RECORD).unlink()
+        raise Killed
+
+    replace = os.replace
+
+    def replace_and_kill(*paths: Path) -> None:
+        replace(*paths)
+        raise Killed
+
+    def first() -> None:
+        with Manifest(out, read, None) as manifest, monkeypatch.context() as patch:
+            _commit(manifest.staging, _record(source))
+            if moment == "before anything":
+                kill()
+            if moment.endswith("a move"):
+                patch.setattr(os, "replace", kill if moment == "before a move" else replace_and_kill)
+            elif moment == "before a record":
+                patch.setattr(manifest, "_write", kill)
+            else:
+                patch.setattr(manifest_module.shutil, "rmtree", kill if moment == "after it" else remove_some_and_kill)
+            manifest.add([{**_record(source), "worker": "w"}])
+
+    with pytest.raises(Killed):
+        first()
+    with Manifest(out, read, None) as again:
+        assert again.is_done(str(source), retry=True)
+    assert [record["input"] for record in records_in(out / "manifest.jsonl")] == [str(source)]
+    assert (out / "a.off").read_text() == "x"
+    assert sorted(path.name for path in out.iterdir()) == ["a.off", "manifest.jsonl"]
+
+
+def test_a_line_that_was_not_ended_is_dropped(tmp_path, corners, recipe, records_in) -> None:
+    sources, read, out = corners(2), read_recipe(recipe), tmp_path / "out"
+    with Manifest(out, read, None) as first:
+        _commit(first.staging, _record(sources[0]))
+        first.add([_record(sources[0])])
+    whole = (out / "manifest.jsonl").read_bytes()
+    for end in (len(whole) - 1, whole.index(b"\n") + 5, 7):
+        (out / "manifest.jsonl").write_bytes(whole[:end])
+        with Manifest(out, read, None) as again:
+            assert not again.is_done(str(sources[0]), retry=False)
+        assert records_in(out / "manifest.jsonl") == []
+
+
+def test_work_that_comes_twice_is_recorded_once(tmp_path, corners, recipe, records_in) -> None:
+    (source,), out = corners(1), tmp_path / "out"
+    with Manifest(out, read_recipe(recipe), None) as manifest:
+        for seconds in (1.0, 2.0):  # a worker that was thought lost, and the one in its place
+            _commit(manifest.staging, _record(source))
+            manifest.add([{**_record(source), "seconds": seconds}] * 2)
+    assert [record["seconds"] for record in records_in(out / "manifest.jsonl")] == [1.0]
+
+
+def test_what_has_changed_is_done_again(tmp_path, corners, recipe) -> None:
+    sources, out = corners(2), tmp_path / "out"
+    with Manifest(out, read_recipe(recipe), None) as manifest:
+        _commit(manifest.staging, _record(sources[0]))
+        manifest.add([_record(sources[0]), _record(sources[1], "failed")])
+        assert [manifest.is_done(str(source), retry=False) for source in sources] == [True, True]
+        assert [manifest.is_done(str(source), retry=True) for source in sources] == [True, False]
+        sources[1].write_text("v 1 2 3\n")
+        assert not manifest.is_done(str(sources[1]), retry=False)
+        (out / "a.off").unlink()
+        assert not manifest.is_done(str(sources[0]), retry=False)
+
+
+def test_files_of_others_are_not_replaced(tmp_path, corners, recipe) -> None:
+    (source,), read, out = corners(1), read_recipe(recipe), tmp_path / "out"
+    with Manifest(out, read, None) as manifest:
+        (out / "corner000.off").write_text("mine")
+        with pytest.raises(InputError, match=r"corner000\.off: exists already.*--out.*--force"):
+            manifest.check_outputs(read, [str(source)])
+        with pytest.raises(InputError, match="another batch is writing it"):
+            Manifest(out, read, None)
+
+
+def test_a_folder_of_another_recipe(tmp_path, recipe) -> None:
+    out = tmp_path / "out"
+    with Manifest(out, read_recipe(recipe), None):
+        pass
+    recipe.write_text(recipe.read_text() + "tolerance = 0.5\n")
+    with pytest.raises(InputError, match=r"of another recipe.*--out"):
+        Manifest(out, read_recipe(recipe), None)
+    (out / "manifest.jsonl").write_text("{}\n")
+    with pytest.raises(FileFormatError, match="line 1 is none"):
+        Manifest(out, read_recipe(recipe), None)
+
+
+def test_no_folder_and_no_room(tmp_path, corners, recipe, monkeypatch) -> None:
+    (source,), read = corners(1), read_recipe(recipe)
+    with pytest.raises(FileAccessError, match=r"cannot write there.*--out"):
+        Manifest(source / "out", read, None)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def add() -> None:
+        with Manifest(tmp_path / "out", read, None) as manifest, monkeypatch.context() as patch:
+            _commit(manifest.staging, _record(source))
+            patch.setattr(os, "replace", full)
+            manifest.add([_record(source)])
+
+    with pytest.raises(FileAccessError, match=r"out: writing failed .No space left"):
+        add()
+    with Manifest(tmp_path / "out", read, None) as manifest:
+        assert manifest.is_done(str(source), retry=False)
+
+
+def test_manifests_of_shards_merge(tmp_path, corners, recipe) -> None:
+    sources, read = corners(4), read_recipe(recipe)
+    for number in (1, 2):
+        with Manifest(tmp_path / "out", read, (number, 2)) as manifest:
+            manifest.add([_record(source, "failed") for source in sources[number - 1 :: 2]])
+    paths = [tmp_path / "out" / f"manifest-{number}-of-2.jsonl" for number in (2, 1)]
+    merged = merge(paths, tmp_path / "all.jsonl")
+    header, records = read_manifest(tmp_path / "all.jsonl")
+    assert list(records) == list(map(str, sources)) == list(merged)
+    assert header["shard"] is None
+    recipe.write_text(recipe.read_text() + "tolerance = 0.5\n")
+    with Manifest(tmp_path / "other", read_recipe(recipe), None):
+        pass
+    with pytest.raises(InputError, match="of another recipe"):
+        merge([*paths, tmp_path / "other" / "manifest.jsonl"], tmp_path / "all.jsonl")
+    with pytest.raises(InputError, match="no manifests"):
+        merge([], tmp_path / "all.jsonl")
+    with pytest.raises(FileAccessError, match="cannot be read"):
+        merge([tmp_path / "none.jsonl"], tmp_path / "all.jsonl")
+    (tmp_path / "empty.jsonl").write_text("")
+    with pytest.raises(FileFormatError, match="holds no batch"):
+        merge([tmp_path / "empty.jsonl"], tmp_path / "all.jsonl")
+
+
+def test_failures_are_listed_with_their_error(tmp_path: Path) -> None:
+    records = {"/b": {"error": {"message": "b is\n bad"}}, "/a": {"error": {"message": "a is"}}, "/c": {}}
+    assert write_failures(records, tmp_path / "failures.tsv") == 2
+    assert (tmp_path / "failures.tsv").read_text() == "/a\ta is\n/b\tb is bad\n"

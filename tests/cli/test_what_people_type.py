@@ -1,0 +1,291 @@
+"""Command lines and files of newcomers, in this process: what the verbs do by default, and what they say."""
+
+from __future__ import annotations
+
+import glob
+import json
+import re
+import shlex
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from geokit import native
+from geokit.cli import main
+from tests.support import mesh_catalog
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Done(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., Done]]:
+    before = warnings.showwarning
+
+    def call(*arguments: Any) -> Done:
+        capfd.readouterr()
+        code = main([str(argument) for argument in arguments])
+        return Done(code, *capfd.readouterr())
+
+    yield call
+    warnings.showwarning = before
+
+
+ORGANIZED = (
+    "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 2\nPOINTS 4\nDATA ascii\n"
+    "0 1 2\nnan nan nan\n4 5 6\nnan nan nan\n"
+)
+
+
+class TestOrganizedClouds:
+    """Points of rays without an echo are left out, and that is said."""
+
+    SAID = "2 of its 4 points are not finite and are left out"
+
+    @pytest.fixture
+    def cloud(self, tmp_path: Path) -> Path:
+        path = tmp_path / "people.pcd"
+        path.write_text(ORGANIZED)
+        return path
+
+    def test_info(self, run: Callable[..., Done], cloud: Path) -> None:
+        done = run("info", cloud, "--json")
+        assert (done.code, json.loads(done.out)["point_count"]) == (0, 2)
+        assert self.SAID in done.err
+        assert run("info", cloud, "--finite-only").code == 0
+        assert "--stream: has no effect on a cloud" in run("info", cloud, "--stream").err
+
+    def test_convert_and_query(self, run: Callable[..., Done], cloud: Path, tmp_path: Path) -> None:
+        done = run("convert", cloud, tmp_path / "a.xyz")
+        assert (done.code, len(gk.points.load(tmp_path / "a.xyz"))) == (0, 2)
+        assert self.SAID in done.err
+        done = run("query", "neighbors", cloud, "--nearest", "1", "-o", tmp_path / "b.csv")
+        assert (done.code, self.SAID in done.err) == (0, True)
+
+    def test_a_file_may_be_refused_instead(self, run: Callable[..., Done], cloud: Path, tmp_path: Path) -> None:
+        for verb in (["info", cloud], ["convert", cloud, tmp_path / "a.xyz"], ["render", cloud, "-o", "a.png"]):
+            done = run(*verb, "--no-finite-only")
+            assert done.code == 1
+            assert "leave out all 2 such points with --finite-only" in done.err
+
+
+def test_what_was_not_asked_is_not_none(run: Callable[..., Done]) -> None:
+    path = ROOT / "data/samples/bracket.obj"
+    lines = dict(line.split(maxsplit=1) for line in run("info", path).out.splitlines())
+    assert lines["self_intersection_count"].startswith("not asked")
+    assert json.loads(run("info", path, "--json").out)["self_intersection_count"] is None
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("info a b", 2, "'b': one argument too many"),
+        ("info -", 2, "-: input is not read from a pipe"),
+        ("volume union one.vdb", 2, "1 files given; name at least two"),
+        ("info missing.obj", 1, "no such file"),
+        ("convert a.obj b.obj --voxel 0.1", 2, "--voxel"),
+        ("nothing", 2, "nothing"),
+    ],
+)
+def test_exit_codes(run: Callable[..., Done], line: str, code: int, said: str) -> None:
+    done = run(*line.split())
+    assert done.code == code
+    assert said in done.err
+    assert len(done.err.splitlines()) == 1
+
+
+def test_a_size_that_is_none(run: Callable[..., Done], tmp_path: Path) -> None:
+    done = run("render", ROOT / "data/samples/bracket.obj", "-o", tmp_path / "a.png", "--size", "10")
+    assert (done.code, "800x600" in done.err) == (2, True)
+
+
+def test_help_and_version(run: Callable[..., Done]) -> None:
+    assert run("-V").out.strip() == gk.__version__
+    assert "Describe a mesh" in run("help").out
+    assert "--json" in run("help", "info").out
+    assert run("--install-completion", "--help").code == 0
+
+
+def test_smoke_with_several_grids(run: Callable[..., Done], tmp_path: Path) -> None:
+    grids = [gk.volume.from_dense(np.full((3, 3, 3), at + 1.0), name=n) for at, n in enumerate(("heat", "density"))]
+    path = tmp_path / "smoke.nvdb"
+    gk.volume.save(path, *grids)
+    assert gk.volume.load(path).info.name == "density"
+    done = run("volume", "statistics", path, "--json")
+    assert (json.loads(done.out)["mean"], done.code) == (2.0, 0)
+    assert "has several grids, and 'density' is taken; --grid chooses another" in done.err
+    gk.volume.save(path, grids[0], gk.volume.from_dense(np.ones((2, 2, 2)), name="soot"))
+    done = run("volume", "statistics", path)
+    assert (done.code, "choose one with --grid" in done.err) == (1, True)
+    assert run("volume", "statistics", path, "--grid", "soot").code == 0
+
+
+def test_the_package_says_where_files_are_loaded() -> None:
+    with pytest.raises(AttributeError, match=r"use one of geokit\.mesh\.load, geokit\.volume\.load"):
+        gk.load  # noqa: B018
+    with pytest.raises(AttributeError, match="geokit attribute lood"):
+        gk.lood  # noqa: B018
+
+
+def test_numbers_are_short(run: Callable[..., Done], tmp_path: Path) -> None:
+    gk.mesh.save(tmp_path / "ball.ply", mesh_catalog.icosphere(2))
+    done = run("convert", tmp_path / "ball.ply", tmp_path / "b.ply", "--tolerance", "0.1", "--device", "cpu")
+    assert (done.code, "deviation" in done.out) == (0, True)
+    assert all(len(number) <= 12 for number in re.findall(r"\d+\.\d+(?:e-?\d+)?", done.out.partition(": ")[2]))
+
+
+class TestKinds:
+    """Meshes, volumes, clouds and arrays become each other where the package can do it."""
+
+    @pytest.fixture
+    def ball(self, tmp_path: Path) -> Path:
+        path = tmp_path / "ball.ply"
+        mesh = mesh_catalog.icosphere(3)
+        gk.mesh.save(path, gk.mesh.TriangleMesh(mesh.vertices, mesh.faces, vertex_data={"heat": mesh.vertices[:, 0]}))
+        return path
+
+    def test_mesh_to_cloud(self, run: Callable[..., Done], ball: Path, tmp_path: Path) -> None:
+        assert run("convert", ball, tmp_path / "a.xyz", "--count", "500").code == 0
+        assert run("convert", ball, tmp_path / "b.ply", "--radius", "0.3").code == 0
+        cloud = gk.points.load(tmp_path / "b.ply")
+        assert len(gk.points.load(tmp_path / "a.xyz")) == 500
+        assert 50 < len(cloud) < 500
+        np.testing.assert_allclose(cloud.data["heat"], cloud.points[:, 0], atol=1e-6)
+        done = run("convert", ball, tmp_path / "c.xyz", "--count", "5", "--radius", "1")
+        assert (done.code, "--count: follows from --radius" in done.err) == (1, True)
+
+    def test_cloud_to_volume_and_mesh(self, run: Callable[..., Done], ball: Path, tmp_path: Path) -> None:
+        cloud = gk.points.sample(gk.mesh.load(ball), 4000, method="poisson_disk")
+        gk.points.save(tmp_path / "c.csv", cloud.points)
+        done = run("convert", tmp_path / "c.csv", tmp_path / "c.nvdb", "--device", "cpu")
+        assert (done.code, "--radius and --voxel-size set them" in done.err) == (0, True)
+        inside = gk.volume.load(tmp_path / "c.nvdb").sample([[1.0, 0, 0], [0.7, 0, 0], [1.5, 0, 0]], device="cpu") < 0.0
+        assert inside.tolist() == [True, False, False]
+        assert run("convert", tmp_path / "c.csv", tmp_path / "c.stl", "--radius", "0.1", "--device", "cpu").code == 0
+        # A shell without a hole: its outside, and its inside.
+        report = gk.mesh.audit(gk.mesh.load(tmp_path / "c.stl"))
+        assert (report.watertight, report.component_count) == (True, 2)
+        # What may be a mesh or a cloud stays a cloud, unless an option speaks of balls or voxels.
+        assert run("convert", tmp_path / "c.csv", tmp_path / "c.ply").code == 0
+        assert len(gk.points.load(tmp_path / "c.ply")) == 4000
+        (tmp_path / "one.csv").write_text("x,y,z\n0,0,0\n")
+        done = run("convert", tmp_path / "one.csv", tmp_path / "one.stl")
+        assert (done.code, "--radius: the points have no distances" in done.err) == (1, True)
+
+    @pytest.mark.filterwarnings("ignore:.*holds no place and no voxel size:UserWarning")
+    def test_volume_to_array(self, run: Callable[..., Done], tmp_path: Path) -> None:
+        values = np.arange(24.0, dtype=np.float32).reshape(2, 3, 4)
+        volume = gk.volume.from_dense(values, voxel_size=0.5, origin=(1, 2, 3))
+        gk.volume.save(tmp_path / "a.nvdb", volume)
+        for kind in ("npy", "npz"):
+            assert run("convert", tmp_path / "a.nvdb", "--out-dir", tmp_path, "--to", kind, "--force").code == 0
+        dense = volume.to_dense(device="cpu")
+        np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), dense.values)
+        with np.load(tmp_path / "a.npz") as found:
+            again = gk.volume.DenseGrid(found["values"], found["origin"], found["transform"])
+        assert gk.volume.from_dense(again).to_dense(device="cpu").values.tolist() == dense.values.tolist()
+        np.testing.assert_array_equal(again.transform, dense.transform)
+
+
+class TestProgress:
+    def test_long_steps_say_how_far_they_are(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+        from geokit.cli import _console
+
+        monkeypatch.setattr(_console, "PATIENCE", 0.02)
+        with _console.step("thinking") as step:
+            while "25%" not in (said := capfd.readouterr().err):
+                step.progress(1, 4)
+                time.sleep(0.001)
+        assert re.search(r"^geokit: thinking \.\.\. \d+ s, 25%, about \d+ s left$", said, re.MULTILINE)
+
+    def test_also_where_the_library_says_nothing(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+        from geokit.cli import _console
+
+        monkeypatch.setattr(_console, "PATIENCE", 0.02)
+        with _console.step("thinking"):
+            said = ""
+            while not said.endswith("\n"):
+                said += capfd.readouterr().err
+                time.sleep(0.001)
+        assert re.fullmatch(r"(geokit: thinking \.\.\. \d+ s\n)+", said)
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("line", ["plan {} --tolerance 0.02", "convert {} out.nvdb --tolerance 0.02"])
+    def test_searches_say_what_is_left(
+        self, run: Callable[..., Done], tmp_path: Path, monkeypatch: Any, line: str
+    ) -> None:
+        from geokit.cli import _console
+
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(_console, "PATIENCE", 0.001)
+        gk.mesh.save("ball.ply", mesh_catalog.icosphere(2))
+        done = run(*line.format("ball.ply").split(), "--device", "cpu")
+        assert done.code == 0
+        assert re.search(r"\d+%, about \d+ s left", done.err)
+
+    def test_short_and_quiet_steps_say_nothing(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+        from geokit.cli import _console
+
+        with _console.step("thinking") as step:
+            step.progress(1, 2)
+        monkeypatch.setattr(_console, "PATIENCE", 0.0)
+        with _console.step("thinking", quiet=True) as step:
+            step.progress(1, 2)
+        assert capfd.readouterr().err == ""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not native.available(), reason="built without OpenVDB")
+def test_the_examples_of_the_documents_in_order(run: Callable[..., Done], tmp_path: Path, monkeypatch: Any) -> None:
+    pytest.importorskip("pxr")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("webbrowser.open", lambda _: True)
+    _inputs()
+    page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("geokit ")]
+    assert len(lines) > 25
+    # Their own tests run these, with less work.
+    heavy = ("geokit bench", "geokit demo", "geokit doctor --")
+    for line in (line for line in lines if not line.startswith(heavy)):
+        words = shlex.split(re.split("[|>]", line)[0], comments=True)[1:]
+        # As a shell does.
+        done = run(*(name for word in words for name in (sorted(glob.glob(word)) if "*" in word else [word])))
+        assert done.code == 0, f"{line}: {done.err}"
+    outputs = [line.split("--out ")[1].split()[0] for line in lines if line.startswith("geokit bench")]
+    assert len(outputs) == len(set(outputs)), "an example meets the output of another"
+
+
+def _inputs() -> None:
+    """The files for which the names of the examples stand."""
+    random = np.random.default_rng(1)
+    ring = mesh_catalog.torus(24, 12)
+    colors = {"color": random.random((ring.vertex_count, 3))}
+    gk.mesh.save("bunny.usd", gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces, vertex_data=colors))
+    gk.mesh.save("hollow.stl", mesh_catalog.torus())
+    for name in ("scans/one.ply", "scans/two.ply"):
+        Path(name).parent.mkdir(exist_ok=True)
+        gk.mesh.save(name, gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces))
+    Path("fields.toml").write_text('[[step]]\nverb = "convert"\noutput = "{stem}.nvdb"\nvoxel-size = 0.02\n')
+    Path("smoke.vdb").write_bytes((ROOT / "data/samples/smoke.vdb").read_bytes())
+    points = random.random((50, 3)) * 0.2 - 0.1
+    gk.mesh.save("scan.ply", gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces))
+    for name in ("points.csv", "cloud.ply", "survey.ply"):
+        gk.points.save(name, points)
+    np.save("points.npy", points)
+    Path("rays.csv").write_text("ox,oy,oz,dx,dy,dz\n0.1,0,1,0,0,-1\n")
+    for at, name in enumerate(("a.vdb", "b.vdb", "c.vdb", "body.vdb", "tool.vdb", "in.vdb", "other.nvdb")):
+        moved = gk.mesh.TriangleMesh(ring.vertices + np.array([0.1 * at, 0.0, 0.0]), ring.faces)
+        gk.volume.save(name, gk.volume.from_mesh(moved, 0.05, device="cpu"))

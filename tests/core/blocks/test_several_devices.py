@@ -1,0 +1,224 @@
+"""Queries on several devices: the same bits as on one, in the same order, and errors that count the caller's rows."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from geokit.core.blocks import several_devices
+from geokit.errors import InputError
+from tests.support.devices import DEVICES
+
+# The same device twice is two devices for all that is tested here.
+SHARED = [*DEVICES[-2:], *DEVICES[-1:]][-3:] if len(DEVICES) > 1 else ["cpu", "cpu", "cpu"]
+ONE = SHARED[0]
+COUNT = 1000
+RNG = np.random.default_rng(11)
+POINTS = RNG.uniform(-1.5, 1.5, (COUNT, 3))
+DIRECTIONS = RNG.normal(size=(COUNT, 3))
+TURN = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(autouse=True)
+def few_rows_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(several_devices, "LEAST_ROWS", 100)
+
+
+@pytest.fixture
+def parts_asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of parts of the calls so far."""
+    asked: list[int] = []
+    joined = several_devices._joined
+
+    def noted(answers: list[Any], like: Any) -> Any:
+        asked.append(len(answers))
+        return joined(answers, like)
+
+    monkeypatch.setattr(several_devices, "_joined", noted)
+    return asked
+
+
+def fields_of(answer: Any) -> list[np.ndarray]:
+    return [np.asarray(one) for one in (answer if isinstance(answer, tuple) else (answer,))]
+
+
+def require_same(found: Any, expected: Any) -> None:
+    assert type(found) is type(expected)
+    for a, b in zip(fields_of(found), fields_of(expected), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+
+
+SURFACE = {
+    "closest_point": (1, {}),
+    "furthest_point": (1, {}),
+    "signed_distance": (1, {}),
+    "contains": (1, {}),
+    "winding_number": (1, {}),
+    "sign_confidence": (1, {}),
+    "raycast": (2, {"max_distance": 2.0}),
+    "raycast_all": (2, {}),
+    "crossing_count": (2, {}),
+    "occluded": (2, {"max_distance": 1.0}),
+}
+
+
+@pytest.mark.parametrize("name", SURFACE)
+@pytest.mark.parametrize("moved", [False, True])
+def test_surfaces(name: str, moved: bool, parts_asked: list[int]) -> None:
+    rows, options = SURFACE[name]
+    options = {**options, "transform": TURN} if moved else options
+    one, several = gk.mesh.Surface(gk.mesh.torus(), device=ONE), gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
+    given = [POINTS, DIRECTIONS][:rows]
+    require_same(getattr(several, name)(*given, **options), getattr(one, name)(*given, **options))
+    assert parts_asked == [3]
+    few = [array[:150] for array in given]
+    require_same(getattr(several, name)(*few, **options), getattr(one, name)(*few, **options))
+    assert parts_asked == [3]
+
+
+GRID = {
+    "count": {},
+    "radius_search": {"radius": 0.4, "order": "distance"},
+    "knn": {"k": 7},
+    "hybrid": {"k": 5, "radius": 0.5},
+}
+
+
+@pytest.mark.parametrize("name", GRID)
+def test_neighbors(name: str, parts_asked: list[int]) -> None:
+    cloud = RNG.uniform(-1.0, 1.0, (3000, 3))
+    one, several = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (ONE, SHARED))
+    require_same(getattr(several, name)(POINTS, **GRID[name]), getattr(one, name)(POINTS, **GRID[name]))
+    require_same(getattr(several, name)(queries=POINTS, **GRID[name]), getattr(one, name)(POINTS, **GRID[name]))
+    assert parts_asked == [3, 3]
+    # About the points themselves the first device answers.
+    require_same(getattr(several, name)(**GRID[name]), getattr(one, name)(**GRID[name]))
+    assert len(parts_asked) == 2
+    assert len(several) == len(one)
+
+
+def test_a_radius_for_each_query(parts_asked: list[int]) -> None:
+    cloud, radii = RNG.uniform(-1.0, 1.0, (3000, 3)), RNG.uniform(0.1, 0.5, COUNT)
+    one, several = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (ONE, SHARED))
+    require_same(several.count(POINTS, radius=radii), one.count(POINTS, radius=radii))
+    require_same(several.radius_search(POINTS, radius=radii), one.radius_search(POINTS, radius=radii))
+    assert parts_asked == [3, 3]
+
+
+def test_a_periodic_grid(parts_asked: list[int]) -> None:
+    cloud = RNG.uniform(0.0, 1.0, (500, 3))
+    one, several = (
+        gk.points.NeighborGrid(cloud, 0.2, periodic=[1.0, 1.0, 1.0], device=device) for device in (ONE, SHARED)
+    )
+    require_same(several.neighbor_list(POINTS), one.neighbor_list(POINTS))
+    assert parts_asked == [3]
+
+
+VOLUME = {
+    "sample": (1, {}),
+    "gradient": (1, {"transform": TURN}),
+    "hessian": (1, {}),
+    "curvature": (1, {}),
+    "active_at": (1, {}),
+    "raycast": (2, {}),
+    "integrate": (2, {"max_distance": 3.0}),
+}
+
+
+@pytest.mark.parametrize("name", VOLUME)
+def test_volumes(name: str, parts_asked: list[int]) -> None:
+    rows, options = VOLUME[name]
+    volume = gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.05, device=ONE)
+    if name == "integrate":
+        volume = gk.volume.from_dense(RNG.uniform(0.1, 1.0, (20, 20, 20)), voxel_size=0.1)
+    given = [POINTS, DIRECTIONS][:rows]
+    query = getattr(volume, name)
+    require_same(query(*given, **options, device=SHARED), query(*given, **options, device=ONE))
+    require_same(query(*given, **options, device=tuple(SHARED)), query(*given, **options, device=ONE))
+    assert parts_asked == [3, 3]
+
+
+@pytest.mark.parametrize("container", ["torch", "warp", "float32"])
+def test_containers(container: str, parts_asked: list[int]) -> None:
+    import warp as wp
+
+    cloud = RNG.uniform(-1.0, 1.0, (3000, 3))
+    if container == "torch":
+        points: Any = pytest.importorskip("torch").from_numpy(POINTS).to(ONE)
+    else:
+        points = wp.array(POINTS, dtype=wp.vec3d, device=ONE) if container == "warp" else POINTS.astype(np.float32)
+    one, several = gk.mesh.Surface(gk.mesh.torus(), device=ONE), gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
+    require_equal_containers(several.closest_point(points), one.closest_point(points))
+    ours, other = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (SHARED, ONE))
+    require_equal_containers(ours.radius_search(points), other.radius_search(points))
+    # Two-dimensional arrays of warp have one dimension.
+    assert parts_asked == ([] if container == "warp" and points.ndim != 2 else [3, 3])
+
+
+def require_equal_containers(found: Any, expected: Any) -> None:
+    for a, b in zip(found, expected, strict=True):
+        assert type(a) is type(b)
+        assert a.device == b.device if hasattr(b, "device") else True
+        host = [one.numpy() if not isinstance(one, np.ndarray) and not hasattr(one, "cpu") else one for one in (a, b)]
+        host = [one.cpu().numpy() if hasattr(one, "cpu") else one for one in host]
+        assert host[0].dtype == host[1].dtype
+        np.testing.assert_array_equal(*host)
+
+
+def test_errors_count_the_rows_of_the_caller() -> None:
+    surface = gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
+    bad = POINTS.copy()
+    bad[900, 1] = np.nan
+    with pytest.raises(InputError, match="row 900"):
+        surface.closest_point(bad)
+    with pytest.raises(InputError, match=r"points: .*\(N, 3\)"):
+        surface.closest_point(POINTS[:, :2])
+    with pytest.raises(InputError, match="directions"):
+        surface.raycast(POINTS, DIRECTIONS[:10])
+    with pytest.raises(InputError, match="device: the list is empty"):
+        gk.mesh.Surface(gk.mesh.torus(), device=[])
+    with pytest.raises(InputError, match=r"device: .*nowhere"):
+        gk.points.NeighborGrid(POINTS, 0.1, device=[ONE, "nowhere"])
+    with pytest.raises(InputError, match="device: a list is for"):
+        gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.1, device=SHARED)
+
+
+def test_progress_adds_up() -> None:
+    told: list[tuple[int, int]] = []
+    gk.mesh.Surface(gk.mesh.torus(), device=SHARED).closest_point(POINTS, progress=lambda *now: told.append(now))
+    assert told[-1] == (COUNT, COUNT)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_updates_and_copies() -> None:
+    mesh, cloud = gk.mesh.torus(), RNG.uniform(-1.0, 1.0, (3000, 3))
+    surface, grid = gk.mesh.Surface(mesh, device=SHARED), gk.points.NeighborGrid(cloud, 0.3, device=SHARED)
+    assert surface.audit.watertight
+    surface.update(mesh.vertices * 2.0)
+    grid.update(cloud * 0.5)
+    moved = gk.mesh.Surface(gk.mesh.TriangleMesh(mesh.vertices * 2.0, mesh.faces), device=ONE)
+    closer = gk.points.NeighborGrid(cloud * 0.5, 0.3, device=ONE)
+    for one, other in ((surface, grid), pickle.loads(pickle.dumps((surface, grid)))):
+        require_same(one.closest_point(POINTS), moved.closest_point(POINTS))
+        require_same(other.count(POINTS), closer.count(POINTS))
+        assert isinstance(one, gk.mesh.Surface)
+        assert isinstance(other, gk.points.NeighborGrid)
+        assert repr(SHARED) in repr(one)
+        assert repr(SHARED) in repr(other)
+        np.testing.assert_array_equal(one.bounds, moved.bounds)
+
+
+def test_gradients_stay_on_the_first_device(parts_asked: list[int]) -> None:
+    torch = pytest.importorskip("torch")
+    points = torch.from_numpy(POINTS).requires_grad_()
+    surface = gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
+    surface.closest_point(points).distance.sum().backward()
+    plain = torch.from_numpy(POINTS).requires_grad_()
+    gk.mesh.Surface(gk.mesh.torus(), device=ONE).closest_point(plain).distance.sum().backward()
+    np.testing.assert_array_equal(points.grad.numpy(), plain.grad.numpy())
+    assert parts_asked == []

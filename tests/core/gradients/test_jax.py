@@ -1,0 +1,58 @@
+"""Gradients in jax, in a process of their own: jax starts threads, which forks of other tests must not meet."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+SCRIPT = """
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+from jax.test_util import check_grads
+import geokit as gk
+
+random = np.random.default_rng(0)
+body = gk.mesh.load("data/samples/bracket.obj")
+surface = gk.mesh.Surface(body, device="cpu")
+low, high = body.bounds
+points = jnp.asarray(low + (high - low) * random.random((20, 3)))
+
+def distance(points):
+    return surface.closest_point(points).distance
+
+check_grads(distance, (points,), order=2, modes=["rev"])
+check_grads(jax.jit(distance), (points,), order=1, modes=["rev"])
+batches = jax.vmap(distance)(points.reshape(4, 5, 3))
+assert (batches.ravel() == distance(points)).all()
+slope = jax.jit(jax.grad(lambda p: (surface.signed_distance(p).distance ** 2).sum()))(points)
+assert slope.shape == (20, 3)
+
+a, b = (jnp.asarray(random.random((count, 3))) for count in (15, 12))
+check_grads(lambda a, b: gk.points.chamfer(a, b, device="cpu").distance, (a, b), order=1, modes=["rev"])
+grid = gk.points.NeighborGrid(np.asarray(a), device="cpu")
+check_grads(jax.jit(lambda b: grid.knn(b, k=2).distance), (b,), order=2, modes=["rev"])
+
+field = gk.volume.from_function(lambda p: np.linalg.norm(p, axis=1) - 1.0, [[-2, -2, -2], [2, 2, 2]], 0.5)
+places = jnp.asarray(random.standard_normal((10, 3)) * 0.6)
+for order in (1, 2, 3):
+    check_grads(lambda p: gk.volume.sample(field, p, order=order, device="cpu"), (places,), order=2, modes=["rev"])
+try:
+    jax.grad(lambda p: gk.volume.sample(field, p, order=0, device="cpu").sum())(places)
+except gk.InputError as error:
+    assert "order 0" in str(error)
+else:
+    raise AssertionError("order 0 has no gradient")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("jax") is None, reason="needs jax")
+def test_gradients():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]

@@ -1,0 +1,34 @@
+"""Operations under limits of address space: the right end, and a need that is near the peak."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.limits.memory_runs import faults
+
+# 20 limits, and all operations: an hour.
+LIMITS = os.environ.get("GEOKIT_MEMORY_LIMITS", "3")
+SECONDS = 1800 if LIMITS == "3" else 20_000
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+def test_operations_under_limits() -> None:
+    settings = {"SCALE": "0.1"} if LIMITS == "3" else {"ALL": "1", "SCALE": "0.5", "WARM": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.support.limits.memory_runs", "limits", LIMITS],
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+        env={**os.environ, **settings},
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert len(rows) > 400
+    assert sum(row["end"] == "refused" for row in rows) > 50
+    assert faults(rows) == []

@@ -1,0 +1,221 @@
+"""The kernel cache, damaged or unusable: kernels are compiled again or elsewhere, and their answers are right."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+KERNEL = """
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def square_kernel(first: int, values: wp.array(dtype=int), out: wp.array(dtype=int)):
+    i = first + wp.tid()
+    out[i] = values[i] * values[i]
+"""
+
+SCRIPT = """
+import sys
+import numpy as np
+from geokit.core import launcher
+device = launcher.resolve_device("cpu")
+import warp as wp
+from square_kernels import square_kernel
+values = wp.array(np.arange(10, dtype=np.int32), device=device)
+out = wp.empty(10, dtype=int, device=device)
+launcher.launch(square_kernel, 10, [values], [out], device)
+assert out.numpy().tolist() == [k * k for k in range(10)]
+print(wp.config.kernel_cache_dir)
+"""
+
+
+class Cache:
+    """A cache folder with one compiled module, and processes that use it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root, self.temporary, self.code = folder / "cache", folder / "temporary", folder / "code"
+        self.notices: list[str] = []
+        self.temporary.mkdir()
+        self.code.mkdir()
+        (self.code / "square_kernels.py").write_text(KERNEL)
+
+    def start(self, **environment: str) -> subprocess.Popen[str]:
+        path = os.pathsep.join([str(self.code), *filter(None, [os.environ.get("PYTHONPATH")])])
+        given = {"WARP_CACHE_PATH": str(self.root), "TMPDIR": str(self.temporary), "PYTHONPATH": path, **environment}
+        return subprocess.Popen(
+            [sys.executable, "-c", SCRIPT],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **given},
+        )
+
+    def run(self, **environment: str) -> tuple[Path, str]:
+        """The folder that was used, and stderr without the notice that kernels are compiled."""
+        return self.finish(self.start(**environment))
+
+    def finish(self, process: subprocess.Popen[str]) -> tuple[Path, str]:
+        out, err = process.communicate(timeout=120)
+        assert process.returncode == 0, f"status {process.returncode}: {err}"
+        self.notices = [line for line in err.splitlines() if "compiling kernels" in line]
+        return Path(out.strip()), "".join(line for line in err.splitlines(True) if "compiling kernels" not in line)
+
+    @property
+    def folder(self) -> Path:
+        (folder,) = self.root.glob("*/wp_square_kernels_*")
+        return folder
+
+    def files(self, suffix: str) -> list[Path]:
+        files = sorted(self.folder.glob(f"*{suffix}"))
+        assert files
+        return files
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory) -> Cache:
+    cache = Cache(tmp_path_factory.mktemp("filled"))
+    _, err = cache.run()
+    assert err == ""
+    assert len(cache.notices) == 1
+    assert str(cache.folder.parent) in cache.notices[0]
+    _, err = cache.run()
+    assert err == ""
+    assert cache.notices == []
+    return cache
+
+
+@pytest.fixture
+def cache(filled, tmp_path) -> Cache:
+    cache = Cache(tmp_path)
+    shutil.copytree(filled.root, cache.root)
+    return cache
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def random_bytes(path: Path) -> None:
+    path.write_bytes(bytes((k * 7919 + 13) % 251 for k in range(path.stat().st_size)))
+
+
+def flipped(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    for k in range(len(data) // 4, len(data), 97):
+        data[k] ^= 0x41
+    path.write_bytes(bytes(data))
+
+
+def folder_instead(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "damage"),
+    [
+        (".o", cut),
+        (".o", flipped),
+        (".o", folder_instead),
+        (".meta", emptied),
+        (".meta", cut),
+        (".blake2", flipped),
+    ],
+)
+def test_damaged_files_are_compiled_again(cache, damage, suffix):
+    for file in cache.files(suffix):
+        damage(file)
+    used, err = cache.run()
+    assert used.parent == cache.root
+    assert err.count("\n") <= 1
+    assert "damaged" in err
+    assert cache.run()[1] == ""
+
+
+@pytest.mark.parametrize("damage", [emptied, random_bytes])
+def test_damage_before_the_first_digest(cache, damage):
+    for file in cache.files(".blake2"):
+        file.unlink()
+    for file in cache.files(".o"):
+        damage(file)
+    assert "compiled again" in cache.run()[1]
+    assert cache.run()[1] == ""
+
+
+def test_missing_files_are_made_again(cache):
+    for suffix in (".o", ".meta"):
+        for file in cache.files(suffix):
+            file.unlink()
+        cache.run()
+        assert cache.files(suffix)
+
+
+@pytest.mark.parametrize("home", ["/proc/nowhere", "/dev/null/home"])
+def test_no_home(tmp_path, home):
+    cache = Cache(tmp_path)
+    used, err = cache.run(WARP_CACHE_PATH=f"{home}/cache")
+    assert used.is_relative_to(cache.temporary)
+    assert err.count("\n") == 1
+    assert "WARP_CACHE_PATH" in err
+    assert used.parent.stat().st_mode & 0o077 == 0 or used.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may write to read-only folders")
+def test_read_only_cache(tmp_path):
+    cache = Cache(tmp_path)
+    cache.root.mkdir(mode=0o555)
+    used, err = cache.run()
+    assert used.is_relative_to(cache.temporary)
+    assert err.count("\n") == 1
+
+
+def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
+    cache = Cache(tmp_path)
+    (cache.temporary / f"geokit-kernels-{os.getuid()}").mkdir()
+    (cache.temporary / f"geokit-kernels-{os.getuid()}").chmod(0o777)
+    used, _ = cache.run(WARP_CACHE_PATH="/dev/null/cache")
+    assert not used.is_relative_to(cache.temporary)
+
+
+def test_two_processes_with_an_empty_cache(tmp_path):
+    cache = Cache(tmp_path)
+    started = [cache.start() for _ in range(2)]
+    for process in started:
+        _, err = cache.finish(process)
+        assert err == ""
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    """A small file system."""
+    mount = shutil.which("mount")
+    folder = tmp_path / "full"
+    folder.mkdir()
+    command = [mount or "mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
+    if mount is None or subprocess.run(command, capture_output=True).returncode != 0:
+        pytest.skip("this user may not mount a small file system")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("room", [0, 4096, 8192])
+def test_full_disk(tmp_path, full_disk, room):
+    (full_disk / "filler").write_bytes(bytes(65536 - room))
+    cache = Cache(tmp_path)
+    used, err = cache.run(WARP_CACHE_PATH=str(full_disk))
+    assert used.is_relative_to(cache.temporary)
+    assert err.count("\n") == 1

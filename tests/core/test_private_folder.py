@@ -1,0 +1,135 @@
+"""Private folders are removed with their process, also if it is killed, and never while it lives."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from geokit.core import private_folder as module
+from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder
+
+HOLDER = """
+import sys, time
+from geokit.core.private_folder import private_folder
+with private_folder(sys.argv[1]) as folder:
+    (folder / "part.bin").write_bytes(bytes(1000))
+    print(folder, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """A process that holds a private folder in ``tmp_path``, and the folder."""
+    process = subprocess.Popen([sys.executable, "-c", HOLDER, tmp_path], stdout=subprocess.PIPE, text=True)
+    try:
+        yield process, Path(process.stdout.readline().strip())
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture(autouse=True)
+def _always_looking(monkeypatch):
+    monkeypatch.setattr(module, "LOOKING_SHARE", 0)
+    module._next_look.clear()
+
+
+def test_a_folder_is_private_and_removed_with_its_content(tmp_path):
+    with private_folder(tmp_path) as folder:
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        (folder / "sub").mkdir()
+        (folder / "sub" / "file").write_text("x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(tmp_path, holder):
+    process, held = holder
+    with private_folder(tmp_path):
+        assert (held / "part.bin").is_file()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (held / "part.bin").is_file()
+    with private_folder(tmp_path):
+        assert not held.exists()
+
+
+def test_only_own_folders_are_touched(tmp_path):
+    kept = [tmp_path / ".geokit", tmp_path / ".other-1", tmp_path / f"{PREFIX}file"]
+    kept[0].mkdir()
+    kept[1].mkdir()
+    kept[2].write_text("a file of that name")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "data").write_text("x")
+    (tmp_path / f"{PREFIX}{module._machine()}-link").symlink_to(outside)
+    with private_folder(tmp_path):
+        pass
+    assert all(path.exists() for path in kept)
+    assert (outside / "data").read_text() == "x"
+
+
+def test_another_machine_s_folder_is_removed_only_after_a_day(tmp_path):
+    foreign = tmp_path / f"{PREFIX}00000000-abc"
+    foreign.mkdir()
+    part = foreign / "part"
+    part.write_text("x")
+    with private_folder(tmp_path):
+        assert part.exists()
+    old = part.stat().st_mtime - FOREIGN_SECONDS - 10
+    os.utime(part, (old, old))
+    os.utime(foreign, (old, old))
+    with private_folder(tmp_path):
+        assert not foreign.exists()
+
+
+def test_without_locks_nothing_is_removed(tmp_path, monkeypatch):
+    def unsupported(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    left = tmp_path / f"{PREFIX}{module._machine()}-left"
+    left.mkdir()
+    monkeypatch.setattr(fcntl, "flock", unsupported)
+    with private_folder(tmp_path) as folder:
+        assert folder.is_dir()
+    assert [path.name for path in tmp_path.iterdir()] == [left.name]
+
+
+def test_threads_that_make_and_remove_folders_never_lose_theirs(tmp_path):
+    lost = []
+
+    def work():
+        for _ in range(200):
+            with private_folder(tmp_path) as folder:
+                (folder / "part").write_text("x")
+                if not (folder / "part").exists():
+                    lost.append(folder)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not lost
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_looking_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
+    looks = []
+    scan = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: looks.append(path) or scan(path))
+    monkeypatch.setattr(module, "LOOKING_SHARE", 1e9)
+    for _ in range(3):
+        with private_folder(tmp_path):
+            pass
+    assert looks.count(tmp_path) == 1

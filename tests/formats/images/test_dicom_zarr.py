@@ -1,0 +1,159 @@
+"""Folders as volumes: DICOM series, held against ITK's reader, and zarr."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from tests.formats.images.test_places import INDICES, LPS, STRAIGHT, VALUES, assert_there, at, turned, volume_at, world
+
+pydicom = pytest.importorskip("pydicom")
+zarr = pytest.importorskip("zarr")
+
+STORED = (VALUES * 3).astype(np.uint16)
+
+
+def write_series(
+    folder: Path, matrix: np.ndarray, series: str = "1.2.3", names: str = "s{}.dcm", **more: object
+) -> None:
+    """Slices of STORED, in files whose names and numbers are in no order."""
+    folder.mkdir(exist_ok=True)
+    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    for k in range(STORED.shape[2]):
+        data = pydicom.Dataset()
+        data.SOPClassUID, data.SOPInstanceUID = pydicom.uid.CTImageStorage, f"{series}.{k + 1}"
+        data.SeriesInstanceUID, data.SeriesDescription, data.Modality = series, f"series {series}", "CT"
+        data.Rows, data.Columns, data.SamplesPerPixel = STORED.shape[1], STORED.shape[0], 1
+        data.PhotometricInterpretation = "MONOCHROME2"
+        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 12, 11, 0
+        data.PixelSpacing = [f"{spacing[1]:.10g}", f"{spacing[0]:.10g}"]
+        axes = matrix[:3, :2] / spacing[:2]
+        data.ImageOrientationPatient = [f"{one:.12g}" for one in axes.T.ravel()]
+        data.ImagePositionPatient = [f"{one:.12g}" for one in matrix[:3, 3] + k * matrix[:3, 2]]
+        data.InstanceNumber = (k * 3) % 7
+        data.RescaleSlope, data.RescaleIntercept = 1, -1024
+        data.PixelData = STORED[:, :, k].T.tobytes()
+        for name, value in more.items():
+            setattr(data, name, value)
+        data.file_meta = pydicom.dataset.FileMetaDataset()
+        data.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+        data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID
+        data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID
+        data.save_as(folder / names.format((k * 5) % 7), enforce_file_format=True)
+
+
+def test_a_series_lies_where_itk_has_it(tmp_path: Path) -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    write_series(tmp_path / "ct", turned())
+    reader = sitk.ImageSeriesReader()
+    reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(tmp_path / "ct")))
+    image = reader.Execute()
+    values = sitk.GetArrayFromImage(image).transpose(2, 1, 0)
+    points = np.array([image.TransformIndexToPhysicalPoint(index) for index in INDICES.tolist()])
+    assert_there(tmp_path / "ct", points, at(INDICES, values), 1e-4)
+    (info,) = gk.volume.inspect(tmp_path / "ct")
+    assert info.grid_type == "int16"
+    assert info.name == "series 1.2.3"
+    assert dict(info.metadata) == {"geokit:unit": "mm", "geokit:space": "LPS"}
+    # In the patient it is the same place in RAS.
+    gk.volume.save(tmp_path / "a.nii", gk.volume.load(tmp_path / "ct"))
+    assert_there(tmp_path / "a.nii", points @ LPS, at(INDICES, values), 1e-4)
+
+
+def test_padding_is_background_and_slopes_make_floats(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", turned(), PixelPaddingValue=int(STORED[0, 0, 0]))
+    volume = gk.volume.load(tmp_path / "ct")
+    assert volume.info.background == int(STORED[0, 0, 0]) - 1024
+    assert volume.info.active_voxel_count == STORED.size - 1
+    write_series(tmp_path / "pet", turned(), RescaleSlope="0.25", RescaleIntercept="0")
+    dense = gk.volume.to_dense(gk.volume.load(tmp_path / "pet", background=-1), device="cpu")
+    np.testing.assert_array_equal(dense.values, STORED * np.float32(0.25))
+
+
+def test_several_series_are_grids_and_other_files_do_not_matter(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", turned(), "1.2.3", "a{}")
+    write_series(tmp_path / "ct", turned(), "1.2.4", "b{}")
+    (tmp_path / "ct" / "notes.txt").write_text("nothing of the kind")
+    assert sorted(gk.volume.load_all(tmp_path / "ct")) == ["series 1.2.3", "series 1.2.4"]
+    with pytest.raises(gk.InputError, match="has 2 grids"):
+        gk.volume.load(tmp_path / "ct")
+
+
+def test_a_missing_slice_is_named(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", STRAIGHT)
+    (tmp_path / "ct" / "s5.dcm").unlink()
+    with pytest.raises(gk.FileFormatError, match=r"ct: slices lie 2\.3 to 4\.6 mm apart; one is missing"):
+        gk.volume.load(tmp_path / "ct")
+
+
+def test_what_is_no_series_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(gk.FileFormatError, match="empty: holds no DICOM images"):
+        gk.volume.load(tmp_path / "empty")
+    write_series(tmp_path / "ct", STRAIGHT)
+    path = tmp_path / "ct" / "s0.dcm"
+    data = pydicom.dcmread(path)
+    data.file_meta.TransferSyntaxUID = pydicom.uid.JPEG2000Lossless
+    data.PixelData = pydicom.encaps.encapsulate([bytes(64)])
+    data["PixelData"].is_undefined_length = True
+    data.save_as(path)
+    with pytest.raises(gk.FileFormatError, match=r"s0\.dcm is compressed \(JPEG 2000.*decompress it first"):
+        gk.volume.load(tmp_path / "ct")
+    path.write_bytes((tmp_path / "ct" / "s1.dcm").read_bytes()[:-40])
+    with pytest.raises(gk.FileFormatError, match="ct: "):
+        gk.volume.load(tmp_path / "ct")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_arrays_of_zarr(tmp_path: Path, version: int) -> None:
+    array = zarr.create_array(str(tmp_path / "a.zarr"), data=VALUES, chunks=(2, 4, 4), zarr_format=version)
+    assert_there(tmp_path / "a.zarr", INDICES.astype(float), at(INDICES, VALUES))
+    assert array.chunks == (2, 4, 4)
+    group = zarr.open_group(str(tmp_path / "b.zarr"), mode="w", zarr_format=version)
+    for number, name in enumerate(("density", "heat")):
+        group.create_array(name, data=VALUES * (number + 1), chunks=(2, 4, 4))
+    dense = gk.volume.to_dense(gk.volume.load(tmp_path / "b.zarr", grid="heat"), device="cpu")
+    np.testing.assert_array_equal(dense.values, VALUES * 2)
+
+
+def test_an_ome_image_lies_where_it_says(tmp_path: Path) -> None:
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
+    channels = np.stack([VALUES, 2 * VALUES]).transpose(0, 3, 2, 1)
+    group.create_array("full", data=channels, chunks=(1, 4, 4, 4))
+    moves = [
+        {"type": "scale", "scale": [1.0, 2.3, 1.1, 0.7]},
+        {"type": "translation", "translation": [0.0, 35.0, -20.0, 10.0]},
+    ]
+    axes = [{"name": "c", "type": "channel"}]
+    axes += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
+    datasets = [{"path": "full", "coordinateTransformations": moves}, {"path": "half"}]
+    group.attrs["multiscales"] = [{"version": "0.4", "axes": axes, "datasets": datasets}]
+    points = INDICES @ STRAIGHT[:3, :3].T + STRAIGHT[:3, 3]
+    assert_there(tmp_path / "a.zarr", points, at(INDICES, 2 * VALUES), grid="1")
+    assert gk.volume.inspect(tmp_path / "a.zarr")[0].metadata["geokit:unit"] == "um"
+
+
+def test_zarr_finds_what_geokit_writes(tmp_path: Path) -> None:
+    path = tmp_path / "a.zarr"
+    gk.volume.save(path, volume_at(STRAIGHT, unit="mm"))
+    gk.volume.save(path, volume_at(STRAIGHT, unit="mm"))  # replaced
+    group = zarr.open_group(str(path), mode="r")
+    np.testing.assert_array_equal(group["0"][:], VALUES.transpose(2, 1, 0))
+    scale, move = group.attrs["multiscales"][0]["datasets"][0]["coordinateTransformations"]
+    np.testing.assert_allclose(INDICES * scale["scale"][::-1] + move["translation"][::-1], world(STRAIGHT))
+    assert group.attrs["multiscales"][0]["axes"][0]["unit"] == "millimeter"
+    np.testing.assert_allclose(gk.volume.load(path).info.transform, STRAIGHT, atol=1e-12)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine.zarr").mkdir()
+    with pytest.raises(gk.FileAccessError, match="exists and is no zarr folder"):
+        gk.volume.save(tmp_path / "mine.zarr", volume_at(STRAIGHT))
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.zarr", "mine", "mine.zarr"]
+
+
+def test_a_zarr_of_nothing_but_claims_is_refused(tmp_path: Path) -> None:
+    zarr.create_array(str(tmp_path / "a.zarr"), shape=(100_000, 2000, 2000), chunks=(64, 64, 64), dtype="f4")
+    with pytest.raises(gk.DeviceMemoryError, match=r"a\.zarr: its content needs .* GiB"):
+        gk.volume.load(tmp_path / "a.zarr")

@@ -1,0 +1,203 @@
+"""Small files that unfold to much memory are refused with the estimate, before the memory is taken."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+
+from geokit import DeviceMemoryError, FileFormatError, mesh, points, volume
+from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
+
+# Size of the content: over the harmless gibibyte.
+SIZE = 3 << 29
+
+
+def _deflated(path, name, head, zeros):
+    archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+    with archive, archive.open(name, "w", force_zip64=True) as file:
+        file.write(head)
+        for _ in range(zeros >> 24):
+            file.write(bytes(1 << 24))
+
+
+def _npz(path, name="points", rows=SIZE // 24):
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (rows, 3)})
+    _deflated(path, f"{name}.npy", head.getvalue(), rows * 24)
+
+
+def _threemf(path):
+    _deflated(path, "3D/3dmodel.model", b"<?xml version='1.0'?><model>", SIZE)
+
+
+def _nvdb(path, grid_size=SIZE):
+    """A zip-compressed level set of zeros behind a sound header."""
+    volume.save(path, volume.from_dense(np.ones((8, 8, 8), np.float32), voxel_size=1.0, background=0.0), codec="zip")
+    data = path.read_bytes()
+    start = FILE_HEADER.itemsize
+    block = np.frombuffer(data, FILE_METADATA, 1, start).copy()
+    body = start + FILE_METADATA.itemsize + int(block["name_size"][0])
+    grid = bytearray(zlib.decompress(data[body + 8 :]))
+    struct.pack_into("<Q", grid, 32, grid_size)
+    deflater = zlib.compressobj(1)
+    packed = [deflater.compress(bytes(grid))]
+    piece = bytes(1 << 24)
+    packed += [deflater.compress(piece) for _ in range((grid_size - len(grid)) >> 24)]
+    packed.append(deflater.compress(bytes((grid_size - len(grid)) % (1 << 24))) + deflater.flush())
+    stored = sum(map(len, packed))
+    block["grid_size"], block["file_size"] = grid_size, stored + 8
+    path.write_bytes(
+        data[:start]
+        + block.tobytes()
+        + data[start + FILE_METADATA.itemsize : body]
+        + struct.pack("<Q", stored)
+        + b"".join(packed)
+    )
+
+
+def _dense(path):
+    """A small volume whose header is changed to claim 512 x 1024 x 768 floats; what is packed does not matter."""
+    volume.save(path, volume.from_dense(np.ones((3, 3, 4), np.float32)), codec="zip")
+    if path.suffix == ".gz":
+        data = bytearray(gzip.decompress(path.read_bytes()))
+        struct.pack_into("<3h", data, 42, 512, 1024, 768)
+        path.write_bytes(gzip.compress(data))
+    else:
+        data, sizes = path.read_bytes(), (b"DimSize = " if path.suffix == ".mha" else b"sizes: ")
+        path.write_bytes(data.replace(sizes + b"3 3 4", sizes + b"512 1024 768"))
+
+
+def _tiff(path):
+    """Pages of nothing but zeros, which need a kilobyte for each mebibyte."""
+    tifffile = pytest.importorskip("tifffile")
+    pages = (np.zeros((1024, 1024), np.float32) for _ in range(SIZE >> 22))
+    tifffile.imwrite(path, pages, shape=(SIZE >> 22, 1024, 1024), dtype=np.float32, compression="zlib")
+
+
+BOMBS = {
+    "points.npz": (_npz, "points.load"),
+    "rays.npz": (_npz, "points.load_rays"),
+    "model.3mf": (_threemf, "mesh.load"),
+    "grid.nvdb": (_nvdb, "volume.load"),
+    "grids.nvdb": (_nvdb, "volume.load_all"),
+    "scan.nii.gz": (_dense, "volume.load"),
+    "scan.nrrd": (_dense, "volume.load_all"),
+    "scan.mha": (_dense, "volume.load"),
+    "scan.tif": (_tiff, "volume.load"),
+}
+PACKAGES = {"scan.nii.gz": "nibabel", "scan.nrrd": "nrrd", "scan.tif": "tifffile"}
+_LOAD = """
+import resource, sys, geokit
+import numpy, geokit.mesh, geokit.points, geokit.volume
+from geokit import DeviceMemoryError
+module, function = sys.argv[2].split(".")
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    getattr(getattr(geokit, module), function)(sys.argv[1])
+except DeviceMemoryError as error:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before >> 10, error)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BOMBS)
+def test_bombs_are_refused_with_the_estimate(tmp_path, name):
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name])
+    make, function = BOMBS[name]
+    make(tmp_path / name)
+    assert (tmp_path / name).stat().st_size < 20 << 20
+    done = subprocess.run(
+        [sys.executable, "-c", _LOAD, tmp_path / name, function], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    grown, _, message = done.stdout.partition(" ")
+    assert message.startswith(f"{tmp_path / name}: its content needs 1.5 GiB of memory"), done.stdout
+    assert "raise memory_limit" in message
+    assert int(grown) < 100  # MiB
+
+
+def test_the_limit_is_the_caller_s(tmp_path):
+    rows = np.zeros((40_000, 3))
+    np.savez_compressed(tmp_path / "a.npz", points=rows)
+    with pytest.raises(DeviceMemoryError, match="its content needs"):
+        points.load(tmp_path / "a.npz", memory_limit=rows.nbytes // 2)
+    assert len(points.load(tmp_path / "a.npz", memory_limit=2 * rows.nbytes)) == len(rows)
+    np.savez_compressed(tmp_path / "r.npz", origins=rows, directions=rows + 1.0)
+    with pytest.raises(DeviceMemoryError):
+        points.load_rays(tmp_path / "r.npz", memory_limit=rows.nbytes)
+    assert len(points.load_rays(tmp_path / "r.npz", memory_limit=3 * rows.nbytes).origins) == len(rows)
+
+
+@pytest.mark.parametrize("codec", ["zip", "blosc"])
+def test_the_limit_of_volumes(tmp_path, codec):
+    path = tmp_path / "a.nvdb"
+    made = volume.from_dense(np.ones((40, 40, 40), np.float32), voxel_size=1.0, background=0.0)
+    volume.save(path, made, codec=codec)
+    size = len(made.nanovdb)
+    for load in (volume.load, volume.load_all):
+        with pytest.raises(DeviceMemoryError, match="raise memory_limit"):
+            load(path, memory_limit=size // 2)
+        load(path, memory_limit=2 * size)
+
+
+@pytest.mark.parametrize("encoding", ["binary_compressed"])
+def test_the_limit_of_pcd(tmp_path, encoding):
+    points.save(tmp_path / "a.pcd", np.zeros((40_000, 3)), encoding=encoding)
+    with pytest.raises(DeviceMemoryError):
+        points.load(tmp_path / "a.pcd", memory_limit=40_000)
+    assert len(points.load(tmp_path / "a.pcd", memory_limit=2_000_000)) == 40_000
+
+
+def test_the_limit_of_laz(tmp_path):
+    points.save(tmp_path / "a.laz", np.zeros((40_000, 3)))
+    with pytest.raises(DeviceMemoryError):
+        points.load(tmp_path / "a.laz", memory_limit=40_000)
+    assert len(points.load(tmp_path / "a.laz", memory_limit=4_000_000)) == 40_000
+
+
+# An answer over the limit, and an array that the process of the reader cannot even allocate.
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [12_000_000, 1_000_000_000])
+def test_readers_of_other_libraries_keep_the_limit(tmp_path, rows):
+    """Files of HDF5 do not tell the size of their content in their head."""
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        # Chunks that were never written are zeros, and take no room in the file.
+        file.create_dataset("points", (rows, 3), "<f8", chunks=(1 << 16, 3))
+    path = tmp_path / "a.xdmf"
+    path.write_text(
+        '<Xdmf Version="3.0"><Domain><Grid Name="g"><Geometry GeometryType="XYZ">'
+        f'<DataItem DataType="Float" Dimensions="{rows} 3" Format="HDF" Precision="8">b.h5:/points</DataItem>'
+        '</Geometry><Topology TopologyType="Triangle" NumberOfElements="1">'
+        '<DataItem DataType="Int" Dimensions="1 3" Format="XML" '
+        'Precision="8">0 1 2</DataItem></Topology></Grid></Domain></Xdmf>'
+    )
+    with pytest.raises(FileFormatError, match=r"needs more memory .* raise memory_limit"):
+        mesh.load(path, memory_limit=200 << 20)
+
+
+def test_what_no_archive_is_stays_a_format_error(tmp_path):
+    for name, load in (("a.npz", points.load), ("a.npz", points.load_rays), ("a.3mf", mesh.load)):
+        (tmp_path / name).write_bytes(b"nothing of the kind")
+        with pytest.raises(FileFormatError, match="archive"):
+            load(tmp_path / name)
+
+
+def test_a_member_that_is_no_array_is_left_out(tmp_path):
+    np.savez(tmp_path / "a.npz", points=np.zeros((2, 3)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("readme", "text")
+    assert len(points.load(tmp_path / "a.npz")) == 2
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("points", "text")
+    with pytest.raises(FileFormatError, match="has no array 'points'"):
+        points.load(tmp_path / "b.npz")

@@ -1,0 +1,135 @@
+"""Points of scanners: .e57 of terrestrial ones, sweeps of KITTI and nuScenes, and COPC, which is a .laz."""
+
+from __future__ import annotations
+
+import re
+import struct
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from tests.support.exchange_files import write_e57
+
+RANDOM = np.random.default_rng(8)
+XYZ = RANDOM.normal(size=(20, 3))
+AXES = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), XYZ.T, strict=True))
+
+
+# --- .e57 -------------------------------------------------------------------------------------------------------------
+
+
+def test_scans_are_joined_at_their_poses(tmp_path):
+    pytest.importorskip("pye57")
+    rotation = pytest.importorskip("scipy.spatial.transform").Rotation
+    quaternions, shifts = [[1, 0, 0, 0], [0.5, -0.1, 0.7, 0.2]], [[0, 0, 0], [5, 6, 7]]
+    columns = {**AXES, "rowIndex": np.arange(20, dtype=np.int16), "intensity": np.arange(20) * 1e-4}
+    write_e57(tmp_path / "a.e57", [columns, columns], poses=list(zip(quaternions, shifts, strict=True)))
+    cloud = gk.points.load(tmp_path / "a.e57")
+    turned = [
+        rotation.from_quat([*q[1:], q[0]]).apply(XYZ) + shift for q, shift in zip(quaternions, shifts, strict=True)
+    ]
+    np.testing.assert_allclose(cloud.points, np.concatenate(turned), rtol=0, atol=1e-14)
+    assert cloud.data["scan"].tolist() == [0] * 20 + [1] * 20
+    assert cloud.data["rowIndex"].tolist() == 2 * list(range(20))
+    np.testing.assert_allclose(cloud.data["intensity"], np.tile(np.arange(20) * 1e-4, 2), rtol=0, atol=1e-15)
+
+
+def test_colors_and_normals_have_their_names_and_turn_with_the_pose(tmp_path):
+    pytest.importorskip("pye57")
+    half = np.sqrt(0.5)
+    color = {f"color{name}": np.arange(20, dtype=np.uint8) + at for at, name in enumerate(("Red", "Green", "Blue"))}
+    normals = {f"nor:normal{axis}": np.full(20, float(axis == "X")) for axis in "XYZ"}
+    write_e57(tmp_path / "a.e57", [{**AXES, **color, **normals}], poses=[([half, 0, 0, half], [1, 2, 3])])
+    cloud = gk.points.load(tmp_path / "a.e57")
+    assert cloud.data["rgb"].dtype == np.uint8
+    assert cloud.data["rgb"][3].tolist() == [3, 4, 5]
+    np.testing.assert_allclose(cloud.data["normals"], np.tile([0.0, 1.0, 0.0], (20, 1)), atol=1e-15)
+    assert "scan" not in cloud.data
+
+
+def test_spherical_coordinates_become_cartesian_and_invalid_points_are_left_out(tmp_path):
+    pytest.importorskip("pye57")
+    reach = np.linalg.norm(XYZ, axis=1)
+    columns = {
+        "sphericalRange": reach,
+        "sphericalAzimuth": np.arctan2(XYZ[:, 1], XYZ[:, 0]),
+        "sphericalElevation": np.arcsin(XYZ[:, 2] / reach),
+        "sphericalInvalidState": np.array([0, 1, 2, 0] * 5, np.int8),
+    }
+    write_e57(tmp_path / "a.e57", [columns])
+    valid = columns["sphericalInvalidState"] == 0
+    np.testing.assert_allclose(gk.points.load(tmp_path / "a.e57").points, XYZ[valid], rtol=0, atol=1e-14)
+
+
+def test_what_not_all_scans_have_is_left_out_by_name(tmp_path):
+    pytest.importorskip("pye57")
+    write_e57(tmp_path / "a.e57", [{**AXES, "rowIndex": np.arange(20, dtype=np.int16)}, AXES])
+    with pytest.warns(UserWarning, match="not all scans have rowIndex; left out"):
+        assert list(gk.points.load(tmp_path / "a.e57").data) == ["scan"]
+
+
+def test_damaged_scans_are_refused_with_their_path(tmp_path):
+    pytest.importorskip("pye57")
+    path = tmp_path / "a.e57"
+    write_e57(path, [AXES])
+    whole = path.read_bytes()
+    flipped = bytearray(whole)
+    flipped[1500] ^= 1
+    for content, reason in (
+        (whole[: len(whole) // 2], "size in file header"),
+        (bytes(flipped), "checksum"),
+        (b"ASTM-E57", "cannot be read"),
+        (b"LASF", "does not start with 'ASTM-E57'"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(gk.FileFormatError, match=f"^{re.escape(str(path))}: .*{reason}"):
+            gk.points.load(path)
+    write_e57(path, [])
+    with pytest.raises(gk.FileFormatError, match="holds no scan"):
+        gk.points.load(path)
+
+
+# --- sweeps without a header ------------------------------------------------------------------------------------------
+
+
+def test_sweeps_of_vehicles(tmp_path):
+    xyz = XYZ.astype(np.float32)
+    rest = RANDOM.random((20, 1)).astype(np.float32)
+    np.hstack([xyz, rest]).astype("<f4").tofile(tmp_path / "000000.bin")
+    cloud = gk.points.load(tmp_path / "000000.bin")
+    np.testing.assert_array_equal(cloud.points, xyz)
+    np.testing.assert_array_equal(cloud.data["reflectance"], rest[:, 0])
+    np.hstack([xyz, 255 * rest, np.arange(20)[:, None]]).astype("<f4").tofile(tmp_path / "n.pcd.bin")
+    cloud = gk.points.load(tmp_path / "n.pcd.bin")
+    np.testing.assert_array_equal(cloud.points, xyz)
+    assert cloud.data["ring"].tolist() == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (bytes(17), "has 17 bytes, no multiple of 16"),
+        (np.full((5, 4), 1e6, "<f4").tobytes(), r"row 0 \(1e\+06, .* is no echo of a scanner"),
+        (np.array([[1, 2, 3, 0.5], [1, 2, 3, -1]], "<f4").tobytes(), r"row 1 \(1, 2, 3, -1\)"),
+        (np.array([[1, 2, 3, np.nan]], "<f4").tobytes(), "row 0"),
+    ],
+)
+def test_other_files_called_bin_are_refused(content, reason, tmp_path):
+    (tmp_path / "a.bin").write_bytes(content)
+    with pytest.raises(gk.FileFormatError, match=f"a.bin: {reason}"):
+        gk.points.load(tmp_path / "a.bin")
+
+
+# --- COPC -------------------------------------------------------------------------------------------------------------
+
+
+def test_copc_is_read_as_the_laz_that_it_is(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    gk.points.save(tmp_path / "plain.laz", XYZ)
+    cloud = laspy.read(tmp_path / "plain.laz")
+    # The record that makes a file COPC: center, half size, spacing, place of the hierarchy, times.
+    record = struct.pack("<5d2Q2d", 0, 0, 0, 8, 0.5, 0, 0, 0, 0) + bytes(11 * 8)
+    cloud.header.vlrs.insert(0, laspy.VLR(user_id="copc", record_id=1, description="", record_data=record))
+    cloud.write(tmp_path / "a.copc.laz")
+    np.testing.assert_allclose(gk.points.load(tmp_path / "a.copc.laz").points, XYZ, rtol=0, atol=1e-8)

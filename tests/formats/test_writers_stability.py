@@ -1,0 +1,142 @@
+"""Writers on failing disks: a named error, the old file kept, nothing left behind, and the process lives on."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from geokit import FileFormatError, mesh, points
+from geokit.formats.table import FORMATS
+from tests.support.all_writers import OLD, holds, place, writers
+
+ROOT = Path(__file__).resolve().parents[2]
+TRIANGLE = mesh.TriangleMesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2]])
+
+
+def _lines(folder, how):
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.support.all_writers", folder, how],
+        cwd=ROOT, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stderr == ""  # libraries do not print either
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def _failed(folder, line):
+    # The voxels of an .mhd are a file of their own.
+    names = line["name"], line["name"].replace(".mhd", ".raw")
+    return line["outcome"].startswith(tuple(f"FileAccessError: {folder / name}: writing failed (" for name in names))
+
+
+@pytest.mark.slow
+def test_past_a_limit_on_file_sizes(tmp_path):
+    lines = _lines(tmp_path, "limits")
+    assert len(lines) == 6 * len(writers())
+    for line in lines:
+        assert _failed(tmp_path, line), line
+        assert line["kept"], line
+        assert line["left"] == [], line
+
+
+@pytest.mark.slow
+def test_in_a_folder_that_vanished(tmp_path):
+    lines = _lines(tmp_path / "gone", "vanished")
+    assert len(lines) == len(writers())
+    for line in lines:
+        assert line["outcome"].startswith(f"FileAccessError: {tmp_path / 'gone' / line['name']}: the folder"), line
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system of 64 KiB, and a function that makes it read-only."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", folder], capture_output=True, text=True)
+    if made.returncode:
+        pytest.skip(f"a file system cannot be mounted here: {made.stderr.strip()}")
+    yield folder, lambda: subprocess.run(["mount", "-o", "remount,ro", folder], check=True)
+    subprocess.run(["umount", folder], check=True)
+
+
+@pytest.mark.slow
+def test_on_a_full_disk_and_on_a_read_only_one(disk):
+    folder, make_read_only = disk
+    for name in writers():
+        place(folder / name, b"")
+    # Files of no length take no room: the two largest formats keep an old file.
+    for name in ("mesh.vtp", "volume_none.nvdb"):
+        place(folder / name, OLD)
+    for line in _lines(folder, "plain"):
+        # What writes more than its result asks for room first.
+        refused = line["name"].startswith("processed") and line["outcome"].endswith("use another disk")
+        assert refused or _failed(folder, line), line
+        assert line["left"] == [], line
+    make_read_only()
+    for line in _lines(folder, "plain"):
+        assert line["outcome"].startswith(f"FileAccessError: {folder / line['name']}: cannot write there (Read-o"), line
+    for name in writers():
+        assert holds(folder / name, OLD if name in ("mesh.vtp", "volume_none.nvdb") else b"")
+
+
+def _sizes(target):
+    files = sorted(target.rglob("*")) if target.is_dir() else [target]
+    return [(str(file.relative_to(target)), file.stat().st_size) for file in files]
+
+
+_KILLED = """
+import sys
+from pathlib import Path
+from tests.support.all_writers import writers
+write = writers()[sys.argv[2]]
+while True:
+    print(flush=True)
+    write(Path(sys.argv[1], sys.argv[2]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mesh.vtp", "mesh.usdc", "volume_zip.vdb", "volume_zip.nvdb", "volume_zip.zarr"])
+def test_killed_writers_leave_a_whole_file_and_the_next_save_removes_their_rest(tmp_path, name):
+    target = tmp_path / name
+    write = writers()[name]
+    write(target)
+    whole = _sizes(target)
+    for round_ in range(6):
+        process = subprocess.Popen(
+            [sys.executable, "-c", _KILLED, tmp_path, name], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        with process:
+            process.stdout.read(3)
+            # Not before a later save has begun, and then at any moment of it.
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(0.004 * round_)
+            process.kill()
+        assert _sizes(target) == whole
+        write(target)
+        assert os.listdir(tmp_path) == [name]
+
+
+@pytest.mark.parametrize("kind", [kind for kind, row in FORMATS.items() if "w" in row.mesh])
+def test_meshes_under_names_in_no_encoding(tmp_path, kind):
+    folder = tmp_path / "caf\udce9"
+    folder.mkdir()
+    target = os.fsencode(folder / f"mod\udce8le{kind}")
+    mesh.save(target, TRIANGLE)
+    if FORMATS[kind].module == "usd":
+        with pytest.raises(FileFormatError, match="UTF-8"):
+            mesh.load(target)
+    else:
+        assert len(mesh.load(target).faces) == 1
+
+
+@pytest.mark.parametrize("kind", [kind for kind, row in FORMATS.items() if "w" in row.points])
+def test_points_under_names_in_no_encoding(tmp_path, kind):
+    target = os.fsencode(tmp_path / f"mod\udce8le{kind}")
+    points.save(target, TRIANGLE.vertices)
+    assert len(points.load(target)) == 3

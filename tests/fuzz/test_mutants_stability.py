@@ -1,0 +1,37 @@
+"""Two hundred damaged files of every format: each loads or is refused by name, whatever is asked of it afterwards.
+
+Not one ends the process, prints, hangs for 20 s of CPU time, takes 2 GiB or raises anything but a GeokitError.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+from geokit import native
+from geokit.formats.table import FORMATS
+from tests.formats.images.needed import need
+from tests.fuzz.campaign import run
+from tests.fuzz.originals import TARGETS, Target
+
+MUTANTS = 200
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: f"{target.content}{target.kind}")
+def test_every_mutant_ends_well(target: Target) -> None:
+    if target.kind == ".vdb" and not native.available():
+        pytest.skip("geokit was built without OpenVDB")
+    if target.kind in (".las", ".laz") and not importlib.util.find_spec("laspy"):
+        pytest.skip("needs laspy")
+    if FORMATS[target.kind].extra == "cad" and not importlib.util.find_spec("OCP"):
+        pytest.skip("needs cadquery-ocp-novtk")
+    need(target.kind)
+    tally = run(target, range(MUTANTS))
+    assert not tally.faults
+    refused = sum(count for end, count in tally.ends.items() if end.startswith("refused"))
+    # The mutants would prove nothing if they were all whole, or all no files of their format.
+    assert refused > MUTANTS // 10
+    assert tally.ends["same"] + tally.ends["differs"] > MUTANTS // 20

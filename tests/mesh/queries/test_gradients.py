@@ -1,0 +1,158 @@
+"""Gradients of closest points, signed distances and hits: across faces, edges and vertices, and by vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from geokit import InputError, mesh  # noqa: E402
+from tests.support.gradient_checks import check, tensor  # noqa: E402
+
+FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+
+
+@pytest.fixture
+def tetrahedron():
+    random = np.random.default_rng(3)
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) + 0.1 * random.standard_normal((4, 3))
+    return mesh.Surface(mesh.TriangleMesh(vertices, FACES), device="cpu")
+
+
+@pytest.fixture
+def points():
+    """Closest to faces, edges and vertices, inside and outside."""
+    return tensor(np.random.default_rng(4).standard_normal((40, 3)) + 0.3)
+
+
+def test_all_features_are_there(tetrahedron, points):
+    weights = tetrahedron.closest_point(points.numpy()).barycentric
+    assert set((weights > 0.0).sum(axis=1)) == {1, 2, 3}
+
+
+@pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
+@pytest.mark.parametrize("output", ["distance", "points"])
+def test_by_points_and_vertices(tetrahedron, points, query, output):
+    def answer(vertices, points):
+        tetrahedron.update(vertices)
+        return getattr(getattr(tetrahedron, query)(points), output)
+
+    check(answer, tensor(tetrahedron.mesh.vertices), points)
+
+
+def test_barycentric_over_faces(tetrahedron, points):
+    inner = (tetrahedron.closest_point(points.numpy()).barycentric > 0.0).all(axis=1)
+    check(lambda points: tetrahedron.closest_point(points).barycentric, points[inner])
+
+
+def test_first_hits(tetrahedron):
+    random = np.random.default_rng(5)
+    origins, targets = 3.0 * random.standard_normal((60, 3)), 0.2 + 0.2 * random.standard_normal((60, 3))
+    rays = tensor(origins), tensor(targets - origins)
+    hit = torch.isfinite(tetrahedron.raycast(*rays).t)
+    assert 10 < hit.sum() < 60
+
+    def answer(vertices, origins, directions):
+        tetrahedron.update(vertices)
+        found = tetrahedron.raycast(origins, directions)
+        return found.t[hit], found.barycentric[hit]
+
+    check(answer, tensor(tetrahedron.mesh.vertices), *rays)
+
+
+def test_misses_have_no_slope(tetrahedron, points):
+    asked = points.clone().requires_grad_()
+    found = tetrahedron.closest_point(asked, max_distance=0.3)
+    missed = found.triangle_id < 0
+    assert missed.any()
+    assert not missed.all()
+    (slope,) = torch.autograd.grad(torch.where(missed, 0.0, found.distance).sum(), asked)
+    assert (slope[missed] == 0.0).all()
+    assert torch.isfinite(slope).all()
+    assert torch.allclose(slope[~missed].norm(dim=1), torch.ones((~missed).sum(), dtype=torch.float64))
+
+
+def test_on_the_surface(tetrahedron):
+    # The unsigned distance has a kink there, with slope 0; the signed one goes on with the outward normal.
+    corners = tensor(tetrahedron.mesh.vertices)[torch.tensor(FACES[2])]
+    center = corners.mean(dim=0, keepdim=True).requires_grad_()
+    assert tetrahedron.closest_point(center).distance.item() < 1e-15
+    (slope,) = torch.autograd.grad(tetrahedron.signed_distance(center).distance, center)
+    normal = torch.linalg.cross(corners[1] - corners[0], corners[2] - corners[0])
+    assert torch.allclose(slope[0], normal / normal.norm(), atol=1e-9)
+
+
+@pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
+def test_close_to_the_surface_among_others(tetrahedron, points, query):
+    # First derivatives alone take a shorter way, which these points leave.
+    found = tetrahedron.closest_point(points.numpy())
+    feet, over_face = tensor(found.points), (found.barycentric > 0.0).all(axis=1)
+    away = (points - feet) / (points - feet).norm(dim=1, keepdim=True)
+    # On an edge itself the direction is that of a rounding error.
+    rows = torch.cat([points, feet + 1e-9 * away, feet + 1e-11 * away, feet[over_face]]).requires_grad_()
+    vertices = tensor(tetrahedron.mesh.vertices).requires_grad_()
+    tetrahedron.update(vertices)
+    distance = getattr(tetrahedron, query)(rows).distance
+    scale = tensor(np.linspace(1.0, 2.0, len(rows)))
+    short = torch.autograd.grad(distance, (rows, vertices), scale, retain_graph=True)
+    whole = torch.autograd.grad(distance, (rows, vertices), scale, create_graph=True)
+    for one, other in zip(short, whole, strict=True):
+        assert torch.isfinite(one).all()
+        # Directions between points that are 1e-11 apart are known to 1e-5.
+        assert torch.allclose(one, other.detach(), rtol=0.0, atol=1e-4)
+
+
+def test_answers_are_those_without_gradients(tetrahedron, points):
+    plain = tetrahedron.signed_distance(points)
+    found = tetrahedron.signed_distance(points.clone().requires_grad_())
+    assert type(found) is type(plain)
+    for with_slope, without in zip(found, plain, strict=True):
+        assert torch.equal(with_slope.detach(), without)
+        assert with_slope.dtype == without.dtype
+    assert not found.triangle_id.requires_grad
+
+
+def test_float32_and_numpy(tetrahedron, points):
+    single = points.float().requires_grad_()
+    found = tetrahedron.closest_point(single)
+    assert found.distance.dtype == torch.float32
+    (slope,) = torch.autograd.grad(found.distance.sum(), single)
+    assert slope.dtype == torch.float32
+    tetrahedron.update(tensor(tetrahedron.mesh.vertices).requires_grad_())
+    # Only a tensor can carry the gradient.
+    assert tetrahedron.closest_point(points.numpy()).distance.requires_grad
+    tetrahedron.update(tetrahedron.mesh.vertices)
+    assert isinstance(tetrahedron.closest_point(points.numpy()).distance, np.ndarray)
+
+
+def test_vmap_and_grad(tetrahedron, points):
+    each = torch.func.vmap(torch.func.grad(lambda p: tetrahedron.closest_point(p[None]).distance[0]))(points)
+    asked = points.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(tetrahedron.closest_point(asked).distance.sum(), asked)
+    assert torch.allclose(each, slope, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_compiled_whole(tetrahedron, points):
+    vertices = tensor(tetrahedron.mesh.vertices).requires_grad_()
+
+    def loss(points):
+        return (tetrahedron.signed_distance(points, sign="winding").distance ** 2).sum()
+
+    tetrahedron.update(vertices)
+    asked = points.clone().requires_grad_()
+    expected = torch.autograd.grad(loss(asked), (asked, vertices))
+    found = torch.autograd.grad(torch.compile(loss, fullgraph=True, backend="aot_eager")(asked), (asked, vertices))
+    assert all(map(torch.allclose, expected, found))
+
+
+def test_no_gradient_of_an_option(tetrahedron, points):
+    with pytest.raises(InputError, match=r"max_distance: a tensor that requires gradients"):
+        tetrahedron.closest_point(points, max_distance=torch.tensor(1.0, requires_grad=True))
+
+
+def test_two_devices(tetrahedron, points):
+    tetrahedron.update(tensor(tetrahedron.mesh.vertices).requires_grad_())
+    with pytest.raises(InputError, match="cpu, meta; move them to one device"):
+        tetrahedron.closest_point(points.to("meta"))

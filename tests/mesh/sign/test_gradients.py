@@ -1,0 +1,56 @@
+"""Gradients of winding numbers against differences of exact solid angles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from geokit import mesh  # noqa: E402
+from tests.support.gradient_checks import tensor  # noqa: E402
+
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3]])
+STEP = 1e-6
+
+
+def exact(points, vertices):
+    """Sum of the triangles' solid angles by Van Oosterom and Strackee, over 4 pi."""
+    a, b, c = (vertices[FACES[:, corner]][None] - points[:, None] for corner in range(3))
+    la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+    volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+    below = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
+    return 2.0 * np.arctan2(volume, below).sum(1) / (4.0 * np.pi)
+
+
+@pytest.mark.parametrize("as_given", [False, True])
+def test_by_points_and_vertices(as_given):
+    random = np.random.default_rng(0)
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0], [1, 1, 1]]) + 0.1 * random.standard_normal(
+        (5, 3)
+    )
+    points = random.standard_normal((30, 3)) + 0.3
+    surface = mesh.Surface(mesh.TriangleMesh(vertices, FACES), device="cpu")
+    side = 1.0 if as_given else float(surface.orientation)
+    moved, asked = tensor(vertices).requires_grad_(), tensor(points).requires_grad_()
+    surface.update(moved)
+    winding = surface.winding_number(asked, as_given=as_given)
+    assert np.allclose(winding.detach(), side * exact(points, vertices), atol=0.005)
+    by_points, by_vertices = torch.autograd.grad(winding.sum(), (asked, moved))
+    for axis in range(3):
+        step = STEP * np.eye(3)[axis]
+        slope = side * (exact(points + step, vertices) - exact(points - step, vertices)) / (2.0 * STEP)
+        assert np.allclose(by_points[:, axis], slope, atol=1e-7)
+        for row in range(5):
+            step = np.zeros((5, 3))
+            step[row, axis] = STEP
+            slope = side * (exact(points, vertices + step) - exact(points, vertices - step)).sum() / (2.0 * STEP)
+            assert by_vertices[row, axis] == pytest.approx(slope, abs=1e-6)
+
+
+def test_closed_meshes_have_none():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    surface = mesh.Surface(mesh.TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]), device="cpu")
+    points = tensor([[0.1, 0.1, 0.1], [3.0, 0.0, 0.0]]).requires_grad_()
+    (slope,) = torch.autograd.grad(surface.winding_number(points).sum(), points)
+    assert (slope == 0.0).all()

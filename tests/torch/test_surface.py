@@ -1,0 +1,93 @@
+"""Meshes whose vertices are a tensor."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import geokit as gk  # noqa: E402
+from tests.support.gradient_checks import check, tensor  # noqa: E402
+
+FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+CORNERS = tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+
+
+def test_queries_move_with_the_vertices():
+    points = tensor([[2.0, 0.3, 0.2], [0.1, 0.1, -0.5], [0.1, 0.15, 0.2]])
+    check(lambda vertices: gk.torch.Surface(vertices, FACES).signed_distance(points).distance, CORNERS)
+
+
+def test_samples_move_with_the_vertices():
+    vertices = CORNERS.clone().requires_grad_()
+    samples = gk.torch.sample_surface(vertices, torch.tensor(FACES), 200, seed=3)
+    plain = gk.mesh.sample_surface(gk.mesh.TriangleMesh(CORNERS.numpy(), FACES), 200, seed=3)
+    assert np.allclose(samples.points.detach(), plain.points, atol=1e-15)
+    assert np.array_equal(samples.triangle_id, plain.triangle_id)
+    (slope,) = torch.autograd.grad(samples.points.sum(), vertices)
+    # Each point moves as its weights say.
+    expected = np.zeros(4)
+    np.add.at(expected, np.array(FACES)[plain.triangle_id], plain.barycentric)
+    assert np.allclose(slope, expected[:, None])
+
+
+def test_a_mesh_is_fitted_to_points():
+    random = np.random.default_rng(0)
+    ball = random.standard_normal((400, 3))
+    target = tensor(ball / np.linalg.norm(ball, axis=1)[:, None])
+    vertices = (3.0 * (CORNERS - 0.25)).requires_grad_()
+    optimizer = torch.optim.Adam([vertices], lr=0.05)
+    surface, losses = gk.torch.Surface(vertices, FACES), []
+    for _ in range(60):
+        surface.update(vertices)
+        loss = (surface.closest_point(target).distance ** 2).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_copies_leave_the_graph():
+    surface = gk.torch.Surface(CORNERS.clone().requires_grad_(), FACES)
+    again = copy.deepcopy(surface)
+    assert not again.closest_point(CORNERS + 1.0).distance.requires_grad
+
+
+def test_other_arrays_are_refused():
+    with pytest.raises(gk.InputError, match=r"vertices: .*Tensor"):
+        gk.torch.Surface(CORNERS.numpy(), FACES)
+
+
+def test_a_pair_of_tensors_is_a_surface_of_them():
+    vertices = CORNERS.clone().requires_grad_()
+    points = tensor([[2.0, 0.3, 0.2], [0.1, 0.1, -0.5]])
+    slopes = []
+    for surface in (gk.torch.Surface(vertices, FACES), gk.mesh.Surface((vertices, FACES), device="cpu")):
+        slopes += torch.autograd.grad(surface.closest_point(points).distance.sum(), vertices)
+    assert torch.equal(*slopes)
+
+
+def test_half_precision_is_refused():
+    with pytest.raises(gk.InputError, match=r"vertices: torch.float16 has no gradients here"):
+        gk.torch.Surface(CORNERS.half().requires_grad_(), FACES)
+    values = torch.zeros(3, dtype=torch.float16, requires_grad=True)
+    with pytest.raises(gk.InputError, match=r"points: torch.float16 has no gradients; give float32 or float64"):
+        gk.torch.Surface(CORNERS, FACES).closest_point(values[None])
+
+
+def test_a_graph_is_freed_once():
+    surface = gk.torch.Surface(CORNERS.clone().requires_grad_(), FACES)
+    loss = surface.closest_point(tensor([[2.0, 0.3, 0.2]])).distance.sum()
+    loss.backward(retain_graph=True)
+    loss.backward()
+    with pytest.raises(gk.InputError, match="an earlier backward pass has freed"):
+        loss.backward()
+
+
+def test_a_mesh_of_tensors_with_gradients_is_refused_by_name():
+    with pytest.raises(gk.InputError, match=r"vertices: requires gradients, which are not recorded here"):
+        gk.mesh.TriangleMesh(CORNERS.clone().requires_grad_(), FACES)

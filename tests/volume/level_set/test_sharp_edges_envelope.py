@@ -1,0 +1,78 @@
+"""Where distances at sharp edges are less exact: tips, ends of concave edges, and what is thinner than a voxel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geokit import native
+from geokit.volume._morphology import closing, dilate, erode, opening
+from tests.support.analytic_volumes import active_voxels, level_set
+from tests.support.edged_bodies import cuboid, extruded, outline, polygon, revolved, turned
+
+pytestmark = [pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"), pytest.mark.slow]
+
+ODD = ((0.31, 0.47, 0.73), (0.3, 0.2, -0.1))
+
+
+def found(volume, true):
+    points, values = active_voxels(volume)
+    return np.abs(values - np.clip(true(points), -3.0, 3.0))
+
+
+def cone(distance, radius, height):
+    slant = np.hypot(radius, height)
+    top, bottom = height / 2 - distance * slant / radius, -height / 2 + distance
+    end = radius * (top - bottom) / height
+    return turned(revolved(polygon([(-end, bottom), (end, bottom), (0.0, top)])), *ODD)
+
+
+def angle_section(distance):
+    """An L without the quadrant from (1, 1) on, whose concave edge becomes an arc as it erodes."""
+    a, n = 13.0 - distance, 1.0 - distance
+    start = np.array([(-a, -a), (a, -a), (a, n), (n, a), (-a, a)])
+    end = np.array([(a, -a), (a, n), (1.0, n), (-a, a), (-a, -a)])
+    start = np.concatenate([start, [(n, 1.0)]])
+    end = np.concatenate([end, [(n, a)]])
+    arcs = np.array([[1.0, 1.0, distance, np.pi, 1.5 * np.pi]])
+
+    def inside(p):
+        beyond = np.linalg.norm(np.maximum(1.0 - p, 0.0), axis=1)
+        return (np.abs(p).max(axis=1) < a) & (beyond > distance)
+
+    return turned(extruded(outline(start, end, arcs, inside), 11.0 - distance), *ODD)
+
+
+@pytest.mark.parametrize("distance", [1.0, 2.6, 4.0])
+@pytest.mark.parametrize("size", [(13.0, 22.0), (12.5, 15.0)])
+def test_cones(distance, size):
+    body = level_set(cone(0.0, *size))
+    true = cone(distance, *size)
+    assert found(erode(body, distance), true).max() < 0.4
+    assert found(opening(body, distance), lambda p: true(p) - distance).max() < 0.5
+
+
+@pytest.mark.parametrize("distance", [1.0, 2.6, 5.0])
+def test_ends_of_concave_edges(distance):
+    errors = found(erode(level_set(angle_section(1e-9)), distance), angle_section(distance))
+    assert errors.max() < 0.7
+    assert np.mean(errors > 0.3) < 0.01
+
+
+def test_less_than_a_voxel_is_left():
+    half = np.array([12.0, 11.0, 2.9])
+    body, core = level_set(turned(cuboid(half), *ODD)), turned(cuboid(half - 2.6), *ODD)
+    assert found(erode(body, 2.6), core).max() < 0.4
+    assert found(opening(body, 2.6), lambda p: core(p) - 2.6).max() < 1.0
+
+
+@pytest.mark.parametrize("distance", [1.0, 4.0, 6.0])
+@pytest.mark.parametrize("pose", [ODD, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+def test_closing_of_boxes(distance, pose):
+    box = turned(cuboid(np.array([12.0, 10.5, 9.3])), *pose)
+    assert found(closing(level_set(box), distance), box).max() < 0.6
+
+
+def test_dilation_within_the_band():
+    box = turned(cuboid(np.array([12.0, 10.5, 9.3])), *ODD)
+    assert found(dilate(level_set(box), 1.0), lambda p: box(p) - 1.0).max() < 0.3
