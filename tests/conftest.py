@@ -1,8 +1,10 @@
-"""Which tests are slow by their file, and stacks: where a signal ends a process, they are printed after all else."""
+"""Which tests are slow by their file, where the time goes, and stacks of processes that a signal ended."""
 
 from __future__ import annotations
 
+import collections
 import faulthandler
+import itertools
 import os
 import shutil
 import tempfile
@@ -12,6 +14,8 @@ import pytest
 
 FOLDER = "GEOKIT_TEST_STACKS"
 STACKS = pytest.StashKey[int]()
+# Files named by the time that their tests take.
+SLOWEST = 60
 
 
 # After pytest's own, which writes to stderr in the midst of everything.
@@ -31,6 +35,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatus: int) -> None:
+    if os.environ.get("CI"):
+        _say_where_time_goes(terminalreporter)
     # Some tests end processes on purpose.
     if exitstatus == 0:
         return
@@ -38,6 +44,16 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatu
         if text := path.read_text(errors="replace"):
             terminalreporter.section(f"stacks of process {path.stem}")
             terminalreporter.write(text[:8000] + "\n")
+
+
+def _say_where_time_goes(terminal: pytest.TerminalReporter) -> None:
+    seconds: collections.Counter[str] = collections.Counter()
+    for report in itertools.chain.from_iterable(terminal.stats.values()):
+        if isinstance(report, pytest.TestReport):
+            seconds[report.nodeid.partition("::")[0]] += report.duration
+    terminal.section(f"seconds by file, {seconds.total():.0f} on all cores together")
+    for file, time in seconds.most_common(SLOWEST):
+        terminal.write_line(f"{time:7.1f}  {file}")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -159,7 +159,8 @@ def from_mesh(
         sign: Method that tells inside from outside, as for ``Surface.signed_distance``; "auto" takes that of
             ``Surface.sign_method``. "none" gives unsigned distances in a grid of class "unknown".
         thickness: Thickness [world] of a solid shell around the surface, whose level set the field then is: the
-            unsigned distance less half the thickness. ``sign`` is then ignored.
+            unsigned distance less half the thickness; at most a million times the mesh's size. ``sign`` is then
+            ignored.
         method: "geokit", or "openvdb" for OpenVDB's field of a closed mesh, for comparison: it is up to half a voxel
             off.
         codec: Storage of the values, as in :func:`geokit.volume.quantize`; None for float32, with ``tolerance`` for the

@@ -39,12 +39,14 @@ def devices_of(device: Any) -> list["wp.Device"] | None:
     """The devices of a list, or None for what is not a list.
 
     Raises:
-        InputError: The list is empty, or there is no such device.
+        InputError: The list is empty, an entry is None, or there is no such device.
     """
     if not isinstance(device, (list, tuple)):
         return None
     if not device:
         raise InputError("device: the list is empty; name at least one device")
+    if any(one is None for one in device):
+        raise InputError(f"device: entry {list(device).index(None)} is None; name each device of a list")
     return [launcher.resolve_device(one) for one in device]
 
 

@@ -21,9 +21,7 @@ alignas(64) double square[room + 8], named[room + 8];
 int filled = 0;
 int at_row = to;
 auto flush = [&]() {
-    for (int i = 0; i < filled; i += 8) {
-        *(d8*)(square + i) = __builtin_elementwise_sqrt(*(const d8*)(square + i));
-    }
+    for (int i = 0; i < filled; i += 8) { *(d8*)(square + i) = __builtin_elementwise_sqrt(*(const d8*)(square + i)); }
     for (int i = 0; i < filled; ++i) {
         out_index.data[at_row + i] = (int)(named[i]);
         out_distance.data[at_row + i] = square[i];

@@ -28,11 +28,18 @@ if TYPE_CHECKING:
 
 __all__ = ["band_metadata", "grid_head", "half_widths", "in_float32", "resolve_surface", "volume_from_built"]
 
+# Thickest shell, in lengths of the mesh's longest edge of its bounding box: float32 sees a point in the middle of it.
+THICKEST = 1e6
+
 
 def resolve_surface(
     mesh: TriangleMesh | Surface, sign: str, thickness: float | None, device: Any
 ) -> tuple[Surface, str, float]:
-    """The prepared surface, its sign method (or "none"), and half the thickness of a shell."""
+    """The prepared surface, its sign method (or "none"), and half the thickness of a shell.
+
+    Raises:
+        InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method.
+    """
     from geokit.mesh._surface import Surface
 
     require_choice(sign, "sign", SIGNS)
@@ -41,6 +48,12 @@ def resolve_surface(
         offset = 0.5 * user_arrays.require_finite_scalar(thickness, "thickness", low=0.0)
         sign = "none"
     surface = snapshot(mesh) if isinstance(mesh, Surface) else Surface(mesh, device=launcher.resolve_device(device))
+    longest = float((surface.bounds[1] - surface.bounds[0]).max())
+    if 2.0 * offset > THICKEST * longest > 0.0:
+        raise InputError(
+            f"thickness: {2.0 * offset:g} is more than {THICKEST:g} times the size of the mesh, {longest:g}; give one in "
+            "the mesh's units"
+        )
     method = "none" if sign == "none" else surface._method(sign)
     # Who asks for a method has looked at the mesh; for "auto" the audit has been made.
     open_edges = surface._signs.audit.boundary_edge_count if sign == "auto" else 0

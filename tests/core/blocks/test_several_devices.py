@@ -182,6 +182,8 @@ def test_errors_count_the_rows_of_the_caller() -> None:
         surface.raycast(POINTS, DIRECTIONS[:10])
     with pytest.raises(InputError, match="device: the list is empty"):
         gk.mesh.Surface(gk.mesh.torus(), device=[])
+    with pytest.raises(InputError, match="device: entry 1 is None"):
+        gk.mesh.Surface(gk.mesh.torus(), device=[ONE, None])
     with pytest.raises(InputError, match=r"device: .*nowhere"):
         gk.points.NeighborGrid(POINTS, 0.1, device=[ONE, "nowhere"])
     with pytest.raises(InputError, match="device: a list is for"):

@@ -397,6 +397,8 @@ def test_openvdbs_own_field_can_be_had_for_comparison():
         ({"voxel_size": 0.1, "sign": "guess"}, "sign"),
         ({"voxel_size": 0.1, "thickness": 0.0}, "thickness"),
         ({"voxel_size": 0.1, "thickness": np.nan}, "thickness"),
+        ({"voxel_size": 0.1, "thickness": 1e9}, r"thickness: 1e\+09 is more than 1e\+06 times the size of the mesh"),
+        ({"tolerance": 0.1, "thickness": 1e9}, "thickness"),
         ({"voxel_size": 0.1, "method": "magic"}, "method"),
         ({"voxel_size": 0.1, "method": "openvdb", "half_width": (2.0, 3.0)}, "method"),
         ({"voxel_size": 0.1, "method": "openvdb", "thickness": 0.2}, "method"),
@@ -421,11 +423,12 @@ def test_voxels_too_small_for_the_memory_name_a_size_that_fits(voxel_size):
 
 
 @pytest.mark.slow
-def test_a_grid_has_at_most_2_31_bytes(monkeypatch):
+def test_a_grid_has_at_most_2_33_bytes(monkeypatch):
     from geokit.core.memory import available_memory
 
     monkeypatch.setattr(available_memory, "available", lambda device: 1 << 50)
     monkeypatch.setattr(available_memory, "available_host", lambda: 1 << 50)
-    with pytest.raises(DeviceMemoryError, match=r"of the 44\d\d MiB that cpu and a grid can hold; use 0\.00") as caught:
-        volume.from_mesh(mesh_catalog.box(), 1.0 / 4100, device="cpu")
+    refusal = r"of the 179\d\d MiB that cpu and a grid can hold; use 0\.00"
+    with pytest.raises(DeviceMemoryError, match=refusal) as caught:
+        volume.from_mesh(mesh_catalog.box(), 1.0 / 12000, device="cpu")
     assert "smaller half_width" in str(caught.value)
