@@ -954,7 +954,7 @@ f 1 2 -1
 l 1 2
 """
 OFF = """OFF
-# a pyramid, one face of it with a colour
+# a pyramid, one face of it with a color
 5 5 8
 0 0 0
 1 0 0
@@ -1347,7 +1347,7 @@ def reading_rows(given: Inputs, name: str) -> Rows:
 
 
 def tried(call: Callable[[], Any]) -> Any:
-    """What a call returns, or the error with which it is refused: both are behaviour."""
+    """What a call returns, or the error with which it is refused: both are behavior."""
     try:
         return call()
     except gk.MissingDependencyError:
@@ -1453,7 +1453,7 @@ def derivative_rows(given: Inputs) -> Rows:
         "sdf": lambda: given.sdf(),
         "ball": lambda: given.sphere_field,
         "sheared": lambda: given.typed("float"),
-        "quantised": lambda: given.fog.quantize("fp16"),
+        "quantized": lambda: given.fog.quantize("fp16"),
     }
     for name, volume in scalars.items():
         for order in (2, 3):
@@ -1625,7 +1625,7 @@ def level_set_rows(given: Inputs) -> Rows:
         yield Row(f"volume.{call}.two", lambda c=combine, a=sdf, b=ball: c(a(), b()))
         yield Row(f"volume.{call}.three", lambda c=combine, a=sdf, b=ball, s=small: c(a(), s(), b()))
         yield Row(f"volume.{call}.smooth", lambda c=combine, a=sdf, s=small: c(a(), s(), smooth=0.2))
-        yield Row(f"volume.{call}.quantised", lambda c=combine, a=sdf, b=ball: c(a().quantize("fp8"), b()))
+        yield Row(f"volume.{call}.quantized", lambda c=combine, a=sdf, b=ball: c(a().quantize("fp8"), b()))
         yield Row(f"volume.{call}.masks", lambda c=combine: c(*masks()))
 
 

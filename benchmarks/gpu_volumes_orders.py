@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.sphere_volumes import sphere_leaves
+from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from benchmarks.gpu_timing import device_median
 from geokit.core import launcher
 from geokit.volume._active import active_at
@@ -17,10 +21,6 @@ from geokit.volume._from_channel import from_channel
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, info_of
-from tests.support.float_grids import build_float_grid
-from tests.support.index_grids import IndexGrid
-from tests.support.sphere_volumes import sphere_leaves
-from tests.support.typed_grids import VALUED, TypedGrid
 
 POINTS = 10_000_000
 CHECKED = 200_000

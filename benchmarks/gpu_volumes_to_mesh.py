@@ -14,11 +14,11 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.gpu_timing import mesh_medians, wall_median
 from geokit.core import launcher
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 
 METHODS = ("surface_nets", "marching_cubes", "dual_contouring")
 HALF_WIDTH = 3.0

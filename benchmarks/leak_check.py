@@ -14,7 +14,8 @@ import numpy as np
 
 import geokit as gk
 from benchmarks import inputs
-from tests.support import mesh_catalog, reference
+from benchmarks.catalog import mesh_catalog
+from geokit.accuracy.reference import mesh as reference
 
 BATCH = 1_000_000
 COMPARED = 200

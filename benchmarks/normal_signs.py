@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.catalog import oriented_clouds as shapes
 from geokit.points import normals
-from tests.support import oriented_clouds as shapes
 
 K = 16
 PLATES = (1.5, 1.8, 2.1, 2.4, 2.7, 3.0, 3.2, 3.6, 4.0, 5.0, 6.0)

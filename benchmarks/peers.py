@@ -139,7 +139,7 @@ def embreex_build(mesh: TriangleMesh, origins: np.ndarray, directions: np.ndarra
     return Asked(lambda: build().run(origins, directions, query="DISTANCE"))
 
 
-# trueform (its licence is for noncommercial use)
+# trueform (its license is for noncommercial use)
 
 
 def trueform_build(mesh: TriangleMesh, point: np.ndarray) -> Asked:

@@ -1,6 +1,6 @@
 """Signs on broken meshes against libigl's exact winding number: ``python -m benchmarks.sign_check [--points N]``.
 
-The bunny is broken in each way of tests/support/mesh_catalog.py. libigl's exact sum is the independent reference for
+The bunny is broken in each way of catalog/mesh_catalog.py. libigl's exact sum is the independent reference for
 geokit and for libigl's fast winding number; only points with an exact winding number farther than 0.01 from 1/2 count.
 geokit first flips faces that are wound against their neighbors, so the exact sum is taken over the mesh with these
 flips. Times are those of
@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import inputs
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog
 
 # Nearer to 1/2 than this, an exact winding number decides nothing.
 UNDECIDED = 0.01

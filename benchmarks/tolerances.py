@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
+from benchmarks.catalog.tolerance_meshes import MESHES, points_near
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.search import CODECS, ORDERS, Setting, options_of
 
@@ -38,10 +39,8 @@ ASKED: dict[str, Any] = {
 
 
 def meshes() -> dict[str, gk.mesh.TriangleMesh]:
-    """The meshes of tests/volume/tolerance/test_from_mesh_property.py, the samples, and the bunny from warp's wheel."""
+    """The meshes of the catalog, the samples, and the bunny from warp's wheel."""
     import warp as wp
-
-    from tests.volume.tolerance.test_from_mesh_property import MESHES
 
     samples = Path(__file__).parents[1] / "data" / "samples"
     files = {name: samples / name for name in ("bracket.obj", "torus.ply", "shell.stl")}
@@ -59,8 +58,6 @@ class Judge:
     """
 
     def __init__(self, mesh: gk.mesh.TriangleMesh, surface: gk.mesh.Surface, within: float) -> None:
-        from tests.volume.tolerance.test_from_mesh_property import points_near
-
         self.surface, self.within = surface, within
         self.points = points_near(mesh, within, JUDGED, seed=77)
         self.exact = np.asarray(surface.signed_distance(self.points).distance)

@@ -1,4 +1,8 @@
-"""Which tests are slow by their file, where the time goes, and stacks of processes that a signal ended."""
+"""Which tests are slow by their file, their order, where the time goes, and stacks of processes that a signal ended.
+
+GEOKIT_TEST_SEED is a number by which modules, and the tests in each, are put into another order. GEOKIT_TEST_FAILED is
+a file to which the names of failed tests are added.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import collections
 import faulthandler
 import itertools
 import os
+import random
 import shutil
 import tempfile
 from pathlib import Path
@@ -27,16 +32,31 @@ def pytest_configure(config: pytest.Config) -> None:
     faulthandler.enable(file=config.stash[STACKS])
 
 
-# Sweeps over parameters and damaged files: many tests that say one thing.
+# Before the marks decide which tests are run.
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.stem.endswith(("_stability", "_envelope")):
+        # Sweeps over parameters and damaged files: many tests that say one thing.
+        if item.path.stem.endswith(("_stability", "_envelope")) or item.get_closest_marker("process"):
             item.add_marker(pytest.mark.slow)
+    if seed := os.environ.get("GEOKIT_TEST_SEED"):
+        order = random.Random(seed)
+        order.shuffle(items)
+        # A module stays together: what it prepares once is prepared once.
+        place = {path: order.random() for path in dict.fromkeys(item.path for item in items)}
+        items.sort(key=lambda item: place[item.path])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatus: int) -> None:
+    if hasattr(terminalreporter.config, "workerinput"):
+        return
     if os.environ.get("CI"):
         _say_where_time_goes(terminalreporter)
+    if file := os.environ.get("GEOKIT_TEST_FAILED"):
+        reports = [*terminalreporter.stats.get("failed", []), *terminalreporter.stats.get("error", [])]
+        names = {report.nodeid for report in reports}
+        with open(file, "a", encoding="utf-8") as out:
+            out.writelines(f"{name}\n" for name in sorted(names))
     # Some tests end processes on purpose.
     if exitstatus == 0:
         return

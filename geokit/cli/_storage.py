@@ -48,7 +48,7 @@ class Storage:
         compressions = [word for word in words if word in COMPRESSIONS]
         quantizations = [word for word in words if word in QUANTIZATIONS]
         if len(compressions) > 1 or len(quantizations) > 1:
-            raise InputError(f"codec: {codec!r} names two of a kind; use at most one compression and one quantisation")
+            raise InputError(f"codec: {codec!r} names two of a kind; use at most one compression and one quantization")
         if quantizations == ["fpn"] and tolerance is None:
             raise InputError("codec: fpn needs --tolerance; say by how much a voxel may change")
         return cls(compressions[0] if compressions else None, quantizations[0] if quantizations else None, tolerance)

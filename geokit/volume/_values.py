@@ -69,7 +69,7 @@ def with_values(volume: SparseVolume, values: Any) -> SparseVolume:
     """The same voxels with other active values.
 
     Values that are a torch tensor which requires gradients are kept as such: samples, gradients and hits of the new
-    volume then carry gradients with respect to them, so that a distance field can be optimised. A tensor on a GPU makes
+    volume then carry gradients with respect to them, so that a distance field can be optimized. A tensor on a GPU makes
     a volume there, without a copy through the host. The new grid states no smallest and largest value.
 
     Args:

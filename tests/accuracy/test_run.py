@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.accuracy import (
     Chart,
     Judgement,
@@ -25,7 +26,6 @@ from geokit.accuracy import (
 from geokit.accuracy.charts import mesh_setup
 from geokit.accuracy.report.pareto import front_of
 from geokit.errors import InputError, UnsupportedGridError
-from tests.support import mesh_catalog
 
 run_module = importlib.import_module("geokit.accuracy._run")
 

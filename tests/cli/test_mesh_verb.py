@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.cli import main
-from tests.support import mesh_catalog
 from tests.support.attributed import painted
 
 BODIES = {

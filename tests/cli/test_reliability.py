@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.conftest import ROOT, SECONDS, run_geokit
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.process
 
 
 @pytest.fixture

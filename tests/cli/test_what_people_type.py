@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import native
 from geokit.cli import main
-from tests.support import mesh_catalog
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import geokit
+from benchmarks.catalog import mesh_catalog
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.core.object_cache import ObjectCache
-from tests.support import mesh_catalog
-from tests.support.sphere_volumes import sphere
 
 
 class Result:

@@ -17,6 +17,8 @@ from geokit.core.thread_placement import Pool, wait_for
 wp.set_module_options({"enable_backward": False})
 processors = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
+pytestmark = pytest.mark.process
+
 
 @wp.kernel
 def busy_kernel(first: int, turns: int, out: wp.array(dtype=float)):

@@ -17,6 +17,8 @@ import pytest
 from geokit import DeviceMemoryError, FileFormatError, mesh, points, volume
 from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
 
+pytestmark = pytest.mark.process
+
 # Size of the content: over the harmless gibibyte.
 SIZE = 3 << 29
 

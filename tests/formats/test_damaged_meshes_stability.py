@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 from tests.support.attributed import painted
 
 # Attributes that damage makes unusable are left out with a warning.

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import native
 from geokit.formats.table import extensions
-from tests.support import mesh_catalog
 
 BOX = mesh_catalog.box()
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.formats.table import FORMATS, extensions
 from geokit.mesh import Material, Texture, TriangleMesh
-from tests.support import mesh_catalog
 from tests.support.attributed import PNG, numbered, painted
 
 GLTF = (".glb", ".gltf")

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.formats.polygons import triangulate
 from geokit.formats.table import FORMATS, extensions
-from tests.support import mesh_catalog
 
 MESH = mesh_catalog.l_profile()
 # Coordinates that float32 cannot hold: a format that keeps float64 must give them back bit for bit.

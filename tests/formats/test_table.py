@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import formats
 from geokit.cli import query
 from geokit.cli._kinds import kind_of_input, kind_of_output
@@ -19,7 +20,6 @@ from geokit.formats import decimal, lzf
 from geokit.formats.reader import process as reader_process
 from geokit.formats.table import FORMATS, Format, extensions, image_module, module_of
 from geokit.native import _parsers
-from tests.support import mesh_catalog
 
 ROOT = Path(__file__).resolve().parents[2]
 

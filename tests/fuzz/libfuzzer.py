@@ -14,10 +14,10 @@ from pathlib import Path
 import blosc
 import numpy as np
 
+from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.formats.lzf import compress
 from tests.fuzz.originals import Target, originals
 from tests.sanitize.compiler import ROOT, clean_environment, find_clang
-from tests.support.typed_grids import VALUED, TypedGrid
 
 __all__ = ["TARGETS", "build", "fuzz_native", "run"]
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 import geokit as gk
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.mesh_catalog import l_profile
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.formats.table import FORMATS, SPARSE, STAGES
 from tests.formats.images.vox_files import vox_of
 from tests.support.exchange_files import write_cad, write_collada, write_e57, write_fbx
-from tests.support.index_grids import IndexGrid
-from tests.support.mesh_catalog import l_profile
-from tests.support.typed_grids import TypedGrid
 
 __all__ = ["TARGETS", "Original", "Target", "originals"]
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
+from benchmarks.catalog.mesh_catalog import torus
 from geokit.errors import GeokitError
 from tests.fuzz.originals import Original, Target
 from tests.support.lying_grids import OPERATIONS
-from tests.support.mesh_catalog import torus
 
 __all__ = ["Facts", "facts_of", "outcome", "write"]
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import InputError
 from geokit.mesh._audit import audit
 from geokit.mesh._from_volume import from_volume, from_volume_with_deviation
@@ -18,7 +19,6 @@ from geokit.mesh._simplify import simplify
 from geokit.points._downsample import cover, downsample
 from geokit.volume._from_mesh import from_mesh
 from geokit.volume._quantize import quantize
-from tests.support import mesh_catalog
 from tests.support.reference import closest_point
 
 SAMPLES = 300

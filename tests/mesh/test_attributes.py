@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import ROTATED, sphere
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._attributes import sample_attributes
 from geokit.mesh._from_volume import from_volume
 from geokit.mesh._io import load, save
 from geokit.mesh._model import TriangleMesh
 from geokit.volume._sample import sample
-from tests.support.sphere_volumes import ROTATED, sphere
-from tests.support.typed_grids import TypedGrid
 
 
 def test_attributes_are_samples_at_the_vertices():

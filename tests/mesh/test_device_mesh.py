@@ -14,15 +14,15 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import sphere
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.mesh import Surface, TriangleMesh, _device_mesh
 from geokit.mesh._device_mesh import arrays_on, box_of, mesh_on_device
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
-from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
-from tests.support.float_grids import build_float_grid
-from tests.support.sphere_volumes import sphere
-from tests.support.typed_grids import TypedGrid
 
 pytestmark = pytest.mark.parametrize("device", DEVICES)
 

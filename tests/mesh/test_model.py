@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import MeshPart, TriangleMesh
-from tests.support import mesh_catalog
 
 POINTS = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import keep_largest, split
-from tests.support import mesh_catalog
 from tests.support.attributed import numbered, painted
 
 

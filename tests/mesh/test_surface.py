@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog import mesh_catalog
 from geokit import InputError
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 
 @pytest.fixture(scope="module")

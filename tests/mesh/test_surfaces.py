@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import InputError
 from geokit.mesh import Surface, Surfaces, TriangleMesh
-from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
 
 

@@ -21,7 +21,10 @@ from geokit import native
 from geokit.errors import FileAccessError, FileFormatError, UnsupportedGridError, WorkerError
 from geokit.native import VdbGrid, _worker
 
-pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"),
+]
 
 # A mutant that keeps the worker busy for longer is stopped, which is one of the allowed ends.
 TIME_LIMIT = 5.0

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.plugins import meshio_files
-from tests.support import mesh_catalog
 
 BALL = mesh_catalog.icosphere(2)
 # Sheared and mirrored: no image could hold it.

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.formats.table import SPARSE, extensions
 from geokit.plugins import napari_files
-from tests.support import mesh_catalog
 
 MANIFEST = Path(napari_files.__file__).with_name("napari.yaml")
 BALL = mesh_catalog.icosphere(2)

@@ -9,7 +9,7 @@ import pytest
 import pyvista
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 
 gk.register("pyvista")
 

@@ -10,8 +10,8 @@ import pytest
 import pyvista
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.plugins import pyvista_files
-from tests.support import mesh_catalog
 
 BALL = mesh_catalog.icosphere(2)
 

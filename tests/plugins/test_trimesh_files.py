@@ -13,7 +13,7 @@ import trimesh
 from trimesh.exchange.load import mesh_loaders, voxel_loaders
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 
 BALL = mesh_catalog.icosphere(3)
 VALUES = np.random.default_rng(1).random((4, 5, 6)).astype(np.float32) + 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 from tests.support.devices import DEVICES
 
 POINTS = np.random.default_rng(5).uniform(-1.2, 1.2, (3000, 3))

@@ -160,9 +160,9 @@ def test_other_grids_are_drawn_as_fog(tmp_path: Path, ball) -> None:
 
 
 def test_fog_shows_its_density_and_not_its_box(tmp_path: Path) -> None:
+    from benchmarks.catalog.float_grids import build_float_grid
     from geokit.volume._model import SparseVolume
     from geokit.volume.nanovdb.header import info_of
-    from tests.support.float_grids import build_float_grid
 
     # A soft ball of radius 10 in the middle of a block of 32^3 voxels that are zero around it, 0.01 wide each.
     origins = 8 * np.stack(np.meshgrid(*[np.arange(-2, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

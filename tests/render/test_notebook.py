@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import MissingDependencyError
-from tests.support import mesh_catalog
 
 BALL = mesh_catalog.icosphere(2)
 

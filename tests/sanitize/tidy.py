@@ -1,12 +1,13 @@
-"""clang-tidy over the .inl files of kernels: ``python -m tests.sanitize.tidy``.
+"""clang-tidy over the .inl files of kernels: ``python -m tests.sanitize.tidy [--changed]``.
 
 A .inl file is a piece of a function, so clang-tidy reads the modules that warp generates, as few as hold every file.
 Findings are named by the .inl file and its line; those in warp's own text are dropped. A module that was clean is not
-read again until it changes.
+read again until it changes. ``--changed`` reads those files only that differ from main, or in ten commits on main.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import re
 import subprocess
@@ -42,10 +43,25 @@ def modules() -> list[Generated]:
     return found
 
 
-def fewest(found: list[Generated]) -> list[Generated]:
-    """Modules that together hold every .inl file, each chosen for how many it adds."""
+def changed() -> set[str]:
+    """The .inl files that differ from main."""
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", *arguments], cwd=generated.ROOT, capture_output=True, text=True).stdout.strip()
+
+    here = git("rev-parse", "HEAD")
+    base = git("merge-base", "HEAD", "origin/main") or git("merge-base", "HEAD", "main")
+    if base in ("", here):
+        base = git("rev-parse", "--verify", "HEAD~10") or git("rev-list", "--max-parents=0", "HEAD")
+    return set(git("diff", "--name-only", base, "--", "*.inl").splitlines())
+
+
+def fewest(found: list[Generated], wanted: set[str] | None = None) -> list[Generated]:
+    """Modules that together hold every .inl file, or every wanted one, each chosen for how many it adds."""
     chosen: list[Generated] = []
     left = {region.path for module in found for region in module.regions}
+    if wanted is not None:
+        left &= wanted
     while left:
         best = max(found, key=lambda module: (len(left & {region.path for region in module.regions}), module.name))
         left -= {region.path for region in best.regions}
@@ -102,15 +118,20 @@ def _place(match: re.Match[str], module: Generated) -> str | None:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.sanitize.tidy", description=__doc__)
+    parser.add_argument("--changed", action="store_true", help="only files that differ from main")
+    wanted = changed() if parser.parse_args().changed else None
+    if wanted == set():
+        print("clang-tidy: no .inl file has changed")
+        return 0
     launcher.resolve_device("cpu")
-    chosen = fewest(modules())
+    chosen = fewest(modules(), wanted)
     with ThreadPoolExecutor(launcher.thread_count()) as pool:
         found = list(pool.map(tidy, chosen))
     # Two modules may hold one file.
     lines = list(dict.fromkeys(line for lines in found for line in lines))
-    print(
-        "\n".join(lines) or f"clang-tidy: {len(generated.inl_files())} .inl files in {len(chosen)} modules, no findings"
-    )
+    count = len(generated.inl_files() if wanted is None else wanted)
+    print("\n".join(lines) or f"clang-tidy: {count} .inl files in {len(chosen)} modules, no findings")
     return min(len(lines), 1)
 
 

@@ -111,13 +111,13 @@ def _volume(
 
 
 def world_of(origins: NDArray[np.int32], transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centres of the voxels of leaves, shape (512 L, 3)."""
+    """Centers of the voxels of leaves, shape (512 L, 3)."""
     voxels = (origins[:, None, :].astype(np.int64) + OFFSETS).reshape(-1, 3)
     return voxels @ transform[:3, :3].T + transform[:3, 3]
 
 
 def active_voxels(volume: SparseVolume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World points and values of the active voxels in leaves, by the sampler at voxel centres."""
+    """World points and values of the active voxels in leaves, by the sampler at voxel centers."""
     from geokit.volume.tree.leaves import leaves_of
 
     leaves = leaves_of(volume)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
+from benchmarks.catalog.mesh_catalog import torus
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of, tree_header
@@ -16,7 +17,6 @@ from geokit.volume.nanovdb.layout import layout_of
 from geokit.volume.nanovdb.nodes import GridNodes, bits_of, grid_nodes, slot_places
 from geokit.volume.tree.typed_tree import RootTiles, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
-from tests.support.mesh_catalog import torus
 
 __all__ = ["LIES", "OPERATIONS", "SOURCES", "lying"]
 

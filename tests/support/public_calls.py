@@ -13,8 +13,8 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog.index_grids import IndexGrid
 from geokit import native
-from tests.support.index_grids import IndexGrid
 
 __all__ = ["Call", "Scene", "kinds_of", "public_calls", "public_names"]
 

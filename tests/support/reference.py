@@ -315,9 +315,9 @@ def register_by_numpy(
             cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
             move[:3, :3] = np.eye(3) + 2 * w * cross + 2 * cross @ cross
             # The step is one about the source's own centroid: so is the reference's.
-            centre = points.mean(axis=0)
-            shift = x[3:] + np.cross(x[:3], centre - p.mean(axis=0))
-            move[:3, 3] = centre + shift - move[:3, :3] @ centre
+            center = points.mean(axis=0)
+            shift = x[3:] + np.cross(x[:3], center - p.mean(axis=0))
+            move[:3, 3] = center + shift - move[:3, :3] @ center
         else:
             u, _, vt = np.linalg.svd((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
             move[:3, :3] = vt.T @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ u.T

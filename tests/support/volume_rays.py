@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.volume._model import SparseVolume
 from geokit.volume._raycast import VolumeHits, raycast
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.rays import crossing_blocks
 from tests.support import reference
-from tests.support.float_grids import build_float_grid
 
 # t in voxels: roundings of coordinates up to 100 voxels, and of voxels of size 1, divided by slopes that are seldom
 # below 1e-3.

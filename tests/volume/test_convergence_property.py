@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit import mesh, volume
 from geokit.mesh import Surface
-from tests.support import mesh_catalog
 
 SAMPLE = Path(__file__).resolve().parents[2] / "data" / "samples" / "torus.ply"
 MAJOR, MINOR = 1.0, 0.4  # the torus of data/samples

@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.core.memory import pinned
 from geokit.core.scan_kernels import last_kernel
 from geokit.volume.band import signs, tiles
 from geokit.volume.isosurface import surface_nets
 from geokit.volume.tree import device_writer
-from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume import load, save
 from geokit.volume._active import active_at
@@ -16,9 +18,7 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import BLIND_DATA, aligned_buffer, grid_header, info_of
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS
 from geokit.volume.nanovdb.types import CHANNEL_TYPES
-from tests.support.index_grids import IndexGrid
 from tests.support.reference import tensor_interpolant
-from tests.support.sphere_volumes import sphere
 
 TYPES = list(INDEX_LAYOUTS)
 

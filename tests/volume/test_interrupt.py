@@ -13,7 +13,7 @@ from geokit import native
 from geokit.volume._filters import FIELD_METHODS, LEVEL_SET_METHODS
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.process,
     pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"),
     pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX"),
 ]

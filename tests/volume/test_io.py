@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit
+from benchmarks.catalog.sphere_volumes import ROTATED, lookup, sphere
 from geokit import native
 from geokit.errors import (
     DeviceMemoryError,
@@ -22,7 +23,6 @@ from geokit.errors import (
 from geokit.volume import inspect, load, load_all, save
 from geokit.volume._io import unique_names
 from geokit.volume._model import SparseVolume
-from tests.support.sphere_volumes import ROTATED, lookup, sphere
 
 FORMATS = (
     ".nvdb",

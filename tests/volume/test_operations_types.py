@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import UnsupportedGridError
 from geokit.volume._components import segment
@@ -20,7 +21,6 @@ from geokit.volume._statistics import statistics
 from geokit.volume._topology import clip, prune
 from geokit.volume.tree.leaves import leaves_of
 from tests.support.analytic_volumes import active_voxels, ball, field, level_set
-from tests.support.typed_grids import TypedGrid
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 

@@ -141,8 +141,8 @@ def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgeme
     from geokit.volume._morphology import renormalize
 
     distance = ball(RADIUS)
-    spoilt = _band(distance, lambda p: slope * distance(p), RADIUS)
-    return _judged(renormalize(spoilt, device=device), distance, RADIUS, seed, device)
+    spoiled = _band(distance, lambda p: slope * distance(p), RADIUS)
+    return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
 
 
 def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgement:
@@ -151,8 +151,8 @@ def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgeme
 
     distance = ball(RADIUS)
     amplitude = change / WAVE_NUMBER
-    spoilt = _band(distance, lambda p: distance(p) * (1.0 + amplitude * np.sin(WAVE_NUMBER * p[..., 0])), RADIUS)
-    return _judged(renormalize(spoilt, device=device), distance, RADIUS, seed, device)
+    spoiled = _band(distance, lambda p: distance(p) * (1.0 + amplitude * np.sin(WAVE_NUMBER * p[..., 0])), RADIUS)
+    return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
 
 
 def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
@@ -160,8 +160,8 @@ def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
     from geokit.volume._morphology import renormalize
 
     distance = ball(radius)
-    spoilt = _band(distance, lambda p: 0.7 * distance(p), radius)
-    return _judged(renormalize(spoilt, device=device), distance, radius, seed, device)
+    spoiled = _band(distance, lambda p: 0.7 * distance(p), radius)
+    return _judged(renormalize(spoiled, device=device), distance, radius, seed, device)
 
 
 def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:

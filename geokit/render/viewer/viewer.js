@@ -281,7 +281,7 @@ function showPicked(scene) {
 // Mouse, touch and wheel. Returns a function that draws once more in full quality when nothing moves any longer.
 function steer(canvas, camera, redraw, picks, moved) {
   const pointers = new Map();
-  let travelled = 0, timer = 0, lastTap = -Infinity;
+  let traveled = 0, timer = 0, lastTap = -Infinity;
   const settle = () => {
     clearTimeout(timer);
     timer = setTimeout(() => { state.moving = false; redraw(); }, 150);
@@ -294,18 +294,18 @@ function steer(canvas, camera, redraw, picks, moved) {
   };
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
-    if (!pointers.size) travelled = 0;
+    if (!pointers.size) traveled = 0;
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (pointers.size > 1) travelled = Infinity;
+    if (pointers.size > 1) traveled = Infinity;
   });
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const now = [event.clientX, event.clientY], height = canvas.clientHeight;
     const right = now[0] - before[0], down = now[1] - before[1];
-    travelled += Math.abs(right) + Math.abs(down);
+    traveled += Math.abs(right) + Math.abs(down);
     // A trembling hand still clicks.
-    if (travelled < 5) return;
+    if (traveled < 5) return;
     if (pointers.size > 1) {
       const [other] = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
       const gap = (at) => Math.max(Math.hypot(at[0] - other[0], at[1] - other[1]), 1);
@@ -321,7 +321,7 @@ function steer(canvas, camera, redraw, picks, moved) {
     move();
   });
   const end = (event) => {
-    if (!pointers.delete(event.pointerId) || pointers.size || event.type !== "pointerup" || travelled >= 5) return;
+    if (!pointers.delete(event.pointerId) || pointers.size || event.type !== "pointerup" || traveled >= 5) return;
     if (event.button !== 0) return;
     const found = picks(event.clientX, event.clientY), isSecond = event.timeStamp - lastTap < 350;
     lastTap = event.timeStamp;

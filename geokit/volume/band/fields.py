@@ -51,8 +51,8 @@ def resolve_surface(
     longest = float((surface.bounds[1] - surface.bounds[0]).max())
     if 2.0 * offset > THICKEST * longest > 0.0:
         raise InputError(
-            f"thickness: {2.0 * offset:g} is more than {THICKEST:g} times the size of the mesh, {longest:g}; give one in "
-            "the mesh's units"
+            f"thickness: {2.0 * offset:g} is more than {THICKEST:g} times the size of the mesh, {longest:g}; "
+            "give one in the mesh's units"
         )
     method = "none" if sign == "none" else surface._method(sign)
     # Who asks for a method has looked at the mesh; for "auto" the audit has been made.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog import mesh_catalog
 from geokit.accuracy.charts import first_hit, mesh_setup
 from geokit.accuracy.charts import sign as chart_sign
 from geokit.accuracy.charts.mesh import mesh_charts
@@ -19,7 +20,6 @@ from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Subject, Trial
 from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog
 
 SIGNS = ["sign", "sign_hole", "sign_flips", "sign_doubles"]
 NAMES = ["closest_point", "closest_point_near", *SIGNS, "first_hit", "first_hit_edges", "normals"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import ROTATED, sphere
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.accuracy.charts import sampling
 from geokit.accuracy.charts.gradients import REACH
 from geokit.accuracy.charts.volume import mesh_volume_charts, volume_charts
@@ -26,8 +28,6 @@ from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._model import TriangleMesh
 from geokit.volume._dense import from_dense
 from geokit.volume._from_mesh import from_mesh
-from tests.support.sphere_volumes import ROTATED, sphere
-from tests.support.typed_grids import TypedGrid
 
 LOWER, UPPER = (-1.0, -0.7, -0.4), (0.8, 0.6, 0.5)
 SMALL = Effort(queries=500, rays=200, checked=120, checked_rays=24, divisions=(12, 30))

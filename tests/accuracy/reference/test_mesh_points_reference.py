@@ -10,9 +10,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.reference import points as reference_points
-from tests.support import mesh_catalog
 
 # A few roundings of the extent of the data, which is at most 4 here.
 ROUNDING = 4e-15

@@ -19,7 +19,7 @@ import pytest
 from geokit.cli import main
 
 distributed = pytest.importorskip("distributed")
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+pytestmark = [pytest.mark.process, pytest.mark.filterwarnings("default")]
 
 
 @contextlib.contextmanager

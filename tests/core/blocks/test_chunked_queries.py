@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core.blocks import chunked_queries
-from tests.support import mesh_catalog
 
 COUNT = 1050
 

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core.launches import replay
 from geokit.core.object_cache import CacheAttribute
 from geokit.errors import InputError
-from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
 
 

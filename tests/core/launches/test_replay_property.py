@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core.launches import replay
-from tests.support import mesh_catalog
 
 ROOT = Path(__file__).resolve().parents[3] / "geokit"
 

@@ -16,8 +16,8 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core.launches import launch_cache, warp_private
-from tests.support import mesh_catalog
 
 ROOT = Path(__file__).resolve().parents[3] / "geokit"
 # Attributes of warp's objects that are not in its documentation.

@@ -7,11 +7,11 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher, user_arrays
 from geokit.core.launches.launch_cache import launch_argument
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel
-from tests.support import mesh_catalog
 
 CPU = launcher.resolve_device("cpu")
 

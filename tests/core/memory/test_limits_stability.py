@@ -11,6 +11,8 @@ import pytest
 
 from tests.support.limits.memory_runs import faults
 
+pytestmark = pytest.mark.process
+
 # 20 limits, and all operations: an hour.
 LIMITS = os.environ.get("GEOKIT_MEMORY_LIMITS", "3")
 SECONDS = 1800 if LIMITS == "3" else 20_000

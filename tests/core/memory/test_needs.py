@@ -117,6 +117,7 @@ assert 30 << 20 < available_host() < 41 << 20, available_host()
 """
 
 
+@pytest.mark.process
 def test_address_space_counts() -> None:
     done = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -7,11 +7,11 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher, user_arrays
 from geokit.core.memory import pinned
 from geokit.core.memory.pinned import Pinned, PinnedArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel
-from tests.support import mesh_catalog
 from tests.support.devices import DEVICES
 
 SIGNS = ("pseudonormal", "winding", "parity")

@@ -29,6 +29,7 @@ def test_products(shape, dtype):
             assert abs(Fraction(results[row, k]) - exact[k] - Fraction(shift[k])) <= bound[k]
 
 
+@pytest.mark.process
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 def test_a_forked_process_without_memory_for_threads():
     rows, matrix = np.ones((200_000, 3)), np.eye(3)

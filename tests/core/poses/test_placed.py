@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import InputError
-from tests.support import mesh_catalog
 
 POSE = np.eye(4)
 # A turn about (1, 2, 2) / 3 by 40 degrees, by Rodrigues' formula.

@@ -17,9 +17,11 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.formats.reader import process as reader_process
 from geokit.formats.reader import server as reader_server
-from tests.support import mesh_catalog
+
+pytestmark = pytest.mark.process
 
 # Its files are programs; the body's name is what they say.
 READER = """

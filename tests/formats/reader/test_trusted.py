@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.formats.reader import process as reader_process
 from geokit.formats.table import FORMATS, extensions
-from tests.support import mesh_catalog
 
 MESH = mesh_catalog.l_profile()
 PROCESSED = [kind for kind in extensions("mesh", "w") if FORMATS[kind].process]

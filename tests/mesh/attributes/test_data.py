@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Material, Texture, TriangleMesh
-from tests.support import mesh_catalog
 from tests.support.attributed import numbered, painted
 
 BOX = mesh_catalog.box()

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh.attributes.derived import moved_to_corners, turned_normals
-from tests.support import mesh_catalog
 from tests.support.attributed import numbered, painted
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh.attributes.interpolation import weights_within
-from tests.support import mesh_catalog
 from tests.support.attributed import numbered, painted
 
 TORUS = mesh_catalog.torus(24, 12)

@@ -7,9 +7,9 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh.bvh import bvh2_ray_candidates_cuda_kernels as kernels
-from tests.support import mesh_catalog
 
 
 def in_passes(surface, origins, directions, t_min=0.0, max_distance=np.inf):

@@ -8,10 +8,11 @@ import warp as wp
 
 import geokit as gk
 from benchmarks import scenes
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import NO_CHILD, STACK, WIDTH
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS, SLOT_WORDS, leaf_planes_kernel
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 
 def chain(count):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
-from tests.support import mesh_catalog
 
 RAYS = 20_000
 

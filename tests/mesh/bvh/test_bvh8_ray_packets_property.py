@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.queries.rays import RayHits
-from tests.support import mesh_catalog
 
 SOLIDS = {
     "sphere": mesh_catalog.icosphere(4),

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.bvh.winding_kernels import QUEUE, sign_kernel, winding_number_kernel
 from geokit.mesh.bvh.winding_moments import build_winding_tree
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 
 class Winding:

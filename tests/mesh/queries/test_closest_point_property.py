@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 MESHES = [
     mesh_catalog.tetrahedron(),

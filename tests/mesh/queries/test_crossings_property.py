@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
-from tests.support import mesh_catalog, reference
+from benchmarks.catalog import mesh_catalog
+from tests.support import reference
 
 SURFACES = {make.__name__: gk.mesh.Surface(make(), device="cpu") for make in mesh_catalog.CLOSED}
 

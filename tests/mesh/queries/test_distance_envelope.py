@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog, reference
+from benchmarks.catalog import mesh_catalog
+from tests.support import reference
 
 MESHES = [mesh_catalog.box, lambda: mesh_catalog.torus(20, 10), mesh_catalog.l_profile]
 # Rounding of the coordinates themselves, a few times over.

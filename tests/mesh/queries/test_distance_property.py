@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
-from tests.support import mesh_catalog, reference
+from benchmarks.catalog import mesh_catalog
+from tests.support import reference
 
 pytestmark = pytest.mark.slow
 

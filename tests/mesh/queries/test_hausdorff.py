@@ -10,10 +10,11 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh._hausdorff import DirectedDistance, HausdorffDistance, hausdorff
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 EMPTY = TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int))
 # closest_point is good to 1e-12 of a diagonal.

@@ -9,9 +9,10 @@ import pytest
 import warp as wp
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import errors
 from geokit.mesh.queries.overlaps import _require_room
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 
 def surface(vertices, faces):

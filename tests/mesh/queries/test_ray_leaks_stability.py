@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 
 def subdivided_box(times: int) -> TriangleMesh:

@@ -7,8 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 MESHES = [
     mesh_catalog.tetrahedron(),

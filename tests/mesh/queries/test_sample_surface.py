@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import chisquare, kstest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.mesh._sample_surface import sample_surface
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 SHAPES = {
     "triangle": mesh_catalog.single_triangle(),

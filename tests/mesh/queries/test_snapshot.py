@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 
 QUERIES = {
     "closest_point": lambda surface, points: surface.closest_point(points).distance,

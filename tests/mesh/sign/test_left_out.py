@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 from tests.support.devices import DEVICES
 
 SIGNS = ("auto", "winding", "pseudonormal", "parity")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog, reference
+from benchmarks.catalog import mesh_catalog
+from tests.support import reference
 
 CLEAN = [
     make

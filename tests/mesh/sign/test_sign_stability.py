@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 CLEAN = [
     mesh_catalog.tetrahedron(),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, orient
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 from tests.support.devices import DEVICES
 
 # The bounds of the docstring.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh._audit import audit
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import Simplified, simplify
@@ -17,7 +18,6 @@ from geokit.mesh._surface import Surface
 from geokit.mesh.simplification.collapse import collapsed
 from geokit.mesh.simplification.deviation import within
 from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
-from tests.support import mesh_catalog
 from tests.support.reference import closest_point
 
 

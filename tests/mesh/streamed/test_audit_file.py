@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog as catalog
 from geokit import FileAccessError, FileFormatError, InputError
 from geokit.mesh import MeshAudit, TriangleMesh
 from geokit.mesh.streamed import audit_file, order_statistics
-from tests.support import mesh_catalog as catalog
 
 MESHES = [
     catalog.single_triangle(),

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.core import equal_rows
 from geokit.mesh import Surface, TriangleMesh, audit
 from geokit.mesh.topology import connectivity
 from geokit.mesh.topology.measures import DEGENERATE_RATIO
-from tests.support import mesh_catalog
 
 
 @pytest.mark.parametrize("make", mesh_catalog.CLOSED, ids=lambda make: make.__name__)

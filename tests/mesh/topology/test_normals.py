@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 
 
 def by_hand(mesh):

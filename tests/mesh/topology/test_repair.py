@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import MeshPart, Surface, TriangleMesh, audit
 from geokit.mesh._repair import drop_degenerate, merge_vertices, orient
 from geokit.mesh.topology import connectivity, merge_near, orientation
 from geokit.mesh.topology.orientation import orient_faces
-from tests.support import mesh_catalog
 
 
 def turned(mesh: TriangleMesh, rows=slice(None)) -> TriangleMesh:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import TriangleMesh, audit
 from geokit.mesh._repair import drop_degenerate, merge_vertices, orient
-from tests.support import mesh_catalog
 
 TRIANGLES = st.lists(st.lists(st.integers(0, 8), min_size=3, max_size=3, unique=True), min_size=1, max_size=16)
 SOLIDS = st.sampled_from([*mesh_catalog.CLOSED, mesh_catalog.inside_out_box])

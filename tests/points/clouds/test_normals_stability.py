@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geokit.points._normals import normals
-from tests.support.oriented_clouds import (
+from benchmarks.catalog.oriented_clouds import (
     COUNT,
     box,
     cone,
@@ -22,6 +21,7 @@ from tests.support.oriented_clouds import (
     torus,
     uneven,
 )
+from geokit.points._normals import normals
 
 
 def wrong(shape, seed, noise=0.0, part=None, scale=1.0, **settings):

@@ -8,9 +8,9 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.points._register import register
 from geokit.points.clouds.rigid_fit import orthonormal, plane_step, point_step
-from tests.support import mesh_catalog
 from tests.support.reference import register_by_numpy
 
 # Poses are recovered to rounding; the remaining error is that of sums over some thousand points of size 1.

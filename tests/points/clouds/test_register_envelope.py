@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.points._register import register
-from tests.support import mesh_catalog
 
 METHODS = ["point_to_plane", "point_to_point"]
 

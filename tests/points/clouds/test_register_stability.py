@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.catalog import oriented_clouds as shapes
 from geokit.points._normals import normals
 from geokit.points._register import register
-from tests.support import oriented_clouds as shapes
 
 
 def plane(random, count):

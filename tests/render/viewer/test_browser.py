@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 from tests.support.browser import Browser, missing, running
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing()), reason=missing())]

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import FileAccessError, InputError
-from tests.support import mesh_catalog
 
 BALL = mesh_catalog.icosphere(2)
 # The scripts, the styles and the color maps.

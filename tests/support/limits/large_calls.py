@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 import geokit as gk
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.mesh_catalog import icosphere
 from geokit import native
-from tests.support.index_grids import IndexGrid
-from tests.support.mesh_catalog import icosphere
 from tests.support.public_calls import Call, Scene, public_calls
 
 __all__ = ["LargeScene", "large_calls"]

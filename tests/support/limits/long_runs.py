@@ -18,9 +18,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.catalog.mesh_catalog import icosphere, moved
 from geokit.core.private_folder import LOCK
 from geokit.mesh import save
-from tests.support.mesh_catalog import icosphere, moved
 
 __all__ = ["convert_many"]
 

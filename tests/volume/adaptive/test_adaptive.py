@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog import mesh_catalog
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.core import launcher
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.mesh._model import TriangleMesh
@@ -23,8 +25,7 @@ from geokit.volume.nanovdb.provenance import ORDER, with_more
 from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.space import world_to_index
-from tests.support import mesh_catalog, reference
-from tests.support.float_grids import build_float_grid
+from tests.support import reference
 
 CODECS = ("fp16", "fp8", "fp4")
 SIZE = 0.4

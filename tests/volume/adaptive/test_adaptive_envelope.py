@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface
 from geokit.volume import adaptive_from_mesh, from_mesh, plan
-from tests.support import mesh_catalog
 from tests.volume.adaptive.test_adaptive_stability import ball_and_cube
 
 pytestmark = pytest.mark.slow

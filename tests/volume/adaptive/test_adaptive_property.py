@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh._model import TriangleMesh
 from geokit.volume._adaptive import adaptive_from_mesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 pytestmark = pytest.mark.slow
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.mesh import TriangleMesh, sample_surface
 from geokit.volume._adaptive import AdaptiveSDF, _checked, adaptive_from_mesh
 from geokit.volume.adaptive.choice import levels_of
 from geokit.volume.tolerance.from_mesh import tolerance_search
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 pytestmark = pytest.mark.slow
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, InputError, native, volume
 from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
@@ -16,7 +17,7 @@ from geokit.volume._model import made_on_device
 from geokit.volume.band.band import BandShape, make_band
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.nanovdb.header import tree_header
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 # float32 keeps distances to half of 2^-23 of themselves; the reference is off by far less.
 ROUNDING = 2.0**-24
@@ -236,7 +237,7 @@ def test_values_may_be_quantized():
     assert 0.0 < apart.max() <= 1.001 * step
 
 
-def test_open_meshes_are_labelled():
+def test_open_meshes_are_labeled():
     grid = volume.from_mesh(mesh_catalog.holed_sphere(1), 0.1, device="cpu")
     assert grid.info.metadata["geokit:sign_method"] == "winding"
     assert grid.info.metadata["geokit:sign_reason"] == "boundary edges: 3"

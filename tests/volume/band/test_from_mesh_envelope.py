@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit import volume
 from geokit.mesh import Surface
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 
 # float32 keeps distances to half of 2^-23 of themselves.
 ROUNDING = 2.0**-24

@@ -7,7 +7,7 @@ import warnings
 import pytest
 
 import geokit as gk
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 
 BOWL = mesh_catalog.box_without_a_lid()
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import volume
 from geokit.mesh import Surface, TriangleMesh
-from tests.support import mesh_catalog, reference
+from tests.support import reference
 from tests.support.devices import DEVICES
 
 # Open sheets may have no inside, which from_mesh reports.

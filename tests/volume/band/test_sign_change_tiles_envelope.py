@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 from tests.volume.band.test_sign_change_tiles import OPEN, require_no_second_surface, require_signs, turned
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* of its pieces are too thin:UserWarning")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.support import mesh_catalog
+from benchmarks.catalog import mesh_catalog
 from tests.volume.band.test_sign_change_tiles import require_no_second_surface, require_signs
 
 # Share of the angle that is covered, and the largest share of the isosurface's vertices that lie in the hole, farther

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._components import connected_components, segment
 from geokit.volume._dense import from_dense
@@ -17,7 +18,6 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.tree.typed_tree import tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 from tests.support.analytic_volumes import ball, dense, level_set
-from tests.support.typed_grids import TypedGrid
 
 
 def mask(voxels, size=32, origin=(0, 0, 0)):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog.mesh_catalog import icosphere
 from geokit import native
 from geokit.formats.images import stream
 from geokit.volume.images import build
-from tests.support.mesh_catalog import icosphere
 
 RANDOM = np.random.default_rng(4)
 BLOCK = np.zeros((45, 37, 29), np.float32)

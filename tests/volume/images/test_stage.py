@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import native
 from geokit.cli import main
 from geokit.errors import FileAccessError, FileFormatError, InputError, UnsupportedGridError
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
-from tests.support import mesh_catalog
 
 pytest.importorskip("pxr")
 pytestmark = [

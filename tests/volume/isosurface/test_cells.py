@@ -8,11 +8,11 @@ import weakref
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.core import launcher
 from geokit.mesh._from_volume import from_volume
 from geokit.volume.isosurface import launch, nodes
 from geokit.volume.isosurface.cells import crossed_cells
-from tests.support.sphere_volumes import sphere
 
 
 @pytest.mark.parametrize("isovalue", [0.0, 0.1, -2.9999999, 1e300, -1e300])

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import DeviceMemoryError, InputError, MissingDependencyError, UnsupportedGridError
 from geokit.mesh._audit import audit
@@ -15,15 +17,13 @@ from geokit.mesh._hausdorff import hausdorff
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of
-from tests.support.float_grids import build_float_grid
 from tests.support.reference import closest_point
-from tests.support.typed_grids import TypedGrid
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
 # How far crossings keep from the ends of their edge [voxels].
 END = 1e-6
-CENTRE = np.array([0.31, -0.17, 0.23])
+CENTER = np.array([0.31, -0.17, 0.23])
 
 
 def _grid(field, count=32, transform=None, background=3.0, grid_class="level set"):
@@ -68,7 +68,7 @@ def _leaf_masks(buffer):
 
 
 def _ball(points):
-    return np.linalg.norm(points - CENTRE, axis=1) - 1.0
+    return np.linalg.norm(points - CENTER, axis=1) - 1.0
 
 
 def _around(voxel_size):
@@ -121,7 +121,7 @@ class TestBall:
     @pytest.mark.parametrize("isovalue", [-0.5, 0.25])
     def test_isovalue_is_an_offset_of_the_radius(self, method, isovalue):
         mesh = from_volume(_grid(_ball, transform=_around(0.125)), isovalue=isovalue, method=method, device="cpu")
-        radius = np.linalg.norm(mesh.vertices - CENTRE, axis=1)
+        radius = np.linalg.norm(mesh.vertices - CENTER, axis=1)
         assert np.abs(radius - (1.0 + isovalue)).max() < 0.125**2
 
     @pytest.mark.parametrize(
@@ -135,11 +135,11 @@ class TestBall:
     def test_normals_point_to_increasing_values_under_any_transform(self, method, linear):
         transform = np.eye(4)
         transform[:3, :3] = linear
-        transform[:3, 3] = CENTRE - transform[:3, :3] @ [15.5, 15.5, 15.5]
+        transform[:3, 3] = CENTER - transform[:3, :3] @ [15.5, 15.5, 15.5]
         mesh = from_volume(_grid(_ball, transform=transform), method=method, device="cpu")
         corners = mesh.vertices[mesh.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        outward = np.einsum("ij,ij->i", normals, corners.mean(axis=1) - CENTRE)
+        outward = np.einsum("ij,ij->i", normals, corners.mean(axis=1) - CENTER)
         assert (outward > 0).all()
         assert _edges_meet_in_opposite_pairs(mesh)
 
@@ -243,7 +243,7 @@ class TestTolerance:
     def test_isovalue_is_that_of_the_full_mesh(self):
         volume = _grid(_ball, transform=_around(0.125))
         mesh = from_volume(volume, isovalue=0.25, tolerance=0.02, device="cpu")
-        assert np.abs(np.linalg.norm(mesh.vertices - CENTRE, axis=1) - 1.25).max() < 0.04
+        assert np.abs(np.linalg.norm(mesh.vertices - CENTER, axis=1) - 1.25).max() < 0.04
 
     def test_tolerance_that_allows_nothing_keeps_every_face(self):
         volume = _grid(_ball, transform=_around(0.25), count=16)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.mesh._audit import audit
 from geokit.mesh._from_volume import from_volume
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 VOXELS = np.array(list(np.ndindex(8, 8, 8)))

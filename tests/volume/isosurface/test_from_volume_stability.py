@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.mesh._audit import audit
 from geokit.mesh._from_volume import from_volume
 from geokit.mesh._model import TriangleMesh
@@ -12,8 +14,6 @@ from geokit.mesh._surface import Surface
 from geokit.volume._from_mesh import from_mesh
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from tests.support import mesh_catalog
-from tests.support.float_grids import build_float_grid
 
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 HALF_WIDTH = 3.0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit import native
 from geokit.errors import UnsupportedGridError
 from geokit.volume._dense import from_dense
@@ -24,7 +25,6 @@ from geokit.volume.tree.typed_tree import VALUE_TYPES
 from tests.support.nanovdb_validate import OPENVDB, VALIDATED, assert_validated, needs_validate
 from tests.support.random_grids import HIGH, LOW, RandomGrid, dense_of, random_grid
 from tests.support.scipy_morphology import CONNECTIVITY, GEOKIT, SCIPY
-from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 
 def expected_of(grid, name, voxels, neighbors="faces"):

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import geokit
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.sphere_volumes import sphere
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import FileFormatError, GeokitError, InputError
 from geokit.volume import load, save
@@ -16,9 +19,6 @@ from geokit.volume.nanovdb import checks
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.tree.leaves import leaves_of
 from geokit.volume.tree.typed_tree import tree_of
-from tests.support.index_grids import IndexGrid
-from tests.support.sphere_volumes import sphere
-from tests.support.typed_grids import TypedGrid
 
 with_openvdb = pytest.mark.skipif(not native.available(), reason="built without OpenVDB")
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, GeokitError, UnsupportedGridError
 from geokit.volume import inspect, load_all
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.write import write
-from tests.support.sphere_volumes import sphere
 
 CODECS = ("none", "zip", "blosc")
 HEAD = 16 + 176 + len("sphere") + 1

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.file import inspect, read
 from geokit.volume.nanovdb.header import BLIND_DATA, info_of
 from geokit.volume.nanovdb.write import write
-from tests.support.sphere_volumes import sphere
 
 METADATA = {"text": "some text", "number": 12345, "double": 0.125, "bytes": b"abc"}
 ACCEPTED = (FileFormatError, UnsupportedGridError)

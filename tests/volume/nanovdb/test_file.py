@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import ROTATED, sphere
 from geokit.errors import (
     DeviceMemoryError,
     FileAccessError,
@@ -41,8 +43,6 @@ from geokit.volume.nanovdb.header import (
 )
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS
 from geokit.volume.nanovdb.write import write
-from tests.support.float_grids import build_float_grid
-from tests.support.sphere_volumes import ROTATED, sphere
 
 WARP = Path(wp.__file__).parent
 ROCKS = WARP / "examples" / "assets" / "rocks.nvdb"

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, InputError
 from geokit.native import RawMetadata
 from geokit.volume._from_channel import from_channel
@@ -17,9 +19,7 @@ from geokit.volume.nanovdb.file import inspect, read
 from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, MAGIC_GRID, aligned_buffer, grid_header, info_of
 from geokit.volume.nanovdb.metadata import body_with_metadata, metadata_of, without_metadata
 from geokit.volume.nanovdb.write import write
-from tests.support.index_grids import IndexGrid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
-from tests.support.sphere_volumes import sphere
 
 CODECS = ("none", "zip", "blosc")
 RICH = {

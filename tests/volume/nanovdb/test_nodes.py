@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.index_grids import ROOT_TILE, UPPER_TILE, IndexGrid
+from benchmarks.catalog.typed_grids import LEAVES, QUANTIZED, VALUED, TypedGrid
 from geokit.errors import UnsupportedGridError
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import aligned_buffer, grid_header
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins, set_bits, slot_of, slot_places
-from tests.support.index_grids import ROOT_TILE, UPPER_TILE, IndexGrid
-from tests.support.typed_grids import LEAVES, QUANTIZED, VALUED, TypedGrid
 
 # The upper nodes of the two leaves of a TypedGrid start at (0, 0, 0) and (-4096, 0, 0).
 UPPER = LEAVES & ~4095

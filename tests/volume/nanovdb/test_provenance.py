@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import geokit
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit import native
 from geokit.volume import load, save
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.provenance import content_hash, provenance, with_error
-from tests.support.sphere_volumes import sphere
 
 
 def test_only_what_is_known_is_said():

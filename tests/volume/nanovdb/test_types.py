@@ -14,6 +14,8 @@ import pytest
 import warp as wp
 
 import geokit
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.cli._storage import QUANTIZATIONS
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
@@ -42,8 +44,6 @@ from geokit.volume.nanovdb.types import (
     WHOLE_VECTOR_TYPES,
 )
 from geokit.volume.tolerance import search
-from tests.support.index_grids import IndexGrid
-from tests.support.typed_grids import TypedGrid
 
 PACKAGE = Path(geokit.__file__).parent
 HEADER = Path(wp.__file__).parent / "native" / "nanovdb" / "PNanoVDB.h"

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._integrate import integrate
 from geokit.volume.nanovdb.header import TREE_OFFSET, tree_header
 from geokit.volume.nanovdb.layout import layout_of
 from tests.support import reference
-from tests.support.typed_grids import TypedGrid
 from tests.support.volume_rays import Field, rays_through
 
 # Depths are sums over some tens of cells, each of some tens of roundings.

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.sphere_volumes import sphere
+from benchmarks.catalog.typed_grids import QUANTIZED, SCALARS, TypedGrid
 from geokit import native
 from geokit.core import launcher
 from geokit.errors import InputError, UnsupportedGridError
@@ -17,8 +19,6 @@ from geokit.volume.nanovdb.header import aligned_buffer, info_of
 from geokit.volume.rays import crossing_blocks
 from geokit.volume.rays.crossing_blocks_kernels import FARTHEST, spread_distance_kernel
 from tests.support import reference
-from tests.support.sphere_volumes import sphere
-from tests.support.typed_grids import QUANTIZED, SCALARS, TypedGrid
 from tests.support.volume_rays import Field, assert_first_crossings, both_ways, rays_through
 
 SHEARED = np.array([[0.3, 0.05, 0.0, 2.0], [0.0, -0.2, 0.04, -1.0], [0.02, 0.0, 0.5, 3.0], [0.0, 0.0, 0.0, 1.0]])

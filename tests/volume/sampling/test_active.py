@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import sphere, sphere_leaves
+from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, info_of, tree_header
-from tests.support.sphere_volumes import sphere, sphere_leaves
-from tests.support.typed_grids import VALUED, TypedGrid
 
 TREE = 672
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import VOXELS
+from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._curvature import Curvatures, curvature, hessian
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
-from tests.support.sphere_volumes import VOXELS
-from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 ORDERS = (2, 3)
 SHEARED = np.array([[0.5, 0.2, 0.0, 3.0], [-0.1, 0.25, 0.3, -7.0], [0.0, 0.1, 2.0, 11.0], [0.0, 0.0, 0.0, 1.0]])

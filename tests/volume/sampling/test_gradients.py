@@ -76,7 +76,7 @@ def test_hits(ball, places, values):
 
 
 def test_eikonal_loss_reaches_the_values(ball, places, values):
-    # A field that is optimised through its gradients.
+    # A field that is optimized through its gradients.
     given = values.clone().requires_grad_()
     for _ in range(20):
         slope = volume.gradient(volume.with_values(ball, given), places, order=2, device="cpu")

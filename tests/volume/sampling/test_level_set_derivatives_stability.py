@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import sphere_leaves
 from geokit.volume._active import active_at
 from geokit.volume._curvature import curvature
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
-from tests.support.sphere_volumes import sphere_leaves
 
 RADIUS = 30.0
 
@@ -115,8 +115,8 @@ def test_neither_scale_nor_place_matters(directions, voxel_size, shift):
 
 def test_a_level_set_from_a_mesh(directions):
     # The facets of an icosphere of 20480 triangles are off by up to 1 degree themselves.
+    from benchmarks.catalog import mesh_catalog
     from geokit.volume._from_mesh import from_mesh
-    from tests.support import mesh_catalog
 
     mesh = mesh_catalog.icosphere(5)
     radius = float(np.linalg.norm(mesh.vertices[0]))

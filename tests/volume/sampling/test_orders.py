@@ -8,14 +8,14 @@ import itertools
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
-from tests.support.float_grids import build_float_grid
 from tests.support.reference import tensor_interpolant
-from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Up to 64 products whose weights add up to 1.95 in absolute value: some tens of roundings of 1.1e-16.
 ROUNDING = 1e-13

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
@@ -21,7 +22,6 @@ from geokit.volume.nanovdb.header import grid_header, tree_header
 from geokit.volume.tree.typed_tree import VALUE_TYPES
 from tests.support.nanovdb_validate import VALIDATED, assert_validated, needs_validate
 from tests.support.random_grids import LOW, METADATA, TRANSFORM, random_grid
-from tests.support.typed_grids import TypedGrid
 
 INTERPOLATED = ("float", "double", "vec3f", "vec3d")
 LABELS = [name for name in VALUE_TYPES if name not in INTERPOLATED]

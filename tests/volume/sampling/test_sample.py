@@ -8,14 +8,14 @@ import itertools
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit import native
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES
-from tests.support.float_grids import build_float_grid
-from tests.support.typed_grids import QUANTIZED, VALUED, TypedGrid
 
 # Seven float64 interpolations and three of the coordinates: some tens of roundings of 1.1e-16, values below 300.
 ROUNDING = 1e-12
@@ -182,7 +182,7 @@ class TestFloatGrids:
 class TestSphere:
     """A signed distance field sampled away from its medial axis."""
 
-    CENTRE = np.array([0.31, -0.17, 0.23])
+    CENTER = np.array([0.31, -0.17, 0.23])
 
     def _errors(self, voxel_size):
         count = round(4.0 / voxel_size)
@@ -190,13 +190,13 @@ class TestSphere:
         transform[:3, 3] = -2.0
         axis = np.arange(count) * voxel_size - 2.0
         x, y, z = np.meshgrid(axis, axis, axis, indexing="ij", sparse=True)
-        distance = np.sqrt((x - self.CENTRE[0]) ** 2 + (y - self.CENTRE[1]) ** 2 + (z - self.CENTRE[2]) ** 2) - 1.0
+        distance = np.sqrt((x - self.CENTER[0]) ** 2 + (y - self.CENTER[1]) ** 2 + (z - self.CENTER[2]) ** 2) - 1.0
         volume = _field_grid(distance, np.zeros(3, int), transform)
         rng = np.random.default_rng(2)
         normals = rng.normal(size=(20_000, 3))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         height = rng.uniform(-0.2, 0.2, (len(normals), 1))
-        points = self.CENTRE + normals * (1.0 + height)
+        points = self.CENTER + normals * (1.0 + height)
         value = np.abs(sample(volume, points, device="cpu") - height[:, 0]).max()
         slope = np.abs(gradient(volume, points, device="cpu") - normals).max()
         return value, slope

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 
 # Fractions with 20 bits: together with coordinates below 2^31 they are exact in float64.
 FRACTION_STEP = 2.0**-20

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of
 from tests.support.reference import tensor_interpolant
-from tests.support.typed_grids import TypedGrid
 
 SHEARED = np.array([[0.5, 0.2, 0.0, 3.0], [-0.1, 0.25, 0.3, -7.0], [0.0, 0.1, 2.0, 11.0], [0.0, 0.0, 0.0, 1.0]])
 ORDERS = (0, 1, 2, 3)

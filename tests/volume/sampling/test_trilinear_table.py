@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume import gradient, sample
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling import leaf_table, trilinear_table
-from tests.support.float_grids import build_float_grid
 
 SHEAR = np.array([[0.1, 0.02, 0.0, 3.0], [0.0, -0.2, 0.01, -1.0], [0.03, 0.0, 0.15, 0.5], [0.0, 0.0, 0.0, 1.0]])
 CPU = launcher.resolve_device("cpu")

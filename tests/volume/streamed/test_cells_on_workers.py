@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, InputError, WorkerError
 from geokit.volume.streamed import band_file, cell_band
-from tests.support import mesh_catalog
 
 
 def processes(count: int) -> ProcessPoolExecutor:

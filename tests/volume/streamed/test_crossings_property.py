@@ -7,10 +7,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from benchmarks.catalog import mesh_catalog
 from geokit.volume.streamed import crossings
 from geokit.volume.streamed.survey import survey
 from geokit.volume.streamed.windings import ColumnWindings, CornerWindings
-from tests.support import mesh_catalog
 
 # The infinitesimal shifts as small numbers: each is far below the distances that the one before it makes.
 SHIFT = Fraction(1, 10**4), Fraction(1, 10**9), Fraction(1, 10**14)

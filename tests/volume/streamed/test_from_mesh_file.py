@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, FileAccessError, FileFormatError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.volume.streamed import cell_band
-from tests.support import mesh_catalog
 
 CPU = {"device": "cpu"}
 # Along no face of a mesh of the catalog, so that no voxel lies on the surface and every sign is certain.

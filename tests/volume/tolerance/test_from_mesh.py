@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks.catalog import mesh_catalog
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh import Surface
 from geokit.volume import from_mesh, load, plan, save
@@ -14,7 +15,6 @@ from geokit.volume.tolerance.checked_fields import checked_errors
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.interpolation_errors import interpolation_errors, quantization_step, stencils_of
 from geokit.volume.tolerance.search import quickest
-from tests.support import mesh_catalog
 
 DEVICE = "cpu"
 TORUS = Surface(mesh_catalog.torus(), device=DEVICE)
@@ -107,9 +107,9 @@ def test_a_field_that_is_worse_than_the_search_believes_is_noticed():
     setting = next(quickest(search.settings()))
     honest = checked_errors(search.zone, make_setting(search, setting), setting, 3)
     coarse = setting._replace(voxel_size=2.0 * setting.voxel_size)
-    spoilt = checked_errors(search.zone, make_setting(search, coarse), coarse, 3)
+    spoiled = checked_errors(search.zone, make_setting(search, coarse), coarse, 3)
     assert honest.p999 < honest.largest < 1.3 * setting.error
-    assert spoilt.largest > 2.0 * honest.largest
+    assert spoiled.largest > 2.0 * honest.largest
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._components import segment
@@ -25,7 +26,6 @@ from geokit.volume.nanovdb.header import tree_header
 from geokit.volume.tree.typed_tree import VALUE_TYPES
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 from tests.support.random_grids import HIGH, LOW, TRANSFORM, dense_of, random_grid
-from tests.support.typed_grids import TypedGrid
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 # In the world of a sheared transform: its faces run through leaves, and through tiles of 8^3 voxels.

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.index_grids import IndexGrid
+from benchmarks.catalog.sphere_volumes import ROTATED, lookup, sphere, sphere_distance
+from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._dense import from_dense, to_dense
@@ -14,9 +17,6 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of, tree_header
 from geokit.volume.nanovdb.nodes import grid_nodes
-from tests.support.index_grids import IndexGrid
-from tests.support.sphere_volumes import ROTATED, lookup, sphere, sphere_distance
-from tests.support.typed_grids import VALUED, TypedGrid
 
 
 def box_indices(lower, upper) -> np.ndarray:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import ROTATED, VOXELS, lookup, sphere, sphere_distance, sphere_leaves
 from geokit import native
 from geokit.errors import InputError
 from geokit.volume import save
@@ -16,9 +18,7 @@ from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode
 from geokit.volume.nanovdb.header import info_of, tree_header
 from geokit.volume.nanovdb.write import write
 from geokit.volume.tree.flood_signs import flood
-from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
-from tests.support.sphere_volumes import ROTATED, VOXELS, lookup, sphere, sphere_distance, sphere_leaves
 
 OPTIONS = {"background": 3.0, "transform": np.eye(4), "name": "g", "grid_class": "level set", "signed_fill": True}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.sphere_volumes import ROTATED, lookup, sphere_leaves
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
@@ -16,7 +17,6 @@ from geokit.volume.tree.flood_signs import with_signs
 from geokit.volume.tree.grid_head import checked_head
 from geokit.volume.tree.typed_tree import tree_of_leaves
 from geokit.volume.tree.typed_writer import build_grid
-from tests.support.sphere_volumes import ROTATED, lookup, sphere_leaves
 
 
 def both(origins, values, masks, *, grid_class="level set", transform=None, background=3.0):

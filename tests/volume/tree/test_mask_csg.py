@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._csg import difference, intersection, union
 from geokit.volume.nanovdb.checks import check_grid
 from tests.support.analytic_volumes import ball, level_set
 from tests.support.random_grids import dense_of, random_grid
-from tests.support.typed_grids import TypedGrid
 
 DENSE = {
     union: lambda a, b, c: a | b | c,

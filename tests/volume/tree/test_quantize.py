@@ -8,6 +8,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import ROTATED, sphere
+from benchmarks.catalog.typed_grids import QUANTIZED, TypedGrid
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import load, load_all, save
@@ -19,10 +22,7 @@ from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import grid_header, info_of, tree_header
 from geokit.volume.tree.leaf_codecs import BITS, thresholds, unpack
-from tests.support.float_grids import build_float_grid
 from tests.support.nanovdb_validate import assert_validated, needs_validate
-from tests.support.sphere_volumes import ROTATED, sphere
-from tests.support.typed_grids import QUANTIZED, TypedGrid
 
 FIXED = {"fp4": 4, "fp8": 8, "fp16": 16}
 # NanoVDB's decoding rounds product and sum to float32, relative to the range of a leaf (6 voxels of the sphere).

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
 from geokit.volume._model import SparseVolume
@@ -14,7 +15,6 @@ from geokit.volume._quantize import quantize
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 CODECS = ["fp4", "fp8", "fp16"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.float_grids import build_float_grid
+from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
 from geokit.volume._model import SparseVolume
@@ -12,8 +14,6 @@ from geokit.volume._quantize import quantize
 from geokit.volume._sample import gradient
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
-from tests.support.sphere_volumes import sphere
 
 
 def leaf(values: np.ndarray) -> SparseVolume:

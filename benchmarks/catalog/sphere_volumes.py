@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.catalog.float_grids import build_float_grid
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from tests.support.float_grids import build_float_grid
 
 VOXELS = np.stack(np.meshgrid(*3 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 3)
 ROTATED = np.array([[0.06, -0.08, 0.0, 5.0e6], [0.08, 0.06, 0.0, -3.0], [0.0, 0.0, 0.1, 7.0], [0.0, 0.0, 0.0, 1.0]])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.catalog.typed_grids import LEAVES, put
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import (
     BLIND_DATA,
@@ -17,7 +18,6 @@ from geokit.volume.nanovdb.header import (
     tree_header,
 )
 from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS, LAYOUTS
-from tests.support.typed_grids import LEAVES, put
 
 # The background, then a tile of the lower, the upper and the root node, then the leaves.
 LOWER_TILE, UPPER_TILE, ROOT_TILE, FIRST_VOXEL = 1, 2, 3, 4
