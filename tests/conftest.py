@@ -12,6 +12,7 @@ import itertools
 import os
 import random
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -26,6 +27,9 @@ SLOWEST = 60
 # After pytest's own, which writes to stderr in the midst of everything.
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
+    # A shell starts what runs in its background with interrupts ignored, and so would be every process of the tests.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput"):
         os.environ[FOLDER] = tempfile.mkdtemp(prefix="stacks-")
     config.stash[STACKS] = os.open(Path(os.environ[FOLDER], f"{os.getpid()}.txt"), os.O_CREAT | os.O_WRONLY)

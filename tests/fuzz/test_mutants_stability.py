@@ -1,4 +1,4 @@
-"""Two hundred damaged files of every format: each loads or is refused by name, whatever is asked of it afterwards.
+"""Damaged files of every format: each loads or is refused by name, whatever is asked of it afterwards.
 
 Not one ends the process, prints, hangs for 20 s of CPU time, takes 2 GiB or raises anything but a GeokitError.
 """
@@ -14,8 +14,9 @@ from geokit.formats.table import FORMATS
 from tests.formats.images.needed import need
 from tests.fuzz.campaign import run
 from tests.fuzz.originals import TARGETS, Target
+from tests.support.effort import of_all
 
-MUTANTS = 200
+MUTANTS = of_all(30, 200)
 
 pytestmark = pytest.mark.slow
 
@@ -33,5 +34,5 @@ def test_every_mutant_ends_well(target: Target) -> None:
     assert not tally.faults
     refused = sum(count for end, count in tally.ends.items() if end.startswith("refused"))
     # The mutants would prove nothing if they were all whole, or all no files of their format.
-    assert refused > MUTANTS // 10
+    assert refused >= MUTANTS // 10
     assert tally.ends["same"] + tally.ends["differs"] > MUTANTS // 20

@@ -72,9 +72,9 @@ def test_set_up_commands_are_verbs_of_dev() -> None:
     assert "no verb 'frobnicate'" in unknown.stderr
 
 
-def test_ci_runs_the_tests_and_nothing_else() -> None:
+def test_ci_runs_the_checks_and_the_tests() -> None:
     lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    assert lines[-1] == "exec ./dev test"
+    assert lines[-2:] == ["./dev check --quick", "exec ./dev test"]
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import geokit
+from tests.support.effort import of_all
 
 PACKAGES = ("mesh", "volume", "points", "render", "threads", "accuracy", "errors")
 ANSWERS = {
@@ -41,7 +42,7 @@ def check(checker: str, code: str, folder: Path, cache: Path) -> subprocess.Comp
     return subprocess.run([*command, str(file)], capture_output=True, text=True, cwd=folder, timeout=600)
 
 
-@pytest.fixture(scope="module", params=["mypy", "pyright"])
+@pytest.fixture(scope="module", params=of_all(["mypy"], ["mypy", "pyright"]))
 def checker(request):
     pytest.importorskip(request.param)
     if request.param == "pyright":

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from geokit import native
+from tests.support.effort import of_all
 from tests.support.lying_grids import LIES, OPERATIONS, SOURCES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +23,7 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("source", of_all(["level set"], list(SOURCES)))
 def test_every_operation_ends_by_itself(source):
     # One thread: a forked process has no others.
     run = subprocess.run(
