@@ -13,7 +13,8 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.components.labels import active_rows, inside_rows, label_components
 from geokit.volume.components.level_sets import split_level_set
 from geokit.volume.components.split import label_volume, split_active
-from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.level_set.band_widths import widths_of, with_widths
+from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import dequantized, require_volume
@@ -70,7 +71,7 @@ def segment(volume: SparseVolume, *, device: Any = None) -> list[SparseVolume]:
     """Split a volume into its connected components, largest first.
 
     Voxels are connected over faces. Level sets of real values are split by their inside: a hollow body is one
-    component. Each component is the distance field of that body alone, in a band of the same width. A voxel outside
+    component. Each component is the distance field of that body alone, in a band of the same widths. A voxel outside
     keeps its value in the component that is nearest. Where bands meet, the other components get their own distance,
     right to 0.1 voxel next to smooth surfaces, whatever the gap. Next to sharp edges it is right to 0.4 voxel where the
     gap is 3 voxels or more, and to 1 voxel in smaller gaps. Bodies that touch within a voxel are one component if
@@ -97,7 +98,13 @@ def segment(volume: SparseVolume, *, device: Any = None) -> list[SparseVolume]:
         return []
     target = launcher.resolve_device(device)
     if _is_distance(volume):
-        return split_level_set(volume, require_level_set(volume, "volume"), target)
+        voxel_size = require_level_set(volume, "volume")
+        widths = widths_of(volume, voxel_size)
+        if widths.are_equal:
+            return split_level_set(volume, voxel_size, target)
+        whole = with_band(volume, voxel_size, widths.widest, device=device)
+        parts = [with_widths(part, voxel_size, widths) for part in split_level_set(whole, voxel_size, target)]
+        return sorted(parts, key=lambda part: -int(part.info.active_voxel_count or 0))
     source = dequantized(volume)
     tree = tree_of(source)
     return split_active(label_components(active_rows(tree), target), tree, source)

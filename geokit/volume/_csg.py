@@ -11,7 +11,8 @@ from geokit.core.memory.needs import needs
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
-from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
+from geokit.volume.level_set.band_widths import widths_of, with_widths
+from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.mask_csg import combined_masks
@@ -121,7 +122,8 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
     sizes = [require_level_set(volume, name) for volume, name in zip(operands, names, strict=True)]
     first, voxel_size = operands[0], sizes[0]
     blend = _checked_blend(smooth, voxel_size)
-    half_width = half_width_of(first, voxel_size)
+    widths = widths_of(first, voxel_size)
+    half_width = widths.widest
     # A blend lowers the minimum by a quarter of its width, and acts where the operands differ by up to the whole width.
     # To know the result throughout its band, the operands must be known farther by both.
     reach = half_width + BLEND_MARGIN + 1.25 * blend / voxel_size if blend else half_width
@@ -135,7 +137,7 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
             result = redistance(blended, voxel_size, width)
         else:
             result = call_openvdb(operations.csg, result, other, kind=kind)
-    return with_band(result, voxel_size, half_width)
+    return with_widths(with_band(result, voxel_size, half_width), voxel_size, widths)
 
 
 def _checked_blend(smooth: Any, voxel_size: float) -> float:

@@ -6,7 +6,8 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_text
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
-from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.level_set.band_widths import widths_of, with_widths
+from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
@@ -38,7 +39,7 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
         width: Half the side of the filter [voxels], 1 to 64; the two flows ignore it.
         iterations: Number of passes.
     Returns:
-        Volume of the same class and background.
+        Volume of the same class and background; a band of two widths keeps both.
     Raises:
         InputError: The method is unknown, or is for level sets and the grid is none; width or iterations is out of
             range; the voxels of a level set are not cubes, or its background is not positive and finite; or the grid
@@ -62,7 +63,14 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
     voxel_size = require_level_set(volume, "volume") if is_level_set else 1.0
     from geokit.native import operations
 
-    result: SparseVolume = call_openvdb(
-        operations.smooth, volume, method=method, width=width, iterations=iterations, voxel_size=voxel_size
-    )
-    return result
+    def smoothed(source: SparseVolume) -> SparseVolume:
+        result: SparseVolume = call_openvdb(
+            operations.smooth, source, method=method, width=width, iterations=iterations, voxel_size=voxel_size
+        )
+        return result
+
+    if not is_level_set:
+        return smoothed(volume)
+    widths = widths_of(volume, voxel_size)
+    source = volume if widths.are_equal else with_band(volume, voxel_size, widths.widest)
+    return with_widths(smoothed(source), voxel_size, widths)

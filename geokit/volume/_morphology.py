@@ -9,8 +9,10 @@ from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
+from geokit.volume.band.fields import half_widths
 from geokit.volume.level_set.active_morphology import MOST_VOXELS, NEIGHBORS, changed_topology
-from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
+from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
+from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
@@ -19,13 +21,14 @@ __all__ = ["closing", "dilate", "erode", "offset", "opening", "renormalize"]
 
 # Largest offset [voxels]: the band must reach that far during the computation, and memory grows with it.
 FARTHEST_OFFSET = 256.0
-NARROWEST_BAND = 1.0
 # Voxels by which a band reaches beyond the new surface, outwards and inwards.
 MARGIN, INWARD_MARGIN = 2.0, 3.0
 
 
 @needs(lambda volume, *_, **__: 32500 * leaf_count(volume))
-def renormalize(volume: SparseVolume, *, half_width: float | None = None, device: Any = None) -> SparseVolume:
+def renormalize(
+    volume: SparseVolume, *, half_width: float | tuple[float, float] | None = None, device: Any = None
+) -> SparseVolume:
     """Recompute signed distances around the same surface, so that the slope is 1 again.
 
     Use it for level sets whose values are no longer distances, such as sums, products, advected or blended fields. The
@@ -41,7 +44,8 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
 
     Args:
         volume: Level set.
-        half_width: Width of the new band on each side [voxels], at least 1; None for the width of the old one.
+        half_width: Width of the new band on each side [voxels], at least 1, or a pair of widths, outside and inside;
+            None for those of the old one.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Level set of the same type (float if that is quantized).
@@ -56,8 +60,8 @@ def renormalize(volume: SparseVolume, *, half_width: float | None = None, device
     Held by: tests/volume/level_set/test_morphology.py, tests/accuracy/stability/test_envelopes.py
     """
     voxel_size = require_level_set(volume, "volume")
-    width = half_width_of(volume, voxel_size) if half_width is None else _checked_half_width(half_width)
-    return redistance(volume, voxel_size, width, device=device)
+    widths = widths_of(volume, voxel_size) if half_width is None else _checked_half_widths(half_width)
+    return with_widths(redistance(volume, voxel_size, widths.widest, device=device), voxel_size, widths)
 
 
 @needs(lambda volume, *_, **__: 30700 * leaf_count(volume))
@@ -79,7 +83,7 @@ def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> Spar
         distance: Distance by which the surface moves [world], at most 256 voxels.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
-        Level set of the same type, with a band of the same width.
+        Level set of the same type, with a band of the same widths.
     Raises:
         InputError: volume is not a level set, its voxels are not cubes, or the distance is not finite or too large.
         UnsupportedGridError: Values are not real numbers.
@@ -273,30 +277,29 @@ def _changed(
 
 def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device: Any) -> SparseVolume:
     """The level set after offsets [voxels], one after the other."""
-    half_width = half_width_of(volume, voxel_size)
+    widths = widths_of(volume, voxel_size)
+    half_width = widths.widest
     for step, following in zip(steps, [*steps[1:], 0.0], strict=True):
         # The band must contain every cell that the new surface crosses, with all its corners; inwards, with all
         # voxels that tell directions there.
         needed = max(half_width, abs(step) + (INWARD_MARGIN if step < 0.0 else MARGIN))
         wide = (
             with_band(volume, voxel_size, needed, device=device)
-            if needed > half_width_of(volume, voxel_size)
+            if needed > widths_of(volume, voxel_size).narrowest
             else volume
         )
         width = max(half_width, following + INWARD_MARGIN) if step < 0.0 < following else half_width
         # Distances from an eroded body are more exact than those from a surface around it.
         is_back = step > 0.0 and len(steps) > 1 and steps[0] < 0.0
         volume = redistance(wide, voxel_size, width, isovalue=step, holds_distances=is_back, device=device)
-    return volume
+    return with_widths(volume, voxel_size, widths)
 
 
-def _checked_half_width(half_width: Any) -> float:
-    width = require_finite_scalar(half_width, "half_width")
-    if not NARROWEST_BAND <= width <= FARTHEST_OFFSET:
-        raise InputError(
-            f"half_width: {width} voxels; a band needs at least {NARROWEST_BAND:g} and at most {FARTHEST_OFFSET:g}"
-        )
-    return width
+def _checked_half_widths(half_width: Any) -> BandWidths:
+    widths = BandWidths(*half_widths(half_width))
+    if widths.widest > FARTHEST_OFFSET:
+        raise InputError(f"half_width: {widths.widest} voxels; a band has at most {FARTHEST_OFFSET:g}")
+    return widths
 
 
 def _checked_voxels(distance: float, voxel_size: float) -> float:

@@ -15,7 +15,8 @@ from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import require_order, sample
-from geokit.volume.level_set.operands import half_width_of, require_level_set, with_band
+from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
+from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.nanovdb.header import voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
@@ -69,7 +70,7 @@ def resample(
 
     The value of a voxel is the volume's sample at its center (:func:`geokit.volume.sample`, in float64, rounded once);
     inside the active region a linear field is reproduced to that rounding. A voxel is active if the nearest voxel of
-    the source is; all others get the background. Level sets keep the width of their band in voxels: their background
+    the source is; all others get the background. Level sets keep the widths of their band in voxels: their background
     follows the voxel size and their values stay distances [world]. Where the new band is wider than the old one,
     distances are first computed beyond the old one (:func:`geokit.volume.renormalize`), which needs cubic source
     voxels.
@@ -124,41 +125,43 @@ def resampled(
         return _sampled(voxelized(volume), transform, order, dtype, volume.info.background, None, device)
     band = _band(volume, transform)
     source = voxelized(band.source)
-    result = _sampled(source, transform, order, dtype, band.background, band.background, device)
-    if band.missing:
-        return with_band(result, uniform_voxel_size(result, "volume"), band.half_width)
-    return result
+    background = band.known.widest * band.voxel_size
+    result = _sampled(source, transform, order, dtype, background, background, device)
+    result = with_widths(result, band.voxel_size, band.known)
+    if band.known == band.widths:
+        return result
+    voxel_size = uniform_voxel_size(result, "volume")
+    return with_widths(with_band(result, voxel_size, band.widths.widest), voxel_size, band.widths)
 
 
 class _Band(NamedTuple):
     source: SparseVolume
-    background: float
-    half_width: float
-    missing: bool
+    voxel_size: float
+    known: BandWidths
+    widths: BandWidths
 
 
 def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
-    """A source whose band reaches as far as the target's, and the target's background."""
+    """A source whose band reaches as far as the target's, the target's voxel size, and widths [its voxels]."""
     old = float(np.cbrt(np.prod(volume.info.voxel_size)))
     new = float(np.cbrt(np.prod(voxel_size_of(transform))))
     if not is_cubic(volume.info.transform):
         # Distances beyond the band need cubes: those missing are computed on the target's voxels if these are cubes.
-        half_width = float(volume.info.background) / old
-        known = min(half_width * new, float(volume.info.background))
-        return _Band(volume, known, half_width, known < half_width * new and is_cubic(transform))
+        widths = widths_of(volume, old)
+        known = BandWidths(*(min(width, width * old / new) for width in widths))
+        return _Band(volume, new, known, widths if is_cubic(transform) else known)
     old = require_level_set(volume, "volume")
-    half_width = half_width_of(volume, old)
-    background = half_width * new
-    needed = background / old + STENCIL
+    widths = widths_of(volume, old)
+    needed = widths.widest * new / old + STENCIL
     # Also for equal voxels: at the end of the band the stencil would read the background as a distance.
-    if needed > half_width:
+    if needed > widths.narrowest:
         if needed > WIDEST_BAND:
             raise InputError(
                 f"voxel_size: {new:g} is {new / old:.3g} times the old one, too much at a time; resample at "
-                f"{old * WIDEST_BAND / 2 / half_width:.2g} first"
+                f"{old * WIDEST_BAND / 2 / widths.widest:.2g} first"
             )
         volume = with_band(volume, old, needed)
-    return _Band(volume, background, half_width, False)
+    return _Band(volume, new, widths, widths)
 
 
 def _scaled(transform: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:

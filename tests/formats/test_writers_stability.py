@@ -14,8 +14,6 @@ from geokit import FileFormatError, mesh, points
 from geokit.formats.table import FORMATS
 from tests.support.all_writers import OLD, holds, place, writers
 
-pytestmark = pytest.mark.process
-
 ROOT = Path(__file__).resolve().parents[2]
 TRIANGLE = mesh.TriangleMesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2]])
 

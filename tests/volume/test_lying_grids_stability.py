@@ -17,7 +17,6 @@ from tests.support.lying_grids import LIES, OPERATIONS, SOURCES
 ROOT = Path(__file__).resolve().parents[2]
 
 pytestmark = [
-    pytest.mark.process,
     pytest.mark.skipif(not hasattr(os, "fork"), reason="each case runs in a forked process"),
     pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"),
 ]

@@ -1,4 +1,4 @@
-"""What trimesh does not understand of a .gltf or .glb is refused by name, and normalized positions are restored.
+"""What trimesh does not understand of a .gltf or .glb is written out as triangles, or refused by name.
 
 trimesh leaves out what it does not know: compressed meshes become triangles at one point, instances are lost, and
 normalized integers are taken for coordinates.
@@ -6,17 +6,15 @@ normalized integers are taken for coordinates.
 
 from __future__ import annotations
 
-import base64
 import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geokit.errors import FileFormatError
+from geokit.formats.scene_content.gltf_accessors import Accessors
+from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, needs_writing_out, write_out
 
 __all__ = ["understood"]
 
@@ -25,39 +23,40 @@ _LOOKS = (
     "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_pointer", "EXT_texture_", "EXT_lights_",
     "MSFT_texture_", "MSFT_packing_", "ADOBE_materials_", "AGI_",
 )  # fmt: skip
-_QUANTIZED = "KHR_mesh_quantization"
+_WRITTEN_OUT = ("KHR_mesh_quantization", INSTANCES, VISIBILITY)
 # Extensions that change the shape of a file even where it does not require them.
-_SHAPES = {"EXT_mesh_gpu_instancing": "instances", "MSFT_lod": "levels of detail"}
-_REMEDIES = {
-    "KHR_draco_mesh_compression": "export it without compression, or decompress it with gltf-transform copy",
-    "EXT_meshopt_compression": "export it without compression, or decompress it with gltf-transform copy",
-    "KHR_meshopt_compression": "export it without compression, or decompress it with gltf-transform copy",
-}
-# Integer types of accessors by their code.
-_INTEGERS: dict[Any, Any] = {5120: np.dtype("<i1"), 5121: np.dtype("<u1"), 5122: np.dtype("<i2"), 5123: np.dtype("<u2")}
-_MODES = {6: "triangle fans"}
+_SHAPES = {"MSFT_lod": "levels of detail"}
+_DECOMPRESS = "export it without compression, or decompress it with gltf-transform copy"
+_REMEDIES = dict.fromkeys(
+    ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"), _DECOMPRESS
+)
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
 def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
-    """The file with normalized positions as floats; None if it is understood as it is.
+    """The file with all that gives its meshes their shape as triangles; None if it is understood as it is.
 
     Args:
         path: A .gltf or .glb file.
         read: Reads another file that this one refers to.
     Raises:
-        FileFormatError: The file needs an extension that is not understood, or is of another version of glTF.
+        FileFormatError: The file needs an extension that is not understood, or is of another version of glTF, or its
+            meshes contradict themselves.
     """
     data = path.read_bytes()
     tree, binary = _opened(data)
     if not isinstance(tree, dict):
         return None  # trimesh says what is wrong
     _require_understood(tree, path)
-    wanted = _normalized(tree)
-    if not wanted:
+    if not needs_writing_out(tree):
         return None
-    for index in wanted:
-        _restore(tree, index, lambda number: _buffer(tree, number, binary, read))
+    try:
+        write_out(tree, Accessors(tree, binary, read))
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise FileFormatError(
+            f"{path}: its meshes cannot be read ({type(error).__name__}: {str(error)[:200]}); the file is damaged, "
+            "export it again"
+        ) from None
     text = json.dumps(tree).encode()
     if not data.startswith(b"glTF"):
         return text
@@ -89,65 +88,34 @@ def _require_understood(tree: dict[str, Any], path: Path) -> None:
     if not version.startswith("2"):
         raise FileFormatError(f"{path}: is glTF {version[:20]}, and only 2 is read; convert it with gltf-pipeline")
     for name in _listed(tree.get("extensionsRequired"), str):
-        if name != _QUANTIZED and not name.startswith(_LOOKS):
+        if name not in _WRITTEN_OUT and not name.startswith(_LOOKS):
             remedy = _REMEDIES.get(name, "export it without")
             raise FileFormatError(f"{path}: requires the glTF extension {name[:80]!r}, which is not read; {remedy}")
     for node in _listed(tree.get("nodes")):
         for name, what in _SHAPES.items():
             if name in _object(node.get("extensions")):
                 raise FileFormatError(f"{path}: has {what} ({name}), which are not read; export it without")
+        if "skin" in node and INSTANCES in _object(node.get("extensions")):
+            raise FileFormatError(
+                f"{path}: has instances of a skin ({INSTANCES}), which are not read; export it without"
+            )
     for primitive in _primitives(tree):
-        mode = primitive.get("mode")
-        if mode in _MODES:
-            raise FileFormatError(f"{path}: holds {_MODES[mode]}, which are not read; export it as triangles")
-        for index in (primitive.get("indices"), _position(primitive)):
-            if "sparse" in (_at(tree, "accessors", index) or {}):
-                raise FileFormatError(f"{path}: holds sparse accessors, which are not read; export it without")
-
-
-def _normalized(tree: dict[str, Any]) -> list[int]:
-    """Accessors of positions that are normalized integers."""
-    found = set()
-    for index in map(_position, _primitives(tree)):
-        accessor = _at(tree, "accessors", index) or {}
-        if accessor.get("normalized") is True and accessor.get("componentType") in _INTEGERS:
-            found.add(index)
-    return sorted(found)
-
-
-def _restore(tree: dict[str, Any], index: int, buffer: Callable[[int], bytes]) -> None:
-    """Replace an accessor of integers by one of floats, in a buffer of its own."""
-    accessor = tree["accessors"][index]
-    view = tree["bufferViews"][accessor["bufferView"]]
-    kind, count = _INTEGERS[accessor["componentType"]], int(accessor["count"])
-    step = int(view.get("byteStride") or 3 * kind.itemsize)
-    start = int(view.get("byteOffset", 0)) + int(accessor.get("byteOffset", 0))
-    rows: NDArray[Any] = np.ndarray((count, 3), kind, buffer(view["buffer"]), start, (step, kind.itemsize))
-    # As the specification has it: the most negative integer is -1 as well.
-    values = np.maximum(rows / np.iinfo(kind).max, -1.0).astype("<f4").tobytes()
-    tree["buffers"].append(
-        {"byteLength": len(values), "uri": "data:application/octet-stream;base64," + base64.b64encode(values).decode()}
-    )
-    tree["bufferViews"].append({"buffer": len(tree["buffers"]) - 1, "byteLength": len(values)})
-    place = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": 5126, "count": count, "type": "VEC3"}
-    tree["accessors"][index] = place
-
-
-def _buffer(tree: dict[str, Any], number: int, binary: bytes, read: Callable[[str], bytes]) -> bytes:
-    uri = tree["buffers"][number].get("uri")
-    if uri is None:
-        return binary
-    head, _, content = str(uri).partition(",")
-    return base64.b64decode(content) if head.startswith("data:") and head.endswith(";base64") else read(str(uri))
+        # Without data there is only what an extension holds, whether the file requires it or not.
+        position = _at(tree, "accessors", _object(primitive.get("attributes")).get("POSITION"))
+        if position is not None and "bufferView" not in position and "sparse" not in position:
+            name = next(iter(_object(primitive.get("extensions"))), "no buffer of positions")
+            remedy = _REMEDIES.get(name, "export it again")
+            raise FileFormatError(f"{path}: holds a mesh without positions ({name[:80]!r}); {remedy}")
+    for buffer in _listed(tree.get("buffers")):
+        # A buffer that only a decoder would fill.
+        for name, extension in _object(buffer.get("extensions")).items():
+            if name in _REMEDIES and "uri" not in buffer and _object(extension).get("fallback") is True:
+                raise FileFormatError(f"{path}: is compressed with {name!r}, which is not read; {_REMEDIES[name]}")
 
 
 def _primitives(tree: dict[str, Any]) -> list[dict[str, Any]]:
     found = (_listed(mesh.get("primitives")) for mesh in _listed(tree.get("meshes")))
     return [primitive for primitives in found for primitive in primitives]
-
-
-def _position(primitive: dict[str, Any]) -> Any:
-    return _object(primitive.get("attributes")).get("POSITION")
 
 
 def _object(value: Any) -> dict[str, Any]:

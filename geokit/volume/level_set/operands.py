@@ -8,13 +8,11 @@ import numpy as np
 
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
+from geokit.volume.level_set.band_widths import BAND_TOLERANCE, widths_of
 from geokit.volume.level_set.redistance import redistance
 from geokit.volume.tree.leaves import require_volume, uniform_voxel_size
 
-__all__ = ["half_width_of", "require_level_set", "with_band"]
-
-# Bands whose widths differ by less count as equal: a background is a float32 product of voxel size and half width.
-BAND_TOLERANCE = 1e-5
+__all__ = ["require_level_set", "with_band"]
 
 
 def require_level_set(volume: Any, name: str) -> float:
@@ -41,15 +39,8 @@ def require_level_set(volume: Any, name: str) -> float:
     return voxel_size
 
 
-def half_width_of(volume: SparseVolume, voxel_size: float) -> float:
-    """Half width of a level set's band [voxels]."""
-    width = float(volume.info.background) / voxel_size
-    nearest = round(width)
-    return float(nearest) if abs(width - nearest) < BAND_TOLERANCE * width else width
-
-
 def with_band(volume: SparseVolume, voxel_size: float, half_width: float, *, device: Any = None) -> SparseVolume:
-    """The level set with a band of another width; voxels that stay active keep their values."""
-    if np.isclose(half_width_of(volume, voxel_size), half_width, rtol=BAND_TOLERANCE, atol=0.0):
+    """The level set with a band of another width on both sides; voxels that stay active keep their values."""
+    if np.isclose(widths_of(volume, voxel_size), half_width, rtol=BAND_TOLERANCE, atol=0.0).all():
         return volume
     return redistance(volume, voxel_size, half_width, keeps_band=True, device=device)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.scan import prefix_sum
 from geokit.volume._model import SparseVolume, made_on_device
+from geokit.volume.level_set.band_widths import widths_of
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
 from geokit.volume.level_set.sharp_edges import hold_beyond_edges
 from geokit.volume.nanovdb.header import info_of
@@ -56,7 +57,8 @@ def redistance(
         half_width: Half width of the new band [voxels].
         isovalue: Value of the surface [voxels]; 0 with ``keeps_band``. Below 0, distances beyond sharp edges are those
             from the edges.
-        keeps_band: Active voxels keep their values; only voxels beyond them are computed.
+        keeps_band: Active voxels keep their values; only voxels beyond them are computed. A band of two widths counts
+            as one of the narrower.
         holds_distances: Distances outside a surface that moves outwards are those of the level set.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
@@ -67,8 +69,12 @@ def redistance(
     """
     found = launcher.resolve_device(device)
     leaves = LinkedLeaves(volume, isovalue * voxel_size, found)
-    old_width = float(volume.info.background) / voxel_size
-    band = Band(leaves, float(volume.info.background), voxel_size, isovalue * voxel_size)
+    background = float(volume.info.background)
+    widths = widths_of(volume, voxel_size)
+    if not widths.are_equal:
+        background = widths.narrowest * voxel_size
+    old_width = background / voxel_size
+    band = Band(leaves, background, voxel_size, isovalue * voxel_size)
     if keeps_band:
         band.hold_active()
         start = old_width
@@ -80,7 +86,7 @@ def redistance(
         band.spread(start, half_width, only_border=keeps_band)
     if isovalue < 0.0 or holds_distances:
         spread = [band.nearest, band.features]
-        field = float(volume.info.background), isovalue * voxel_size, voxel_size
+        field = background, isovalue * voxel_size, voxel_size
         hold_beyond_edges(leaves, beside, field, half_width, spread, band.known, band.held)
     return band.volume(volume, half_width * voxel_size)
 

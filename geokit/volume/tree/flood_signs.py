@@ -28,15 +28,14 @@ FACES = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1))
 LOWER_AT_A_TIME, UPPER_AT_A_TIME = 512, 64
 
 
-def with_signs(tree: TypedTree) -> TypedTree:
-    """Add tiles of minus the background to a level set's tree of leaves, in the empty regions inside.
+def with_signs(tree: TypedTree, inside: Any) -> TypedTree:
+    """Add tiles of the value ``inside`` to a level set's tree of leaves, in the empty regions inside.
 
     Raises:
         InputError: The upper nodes are too far apart to fill the gaps between them.
     """
     if not len(tree.origins):
         return tree
-    inside = -tree.background
     lower, lower_origins, faces = _level(tree, tree.origins, face_signs(tree.values), inside, 16, 8, LOWER_AT_A_TIME)
     upper, upper_origins, faces = _level(tree, lower_origins, faces, inside, 32, 128, UPPER_AT_A_TIME)
     keys = root_keys_of(upper_origins)

@@ -185,7 +185,7 @@ def build_real_grid(
     if head.layout.name == "float" and not head.has_long_name:
         return build_leaves(head, origins, values, masks, signed=signed)
     tree = tree_of_leaves(head.layout, head.background, origins, masks, values)
-    return build_grid(with_signs(tree) if signed else tree, head)
+    return build_grid(with_signs(tree, head.inside) if signed else tree, head)
 
 
 def _real_layout(values: NDArray[Any]) -> GridLayout:

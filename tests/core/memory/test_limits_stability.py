@@ -12,8 +12,6 @@ import pytest
 from tests.support.effort import of_all
 from tests.support.limits.memory_runs import faults
 
-pytestmark = pytest.mark.process
-
 # 20 limits, and all operations: an hour.
 LIMITS = os.environ.get("GEOKIT_MEMORY_LIMITS", of_all("1", "3"))
 SECONDS = 1800 if int(LIMITS) <= 3 else 20_000

@@ -27,7 +27,7 @@ def both(origins, values, masks, *, grid_class="level set", transform=None, back
     ours = build_leaves(head, origins, values, masks, signed=signed)
     packed = masks if masks.dtype == np.uint8 else np.packbits(masks, axis=1, bitorder="little")
     tree = tree_of_leaves(LAYOUTS["float"], np.float32(background), origins, packed, values)
-    theirs = build_grid(with_signs(tree) if signed else tree, head)
+    theirs = build_grid(with_signs(tree, head.inside) if signed else tree, head)
     return ours, theirs
 
 

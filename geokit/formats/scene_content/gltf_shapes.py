@@ -1,0 +1,296 @@
+"""What gives a glTF mesh its shape beside plain triangles is written out as such: trimesh knows only these.
+
+Triangle fans, sparse and normalized positions, default weights of morph targets, skins in the pose of their nodes, and
+instances become triangles, float positions and nodes; hidden nodes lose their meshes.
+
+Source:
+    Khronos, glTF 2.0 Specification, 3.6.2.3 (sparse), 3.7.2.1 (topology), 3.7.2.2 (morph targets), 3.7.3 (skins);
+    EXT_mesh_gpu_instancing; KHR_node_visibility.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.formats.scene_content.gltf_accessors import Accessors
+
+__all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "write_out"]
+
+INSTANCES = "EXT_mesh_gpu_instancing"
+VISIBILITY = "KHR_node_visibility"
+_FAN, _TRIANGLES = 6, 4
+_FLOAT = 5126
+_WEIGHT, _JOINT = "WEIGHTS_", "JOINTS_"
+
+
+def needs_writing_out(tree: dict[str, Any]) -> bool:
+    """Whether anything of a file must be written out."""
+    nodes = list(_objects(tree.get("nodes")))
+    return (
+        any(_is_shaped(tree, primitive) for primitive in _primitives(tree))
+        or any(INSTANCES in _object(node.get("extensions")) or ("skin" in node and "mesh" in node) for node in nodes)
+        or any(map(_is_hidden, nodes))
+        or any(_weights(node, _mesh(tree, node)) for node in nodes)
+    )
+
+
+def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
+    """Change the file's JSON so that triangles, float positions and nodes are all there is."""
+    done: dict[tuple[str, int], int] = {}
+    for primitive in _primitives(tree):
+        _plain(tree, primitive, accessors, done)
+    hidden = [number for number, node in enumerate(tree.get("nodes", ())) if _is_hidden(node)]
+    for number in _reached(tree, hidden):
+        tree["nodes"][number].pop("mesh", None)
+    # Poses are those of the file, before nodes are added or taken away.
+    poses = _poses(tree)
+    morphed: dict[tuple[int, tuple[float, ...]], int] = {}
+    for number, node in enumerate(list(tree.get("nodes", ()))):
+        weights = _weights(node, _mesh(tree, node))
+        if weights:
+            key = node["mesh"], tuple(weights)
+            if key not in morphed:
+                morphed[key] = _morphed(tree, node["mesh"], weights, accessors)
+            node["mesh"] = morphed[key]
+        if "skin" in node and "mesh" in node:
+            _skin(tree, number, poses, accessors)
+        extensions = _object(node.get("extensions"))
+        if INSTANCES in extensions:
+            _instantiate(tree, node, extensions.pop(INSTANCES), accessors)
+    for name in ("extensionsUsed", "extensionsRequired"):
+        if name in tree:
+            tree[name] = [entry for entry in tree[name] if entry not in (INSTANCES, VISIBILITY)]
+
+
+def _is_shaped(tree: dict[str, Any], primitive: dict[str, Any]) -> bool:
+    attributes = _object(primitive.get("attributes"))
+    places = [*attributes.values(), primitive.get("indices")]
+    entries = [tree["accessors"][index] for index in places if _is_row(tree, index)]
+    position = attributes.get("POSITION")
+    return (
+        primitive.get("mode") == _FAN
+        or any("sparse" in entry for entry in entries)
+        or (_is_row(tree, position) and tree["accessors"][position].get("componentType") != _FLOAT)
+    )
+
+
+def _plain(
+    tree: dict[str, Any], primitive: dict[str, Any], accessors: Accessors, done: dict[tuple[str, int], int]
+) -> None:
+    """Float positions, no sparse accessors, and triangles for a fan."""
+
+    def written(index: Any, *, as_float: bool) -> Any:
+        entry = tree["accessors"][index]
+        if "sparse" not in entry and not (as_float and entry.get("componentType") != _FLOAT):
+            return index
+        key = "float" if as_float else "stored", index
+        if key not in done:
+            values = accessors.numbers(index).astype("<f4") if as_float else accessors.stored(index)
+            done[key] = accessors.add(values, normalized=not as_float and entry.get("normalized") is True)
+        return done[key]
+
+    attributes = primitive["attributes"]
+    for name, index in attributes.items():
+        if _is_row(tree, index):
+            attributes[name] = written(index, as_float=name == "POSITION")
+    if _is_row(tree, primitive.get("indices")):
+        primitive["indices"] = written(primitive["indices"], as_float=False)
+    if primitive.get("mode") == _FAN:
+        if "indices" in primitive:
+            corners = accessors.stored(primitive["indices"])[:, 0].astype("<u4")
+        else:
+            corners = np.arange(tree["accessors"][attributes["POSITION"]]["count"], dtype="<u4")
+        rim = corners[1:]
+        fan = np.stack([np.broadcast_to(corners[:1], rim[1:].shape), rim[:-1], rim[1:]], axis=1)
+        primitive["indices"] = accessors.add(np.ascontiguousarray(fan).reshape(-1, 1))
+        primitive["mode"] = _TRIANGLES
+
+
+def _is_hidden(node: dict[str, Any]) -> bool:
+    """Whether a node is hidden, and with it all below."""
+    return _object(_object(node.get("extensions")).get(VISIBILITY)).get("visible") is False
+
+
+def _weights(node: dict[str, Any], mesh: dict[str, Any]) -> list[float]:
+    """Weights of a node's morph targets, or of its mesh; nothing if all are 0."""
+    weights = node.get("weights", mesh.get("weights"))
+    if not isinstance(weights, list) or not any(
+        _object(part).get("targets") for part in _objects(mesh.get("primitives"))
+    ):
+        return []
+    return weights if any(weights) else []
+
+
+def _morphed(tree: dict[str, Any], number: int, weights: list[float], accessors: Accessors) -> int:
+    """Number of a copy of a mesh, displaced by its targets."""
+    mesh = dict(tree["meshes"][number])
+    mesh.pop("weights", None)
+    mesh["primitives"] = []
+    for primitive in tree["meshes"][number]["primitives"]:
+        changed = {**primitive, "attributes": dict(primitive["attributes"])}
+        targets = changed.pop("targets", [])
+        if len(targets) != len(weights):
+            raise ValueError(f"{len(weights)} weights for {len(targets)} morph targets")
+        for name in ("POSITION", "NORMAL"):
+            moved = [(w, t[name]) for w, t in zip(weights, targets, strict=True) if w and name in t]
+            if not moved or name not in changed["attributes"]:
+                continue
+            values = accessors.numbers(changed["attributes"][name])
+            for weight, index in moved:
+                values = values + float(weight) * accessors.numbers(index)
+            if name == "NORMAL":
+                values = _unit(values)
+            changed["attributes"][name] = accessors.add(values.astype("<f4"))
+        mesh["primitives"].append(changed)
+    tree["meshes"].append(mesh)
+    return len(tree["meshes"]) - 1
+
+
+def _skin(tree: dict[str, Any], number: int, poses: list[NDArray[np.float64]], accessors: Accessors) -> None:
+    """Put a node's mesh where its joints are, into a node of its own: the pose of the node itself has no meaning."""
+    node = tree["nodes"][number]
+    skin = tree["skins"][node.pop("skin")]
+    joints = np.stack([poses[joint] for joint in skin["joints"]])
+    if "inverseBindMatrices" in skin:
+        # Columns come first in the file.
+        inverse = accessors.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        joints = joints @ inverse[: len(joints)]
+    # Positions are float32: they are kept relative to the joints' middle.
+    middle = joints[:, :3, 3].mean(axis=0)
+    joints[:, :3, 3] -= middle
+    mesh = dict(tree["meshes"][node.pop("mesh")])
+    mesh["primitives"] = [_skinned(primitive, joints, accessors) for primitive in mesh["primitives"]]
+    tree["meshes"].append(mesh)
+    placed = {"name": node["name"]} if "name" in node else {}
+    tree["nodes"].append({**placed, "mesh": len(tree["meshes"]) - 1, "translation": middle.tolist()})
+    for scene in _objects(tree.get("scenes")):
+        if number in _reached(tree, scene.get("nodes", ())):
+            scene["nodes"] = [*scene["nodes"], len(tree["nodes"]) - 1]
+
+
+def _skinned(primitive: dict[str, Any], joints: NDArray[np.float64], accessors: Accessors) -> dict[str, Any]:
+    attributes = dict(primitive["attributes"])
+    sets = sorted(name.removeprefix(_WEIGHT) for name in attributes if name.startswith(_WEIGHT))
+    if not sets:
+        return primitive
+    weights = np.concatenate([accessors.numbers(attributes[_WEIGHT + name]) for name in sets], axis=1)
+    numbers = np.concatenate([accessors.stored(attributes[_JOINT + name]) for name in sets], axis=1)
+    # Programs round weights; their sum is meant to be 1.
+    total = weights.sum(axis=1, keepdims=True)
+    weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
+    numbers = np.where(weights > 0.0, numbers, 0).astype(np.int64)
+    blended = np.einsum("vk,vkij->vij", weights, joints[numbers])
+    blended[total[:, 0] <= 0.0] = np.eye(4)
+    points = accessors.numbers(attributes["POSITION"])
+    moved = np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3]
+    attributes["POSITION"] = accessors.add(moved.astype("<f4"))
+    if "NORMAL" in attributes:
+        # Normals go with the cofactors, which need no inverse.
+        rows = blended[:, :3, :3]
+        cofactors = np.stack([np.cross(rows[:, (i + 1) % 3], rows[:, (i + 2) % 3]) for i in range(3)], axis=1)
+        normals = np.einsum("vij,vj->vi", cofactors, accessors.numbers(attributes["NORMAL"]))
+        attributes["NORMAL"] = accessors.add(_unit(normals).astype("<f4"))
+    for name in sets:
+        del attributes[_WEIGHT + name], attributes[_JOINT + name]
+    return {**primitive, "attributes": attributes}
+
+
+def _instantiate(tree: dict[str, Any], node: dict[str, Any], instances: dict[str, Any], accessors: Accessors) -> None:
+    """Give a node a child for each instance of its mesh."""
+    if "mesh" not in node:
+        return
+    names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
+    found = _object(instances.get("attributes"))
+    placed = {names[name]: accessors.numbers(index).tolist() for name, index in found.items() if name in names}
+    if not placed:
+        return
+    mesh = node.pop("mesh")
+    first = len(tree["nodes"])
+    rows: Iterator[Any] = zip(*placed.values(), strict=True)
+    tree["nodes"].extend({"mesh": mesh, **dict(zip(placed, row, strict=True))} for row in rows)
+    node["children"] = [*node.get("children", ()), *range(first, len(tree["nodes"]))]
+
+
+def _poses(tree: dict[str, Any]) -> list[NDArray[np.float64]]:
+    """Matrix of each node to the world; those of nodes that are reached from no root are local."""
+    nodes = list(_objects(tree.get("nodes")))
+    local = [_local(node) for node in nodes]
+    parent = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
+    found = []
+    for number in range(len(nodes)):
+        matrix, at, steps = local[number], number, 0
+        while at in parent:
+            at, steps = parent[at], steps + 1
+            if steps > len(nodes):
+                raise ValueError("nodes are their own parents")
+            matrix = local[at] @ matrix
+        found.append(matrix)
+    return found
+
+
+def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64)
+    matrix = np.eye(4)
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def _reached(tree: dict[str, Any], roots: Any) -> set[int]:
+    reached: set[int] = set()
+    waiting = list(roots)
+    while waiting:
+        number = waiting.pop()
+        if number not in reached:
+            reached.add(number)
+            waiting.extend(tree["nodes"][number].get("children", ()))
+    return reached
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+
+
+def _mesh(tree: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
+    meshes, number = tree.get("meshes"), node.get("mesh")
+    if not isinstance(meshes, list) or not isinstance(number, int) or not 0 <= number < len(meshes):
+        return {}
+    return _object(meshes[number])
+
+
+def _primitives(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for mesh in _objects(tree.get("meshes")):
+        yield from _objects(mesh.get("primitives"))
+
+
+def _is_row(tree: dict[str, Any], index: Any) -> bool:
+    entries = tree.get("accessors")
+    return (
+        isinstance(index, int)
+        and isinstance(entries, list)
+        and 0 <= index < len(entries)
+        and bool(_object(entries[index]))
+    )
+
+
+def _objects(value: Any) -> Iterator[dict[str, Any]]:
+    """The entries of a list that are objects; damaged files hold anything."""
+    yield from (entry for entry in value if isinstance(entry, dict)) if isinstance(value, list) else ()
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

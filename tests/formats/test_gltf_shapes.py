@@ -1,0 +1,319 @@
+"""What gives a glTF mesh its shape beside plain triangles, against the specification's formulas."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import geokit as gk
+
+BOX = gk.mesh.box((1.0, 2.0, 3.0))
+CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+class Scene:
+    """A .gltf or .glb under construction: arrays become accessors."""
+
+    def __init__(self) -> None:
+        self.tree: dict[str, Any] = {
+            "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [],
+            "accessors": [], "bufferViews": [],
+        }  # fmt: skip
+        self.data = b""
+
+    def view(self, values: Any, kind: str) -> int:
+        raw = np.ascontiguousarray(values, f"<{kind}" if kind[1] != "1" else kind).tobytes()
+        self.tree["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)})
+        self.data += raw + bytes(-len(raw) % 4)
+        return len(self.tree["bufferViews"]) - 1
+
+    def accessor(self, values: Any, kind: str = "f4", **more: Any) -> int:
+        rows = np.asarray(values).reshape(len(values), -1)
+        entry = {"bufferView": self.view(rows, kind), "componentType": CODES[kind], "count": len(rows)}
+        self.tree["accessors"].append({**entry, "type": TYPES[rows.shape[1]], **more})
+        return len(self.tree["accessors"]) - 1
+
+    def sparse(self, count: int, rows: Any, values: Any, kind: str = "f4", base: int | None = None) -> int:
+        """An accessor of zeros, or of another's values, but for some rows."""
+        values = np.asarray(values).reshape(len(rows), -1)
+        place = {"bufferView": self.view(rows, "u2"), "componentType": CODES["u2"]}
+        entry: dict[str, Any] = {"componentType": CODES[kind], "count": count, "type": TYPES[values.shape[1]]}
+        if base is not None:
+            entry = dict(self.tree["accessors"][base])
+        entry["sparse"] = {"count": len(rows), "indices": place, "values": {"bufferView": self.view(values, kind)}}
+        self.tree["accessors"].append(entry)
+        return len(self.tree["accessors"]) - 1
+
+    def mesh(self, **part: Any) -> Scene:
+        """Add a mesh of one primitive."""
+        self.tree["meshes"].append({"primitives": [part]})
+        return self
+
+    def box(self, **part: Any) -> Scene:
+        position, faces = self.accessor(BOX.vertices), self.accessor(BOX.faces.ravel(), "u2")
+        return self.mesh(attributes={"POSITION": position}, indices=faces, **part)
+
+    def load(self, folder: Path) -> gk.mesh.TriangleMesh:
+        """What geokit reads from a .gltf, and the same from a .glb."""
+        size = {"byteLength": len(self.data)}
+        text = base64.b64encode(self.data).decode()
+        path = folder / "a.gltf"
+        path.write_text(json.dumps({**self.tree, "buffers": [{**size, "uri": f"data:;base64,{text}"}]}))
+        mesh = gk.mesh.load(path)
+        head = json.dumps({**self.tree, "buffers": [size]}).encode()
+        head += b" " * (-len(head) % 4)
+        chunks = b"".join(
+            len(chunk).to_bytes(4, "little") + name + chunk for name, chunk in ((b"JSON", head), (b"BIN\0", self.data))
+        )
+        (folder / "a.glb").write_bytes(
+            b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
+        )
+        again = gk.mesh.load(folder / "a.glb")
+        np.testing.assert_array_equal(again.vertices, mesh.vertices)
+        np.testing.assert_array_equal(again.faces, mesh.faces)
+        return mesh
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene()
+
+
+def matrix(turn: float, shift: Any, scale: float = 1.0) -> np.ndarray:
+    """A turn about z, then a shift."""
+    made = np.eye(4)
+    made[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    made[:3, :3] *= scale
+    made[:3, 3] = shift
+    return made
+
+
+def columns(values: np.ndarray) -> list[float]:
+    return values.T.ravel().tolist()
+
+
+def placed(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def bodies(boxes: Any) -> np.ndarray:
+    """Boxes of eight vertices each, in an order that does not depend on that of their nodes."""
+    rows = np.reshape(getattr(boxes, "vertices", boxes), (-1, 24))
+    return rows[np.argsort(rows.sum(axis=1))]
+
+
+class TestFans:
+    def test_of_indices(self, scene: Scene, tmp_path: Path) -> None:
+        ring = [[np.cos(a), np.sin(a), 0.0] for a in np.arange(7) * 2 * np.pi / 7]
+        position = scene.accessor([[9.0, 9.0, 9.0], *ring])
+        scene.mesh(attributes={"POSITION": position}, indices=scene.accessor(range(1, 8), "u1"), mode=6)
+        mesh = scene.load(tmp_path)
+        assert mesh.face_count == 5
+        assert mesh.area == pytest.approx(7 / 2 * np.sin(2 * np.pi / 7))
+        assert (mesh.face_normals[:, 2] > 0.99).all()
+
+    def test_without_indices_beside_triangles(self, scene: Scene, tmp_path: Path) -> None:
+        top = BOX.vertices[BOX.faces][:, :, 2].min(axis=1) > 1.4
+        corners = [[-0.5, -1, 1.5], [0.5, -1, 1.5], [0.5, 1, 1.5], [-0.5, 1, 1.5]]
+        rest = {"POSITION": scene.accessor(BOX.vertices)}
+        scene.mesh(attributes=rest, indices=scene.accessor(BOX.faces[~top].ravel(), "u4"))
+        scene.tree["meshes"][0]["primitives"].append({"attributes": {"POSITION": scene.accessor(corners)}, "mode": 6})
+        assert scene.load(tmp_path).volume == pytest.approx(6.0)
+
+
+class TestSparseAccessors:
+    @pytest.mark.parametrize("kind", ["f4", "i2"])
+    def test_of_positions_with_a_buffer(self, scene: Scene, tmp_path: Path, kind: str) -> None:
+        points = (2 * BOX.vertices).astype(int)
+        spoiled = points.copy()
+        spoiled[[1, 6]] = 77
+        base = scene.accessor(spoiled, kind)
+        position = scene.sparse(8, [1, 6], points[[1, 6]], kind, base)
+        scene.mesh(attributes={"POSITION": position}, indices=scene.accessor(BOX.faces.ravel(), "u2"))
+        np.testing.assert_array_equal(scene.load(tmp_path).vertices, points)
+
+    def test_of_positions_without_one(self, scene: Scene, tmp_path: Path) -> None:
+        position = scene.sparse(8, range(1, 8), BOX.vertices[1:])
+        scene.mesh(attributes={"POSITION": position}, indices=scene.accessor(BOX.faces.ravel(), "u2"))
+        expected = BOX.vertices.copy()
+        expected[0] = 0.0
+        np.testing.assert_array_equal(scene.load(tmp_path).vertices, expected)
+
+    def test_of_indices_and_attributes(self, scene: Scene, tmp_path: Path) -> None:
+        faces = BOX.faces.ravel()
+        spoiled = faces.copy()
+        spoiled[5] = 0
+        index = scene.sparse(36, [5], faces[5:6], "u2", scene.accessor(spoiled, "u2"))
+        heat = np.arange(8.0)
+        shown = scene.sparse(8, [3], [30.0], "f4", scene.accessor(heat))
+        scene.mesh(attributes={"POSITION": scene.accessor(BOX.vertices), "_HEAT": shown}, indices=index)
+        mesh = scene.load(tmp_path)
+        np.testing.assert_array_equal(mesh.faces, BOX.faces)
+        heat[3] = 30.0
+        np.testing.assert_array_equal(mesh.vertex_data["HEAT"], heat)
+
+    def test_that_name_rows_beyond_their_accessor_are_refused(self, scene: Scene, tmp_path: Path) -> None:
+        position = scene.sparse(8, [9], [[0.0, 0.0, 0.0]], "f4", scene.accessor(BOX.vertices))
+        scene.mesh(attributes={"POSITION": position}, indices=scene.accessor(BOX.faces.ravel(), "u2"))
+        with pytest.raises(gk.FileFormatError, match=r"a\.gltf: its meshes cannot be read"):
+            scene.load(tmp_path)
+
+
+class TestMorphTargets:
+    @pytest.fixture
+    def moves(self) -> np.ndarray:
+        return np.random.default_rng(5).normal(size=(2, 8, 3)).astype("<f4").astype(float)
+
+    def test_weights_of_the_mesh(self, scene: Scene, moves: np.ndarray, tmp_path: Path) -> None:
+        scene.box(targets=[{"POSITION": scene.accessor(move)} for move in moves])
+        scene.tree["meshes"][0]["weights"] = [0.25, -2.0]
+        expected = BOX.vertices + 0.25 * moves[0] - 2.0 * moves[1]
+        np.testing.assert_allclose(scene.load(tmp_path).vertices, expected, atol=1e-6)
+
+    def test_weights_of_nodes_come_first(self, scene: Scene, moves: np.ndarray, tmp_path: Path) -> None:
+        """Two nodes share a mesh, one with weights of its own, one with those of the mesh, and a sparse target."""
+        sparse = scene.sparse(8, [2, 4], moves[1][[2, 4]])
+        scene.box(targets=[{"POSITION": scene.accessor(moves[0])}, {"POSITION": sparse}])
+        scene.tree["meshes"][0]["weights"] = [1.0, 0.0]
+        scene.tree["nodes"].append({"mesh": 0, "weights": [0.0, 3.0], "translation": [10, 0, 0]})
+        scene.tree["scenes"][0]["nodes"] = [0, 1]
+        mesh = scene.load(tmp_path)
+        second = BOX.vertices + np.array([10.0, 0, 0])
+        second[[2, 4]] += 3.0 * moves[1][[2, 4]]
+        np.testing.assert_allclose(bodies(mesh), bodies([BOX.vertices + moves[0], second]), atol=1e-5)
+
+    def test_normals_move_too(self, scene: Scene, tmp_path: Path) -> None:
+        normals = np.tile([0.0, 0.0, 1.0], (8, 1))
+        attributes = {"POSITION": scene.accessor(BOX.vertices), "NORMAL": scene.accessor(normals)}
+        target = {"NORMAL": scene.accessor(np.tile([1.0, 0.0, 0.0], (8, 1)))}
+        scene.mesh(attributes=attributes, indices=scene.accessor(BOX.faces.ravel(), "u2"), targets=[target])
+        scene.tree["meshes"][0]["weights"] = [1.0]
+        mesh = scene.load(tmp_path)
+        np.testing.assert_array_equal(mesh.vertices, BOX.vertices)
+        np.testing.assert_allclose(mesh.vertex_data["normal"], np.tile([0.5**0.5, 0.0, 0.5**0.5], (8, 1)), atol=1e-6)
+
+    def test_no_weights_are_zeros(self, scene: Scene, moves: np.ndarray, tmp_path: Path) -> None:
+        scene.box(targets=[{"POSITION": scene.accessor(move)} for move in moves])
+        np.testing.assert_array_equal(scene.load(tmp_path).vertices, BOX.vertices)
+
+
+class TestSkins:
+    def test_blend_the_poses_of_their_joints(self, scene: Scene, tmp_path: Path) -> None:
+        """Weights as normalized integers, two sets of joints, and a node whose own pose has no meaning."""
+        random = np.random.default_rng(6)
+        root, arm = matrix(0.4, [1.0, 2.0, 3.0], 2.0), matrix(-1.0, [0.5, 0.0, -1.0])
+        inverse = [matrix(0.3, [0.0, 1.0, 0.0]), matrix(0.7, [2.0, 0.0, 0.0]), np.eye(4)]
+        poses = [root @ inverse[0], root @ arm @ inverse[1], np.eye(4)]
+        weights = random.integers(0, 200, (8, 4))
+        joints = random.integers(0, 3, (8, 8))
+        more = random.integers(0, 200, (8, 4))
+        attributes = {
+            "POSITION": scene.accessor(BOX.vertices),
+            "JOINTS_0": scene.accessor(joints[:, :4], "u1"),
+            "WEIGHTS_0": scene.accessor(weights, "u1", normalized=True),
+            "JOINTS_1": scene.accessor(joints[:, 4:], "u2"),
+            "WEIGHTS_1": scene.accessor(more / 255.0),
+        }
+        scene.mesh(attributes=attributes, indices=scene.accessor(BOX.faces.ravel(), "u2"))
+        scene.tree["nodes"] = [
+            {"mesh": 0, "skin": 0, "translation": [100.0, 0, 0], "name": "body"},
+            {"matrix": columns(root), "children": [2]},
+            {"matrix": columns(arm)},
+            {},
+        ]
+        scene.tree["scenes"][0]["nodes"] = [0, 1, 3]
+        binds = scene.accessor([columns(bind) for bind in inverse])
+        scene.tree["skins"] = [{"joints": [1, 2, 3], "inverseBindMatrices": binds}]
+        all_weights = np.concatenate([weights, more], axis=1).astype(float)
+        all_weights /= all_weights.sum(axis=1, keepdims=True)
+        expected = np.zeros((8, 3))
+        for vertex in range(8):
+            for weight, joint in zip(all_weights[vertex], joints[vertex], strict=True):
+                expected[vertex] += weight * placed(BOX.vertices[vertex], poses[joint])
+        mesh = scene.load(tmp_path)
+        np.testing.assert_allclose(mesh.vertices, expected, atol=2e-6)
+        assert not [name for name in mesh.vertex_data if "JOINT" in name.upper() or "WEIGHT" in name.upper()]
+
+    def test_in_the_bind_pose_are_the_mesh(self, scene: Scene, tmp_path: Path) -> None:
+        """Far from the origin: positions are kept relative to the joints."""
+        far = matrix(0.0, [3e6, 0.0, 0.0])
+        scene.box()
+        rows = {"JOINTS_0": np.zeros((8, 4), int), "WEIGHTS_0": np.tile([1.0, 0, 0, 0], (8, 1))}
+        part = scene.tree["meshes"][0]["primitives"][0]
+        part["attributes"]["JOINTS_0"] = scene.accessor(rows["JOINTS_0"], "u1")
+        part["attributes"]["WEIGHTS_0"] = scene.accessor(rows["WEIGHTS_0"])
+        scene.tree["nodes"] = [{"mesh": 0, "skin": 0, "scale": [5.0, 5.0, 5.0]}, {"matrix": columns(far)}]
+        scene.tree["scenes"][0]["nodes"] = [0, 1]
+        scene.tree["skins"] = [{"joints": [1]}]
+        np.testing.assert_allclose(scene.load(tmp_path).vertices, placed(BOX.vertices, far), atol=1e-6)
+
+
+class TestInstances:
+    def test_have_poses_below_their_node(self, scene: Scene, tmp_path: Path) -> None:
+        scene.box()
+        half = np.sqrt(0.5)
+        turns = np.array([[0, 0, 0, 1], [0, 0, half, half], [half, 0, 0, half]])
+        shifts, scales = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0]]), np.array([[1, 1, 1], [2, 1, 1], [1, 1, 3]])
+        attributes = {
+            "TRANSLATION": scene.accessor(shifts), "ROTATION": scene.accessor(turns), "SCALE": scene.accessor(scales),
+        }  # fmt: skip
+        pose = matrix(0.9, [1.0, 1.0, 1.0])
+        instancing = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+        scene.tree["nodes"] = [{"matrix": columns(pose), "mesh": 0, "extensions": instancing}]
+        scene.tree["extensionsUsed"] = scene.tree["extensionsRequired"] = list(instancing)
+        mesh = scene.load(tmp_path)
+        assert mesh.volume == pytest.approx(6.0 * (1 + 2 + 3))
+        rotations = [np.eye(3), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]]
+        expected = [
+            placed((BOX.vertices * scale) @ np.transpose(turn) + shift, pose)
+            for scale, turn, shift in zip(scales, rotations, shifts, strict=True)
+        ]
+        np.testing.assert_allclose(bodies(mesh), bodies(expected), atol=1e-5)
+
+    def test_turns_may_be_normalized_integers(self, scene: Scene, tmp_path: Path) -> None:
+        scene.box()
+        turn = scene.accessor([[0, 0, 32767, 0]], "i2", normalized=True)
+        scene.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"ROTATION": turn}}}
+        np.testing.assert_allclose(scene.load(tmp_path).vertices, BOX.vertices * [-1, -1, 1], atol=1e-6)
+
+    def test_of_a_skin_are_refused(self, scene: Scene, tmp_path: Path) -> None:
+        scene.box()
+        scene.tree["nodes"][0].update(skin=0, extensions={"EXT_mesh_gpu_instancing": {"attributes": {}}})
+        with pytest.raises(gk.FileFormatError, match="instances of a skin"):
+            scene.load(tmp_path)
+
+
+def test_hidden_nodes_are_left_out_with_all_below(scene: Scene, tmp_path: Path) -> None:
+    scene.box()
+    hidden = {"KHR_node_visibility": {"visible": False}}
+    shown = {"KHR_node_visibility": {"visible": True}}
+    scene.tree["nodes"] = [{"mesh": 0, "extensions": shown}, {"children": [2], "extensions": hidden}, {"mesh": 0}]
+    scene.tree["scenes"][0]["nodes"] = [0, 1]
+    scene.tree["extensionsUsed"] = scene.tree["extensionsRequired"] = list(hidden)
+    assert scene.load(tmp_path).face_count == 12
+
+
+class TestCompressed:
+    def test_positions_that_only_a_decoder_has_are_refused(self, scene: Scene, tmp_path: Path) -> None:
+        """Whether the file says that it requires the extension or not."""
+        scene.tree["accessors"].append({"componentType": 5126, "count": 8, "type": "VEC3"})
+        draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+        scene.mesh(attributes={"POSITION": 0}, indices=scene.accessor(BOX.faces.ravel(), "u2"), extensions=draco)
+        with pytest.raises(
+            gk.FileFormatError, match=r"without positions \('KHR_draco_mesh_compression'\).*gltf-transform"
+        ):
+            scene.load(tmp_path)
+
+    def test_buffers_that_only_a_decoder_fills_are_refused(self, tmp_path: Path) -> None:
+        fallback = {"byteLength": 96, "extensions": {"EXT_meshopt_compression": {"fallback": True}}}
+        scene = Scene().box()
+        tree = {**scene.tree, "buffers": [fallback]}
+        (tmp_path / "a.gltf").write_text(json.dumps(tree))
+        with pytest.raises(gk.FileFormatError, match=r"compressed with 'EXT_meshopt_compression'"):
+            gk.mesh.load(tmp_path / "a.gltf")
