@@ -29,7 +29,7 @@ class Package(NamedTuple):
 
 # By the name that is imported.
 PACKAGES: dict[str, Package] = {
-    "trimesh": Package("trimesh", "a .glb, .gltf or .3mf file"),
+    "trimesh": Package("trimesh", "a .glb or .gltf file"),
     "meshio": Package("meshio", "a .vtu, .msh or .xdmf file"),
     "vtkmodules": Package("vtk", "a .vtk, .vtp, .vtu or .vti file,"),
     "pyvista": Package("pyvista", "a figure, an object of PyVista, and writing .vtk or .vtp,"),
@@ -45,8 +45,6 @@ PACKAGES: dict[str, Package] = {
     "collada": Package("pycollada", "a .dae file", extra="dae"),
     "ufbx": Package("ufbx", "an .fbx file", extra="fbx"),
     "OCP": Package("cadquery-ocp-novtk", "a .step, .stp, .iges or .igs file", extra="cad"),
-    "networkx": Package("networkx", "a .3mf file", extra="3mf"),
-    "lxml": Package("lxml", "a .3mf file", extra="3mf"),
     "distributed": Package("distributed", "a Dask cluster", extra="dask"),
     "dask": Package("dask", "a query of a dask array", extra="dask"),
     "nibabel": Package("nibabel", "a .nii or .nii.gz file", extra="medical"),

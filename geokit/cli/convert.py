@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import CycloptsError, Parameter
@@ -17,6 +17,9 @@ from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS, SPARSE, STAGES
+
+if TYPE_CHECKING:
+    from geokit.mesh import TriangleMesh
 
 __all__ = ["convert"]
 
@@ -51,6 +54,10 @@ def convert(
     grid_type: str | None = None,
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    unit: str | None = None,
+    up: str | None = None,
+    from_unit: str | None = None,
+    from_up: str | None = None,
     stream: Flag = False,
     normals: int | None = None,
     density: float | None = None,
@@ -98,6 +105,11 @@ def convert(
         grid_type: Dense volume to volume: type of the grid, such as float or int32; by default that of the values.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        unit: From a mesh: the unit of what is made, mm, cm, m, km, um, in or ft. Positions are scaled from the unit that
+            the file or from-unit says, and lengths of other options are in the new one.
+        up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.
+        from_unit: With unit, or to say it in the new file: the unit of a file that does not say its own.
+        from_up: With up, or to say it in the new file: the axis that points up in a file that does not say its own.
         stream: Read and write block after block, so that neither has to fit into memory: a closed mesh in a binary .stl
             or .ply to .nvdb with voxel-size, or a cloud in a binary .ply, .las or .laz to one of these, where
             voxel-size, normals and density are as they say. It takes as much as --memory-limit says, by default half of
@@ -128,6 +140,10 @@ def convert(
         "background": background,
         "background-tolerance": background_tolerance,
         "grid-type": grid_type,
+        "unit": unit,
+        "up": up,
+        "from-unit": from_unit,
+        "from-up": from_up,
         "stream": stream or None,
         "normals": normals,
         "density": density,
@@ -180,13 +196,13 @@ def _converted(
     outside = {"background": options["background"], "tolerance": options["background-tolerance"]}
     storage = Storage.of(options["codec"], tolerance)
     if kinds == ("mesh", "mesh"):
-        summary = _mesh_to_mesh(source, target, tolerance, device, quiet=quiet)
+        summary = _mesh_to_mesh(source, target, tolerance, device, options, quiet=quiet)
     elif kinds == ("mesh", "volume") and options["stream"]:
         summary = _streamed(source, target, options, device, quiet=quiet)
     elif kinds == ("mesh", "volume"):
         how = {name: given[name] for name in ("half_width", "sign", "thickness", "method", "within", "order")}
         summary = _mesh_to_volume(
-            source, target, options["voxel-size"], {**how, "device": device}, storage, quiet=quiet
+            source, target, options["voxel-size"], {**how, "device": device}, storage, options, quiet=quiet
         )
     elif kinds == ("volume", "volume"):
         summary = _volume_to_volume(
@@ -218,8 +234,9 @@ def _converted(
     return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
 
 
+UNIT_OPTIONS = ("unit", "up", "from-unit", "from-up")
 _USES = {
-    ("mesh", "mesh"): ("tolerance",),
+    ("mesh", "mesh"): ("tolerance", *UNIT_OPTIONS),
     ("mesh", "volume"): (
         "voxel-size",
         "half-width",
@@ -232,6 +249,7 @@ _USES = {
         "order",
         "stream",
         "scheduler",
+        *UNIT_OPTIONS,
     ),
     ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background-tolerance", "grid-type"),
     ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance", "background", "background-tolerance"),
@@ -277,14 +295,37 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
             raise InputError(f"--{name}: of a cloud to a cloud goes with --stream; give it too")
 
 
+def _load_mesh(source: Path, options: dict[str, Any]) -> TriangleMesh:
+    """The mesh of a file, in the unit and with the axis up that are asked for."""
+    from geokit.mesh import convert_unit, load
+
+    unit, up, from_unit, from_up = (options[name] for name in UNIT_OPTIONS)
+    mesh = load(source)
+    if (unit, up, from_unit, from_up) == (None, None, None, None):
+        return mesh
+    try:
+        return convert_unit(mesh, unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
+    except InputError as error:
+        # The library's message names its parameters; the user knows the options.
+        told = str(error).replace("from_up_axis", "--from-up").replace("up_axis", "--up")
+        told = told.replace("from_unit", "--from-unit").replace("the mesh", str(source))
+        raise InputError(f"--{told}" if told.startswith("unit:") else told) from error
+
+
 def _mesh_to_mesh(
-    source: Path, target: Path, tolerance: float | None, device: str | None, *, quiet: bool
+    source: Path,
+    target: Path,
+    tolerance: float | None,
+    device: str | None,
+    options: dict[str, Any],
+    *,
+    quiet: bool,
 ) -> dict[str, Any]:
-    from geokit.mesh import load, save, simplify
+    from geokit.mesh import save, simplify
 
     achieved: dict[str, Any] = {}
     with step(f"converting {source}", quiet=quiet) as converting:
-        mesh = load(source)
+        mesh = _load_mesh(source, options)
         if tolerance is not None:
             found = simplify(mesh, tolerance=tolerance, device=device, progress=converting.progress)
             converting.result = f"{len(mesh.faces)} faces become {len(found.mesh.faces)}"
@@ -294,13 +335,19 @@ def _mesh_to_mesh(
 
 
 def _mesh_to_volume(
-    source: Path, target: Path, voxel_size: float | None, how: dict[str, Any], storage: Storage, *, quiet: bool
+    source: Path,
+    target: Path,
+    voxel_size: float | None,
+    how: dict[str, Any],
+    storage: Storage,
+    options: dict[str, Any],
+    *,
+    quiet: bool,
 ) -> dict[str, Any]:
-    from geokit.mesh import load
     from geokit.volume import from_mesh, save
 
     with step(f"reading {source}", quiet=quiet) as reading:
-        mesh = load(source)
+        mesh = _load_mesh(source, options)
         reading.result = f"{len(mesh.faces)} faces"
     if voxel_size is None and storage.tolerance is None:
         longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
@@ -338,7 +385,7 @@ def _streamed(
     from geokit.distributed._cluster import connected
     from geokit.volume import from_mesh_file
 
-    for name in ("method", "codec", "tolerance", "within", "order"):
+    for name in ("method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS):
         if options[name] is not None:
             raise InputError(f"--{name}: has no effect with --stream; leave it out")
     if options["voxel-size"] is None:

@@ -1,4 +1,4 @@
-"""Scenes in .glb, .gltf and .3mf, through trimesh, which reads in a separate process."""
+"""Scenes in .glb and .gltf, through trimesh, which reads in a separate process."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import io
 import os
 import struct
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,22 +24,7 @@ from geokit.formats.scene_content.gltf import understood
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["content_bytes", "holds_texture", "holds_type", "prepare", "read_mesh", "write_mesh"]
-
-
-def content_bytes(path: Path) -> int:
-    """Size of the decompressed parts of a .3mf, which is a zip archive; 0 for other files.
-
-    Raises:
-        FileFormatError: The archive is damaged.
-    """
-    if path.suffix.lower() != ".3mf":
-        return 0
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return sum(part.file_size for part in archive.infolist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise FileFormatError(f"{path}: is not an archive ({error}); the file is damaged, export it again") from None
+__all__ = ["holds_texture", "holds_type", "prepare", "read_mesh", "write_mesh"]
 
 
 def prepare() -> None:
@@ -50,9 +34,7 @@ def prepare() -> None:
     triangle = trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False, validate=False)
     triangle.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name="0"))
     scene = trimesh.Scene(triangle)
-    for kind in ("glb", "3mf"):
-        content = io.BytesIO(scene.export(file_type=kind))
-        trimesh.load_scene(content, file_type=kind, process=False)
+    trimesh.load_scene(io.BytesIO(scene.export(file_type="glb")), file_type="glb", process=False)
 
 
 def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
@@ -61,7 +43,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     Attributes are those of the file; materials have a name, a base color and its texture. Buffers and images in other
     files are read from the file's own folder and from ``folders``.
     """
-    _require_trimesh(path)
+    require_package("trimesh")
     import trimesh
 
     class Folders(trimesh.resolvers.Resolver):
@@ -91,7 +73,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
 
     # merge_primitives stays off: each primitive keeps its own vertices, as in the file.
     kind = path.suffix.lower()
-    restored = None if kind == ".3mf" else understood(path, Folders().get)
+    restored = understood(path, Folders().get)
     source: dict[str, Any] = {"file_obj": str(path)}
     if restored is not None:
         source = {"file_obj": io.BytesIO(restored), "file_type": kind[1:]}
@@ -99,12 +81,11 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     notes: tuple[str, ...] = ()
     # What is not understood here is left to trimesh, which says why.
     with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, struct.error):
-        if kind != ".3mf":
-            header, chunks = gltf.split_header(path.read_bytes() if restored is None else restored)
-            content = gltf.renamed(header, chunks, binary=kind == ".glb")
-            materials, notes = gltf.materials_of(header, chunks, Folders().get)
-            notes = tuple(note.replace(f"{path}: ", "") for note in notes)
-            source = {"file_obj": io.BytesIO(content), "file_type": kind[1:]}
+        header, chunks = gltf.split_header(path.read_bytes() if restored is None else restored)
+        content = gltf.renamed(header, chunks, binary=kind == ".glb")
+        materials, notes = gltf.materials_of(header, chunks, Folders().get)
+        notes = tuple(note.replace(f"{path}: ", "") for note in notes)
+        source = {"file_obj": io.BytesIO(content), "file_type": kind[1:]}
     scene = trimesh.load_scene(**source, process=False, resolver=Folders())
     bodies: list[Body] = []
     others = []
@@ -118,13 +99,9 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     if not bodies:
         what = f"only {', '.join(sorted(set(others)))}" if others else "no geometry with faces"
         raise FileFormatError(f"{path}: holds {what}; a mesh needs faces, export the surface itself")
-    bodies[0] = bodies[0]._replace(materials=materials, notes=notes)
+    # The specification fixes both.
+    bodies[0] = bodies[0]._replace(materials=materials, notes=notes, meters_per_unit=1.0, up_axis="y")
     return bodies
-
-
-def _require_trimesh(path: Path) -> None:
-    for name in ("networkx", "lxml", "trimesh") if path.suffix.lower() == ".3mf" else ("trimesh",):
-        require_package(name)
 
 
 def _body(geometry: Any, matrix: np.ndarray, name: str, material_count: int) -> Body:
@@ -158,14 +135,14 @@ def holds_texture(data: bytes) -> bool:
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write .glb and .3mf through trimesh, and .gltf, or a .glb with attributes or materials, without it."""
+    """Write a .glb through trimesh, and .gltf, or a .glb with attributes or materials, without it."""
     if path.suffix.lower() == ".gltf":
         path.write_bytes(gltf.gltf_of(mesh))
         return
     if mesh.vertex_data or mesh.materials:
         path.write_bytes(gltf.glb_of(mesh))
         return
-    _require_trimesh(path)
+    require_package("trimesh")
     import trimesh
 
     name = mesh.name or "mesh"

@@ -76,7 +76,8 @@ class Format(NamedTuple):
             have them.
         corner: The same for corners.
         materials: Whether they hold materials, and which face has which.
-        unit: Whether they hold the length of their unit.
+        unit: Whether they hold the length of their unit. Formats that do not are taken to be in meters.
+        fixed_up: The axis that points up in all files by the format's specification; "" if there is none.
         float32: Whether meshes are written with float32 coordinates.
         process: Whether files are read in a separate process, because the library hangs, crashes or prints on damaged
             ones.
@@ -101,6 +102,7 @@ class Format(NamedTuple):
     corner: str = ""
     materials: bool = False
     unit: bool = False
+    fixed_up: str = ""
     float32: bool = False
     process: bool = False
     extra: str = ""
@@ -124,6 +126,10 @@ ZARR = ("zarr.json", ".zgroup", ".zarray")
 _ARRAYS: Any = {"vertex": "*", "face": "*"}
 # Parts, simulations and surveys stand on the xy plane, characters and scenes on the xz plane.
 _Z: Any = {"up": "z"}
+_GLTF: Any = {
+    "mesh": "rw", "vertex": "*", "materials": True, "fixed_up": "y", "float32": True, "process": True,
+    "references": True,
+}  # fmt: skip
 _USD: Any = {"corner": "*", "unit": True, "float32": True, "process": True, "references": True, "extra": "usd"}
 
 FORMATS: dict[str, Format] = {
@@ -135,12 +141,12 @@ FORMATS: dict[str, Format] = {
     ".stl": Format("stl", mesh="rw", float32=True, **_Z),
     ".off": Format("off", mesh="rw", vertex="normal uv color", face="color"),
     # trimesh
-    ".glb": Format("scenes", mesh="rw", vertex="*", materials=True, float32=True, process=True, references=True),
-    ".gltf": Format("scenes", mesh="rw", vertex="*", materials=True, float32=True, process=True, references=True),
-    ".3mf": Format("scenes", mesh="rw", process=True, references=True, extra="3mf", **_Z),
+    ".glb": Format("scenes", **_GLTF),
+    ".gltf": Format("scenes", **_GLTF),
+    ".3mf": Format("three_mf", mesh="rw", unit=True, fixed_up="z", process=True, **_Z),
     # VTK. Meshes are written by pyvista, .vtu by meshio.
-    ".vtk": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
-    ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, process=True, **_Z),
+    ".vtk": Format("vtk", mesh="rw", **_ARRAYS, unit=True, process=True, **_Z),
+    ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, unit=True, process=True, **_Z),
     ".vtu": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
     # meshio
     ".msh": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),

@@ -24,8 +24,10 @@ from geokit.mesh._data import has_meaning
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "write_mesh", "write_points"]
+__all__ = ["lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "unit_of", "write_mesh", "write_points"]
 
+# Names of the arrays that say what the numbers mean.
+_METERS, _UP = "meters_per_unit", "up_axis"
 # VTK's cell types of lines and points, which are left out if there are faces.
 _LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
@@ -110,7 +112,20 @@ def read_mesh(path: Path) -> list[Body]:
     counts, indices, rows = (np.ascontiguousarray(values, np.int64) for values in cells)
     polygon = {name: values[rows] for name, values in _arrays(data.GetCellData(), vtk_to_numpy).items()}
     vertex = _arrays(data.GetPointData(), vtk_to_numpy)
-    return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon)]
+    unit = unit_of(data.GetFieldData())
+    return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon, **unit)]
+
+
+def unit_of(fields: Any) -> dict[str, Any]:
+    """The unit and the axis that is up, as :func:`poly_data` writes them; what else is called so is passed over."""
+    found: dict[str, Any] = {}
+    meters, axis = fields.GetArray(_METERS), fields.GetAbstractArray(_UP)
+    if meters is not None and meters.GetNumberOfValues() == 1 and 0.0 < meters.GetTuple1(0) < float("inf"):
+        found["meters_per_unit"] = meters.GetTuple1(0)
+    if axis is not None and axis.GetClassName() == "vtkStringArray" and axis.GetNumberOfValues() == 1:
+        if axis.GetValue(0) in ("x", "y", "z"):
+            found["up_axis"] = axis.GetValue(0)
+    return found
 
 
 def _arrays(data: Any, to_numpy: Any) -> dict[str, NDArray[Any]]:
@@ -264,6 +279,10 @@ def poly_data(mesh: TriangleMesh) -> Any:
         for name, mark in (("normal", "active_normals_name"), ("uv", "active_texture_coordinates_name")):
             if name in data and has_meaning(name, data[name]):
                 setattr(into, mark, name)
+    if mesh.meters_per_unit is not None:
+        surface.field_data[_METERS] = [mesh.meters_per_unit]
+    if mesh.up_axis is not None:
+        surface.field_data[_UP] = [mesh.up_axis]
     return surface
 
 

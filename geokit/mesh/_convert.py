@@ -117,7 +117,7 @@ def to_pyvista(mesh: TriangleMesh) -> Any:
     """
     from geokit.formats.vtk import poly_data
 
-    mesh, lost = what_is_held(require_mesh(mesh, "mesh"), _ARRAYS, None)
+    mesh, lost = what_is_held(require_mesh(mesh, "mesh"), _ARRAYS._replace(unit=True), None)
     _say(lost, "PyVista")
     return poly_data(mesh)
 

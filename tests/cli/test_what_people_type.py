@@ -48,6 +48,36 @@ ORGANIZED = (
 )
 
 
+class TestUnits:
+    """Meshes in the unit and with the axis up that another program needs."""
+
+    def test_convert(self, run: Callable[..., Done], tmp_path: Path) -> None:
+        start, printed = tmp_path / "a.stl", tmp_path / "b.3mf"
+        gk.mesh.save(start, gk.mesh.box((1.0, 2.0, 3.0), center=(0.5, 1.0, 1.5)))
+        assert "--unit: " in (said := run("convert", start, printed, "--unit", "mm").err)
+        assert f"{start} does not say what its unit is now; give --from-unit" in said
+        done = run(
+            "convert", start, printed, "--from-unit", "in", "--unit", "mm", "--from-up", "y", "--up", "z"
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        mesh = gk.mesh.load(printed)
+        np.testing.assert_allclose(mesh.bounds, [[0, -76.2, 0], [25.4, 0, 50.8]], atol=1e-12)
+        assert (mesh.meters_per_unit, mesh.up_axis) == (0.001, "z")
+        # From here on the file says its unit.
+        done = run("convert", printed, tmp_path / "c.nvdb", "--unit", "cm", "--voxel-size", "0.1")
+        assert done.code == 0, done.err
+        lower, upper = gk.volume.load(tmp_path / "c.nvdb").info.world_bounds
+        assert upper[0] - lower[0] == pytest.approx(2.54 + 0.6, abs=0.2)
+        facts = json.loads(run("info", printed, "--json").out)
+        assert (facts["meters_per_unit"], facts["up_axis"]) == (0.001, "z")
+
+    def test_an_unknown_unit(self, run: Callable[..., Done], tmp_path: Path) -> None:
+        gk.mesh.save(tmp_path / "a.stl", gk.mesh.box())
+        done = run("convert", tmp_path / "a.stl", tmp_path / "b.ply", "--from-unit", "ell", "--unit", "mm")
+        assert "--from-unit: 'ell' is no known unit; use one of m, mm" in done.err
+        assert not (tmp_path / "b.ply").exists()
+
+
 class TestOrganizedClouds:
     """Points of rays without an echo are left out, and that is said."""
 

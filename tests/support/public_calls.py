@@ -221,6 +221,8 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.split", m.split, {"mesh": s.mesh})
     yield Call("mesh.keep_largest", m.keep_largest, {"mesh": s.mesh})
     yield Call("mesh.transform", m.transform, {"mesh": s.mesh, "matrix": np.eye(4)})
+    asked_unit = {"mesh": s.mesh, "unit": "mm", "up_axis": "z", "from_unit": "in", "from_up_axis": "y"}
+    yield Call("mesh.convert_unit", m.convert_unit, asked_unit)
     yield Call("mesh.transfer_attributes", m.transfer_attributes, {"mesh": s.other, "source": s.painted.mesh, **cpu})
     yield Call("mesh.box", m.box, {"size": [1.0, 2.0, 3.0]})
     yield Call("mesh.sphere", m.sphere, {"segments": 6})

@@ -28,7 +28,8 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any) -> tuple[Triangl
         module: The module of the format, which may define ``holds_type(values)`` and ``holds_texture(data)``, and
             ``HOLDS_CUTOFFS = False`` if its materials have no alpha cutoff.
     """
-    if not (mesh.vertex_data or mesh.face_data or mesh.corner_data or mesh.materials or mesh.meters_per_unit):
+    said = mesh.materials or mesh.meters_per_unit or mesh.up_axis
+    if not (mesh.vertex_data or mesh.face_data or mesh.corner_data or said):
         return mesh, []
     holds_type = getattr(module, "holds_type", None)
     holds_texture = getattr(module, "holds_texture", None)
@@ -50,6 +51,8 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any) -> tuple[Triangl
     # A meter is what is meant where nothing is said.
     if mesh.meters_per_unit not in (None, 1.0) and not held.unit:
         lost.append(f"the unit of {mesh.meters_per_unit:g} m")
+    if held.fixed_up and mesh.up_axis not in (None, held.fixed_up):
+        lost.append(f"that {mesh.up_axis} is up ({held.fixed_up} is in these files)")
     kept_materials = []
     for material in mesh.materials if held.materials else ():
         if holds_texture and material.texture and not holds_texture(material.texture.data):

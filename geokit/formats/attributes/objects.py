@@ -12,6 +12,7 @@ from geokit.core.interop.objects import POLYGON_CELLS, attribute, getattr_or_non
 from geokit.formats.attributes.images import as_read, png_of
 from geokit.formats.body import Body, FileMaterial
 from geokit.formats.meshio_files import named
+from geokit.formats.vtk import unit_of
 
 __all__ = ["UNITS", "carried_by"]
 
@@ -123,7 +124,9 @@ def _of_pyvista(mesh: Any, body: Body, _: bool) -> Body:
     # Vertices and lines come before polygons in the data of cells.
     first = int(attribute(mesh, "n_verts") or 0) + int(attribute(mesh, "n_lines") or 0)
     polygon = {name: rows[first : first + len(body.counts)] for name, rows in _marked(mesh.cell_data).items()}
-    return body._replace(vertex_data=_marked(mesh.point_data), polygon_data=polygon)
+    fields = getattr_or_none(mesh, "GetFieldData")
+    unit = {} if fields is None else unit_of(fields())
+    return body._replace(vertex_data=_marked(mesh.point_data), polygon_data=polygon, **unit)
 
 
 def _marked(data: Any) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,106 @@
+"""Meshes in another unit of length, and with another axis up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.memory.needs import needs
+from geokit.core.require import described, require_choice, require_number
+from geokit.errors import InputError
+from geokit.formats.attributes.objects import UNITS
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh._objects import require_mesh
+from geokit.mesh._transform import transform
+from geokit.mesh.attributes.derived import with_data
+
+__all__ = ["convert_unit", "meters_in"]
+
+_METERS = {name: meters for meters, names in UNITS.items() for name in names}
+_AXES = ("x", "y", "z")
+
+
+@needs(lambda mesh, *_, **__: 72 * mesh.vertex_count)
+def convert_unit(
+    mesh: TriangleMesh,
+    unit: str | float | None = None,
+    *,
+    up_axis: str | None = None,
+    from_unit: str | float | None = None,
+    from_up_axis: str | None = None,
+) -> TriangleMesh:
+    """The same body in another unit of length, or turned so that another axis is up.
+
+    Positions are multiplied by the ratio of the units, and turned by a quarter about the axis that is neither the old
+    nor the new one, which changes no digit. Normals turn too; all other attributes stay.
+
+    Args:
+        mesh: The mesh.
+        unit: The new unit: "mm", "cm", "m", "km", "um", "in", "ft" (their names too), or its length [m]; None to leave
+            it.
+        up_axis: The axis that points up afterwards, "x", "y" or "z"; None to leave it.
+        from_unit: The unit of the mesh, where ``meters_per_unit`` does not say it, or says it wrongly.
+        from_up_axis: The axis that points up in the mesh, where ``up_axis`` does not say it, or says it wrongly.
+    Returns:
+        TriangleMesh with ``meters_per_unit`` and ``up_axis`` as asked for.
+    Raises:
+        InputError: A unit or axis is unknown, the mesh does not say what it is in, or a vertex leaves the range of
+            float64.
+    Example:
+        >>> part = gk.mesh.TriangleMesh([[0, 0, 0], [4, 0, 0], [0, 2, 0]], [[0, 1, 2]], meters_per_unit=0.0254)
+        >>> gk.mesh.convert_unit(part, "mm").bounds[1].tolist()
+        [101.6, 50.8, 0.0]
+
+    Held by: tests/mesh/test_unit.py
+    """
+    mesh = require_mesh(mesh, "mesh")
+    meters, up = mesh.meters_per_unit, mesh.up_axis
+    if from_unit is not None:
+        meters = meters_in(from_unit, "from_unit")
+    if from_up_axis is not None:
+        up = require_choice(from_up_axis, "from_up_axis", _AXES)
+    matrix = np.eye(4)
+    if up_axis is not None:
+        if up is None:
+            raise InputError("up_axis: the mesh does not say which axis is up now; give from_up_axis")
+        wanted = require_choice(up_axis, "up_axis", _AXES)
+        matrix[:3, :3] = _turn(_AXES.index(up), _AXES.index(wanted))
+        up = wanted
+    if unit is not None:
+        if meters is None:
+            raise InputError("unit: the mesh does not say what its unit is now; give from_unit")
+        new = meters_in(unit, "unit")
+        # From a larger unit the ratio is a whole number more often than its inverse is.
+        matrix[:3, :3] *= meters / new if meters >= new else 1.0 / (new / meters)
+        meters = new
+    moved = mesh if np.array_equal(matrix, np.eye(4)) else transform(mesh, matrix)
+    return with_data(moved, meters_per_unit=meters, up_axis=up)
+
+
+def meters_in(unit: Any, name: str) -> float:
+    """Length of a unit [m], which is given by name or as that.
+
+    Raises:
+        InputError: It is neither.
+    """
+    if isinstance(unit, str):
+        known = _METERS.get(unit.strip().lower())
+        if known is None:
+            shown = ", ".join(names[0] for names in UNITS.values())
+            raise InputError(f"{name}: {described(unit)} is no known unit; use one of {shown}, or a length in meters")
+        return known
+    meters = require_number(unit, name)
+    if not 0.0 < meters < np.inf:
+        raise InputError(f"{name}: {described(unit)} is no length; give the unit's length in meters, as in 0.001")
+    return float(meters)
+
+
+def _turn(old: int, new: int) -> NDArray[np.float64]:
+    """The quarter turn that takes one axis to another, about the third."""
+    matrix = np.eye(3)
+    if old != new:
+        matrix[old, old] = matrix[new, new] = 0.0
+        matrix[new, old], matrix[old, new] = 1.0, -1.0
+    return matrix

@@ -1,0 +1,127 @@
+"""Units and up axes: through convert_unit, and through files of formats that hold them."""
+
+from __future__ import annotations
+
+import re
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from geokit.errors import InputError
+
+METERS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
+
+
+def part(**more):
+    box = gk.mesh.box((1.0, 2.0, 3.0), center=(5.0, 6.0, 7.0))
+    return gk.mesh.TriangleMesh(box.vertices, box.faces, **more)
+
+
+class TestConvertUnit:
+    @pytest.mark.parametrize(("old", "new", "factor"), [("in", "mm", 25.4), ("mm", "m", 1e-3), ("km", "ft", 1e3 / 0.3048)])
+    def test_scales_by_the_ratio(self, old, new, factor):
+        made = gk.mesh.convert_unit(part(), new, from_unit=old)
+        np.testing.assert_allclose(made.vertices, part().vertices * factor, rtol=3e-16)
+        assert made.meters_per_unit == pytest.approx({"mm": 1e-3, "m": 1.0, "ft": 0.3048}[new])
+        back = gk.mesh.convert_unit(made, old)
+        np.testing.assert_allclose(back.vertices, part().vertices, rtol=1e-15)
+
+    @pytest.mark.parametrize("old", "xyz")
+    @pytest.mark.parametrize("new", "xyz")
+    def test_turns_up_to_up(self, old, new):
+        mesh = part(up_axis=old, vertex_data={"normal": np.eye(3)[[0, 1, 2, 0, 1, 2, 0, 1]]})
+        made = gk.mesh.convert_unit(mesh, up_axis=new)
+        axes = "xyz".index(old), "xyz".index(new)
+        np.testing.assert_array_equal(made.vertices[:, axes[1]], mesh.vertices[:, axes[0]])
+        assert made.up_axis == new
+        assert made.volume == pytest.approx(6.0)
+        again = gk.mesh.convert_unit(made, up_axis=old)
+        np.testing.assert_array_equal(again.vertices, mesh.vertices)
+        np.testing.assert_array_equal(again.vertex_data["normal"], mesh.vertex_data["normal"])
+
+    def test_y_up_to_z_up_is_the_usual_turn(self):
+        turned = gk.mesh.convert_unit(part(), up_axis="z", from_up_axis="y")
+        x, y, z = part().vertices.T
+        np.testing.assert_array_equal(turned.vertices, np.stack([x, -z, y], axis=1))
+
+    def test_says_what_it_is_told(self):
+        mesh = gk.mesh.convert_unit(part(), from_unit=0.9144, from_up_axis="z")
+        assert (mesh.meters_per_unit, mesh.up_axis) == (0.9144, "z")
+        np.testing.assert_array_equal(mesh.vertices, part().vertices)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"unit": "mm"}, "unit: the mesh does not say what its unit is now; give from_unit"),
+            ({"up_axis": "z"}, "up_axis: the mesh does not say which axis is up now; give from_up_axis"),
+            ({"unit": "mm", "from_unit": "furlong"}, "from_unit: 'furlong' is no known unit; use one of m, mm"),
+            ({"unit": -1.0, "from_unit": "mm"}, "unit: -1.0 is no length"),
+            ({"up_axis": "w", "from_up_axis": "z"}, "up_axis: 'w'"),
+        ],
+    )
+    def test_refusals(self, options, message):
+        with pytest.raises(InputError, match=re.escape(message)):
+            gk.mesh.convert_unit(part(), **options)
+
+
+class TestFiles:
+    @pytest.mark.parametrize("unit", METERS)
+    def test_3mf_keeps_its_unit(self, unit, tmp_path):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(tmp_path / "a.3mf", part(meters_per_unit=METERS[unit], up_axis="z"))
+        text = zipfile.ZipFile(tmp_path / "a.3mf").read("3D/3dmodel.model").decode()
+        assert f'unit="{unit}"' in text
+        loaded = gk.mesh.load(tmp_path / "a.3mf")
+        assert (loaded.meters_per_unit, loaded.up_axis) == (METERS[unit], "z")
+        np.testing.assert_array_equal(loaded.vertices, part().vertices)
+
+    def test_3mf_of_a_unit_that_it_cannot_name_is_in_meters(self, tmp_path):
+        gk.mesh.save(tmp_path / "a.3mf", part(meters_per_unit=0.9144))
+        loaded = gk.mesh.load(tmp_path / "a.3mf")
+        assert loaded.meters_per_unit == 1.0
+        np.testing.assert_allclose(loaded.vertices, part().vertices * 0.9144, rtol=1e-15)
+
+    @pytest.mark.parametrize("kind", ["vtp", "vtk"])
+    @pytest.mark.parametrize("axis", [None, "x", "y", "z"])
+    def test_vtk_keeps_both(self, kind, axis, tmp_path):
+        gk.mesh.save(tmp_path / f"a.{kind}", part(meters_per_unit=0.0254, up_axis=axis))
+        loaded = gk.mesh.load(tmp_path / f"a.{kind}")
+        assert (loaded.meters_per_unit, loaded.up_axis) == (0.0254, axis)
+
+    def test_pyvista_keeps_both(self):
+        mesh = gk.mesh.as_mesh(gk.mesh.to_pyvista(part(meters_per_unit=0.01, up_axis="y")))
+        assert (mesh.meters_per_unit, mesh.up_axis) == (0.01, "y")
+
+    @pytest.mark.parametrize("values", [{"meters_per_unit": [-1.0]}, {"meters_per_unit": [1.0, 2.0]}, {"up_axis": ["w"]}])
+    def test_what_other_programs_call_so_is_no_unit(self, values, tmp_path):
+        surface = gk.mesh.to_pyvista(part())
+        for name, value in values.items():
+            surface.field_data[name] = value
+        surface.save(tmp_path / "a.vtp")
+        loaded = gk.mesh.load(tmp_path / "a.vtp")
+        assert (loaded.meters_per_unit, loaded.up_axis) == (None, None)
+
+    @pytest.mark.parametrize("kind", ["glb", "gltf"])
+    def test_gltf_is_in_meters_with_y_up(self, kind, tmp_path):
+        path = tmp_path / f"a.{kind}"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(path, part(meters_per_unit=1.0, up_axis="y"))
+        loaded = gk.mesh.load(path)
+        assert (loaded.meters_per_unit, loaded.up_axis) == (1.0, "y")
+        with pytest.warns(UserWarning, match=r"does not hold the unit of 0\.001 m, that z is up \(y is in these files\)"):
+            gk.mesh.save(path, part(meters_per_unit=0.001, up_axis="z"))
+
+    def test_gltf_to_3mf_says_that_up_changes(self, tmp_path):
+        gk.mesh.save(tmp_path / "a.glb", part())
+        loaded = gk.mesh.load(tmp_path / "a.glb")
+        with pytest.warns(UserWarning, match=r"does not hold that y is up \(z is in these files\)"):
+            gk.mesh.save(tmp_path / "a.3mf", loaded)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(tmp_path / "b.3mf", gk.mesh.convert_unit(loaded, "mm", up_axis="z"))
+        assert gk.mesh.load(tmp_path / "b.3mf").bounds[1].tolist() == [5500.0, -5500.0, 7000.0]
