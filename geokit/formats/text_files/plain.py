@@ -17,9 +17,10 @@ _WIDE = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-# Blanks of other widths, and characters without any, which editors and spreadsheets leave between or inside of words.
-_BLANKS = re.compile("[\u00a0\u1680\u2000-\u200a\u202f\u205f\u3000]")
-_NOTHING = re.compile("[\u00ad\u200b-\u200f\u2060\ufeff]")
+# Blanks of other widths, and characters without any, which editors and spreadsheets leave between or inside of words:
+# U+00A0, U+1680, U+2000 to U+200A, U+202F, U+205F, U+3000; U+00AD, U+200B to U+200F, U+2060, U+FEFF.
+_BLANKS = re.compile(rb"\xc2\xa0|\xe1\x9a\x80|\xe2\x80[\x80-\x8a\xaf]|\xe2\x81\x9f|\xe3\x80\x80")
+_NOTHING = re.compile(rb"\xc2\xad|\xe2\x80[\x8b-\x8f]|\xe2\x81\xa0|\xef\xbb\xbf")
 # A no-break space of Latin-1, in text that is no UTF-8.
 _LATIN_BLANK = re.compile(rb"(?<![\x80-\xff])\xa0(?![\x80-\xbf])")
 # Text without a mark shows its zeros this early.
@@ -66,7 +67,8 @@ def _has_zeros(data: bytes) -> bool:
 
 def _without_signs(data: bytes) -> bytes:
     try:
-        text = data.decode("utf-8")
+        data.decode("utf-8")
     except UnicodeDecodeError:
         return _LATIN_BLANK.sub(b" ", data.removeprefix(codecs.BOM_UTF8))
-    return _NOTHING.sub("", _BLANKS.sub(" ", text)).encode()
+    # The bytes of one character never stand within those of others.
+    return _NOTHING.sub(b"", _BLANKS.sub(b" ", data))

@@ -24,7 +24,7 @@ _COMMENT = re.compile(r"(?<!\d\.)#(?!N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!).*
 # Two tabulators may have an empty cell between them, which readers at white space would skip.
 _SKIPPED = b"\t\t"
 # NumPy would read these as comments: 1.#INF, a spreadsheet's #N/A.
-_ODD = (b".#", b",#", b";#")
+_ODD = re.compile(rb"\d\.#|#(?:N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)", re.IGNORECASE)
 # Rows whose words are in memory at a time.
 BLOCK = 1 << 16
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*|\s*\d+\s+[+-]?\d+\s*")
@@ -106,7 +106,7 @@ def _quick(data: bytes, start: int, path: Path) -> NDArray[np.float64] | None:
     table = plain_rows(data, start, len(data))
     if table is not None:
         return table
-    if any(data.find(sign, start) >= 0 for sign in _ODD):
+    if b"#" in data and _ODD.search(data, start):
         return None
     lines = decoded(data[start:], start, path).splitlines()
     first = next((text for text in (line.partition("#")[0].strip() for line in lines) if text), "")

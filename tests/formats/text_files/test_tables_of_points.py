@@ -66,6 +66,14 @@ def test_numbers_of_other_programs(tmp_path: Path, word: str, value: float, sepa
     assert cloud.data["column_3"].tolist() == [value] * 3
 
 
+@pytest.mark.parametrize("separator", [",", " ", "\t"])
+def test_a_column_of_nothing_but_such_words_stays(tmp_path: Path, separator: str) -> None:
+    text = table("", [row.replace(",", separator) for row in behind(["#N/A"] * 3)])
+    cloud = gk.points.load(write(tmp_path / "a.txt", text))
+    assert cloud.points.tolist() == POINTS
+    np.testing.assert_array_equal(cloud.data["column_3"], [np.nan] * 3)
+
+
 def test_coordinates_without_a_number_are_no_points(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "N/A,N/A,N/A\n1,2,3\n")
     with pytest.raises(gk.FileFormatError, match="point 0 is not finite"):
