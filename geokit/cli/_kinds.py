@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import mmap
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +29,8 @@ FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only")]
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16
+# How the library's messages name columns.
+_COLUMNS, _WHERE = re.compile(r"columns=\(([^)]*)\)"), " of geokit convert"
 # Parts of USD's names for fields in .vdb files, which are compressed in .usdc.
 _VOLUMES = (b"OpenVDB", b"field:")
 
@@ -125,13 +129,16 @@ def may_write(path: Path, *, force: bool) -> None:
         raise InputError(f"{path}: exists already; add --force to replace it")
 
 
-def load_cloud(path: Path, finite_only: bool = True, grid: str | None = None) -> "PointCloud":
+def load_cloud(
+    path: Path, finite_only: bool = True, grid: str | None = None, columns: str | None = None
+) -> "PointCloud":
     """Load a point cloud; points that are not finite, as sensors write them for rays without an echo, are left out.
 
     Args:
         path: The file.
         finite_only: False refuses a file with such points.
         grid: Of a .vdb: name of the grid of points; None for the only one.
+        columns: Of a table: names of the columns of x, y and z, with commas between; None finds them.
     Raises:
         FileFormatError: The file is damaged, or has such points.
         InputError: A .vdb has no such grid, or several and no name is given.
@@ -139,11 +146,13 @@ def load_cloud(path: Path, finite_only: bool = True, grid: str | None = None) ->
     from geokit.points._io import load_counted
 
     try:
-        cloud, left_out = load_counted(path, grid=grid, finite_only=finite_only)
+        chosen = None if columns is None else next(csv.reader([columns], skipinitialspace=True))
+        cloud, left_out = load_counted(path, grid=grid, columns=chosen, finite_only=finite_only)
     except (FileFormatError, InputError) as error:
         # The library's message names its parameter; the user knows the option.
         told = str(error).replace("finite_only=True", "--finite-only").replace("with grid=", "with --grid")
-        raise type(error)(told) from error
+        told = _COLUMNS.sub(lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'") + _WHERE, told)
+        raise type(error)(re.sub("^columns:", "--columns:", told)) from error
     if left_out:
         total = left_out + len(cloud.points)
         note(f"{path}: {left_out} of its {total} points are not finite and are left out (--finite-only, the default)")

@@ -58,6 +58,7 @@ def convert(
     up: str | None = None,
     from_unit: str | None = None,
     from_up: str | None = None,
+    columns: str | None = None,
     stream: Flag = False,
     normals: int | None = None,
     density: float | None = None,
@@ -110,6 +111,8 @@ def convert(
         up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.
         from_unit: With unit, or to say it in the new file: the unit of a file that does not say its own.
         from_up: With up, or to say it in the new file: the axis that points up in a file that does not say its own.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         stream: Read and write block after block, so that neither has to fit into memory: a closed mesh in a binary .stl
             or .ply to .nvdb with voxel-size, or a cloud in a binary .ply, .las or .laz to one of these, where
             voxel-size, normals and density are as they say. It takes as much as --memory-limit says, by default half of
@@ -144,6 +147,7 @@ def convert(
         "up": up,
         "from-unit": from_unit,
         "from-up": from_up,
+        "columns": columns,
         "stream": stream or None,
         "normals": normals,
         "density": density,
@@ -219,7 +223,7 @@ def _converted(
     elif kinds in (("cloud", "volume"), ("cloud", "mesh")):
         how = {name: given[name] for name in ("radius", "voxel_size")}
         with step(f"converting {source}", quiet=quiet) as converting:
-            cloud = load_cloud(source, finite_only, grid)
+            cloud = load_cloud(source, finite_only, grid, options["columns"])
             if kinds[1] == "volume":
                 how["half_width"] = given["half_width"]
                 summary = cloud_to_volume(cloud, target, {**how, "device": device}, storage, quiet=quiet)
@@ -230,7 +234,7 @@ def _converted(
     elif options["stream"]:
         summary = _streamed_cloud(source, target, options, device, finite_only, quiet=quiet)
     else:
-        summary = _cloud_to_cloud(source, target, finite_only, grid, quiet=quiet)
+        summary = _cloud_to_cloud(source, target, finite_only, grid, options["columns"], quiet=quiet)
     return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
 
 
@@ -254,9 +258,9 @@ _USES = {
     ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background-tolerance", "grid-type"),
     ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance", "background", "background-tolerance"),
     ("volume", "array"): ("grid",),
-    ("cloud", "cloud"): ("grid", "stream", "voxel-size", "normals", "density", "scheduler"),
-    ("cloud", "volume"): ("radius", "voxel-size", "half-width", "codec", "tolerance", "grid"),
-    ("cloud", "mesh"): ("radius", "voxel-size", "method", "tolerance", "grid"),
+    ("cloud", "cloud"): ("grid", "columns", "stream", "voxel-size", "normals", "density", "scheduler"),
+    ("cloud", "volume"): ("radius", "voxel-size", "half-width", "codec", "tolerance", "grid", "columns"),
+    ("cloud", "mesh"): ("radius", "voxel-size", "method", "tolerance", "grid", "columns"),
     ("mesh", "cloud"): ("count", "radius"),
 }
 
@@ -291,7 +295,12 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
             raise InputError(f"--{name}: has no effect on {kinds[0]} to {kinds[1]}; leave it out")
         if name == "scheduler" and value is not None and not options["stream"]:
             raise InputError("--scheduler: goes with --stream; give it too")
-        if kinds == ("cloud", "cloud") and value is not None and not options["stream"] and name not in ("kind", "grid"):
+        if (
+            kinds == ("cloud", "cloud")
+            and value is not None
+            and not options["stream"]
+            and name not in ("kind", "grid", "columns")
+        ):
             raise InputError(f"--{name}: of a cloud to a cloud goes with --stream; give it too")
 
 
@@ -414,8 +423,9 @@ def _streamed_cloud(
     from geokit.distributed._cluster import connected
     from geokit.points import process_file
 
-    if options["grid"] is not None:
-        raise InputError("--grid: has no effect with --stream; leave it out")
+    for name in ("grid", "columns"):
+        if options[name] is not None:
+            raise InputError(f"--{name}: has no effect with --stream; leave it out")
     how = {
         "voxel_size": options["voxel-size"],
         "normals": None if options["normals"] is None else {"k": options["normals"]},
@@ -510,8 +520,10 @@ def _volume_to_array(
     return {"grid": volume.info.name, "shape": shape, "dtype": str(found.values.dtype)}
 
 
-def _cloud_to_cloud(source: Path, target: Path, finite_only: bool, grid: str | None, *, quiet: bool) -> dict[str, Any]:
+def _cloud_to_cloud(
+    source: Path, target: Path, finite_only: bool, grid: str | None, columns: str | None, *, quiet: bool
+) -> dict[str, Any]:
     with step(f"converting {source}", quiet=quiet):
-        cloud = load_cloud(source, finite_only, grid)
+        cloud = load_cloud(source, finite_only, grid, columns)
         save_cloud(target, cloud)
     return {"points": len(cloud.points)}

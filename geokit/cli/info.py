@@ -20,6 +20,7 @@ def info(
     /,
     *,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     stream: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -32,17 +33,20 @@ def info(
         file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb .nii .nrrd ...) or a point cloud (.csv .pcd .las
             ...).
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: Of a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up.
         stream: Read a mesh in a binary .stl or .ply block after block, so that it need not fit into memory.
         json: Print JSON.
     """
     kind = kind_of_input(file)
     if stream and kind != "mesh":
         raise InputError(f"--stream: has no effect on a {kind}; leave it out")
+    if columns is not None and kind != "cloud":
+        raise InputError(f"--columns: has no effect on a {kind}; leave it out")
     with step(f"reading {file}", quiet=json) as reading:
         if stream:
             description = _describe_mesh_file(file, reading.progress)
         elif kind == "cloud":
-            description = _describe_cloud(file, finite_only)
+            description = _describe_cloud(file, finite_only, columns)
         else:
             description = _describe_mesh(file) if kind == "mesh" else _describe_volume(file)
     report = {"file": str(file), "kind": kind, "byte_count": size_of(file), **description}
@@ -56,6 +60,10 @@ def info(
     for grid in grids or ():
         print()
         metadata = grid.pop("metadata")
+        # Of a dense file only the header is read, and it need not say what lies around.
+        for name, what in (("active_voxel_count", "not asked (no voxel is read)"), ("background", "not stated")):
+            if grid[name] is None:
+                grid[name] = what
         print_facts(grid)
         if metadata:
             print("metadata")
@@ -122,10 +130,10 @@ def _describe_grid(grid: Any) -> dict[str, Any]:
     }
 
 
-def _describe_cloud(path: Path, finite_only: bool) -> dict[str, Any]:
+def _describe_cloud(path: Path, finite_only: bool, columns: str | None) -> dict[str, Any]:
     import numpy as np
 
-    cloud = load_cloud(path, finite_only)
+    cloud = load_cloud(path, finite_only, columns=columns)
     facts: dict[str, Any] = {"point_count": len(cloud.points)}
     if len(cloud.points):
         facts["bounds"] = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)])

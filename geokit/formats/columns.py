@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 
-__all__ = ["AXES", "Columns", "joined", "named", "rays", "split"]
+__all__ = ["AXES", "Columns", "by_place", "joined", "rays", "split"]
 
 AXES = ("x", "y", "z")
 # Names of the components of normals in other programs.
@@ -23,28 +23,20 @@ RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 Columns = dict[str, NDArray[np.generic]]
 
 
-def named(names: list[str], table: NDArray[np.float64], path: Path) -> Columns:
-    """The columns of a table by name; if no names are those of coordinates, the first three columns are x, y and z.
+def by_place(table: NDArray[np.float64], path: Path) -> Columns:
+    """The columns of a table without names: x, y and z, then ``column_3``, ``column_4``, ...
 
     Args:
-        names: A name for each column; empty if the file has none.
         table: Rows of numbers.
         path: The file, for messages.
     Raises:
-        FileFormatError: There are fewer than three columns, or two with the same name.
+        FileFormatError: There are fewer than three columns.
     """
     if table.size == 0:
-        table = table.reshape(0, max(len(names), 3))
-    if len(set(names)) != len(names):
-        raise FileFormatError(f"{path}: two columns are called {_repeated(names)!r}; give each its own name")
-    lowered = [name.lower() for name in names]
-    if not set(AXES) <= set(lowered):
-        if table.shape[1] < 3:
-            raise FileFormatError(f"{path}: has {table.shape[1]} columns; points need x, y and z")
-        # The names are not those of coordinates, so the first three columns are the coordinates.
-        names = [*AXES, *(names[3:] or [f"column_{at}" for at in range(3, table.shape[1])])]
-    else:
-        names = [low if low in AXES else name for name, low in zip(names, lowered, strict=True)]
+        table = table.reshape(0, 3)
+    if table.shape[1] < 3:
+        raise FileFormatError(f"{path}: has {table.shape[1]} columns; points need x, y and z")
+    names = [*AXES, *(f"column_{at}" for at in range(3, table.shape[1]))]
     return {name: table[:, at] for at, name in enumerate(names)}
 
 
@@ -118,7 +110,3 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
                 raise InputError(f"data: '{part}' is taken or cannot be a column's name in {kind}; rename '{name}'")
             columns[part] = column
     return columns
-
-
-def _repeated(names: list[str]) -> str:
-    return next(name for at, name in enumerate(names) if name in names[:at])

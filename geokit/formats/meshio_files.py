@@ -51,6 +51,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     meshio = require_package("meshio")
     # Not meshio.read, which prints the reason and exits.
     if path.suffix.lower() == ".xdmf":
+        _require_one_grid(path)
         _check_arrays(path, folders)
         mesh = _xdmf_reader()(path).read()
     else:
@@ -109,6 +110,44 @@ def _xdmf_reader() -> Any:
             return super()._read_data_item(item, root)
 
     return Reader
+
+
+def _require_one_grid(path: Path) -> None:
+    """Check that an .xdmf holds one grid, which is what meshio reads.
+
+    Raises:
+        FileFormatError: It holds a series of times, several grids, or a geometry of separate arrays for each axis.
+    """
+    from xml.etree import ElementTree
+
+    domain = next((item for item in ElementTree.parse(path).getroot().iter() if item.tag == "Domain"), None)
+    grids = [] if domain is None else domain.findall("Grid")
+    for grid in grids:
+        kind = grid.get("GridType", "Uniform").lower()
+        steps = len(grid.findall("Grid")) or len(grid.findall("{*}include"))
+        if kind == "collection" and grid.get("CollectionType", "").lower() == "temporal":
+            raise FileFormatError(
+                f"{path}: holds a time series of {steps} {'step' if steps == 1 else 'steps'}, and geokit reads one "
+                "mesh; save one step as a file of its own (meshio.xdmf.TimeSeriesReader reads them, ParaView exports "
+                "one)"
+            )
+        if kind in ("collection", "tree"):
+            raise FileFormatError(
+                f"{path}: holds a collection of {steps} grids, and geokit reads one; save each as a file of its own, "
+                "or join them first"
+            )
+        geometry = grid.find("Geometry")
+        told = "" if geometry is None else geometry.get("GeometryType", geometry.get("Type", "XYZ")).upper()
+        if told not in ("", "XYZ", "XY"):
+            raise FileFormatError(
+                f"{path}: has geometry of type {told[:40]}, which geokit does not read; export a surface of triangles "
+                "with XYZ points"
+            )
+    if len(grids) > 1:
+        raise FileFormatError(
+            f"{path}: holds {len(grids)} grids, and geokit reads one; save each as a file of its own, or join them "
+            "first"
+        )
 
 
 def _check_arrays(path: Path, folders: Sequence[Path]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import AXES, Columns, joined, named, rays
+from geokit.formats.columns import AXES, Columns, by_place, joined, rays
 
 __all__ = ["content_bytes", "read_points", "read_rays", "write_points"]
 
@@ -46,7 +46,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     array = _loaded(path)
     if array.dtype.names:
         return joined(_fields(array, path), path)
-    return joined(named([], _table(array, path), path), path)
+    return joined(by_place(_table(array, path), path), path)
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,7 +15,9 @@ from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
 from geokit.formats.body import Body, FileMaterial
 from geokit.formats.columns import Columns
-from geokit.formats.text import numbers, point_lines
+from geokit.formats.text import point_lines
+from geokit.formats.text_files.plain import plain_text
+from geokit.formats.text_files.words import as_number, numbers
 from geokit.mesh._data import full_scale
 from geokit.mesh.attributes.seams import distinct_corners
 
@@ -43,6 +46,19 @@ class _Lines(NamedTuple):
     normal: list[bytes]
     materials: list[tuple[str, int]]
     libraries: list[str]
+    unknown: list[bytes]
+
+
+# Words that begin lines of which nothing is read: elements without faces, shading, free-form curves and surfaces.
+_LEFT_OUT = frozenset(
+    b"p l s mg vp cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con bevel c_interp d_interp lod "
+    b"maplib usemap shadow_obj trace_obj ctech stech call csh bsp bzp cdc cdp res".split()
+)
+_READ = frozenset((b"v", b"f", b"fo", b"vt", b"vn", b"o", b"g", b"usemtl", b"mtllib"))
+# These words at the start of a line, in any case.
+_KEYWORD = re.compile(rb"^[ \t\f\v]*(?:v|f|fo|vt|vn|o|g|usemtl|mtllib)(?=[ \t\r\n]|$)", re.IGNORECASE | re.MULTILINE)
+# A vertex or face whose first number has no blank before it that is known as one.
+_JOINED = re.compile(rb"(?:v|vt|vn|f|fo)[^a-z_#]", re.IGNORECASE)
 
 
 def _lines(data: bytes) -> _Lines:
@@ -55,6 +71,7 @@ def _lines(data: bytes) -> _Lines:
     normal: list[bytes] = []
     materials: list[tuple[str, int]] = []
     libraries: list[str] = []
+    unknown: list[bytes] = []
     # splitlines also splits at form feeds and other bytes that text may contain; OBJ lines end at newlines only.
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
@@ -73,7 +90,12 @@ def _lines(data: bytes) -> _Lines:
             materials.append((rest.strip().decode("utf-8", "replace"), len(faces)))
         elif kind == b"mtllib":
             libraries.append(rest.strip().decode("utf-8", "replace"))
-    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries)
+        elif kind and kind not in _LEFT_OUT and not kind.startswith(b"#"):
+            if kind.lower() in _READ:
+                return _lines(_KEYWORD.sub(lambda word: word[0].lower(), data))
+            if kind.lower() not in _LEFT_OUT:
+                unknown.append(line)
+    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown)
 
 
 def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
@@ -86,25 +108,73 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Raises:
         FileFormatError: A vertex is not three numbers; the message names its line.
     """
-    data = path.read_bytes()
+    data = plain_text(path.read_bytes(), path)
+    lines = _lines(data)
+    for note in _unknown(lines.unknown, data, path):
+        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=2)
     try:
-        return _coordinates(_lines(data).vertices, path), {}
+        return _coordinates(lines.vertices, path), {}
     except FileFormatError:
         _blame(data, path)
         raise
 
 
+def _unknown(lines: list[bytes], data: bytes, path: Path) -> list[str]:
+    """What to say about lines that begin with a word that is not known.
+
+    Raises:
+        FileFormatError: One is a vertex or a face whose numbers are not apart from its first word.
+    """
+    if not lines:
+        return []
+    joined = next(filter(_JOINED.match, map(bytes.strip, lines)), None)
+    for number, line in _numbered(data):
+        if joined is not None and line.strip() == joined:
+            raise FileFormatError(
+                f"{path}: line {number} ({_shown(line)!r}) begins with no known word; write a blank behind 'v' or 'f'"
+            )
+        if joined is None and line.strip() == lines[0].strip():
+            word = _shown(line).split()[0]
+            count = "a line begins" if len(lines) == 1 else f"{len(lines)} lines begin"
+            first = "line" if len(lines) == 1 else "the first is line"
+            return [f"{count} with words that .obj does not know and are left out: {first} {number}, {word!r}"]
+    return []
+
+
+def _shown(line: bytes) -> str:
+    return line[:60].decode("utf-8", "backslashreplace").strip()
+
+
+def _numbered(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Lines with their numbers, those that are continued with those that continue them, as :func:`_lines` has them."""
+    begun, first = b"", 0
+    for number, line in enumerate(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n"), 1):
+        first = first or number
+        if line.endswith(b"\\"):
+            begun += line[:-1] + b" "
+            continue
+        yield first, (begun + line).replace(b"\t", b" ")
+        begun, first = b"", 0
+    if first:
+        yield first, begun.replace(b"\t", b" ")
+
+
 def _blame(data: bytes, path: Path) -> None:
     """Raise the error for the first vertex that is not three numbers."""
-    for number, line in enumerate(data.splitlines(), 1):
+    row = -1
+    for number, line in _numbered(data):
         words = line.split()
-        if not words or words[0] != b"v":
+        if not words or words[0].lower() != b"v":
             continue
-        try:
-            _, _, _ = map(float, words[1:4])
-        except ValueError:
-            shown = line[:60].decode("ascii", "backslashreplace")
-            raise FileFormatError(f"{path}: line {number} ({shown!r}) is not a vertex; the file is damaged") from None
+        row += 1
+        wrong = next((word for word in words[1:4] if as_number(word.decode("ascii", "replace")) is None), None)
+        if wrong is None and len(words) >= 4:
+            continue
+        if wrong is not None:
+            why = f"{_shown(wrong)!r} is not a number"
+        else:
+            why = f"vertex {row} has {len(words) - 1} coordinates, not three"
+        raise FileFormatError(f"{path}: line {number} ({_shown(line)!r}) is not a vertex: {why}; the file is damaged")
 
 
 def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
@@ -114,10 +184,14 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     vertices. Materials come from the libraries and images that the file names, if they lie in its folder or in
     ``folders``. Lines are left out; free-form curves and surfaces have no polygons.
     """
-    data = path.read_bytes()
+    data = plain_text(path.read_bytes(), path)
     lines = _lines(data)
-    faces, notes = lines.faces, []
-    coordinates, colors = _vertices(lines.vertices, path)
+    faces, notes = lines.faces, _unknown(lines.unknown, data, path)
+    try:
+        coordinates, colors = _vertices(lines.vertices, path)
+    except FileFormatError:
+        _blame(data, path)
+        raise
     if b"#" in data:
         faces = _COMMENT.sub(b"", b"\n".join(faces)).split(b"\n") if faces else []
     counts, corners = _split(faces)
@@ -227,7 +301,7 @@ def _count_above(data: bytes, kind: bytes) -> NDArray[np.int64]:
     """The number of lines of a kind above each face."""
     above, count = [], 0
     for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n").split(b"\n"):
-        word = line.split(None, 1)[:1]
+        word = [first.lower() for first in line.split(None, 1)[:1]]
         count += word == [kind]
         if word in ([b"f"], [b"fo"]):
             above.append(count)

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
 from geokit.formats.body import Body
-from geokit.formats.text import numbers, point_lines
+from geokit.formats.text import point_lines
+from geokit.formats.text_files.plain import plain_text
+from geokit.formats.text_files.words import numbers
 from geokit.mesh._data import full_scale
 
 if TYPE_CHECKING:
@@ -20,21 +22,23 @@ if TYPE_CHECKING:
 
 __all__ = ["read_mesh", "write_mesh"]
 
-_HEADER = re.compile(rb"\s*(ST)?(C)?(N)?OFF(?![A-Za-z])(?!\s*BINARY)")
+_HEADER = re.compile(rb"\s*(ST)?(C)?(N)?OFF(?![A-Za-z])(?!\s*BINARY)", re.IGNORECASE)
+# Counts without a word before them, as the first of a file's lines.
+_COUNTS = re.compile(rb"\s*()()()(?=\d+[ \t]+\d+(?:[ \t]+\d+)?[ \t]*\n)")
 
 
 def read_mesh(path: Path) -> list[Body]:
     """Read an ASCII .off file (OFF, COFF, NOFF, STOFF and combinations of them), with the colors of faces."""
-    data = path.read_bytes()
+    data = plain_text(path.read_bytes(), path)
     if b"#" in data:
         data = re.sub(rb"#[^\n]*", b"", data)
-    header = _HEADER.match(data)
+    header = _HEADER.match(data) or _bare_counts(data)
     if header is None:
         raise FileFormatError(
             f"{path}: does not start with OFF, COFF, NOFF or STOFF as ASCII .off files of three dimensions do; "
             "export it as such"
         )
-    lines = [line for line in data[header.end() :].replace(b"\r", b"\n").split(b"\n") if line.strip()]
+    lines = [line for line in data[header.end() :].split(b"\n") if line.strip()]
     sizes = numbers(lines[0].split() if lines else [], np.int64, path, "counts")
     if len(sizes) < 2 or sizes[:2].min() < 0:
         raise FileFormatError(f"{path}: the line of vertex and face counts is missing; the file is damaged")
@@ -77,6 +81,16 @@ def read_mesh(path: Path) -> list[Body]:
             notes.append("the colors of faces are left out: not each face has one of 3 or 4 numbers")
     found = points.reshape(-1, 3), counts, indices
     return [Body(*found, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))]
+
+
+def _bare_counts(data: bytes) -> re.Match[bytes] | None:
+    """The place of the counts in a file without a first word; None if its other lines are not as many as they say."""
+    found = _COUNTS.match(data)
+    if found is None:
+        return None
+    first, *lines = [line for line in data[found.end() :].split(b"\n") if line.strip()]
+    vertices, faces, *_ = map(int, first.split())
+    return found if vertices and faces and len(lines) == vertices + faces else None
 
 
 def _vertex_data(

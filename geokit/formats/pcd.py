@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import mmap
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ from numpy.typing import NDArray
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import Columns, joined
-from geokit.formats.text import read_rows
+from geokit.formats.text_files.plain import plain_text, without_mark
+from geokit.formats.text_files.rows import read_rows
 
 __all__ = ["content_bytes", "read_points", "write_points"]
 
@@ -24,6 +27,8 @@ ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {"F": ("f4", "f8"), "I": ("i1", "i2", "i4", "i8"), "U": ("u1", "u2", "u4", "u8")}
 _LONG = ("i8", "u8")
+# The line that ends a header before binary content. Headers end within this.
+_BINARY, _HEAD_BYTES = re.compile(rb"[\r\n]\s*DATA\s+binary", re.IGNORECASE), 1 << 16
 # A field with this name is padding.
 _PADDING = "_"
 _AXES = ("x", "y", "z")
@@ -66,6 +71,8 @@ def content_bytes(path: Path) -> int | None:
     if path.stat().st_size == 0:
         return None
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if not _BINARY.search(data[:_HEAD_BYTES]):
+            return None
         header = _read_header(data, path)
         if header.encoding != "binary_compressed" or len(data) < header.start + 8:
             return None
@@ -79,6 +86,8 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         FileFormatError: The file is damaged or truncated, or its header and body disagree.
     """
     data = path.read_bytes()
+    # A mark before binary content is no part of it.
+    data = without_mark(data) if _BINARY.search(data[:_HEAD_BYTES]) else plain_text(data, path)
     header = _read_header(data, path)
     if header.encoding == "ascii":
         parts = _ascii(data, header, path)
@@ -100,7 +109,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
 
 def _read_header(data: bytes | mmap.mmap, path: Path) -> _Header:
     lines: dict[str, list[str]] = {}
-    at = 0
+    at = 0 if data[:3] != codecs.BOM_UTF8 else 3
     while "DATA" not in lines:
         end = data.find(b"\n", at)
         if end < 0:
@@ -108,6 +117,7 @@ def _read_header(data: bytes | mmap.mmap, path: Path) -> _Header:
         line = data[at:end].decode("latin-1").strip()
         words = line.split()
         if words and not line.startswith("#"):
+            words[0] = words[0].upper()
             if words[0] not in _KEYS or words[0] in lines:
                 raise FileFormatError(
                     f"{path}: header line {line[:60]!r} (byte {at}) is not understood; "

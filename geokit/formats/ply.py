@@ -17,8 +17,9 @@ from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body
 from geokit.formats.columns import AXES, Columns, joined, split
-from geokit.formats.decimal import SMALLEST, plain_rows
-from geokit.formats.text import numbers
+from geokit.formats.text_files.decimal import SMALLEST, plain_rows
+from geokit.formats.text_files.plain import plain_text
+from geokit.formats.text_files.words import as_number, numbers
 from geokit.mesh._data import has_meaning
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+# The first line, behind a byte order mark of UTF-8 in binary files too; the line that says that a file is binary.
+_MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r?\n|\r)", re.IGNORECASE)
+_END = re.compile(rb"end_header", re.IGNORECASE)
+_BINARY, _HEAD_BYTES = re.compile(rb"[\r\n]\s*format\s+binary", re.IGNORECASE), 1 << 12
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -86,6 +91,8 @@ def read_mesh(path: Path) -> list[Body]:
     Lists of faces with a number, or several, for each corner are on corners: ``texcoord`` is ``uv``.
     """
     data = path.read_bytes()
+    if not _BINARY.search(data[:_HEAD_BYTES]):
+        data = plain_text(data, path)
     order, elements, start = read_header(data, path)
     if any(element.count and not element.properties for element in elements):
         raise FileFormatError(f"{path}: the header declares an element without properties; the file is damaged")
@@ -103,6 +110,9 @@ def read_mesh(path: Path) -> list[Body]:
     for element in elements:
         columns = source.read(element)
         if element.name == "vertex":
+            if not {"x", "y", "z"} <= columns.keys():
+                element.properties = [_lowered(item) for item in element.properties]
+                columns = {item.name: columns[name] for item, name in zip(element.properties, columns, strict=True)}
             if not {"x", "y", "z"} <= columns.keys():
                 raise FileFormatError(f"{path}: the vertices have no x, y and z; the file is not a mesh")
             points = np.stack([columns.pop(axis).astype(np.float64) for axis in "xyz"], axis=1)
@@ -141,6 +151,10 @@ def read_mesh(path: Path) -> list[Body]:
             notes=tuple(notes),
         )
     ]
+
+
+def _lowered(item: _Property) -> _Property:
+    return _Property(item.name.lower(), item.type, item.count_type) if item.name in ("X", "Y", "Z") else item
 
 
 def _triangles_of_strips(counts: NDArray[np.int64], indices: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -195,6 +209,8 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         FileFormatError: The file is damaged or truncated, has no vertices, or has a list among their properties.
     """
     data = path.read_bytes()
+    if not _BINARY.search(data[:_HEAD_BYTES]):
+        data = plain_text(data, path)
     order, elements, start = read_header(data, path)
     if "vertex" not in [element.name for element in elements]:
         raise FileFormatError(f"{path}: has no vertex element; a point set needs one")
@@ -226,18 +242,12 @@ def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dic
     if len(lines) < count:
         raise FileFormatError(f"{path}: ends in vertex {len(lines)} of the {count} it declares; get a whole copy")
     tokens = b" ".join(lines).split()
-    try:
-        return _cast(np.array(tokens, dtype=np.float64).reshape(count, len(names)), dtype)
-    except (ValueError, FloatingPointError):
-        pass
+    with contextlib.suppress(ValueError, FloatingPointError, FileFormatError):
+        return _cast(numbers(tokens, np.float64, path, "vertices").reshape(count, len(names)), dtype)
     for row, line in enumerate(lines):
-        words = line.split()
-        try:
-            if len(words) == len(names):
-                list(map(float, words))
-                continue
-        except ValueError:
-            pass
+        words = line.decode("latin-1").split()
+        if len(words) == len(names) and all(as_number(word) is not None for word in words):
+            continue
         shown = line[:60].decode("ascii", "backslashreplace").strip()
         raise FileFormatError(f"{path}: vertex {row} ({shown!r}) is not {len(names)} numbers; the file is damaged")
     raise FileFormatError(f"{path}: a vertex has a number that its type cannot hold; the file is damaged")
@@ -256,9 +266,9 @@ def _cast(table: NDArray[np.float64], dtype: np.dtype[np.void]) -> dict[str, NDA
 
 def lacks_faces(head: bytes) -> bool:
     """Whether the header declares no faces."""
-    header = head.partition(b"end_header")[0]
-    faces = re.findall(rb"^element\s+(?:face|tristrips)\s+(\d+)", header, re.MULTILINE)
-    return header.startswith(b"ply") and not any(map(int, faces))
+    header = _END.split(head, 1)[0].replace(b"\r", b"\n")
+    faces = re.findall(rb"^\s*element\s+(?:face|tristrips)\s+(\d+)", header, re.MULTILINE | re.IGNORECASE)
+    return bool(_MAGIC.match(head)) and not any(map(int, faces))
 
 
 def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
@@ -267,17 +277,21 @@ def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
     Raises:
         FileFormatError: The file is not a .ply file, the header lacks its end or format, or a line is not understood.
     """
-    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
+    magic = _MAGIC.match(data)
+    if magic is None:
         raise FileFormatError(f"{path}: does not start with 'ply'; the file is damaged or not a .ply file")
-    end = data.find(b"end_header")
-    newline = data.find(b"\n", end)
+    last = _END.search(data)
+    end = -1 if last is None else last.start()
+    newline = data.find(b"\r" if magic[1] == b"\r" else b"\n", end)
     if end < 0 or newline < 0:
         raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
     order = None
     elements: list[_Element] = []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
+    # Other bytes that split lines of text may stand in comments.
+    for line in re.split(r"\r\n|\r|\n", data[:end].decode("latin-1"))[1:]:
         words = line.split()
         try:
+            words[:2] = [word.lower() for word in words[:2]]
             if not words or words[0] in ("comment", "obj_info"):
                 continue
             if words[0] == "format":
@@ -298,7 +312,7 @@ def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
 def _property(words: list[str]) -> _Property:
     if words[1] == "list":
         _, _, counts, kind, name = words
-        return _Property(name, _TYPES[kind], _TYPES[counts])
+        return _Property(name, _TYPES[kind.lower()], _TYPES[counts.lower()])
     _, kind, name = words
     return _Property(name, _TYPES[kind])
 

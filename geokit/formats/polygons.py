@@ -12,6 +12,7 @@ from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.joined import JoinedData
 from geokit.formats.body import Body
+from geokit.formats.ears import clip_ears
 from geokit.mesh._model import MeshPart, TriangleMesh
 
 __all__ = ["join", "triangulate"]
@@ -37,6 +38,7 @@ def join(bodies: list[Body], path: Path, name: str) -> TriangleMesh:
         points = np.asarray(body.points, np.float64)
         counts, indices = np.asarray(body.counts, np.int64), np.asarray(body.indices, np.int64)
         _check(points, counts, indices, where)
+        body, points, indices = _without_unused(body, points, indices, where)
         flip = body.clockwise
         if body.transform is not None:
             linear = body.transform[:3, :3]
@@ -119,7 +121,7 @@ def _triangulated(
                 triangles[concave] = _fan(np.take_along_axis(corners[concave], rolled, axis=1))
             else:
                 for row in concave:
-                    triangles[row] = corners[row][_clip_ears(_flatten(points[indices[corners[row]]]))]
+                    triangles[row] = corners[row][clip_ears(_flatten(points[indices[corners[row]]]))]
         faces[first_triangle[members][:, None] + np.arange(size - 2)] = triangles
     return faces, polygon
 
@@ -143,13 +145,36 @@ def _check(points: NDArray[Any], counts: NDArray[Any], indices: NDArray[Any], wh
             f"{where}: face {row} (counted from 0) uses vertex {indices[corner]}, but there are {len(points)} "
             "(indices counted from 0); the file is damaged, export it again"
         )
-    bad = ~np.isfinite(points).all(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
+
+
+def _without_unused(
+    body: Body, points: NDArray[np.float64], indices: NDArray[np.int64], where: str
+) -> tuple[Body, NDArray[np.float64], NDArray[np.int64]]:
+    """The body, its points and its indices without points that are not finite and that no face uses.
+
+    Raises:
+        FileFormatError: A face uses a point that is not finite.
+    """
+    bad = np.atleast_1d(~np.isfinite(points).all(axis=1))
+    if not bad.any():
+        return body, points, indices
+    used = np.zeros(len(points), bool)
+    used[indices] = True
+    if (bad & used).any():
+        row = int(np.argmax(bad & used))
         raise FileFormatError(
             f"{where}: vertex {row} (counted from 0) is not finite ({points[row].tolist()}); "
             "remove it and the faces that use it"
         )
+    kept = ~bad
+    note = f"vertices that are not finite and that no face uses are left out: {int(bad.sum())}, the first is vertex "
+    note += str(int(np.argmax(bad)))
+    vertex = {
+        name: np.asarray(values)[kept] if len(values) == len(kept) else values
+        for name, values in body.vertex_data.items()
+    }
+    body = body._replace(points=points[kept], vertex_data=vertex, notes=(*body.notes, note))
+    return body, points[kept], (np.cumsum(kept) - 1)[indices]
 
 
 def _fan(corners: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -181,38 +206,3 @@ def _flatten(points: NDArray[np.float64]) -> NDArray[np.float64]:
     # Dropping the normal's largest axis preserves the order of corners and all inside tests.
     flat = local[:, [(axis + 1) % 3, (axis + 2) % 3]]
     return flat if normal[axis] >= 0.0 else flat * (-1.0, 1.0)
-
-
-def _clip_ears(flat: NDArray[np.float64]) -> list[tuple[int, int, int]]:
-    """Triangulate a counter-clockwise simple polygon (n, 2); triangles are corner indices."""
-    ring = list(range(len(flat)))
-    triangles = []
-    while len(ring) > 3:
-        at = _find_ear(flat, ring)
-        triangles.append((ring[at - 1], ring[at], ring[(at + 1) % len(ring)]))
-        del ring[at]
-    triangles.append((ring[0], ring[1], ring[2]))
-    return triangles
-
-
-def _find_ear(flat: NDArray[np.float64], ring: list[int]) -> int:
-    points = flat[ring]
-    before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
-    turn = _cross(points - before, after - points)
-    # Only corners that are not convex can lie in an ear.
-    blocking = points[turn <= 0.0]
-    for at in np.flatnonzero(turn > 0.0):
-        a, b, c = before[at], points[at], after[at]
-        inside = (_cross(b - a, blocking - a) >= 0.0) & (_cross(c - b, blocking - b) >= 0.0)
-        inside &= _cross(a - c, blocking - c) >= 0.0
-        # A corner that coincides with one of the ear's own does not block it, because seams of holes visit a point
-        # twice.
-        inside &= (blocking != a).any(axis=1) & (blocking != b).any(axis=1) & (blocking != c).any(axis=1)
-        if not inside.any():
-            return int(at)
-    # Flat or self-crossing: remove the flattest corner, which changes the outline least.
-    return int(np.argmin(np.abs(turn)))
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import Columns, joined
-from geokit.formats.text import read_rows, row_lines
+from geokit.formats.text import row_lines
+from geokit.formats.text_files.plain import plain_text
+from geokit.formats.text_files.rows import read_rows
 
 __all__ = ["read_points", "write_points"]
 
@@ -24,7 +26,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Raises:
         FileFormatError: The file is damaged, or its number of rows differs from its first line.
     """
-    data = path.read_bytes()
+    data = plain_text(path.read_bytes(), path)
     end = data.find(b"\n")
     end = len(data) if end < 0 else end + 1
     words = data[:end].split()

@@ -1,32 +1,39 @@
-"""Numbers as text, for all text formats, and tables of them: .csv with a header, .xyz and .txt with spaces."""
+"""Tables of points and rays: .csv with a header, .xyz and .txt with spaces."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
-from geokit.formats.columns import Columns, joined, named, rays, split
-from geokit.formats.decimal import plain_rows
+from geokit.core.files import in_one_line
+from geokit.errors import FileFormatError, InputError
+from geokit.formats.columns import AXES, Columns, joined, rays, split
+from geokit.formats.text_files.coordinates import coordinate_columns
+from geokit.formats.text_files.plain import plain_text
+from geokit.formats.text_files.rows import Cells, decoded, not_numbers, read_cells, separator_of, split_line
+from geokit.formats.text_files.words import as_number
 
-__all__ = ["numbers", "point_lines", "read_points", "read_rays", "read_rows", "row_lines", "write_points"]
-
-# Byte-order mark with which UTF-8 files of some programs begin.
-_MARK = b"\xef\xbb\xbf"
+__all__ = ["point_lines", "read_points", "read_rays", "row_lines", "write_points"]
 
 
-def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Read the columns x, y and z, or the first three, and the others by name.
+def read_points(path: Path, columns: Sequence[str] | None = None) -> tuple[NDArray[np.float64], Columns]:
+    """Read the coordinates, which their names tell, or ``columns``, and the other columns by name.
+
+    Without names they are the first three columns. Columns of text are left out with a warning.
 
     Raises:
-        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
+        FileFormatError: A line is not text, not numbers, or longer or shorter than the first, with its number; the
+            names are not those of coordinates; or there is a header without rows that names no coordinates.
+        InputError: A name in ``columns`` is none of the file's.
     """
-    return joined(named(*_read_table(path), path), path)
+    table = _read_table(path)
+    return joined(_named_columns(table, _coordinates(table, columns, path), path), path)
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:
@@ -35,7 +42,9 @@ def read_rays(path: Path) -> NDArray[np.float64]:
     Raises:
         FileFormatError: As for :func:`read_points`, or fewer than six columns.
     """
-    return rays(*_read_table(path), path)
+    names, named, cells = _read_table(path)
+    cells.refuse(range(cells.values.shape[1]), path)
+    return rays(names if named else [], cells.values, path)
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
@@ -65,86 +74,159 @@ def point_lines(points: NDArray[np.float64], prefix: str = "") -> Iterable[str]:
     return (f"{prefix}{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
 
 
-def numbers(tokens: list[bytes], dtype: type, path: Path, what: str) -> NDArray[Any]:
-    """Convert tokens to an array of ``dtype``, each rounded correctly.
+class _Table(NamedTuple):
+    """A table: its columns' names, whether a header or a comment names them, and its cells."""
+
+    names: list[str]
+    named: Literal["header", "comment", ""]
+    cells: Cells
+
+
+def _read_table(path: Path) -> _Table:
+    """Column names and the rows as float64, each number rounded correctly.
+
+    Values are separated by commas, semicolons, tabulators or white space. Names come from a first line without any
+    number, or from a last comment line (``#`` or ``//``) above the numbers with as many words as there are columns.
+    Columns without a name are called ``column_0``, ``column_1``, ...
 
     Raises:
-        FileFormatError: A token is not a number of this type; the message names the token and its position.
+        FileFormatError: A line is not text, or longer or shorter than the first; the message names it.
     """
-    if not tokens:
-        return np.zeros(0, dtype)
-    try:
-        return np.array(tokens, dtype=dtype)
-    except (ValueError, OverflowError):
-        pass
-    convert = int if np.issubdtype(dtype, np.integer) else float
-    for at, token in enumerate(tokens):
-        try:
-            np.array(convert(token), dtype=dtype)
-        except (ValueError, OverflowError):
-            shown = token[:40].decode("ascii", "backslashreplace")
-            raise FileFormatError(
-                f"{path}: {shown!r} (number {at} of the {what}) is not a number that fits; the file is damaged"
-            ) from None
-    raise FileFormatError(f"{path}: the {what} cannot be read as numbers; the file is damaged")
-
-
-def _read_table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Column names (empty if the file has none) and the rows as float64, each number rounded correctly.
-
-    Values are separated by commas, semicolons or white space. Names come from a first line that is not numbers, or from
-    a last comment line (``#``) above the numbers with as many words as there are columns.
-
-    Raises:
-        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
-    """
-    data = path.read_bytes()
-    at = len(_MARK) if data.startswith(_MARK) else 0
+    data = plain_text(path.read_bytes(), path)
+    at = above = 0
     names: list[str] = []
-    above, remark = 0, False
+    named: Literal["header", "comment", ""] = ""
     # Only the lines above the numbers are parsed here.
     while at < len(data):
         end = _line_end(data, at)
-        line = _decoded(data[at:end], at, path).strip()
-        if line.startswith("#"):
-            names, remark = _words(line.lstrip("# ")), True
-        elif line and _numbers(line) is None:
-            names, remark, at, above = _words(line), False, end, above + 1
-            break
-        elif line:
+        line = decoded(data[at:end], at, path).strip(" \r\n\f\v")
+        words = _words(line.lstrip("#/%! "))
+        if line.startswith(_REMARKS):
+            names, named = words, "comment"
+        elif any(words):
+            if any(as_number(word) is not None for word in words):
+                break
+            names, named, at, above = words, "header", end, above + 1
             break
         at, above = end, above + 1
-    table = read_rows(data, at, path)
-    if names and table.size and len(names) != table.shape[1]:
-        # A comment above the numbers may have any length; a header line of another length is an error.
-        if not remark:
+    cells = read_cells(data, at, path)
+    if not len(cells.values):
+        if named == "comment" and not set(AXES) <= set(names):
+            names = []
+    else:
+        cells = _without_empty_ends(cells, names)
+        width = cells.values.shape[1]
+        while len(names) > width and not names[-1]:
+            names.pop()
+        if named == "header" and len(names) != width:
             raise FileFormatError(
-                f"{path}: line {above} names {len(names)} columns and the rows have {table.shape[1]}; name each column"
+                f"{path}: line {above} names {len(names)} columns and the rows have {width}; name each column"
             )
-        names = []
-    return names, table
+        # A comment above the numbers may have any words.
+        if len(names) != width or (named == "comment" and len(set(names)) < width):
+            names, named = [], ""
+        names = [name or f"column_{at}" for at, name in enumerate(names or [""] * width)]
+    return _Table(names, named, cells)
 
 
-def read_rows(data: bytes, start: int, path: Path) -> NDArray[np.float64]:
-    """Parse the rows of numbers from byte ``start`` on, each rounded correctly; ``(0, 1)`` if there are none.
+_REMARKS = ("#", "//", "%")
+
+
+def _without_empty_ends(cells: Cells, names: list[str]) -> Cells:
+    """The cells without columns at the ends that hold nothing and have no name, as of separators at ends of lines."""
+    if not cells.lines:
+        return cells
+    nothing = np.atleast_1d(cells.empty.all(axis=0))
+    first, last = 0, cells.values.shape[1]
+    while last > 1 and nothing[last - 1] and (not names or len(names) < last or not names[last - 1]):
+        last -= 1
+    while not names and last - first > 1 and nothing[first]:
+        first += 1
+    if (first, last) == (0, cells.values.shape[1]):
+        return cells
+    kept = slice(first, last)
+    if len(names) > last:
+        del names[last:]
+    return cells._replace(values=cells.values[:, kept], text=cells.text[:, kept], empty=cells.empty[:, kept])
+
+
+def _coordinates(table: _Table, columns: Sequence[str] | None, path: Path) -> tuple[int, int, int]:
+    """Places of the columns of x, y and z.
 
     Raises:
-        FileFormatError: A line is not text, not numbers, or longer or shorter than the first; the message names it.
+        FileFormatError: There are fewer than three columns, or names that do not tell.
+        InputError: A name in ``columns`` is none of the file's.
     """
-    table = plain_rows(data, start, len(data))
-    if table is not None:
-        return table
-    lines = _decoded(data[start:], start, path).splitlines()
-    first = next((text for text in (line.partition("#")[0].strip() for line in lines) if text), "")
-    # With an explicit separator an empty field is an error; splitting at white space would skip it.
-    separator = next((sign for sign in ",;" if sign in first), None)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a table without rows is handled by the caller
-            return np.loadtxt(lines, dtype=np.float64, ndmin=2, comments="#", delimiter=separator)
-    except ValueError as error:
-        _blame(lines, data.count(b"\n", 0, start), path)
-        raise FileFormatError(f"{path}: cannot be read as a table of numbers ({error})") from None
+    names, cells = table.names, table.cells
+    listed = in_one_line(", ".join(map(repr, names)))
+    if columns is not None:
+        missing = [name for name in columns if names.count(name) != 1]
+        if missing:
+            raise InputError(
+                f"columns: {missing[0]!r} is not the name of one column of {path}; its columns are {listed}"
+            )
+        x, y, z = (names.index(name) for name in columns)
+        return x, y, z
+    if table.named:
+        found = coordinate_columns(names, path)
+        if found is not None:
+            return found
+    if table.named == "header" and not len(cells.values):
+        raise FileFormatError(f"{path}: has a header ({listed}) and no rows; get a whole copy")
+    width = len(names) if names else 3
+    if width < 3:
+        raise FileFormatError(f"{path}: has {width} columns; points need x, y and z")
+    if table.named == "header":
+        a, b, c = names[:3]
+        raise FileFormatError(
+            f"{path}: none of its columns are named as coordinates: {listed}; choose three with "
+            f"columns=({a!r}, {b!r}, {c!r})"
+        )
+    if table.named == "comment" and width > 3:
+        warnings.warn(
+            f"{path}: the words of its comment ({listed}) are no names of coordinates; the first three columns are "
+            "taken as x, y and z, and columns=(...) chooses others",
+            UserWarning,
+            stacklevel=2,
+        )
+    if not cells.lines:
+        return 0, 1, 2
+    labels = np.atleast_1d(cells.text.any(axis=0) & (cells.text | cells.empty).all(axis=0))
+    first = next((at for at in range(width - 2) if not labels[at : at + 3].any()), None)
+    if first is None or not labels[:first].all():
+        raise not_numbers(cells, int(np.argmax(cells.text.any(axis=1))), path)
+    return first, first + 1, first + 2
+
+
+def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> Columns:
+    """The coordinates as x, y and z, and the other columns by name, without those of text.
+
+    Raises:
+        FileFormatError: Two columns have the same name, or a column holds words beside numbers.
+    """
+    names, cells = table.names, table.cells
+    others = [at for at in range(len(names)) if at not in places]
+    repeated = [names[at] for at in others if names.count(names[at]) > 1]
+    if repeated:
+        raise FileFormatError(f"{path}: two columns are called {repeated[0]!r}; give each its own name")
+    if not len(cells.values):
+        nothing = np.empty(0)
+        return {**dict.fromkeys(AXES, nothing), **{names[at]: nothing for at in others}}
+    cells.refuse(places, path)
+    columns: Columns = {axis: cells.values[:, at] for axis, at in zip(AXES, places, strict=True)}
+    text = np.atleast_1d(cells.text.any(axis=0)) if cells.lines else np.zeros(len(names), bool)
+    labels = [at for at in others if text[at] and (cells.text | cells.empty)[:, at].all()]
+    mixed = [at for at in others if text[at] and at not in labels]
+    if mixed:
+        raise not_numbers(cells, int(np.argmax(cells.text[:, mixed].any(axis=1))), path)
+    if labels:
+        shown = in_one_line(", ".join(repr(names[at]) for at in labels))
+        warnings.warn(f"{path}: columns of text are left out: {shown}", UserWarning, stacklevel=2)
+    for at in others:
+        if at not in labels:
+            # Columns that are not chosen may have the names of those that are.
+            columns[f"{names[at]}_" if names[at] in AXES else names[at]] = cells.values[:, at]
+    return columns
 
 
 def _line_end(data: bytes, start: int) -> int:
@@ -152,44 +234,13 @@ def _line_end(data: bytes, start: int) -> int:
     return len(data) if end < 0 else end + 1
 
 
-def _decoded(text: bytes, start: int, path: Path) -> str:
-    try:
-        return text.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(
-            f"{path}: byte {start + error.start} is not text; the file is damaged or of another format"
-        ) from None
-
-
-def _blame(lines: Sequence[str], above: int, path: Path) -> None:
-    """Raise the error for the first line that differs from the first row."""
-    columns = 0
-    for number, line in enumerate(lines, above + 1):
-        text = line.partition("#")[0].strip()
-        if not text:
-            continue
-        values = _numbers(text)
-        if values is None:
-            raise FileFormatError(
-                f"{path}: line {number} ({text[:60]!r}) is not a row of numbers; correct or remove it"
-            )
-        columns = columns or len(values)
-        if len(values) != columns:
-            raise FileFormatError(
-                f"{path}: line {number} has {len(values)} values and the rows above have {columns}; complete it"
-            )
+# Words of a line of names; a unit in brackets belongs to the word before it.
+_WORD = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ ]*[\[(][^\])]*[\])])?|\S+')
 
 
 def _words(line: str) -> list[str]:
-    for separator in (",", ";"):
-        if separator in line:
-            return [word.strip().strip('"') for word in line.split(separator)]
-    return [word.strip('"') for word in line.split()]
-
-
-def _numbers(line: str) -> list[float] | None:
-    # Empty fields between commas stay words, so that they are rejected and not skipped.
-    try:
-        return [float(word) for word in _words(line)]
-    except ValueError:
-        return None
+    separator = separator_of(line)
+    if separator is None and "\t" in line.strip():
+        separator = "\t"
+    words = _WORD.findall(line) if separator is None else split_line(line, separator)
+    return [word.strip().strip('"') for word in words]

@@ -254,6 +254,9 @@ def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
         return None
     counts, indices = memoryview(counts or array("i")), memoryview(indices or array("i"))
     vertex, polygon, corner = _primvars(mesh, time, len(points), len(counts), len(indices))
+    holes = mesh.GetHoleIndicesAttr().Get(time)
+    if holes:
+        counts, indices, polygon, corner = _without_holes(holes, counts, indices, polygon, corner)
     return Body(
         memoryview(points),
         counts,
@@ -265,6 +268,25 @@ def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
         polygon_data=polygon,
         corner_data=corner,
     )
+
+
+def _without_holes(
+    holes: Any, counts: Any, indices: Any, polygon: dict[str, Any], corner: dict[str, Any]
+) -> tuple[Any, Any, dict[str, Any], dict[str, Any]]:
+    """Polygons without those that the mesh names as holes of its surface, and their data."""
+    import numpy as np
+
+    sizes = np.asarray(counts)
+    kept = np.ones(len(sizes), bool)
+    rows = np.asarray(holes)
+    kept[rows[(rows >= 0) & (rows < len(sizes))]] = False
+    corners = np.repeat(kept, np.maximum(sizes, 0))
+    if len(corners) != len(indices):
+        # Damaged, which the caller of the reader reports.
+        return counts, indices, polygon, corner
+    polygon = {name: values[kept] for name, values in polygon.items()}
+    corner = {name: values[corners] for name, values in corner.items()}
+    return sizes[kept], np.asarray(indices)[corners], polygon, corner
 
 
 def _primvars(

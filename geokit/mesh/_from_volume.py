@@ -13,7 +13,7 @@ from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED
-from geokit.volume.nanovdb.types import ISOSURFACE_TYPES
+from geokit.volume.nanovdb.types import ISOSURFACE_TYPES, TYPES
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
@@ -213,10 +213,19 @@ def _require_real(volume: SparseVolume) -> None:
             "use a scalar grid, such as one component of it"
         )
     if grid_type not in ISOSURFACE_TYPES:
-        raise UnsupportedGridError(
-            f"volume: grid {volume.info.name!r} of type {grid_type} has no isosurface; "
-            f"convert it to one of {', '.join(ISOSURFACE_TYPES)}"
-        )
+        remedy = f"convert it to one of {', '.join(ISOSURFACE_TYPES)}"
+        if _is_whole(grid_type):
+            # A mask: inside where its values are large, unlike a level set.
+            remedy += (
+                ', or make it of its array with volume.from_dense(..., grid_class="fog volume"), whose surface at '
+            )
+            remedy += "isovalue=0.5 encloses what is 1"
+        raise UnsupportedGridError(f"volume: grid {volume.info.name!r} of type {grid_type} has no isosurface; {remedy}")
+
+
+def _is_whole(grid_type: str) -> bool:
+    """Whether voxels are whole numbers, or bits."""
+    return any(kind.name == grid_type and kind.family in ("integer", "bool", "mask") for kind in TYPES)
 
 
 def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> TriangleMesh:

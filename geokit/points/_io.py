@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -31,8 +31,8 @@ __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
 TREE_COPIES, TREE_ROW, TREE_BYTES = 6, 200, 16 << 20
 # Of VTK's libraries, which are mapped at first use and end the process where there is no room for them.
 VTK_BYTES = 20 << 20
-# Text without a header: no rows are no points.
-_MAY_BE_EMPTY = (".csv", ".txt", ".xyz")
+# Of columns with or without names: no rows are no points.
+_TABLES = (".csv", ".txt", ".xyz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +90,28 @@ def load(
     path: str | os.PathLike[str],
     *,
     grid: str | None = None,
+    columns: Sequence[str] | None = None,
     finite_only: bool = False,
     trusted: bool = False,
     memory_limit: int | None = None,
 ) -> PointCloud:
     """Read points and their data arrays from a file.
 
-    Formats: .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (columns named x, y,
-    z, else the first three), .pts, .npy ((N, K), the first three columns), .npz (the array ``points``, else the only
-    one of shape (N, 3); other arrays with N rows are data), .e57 (with pye57), .bin (KITTI's x, y, z and reflectance in
-    float32; of nuScenes if the name ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices).
+    Formats: .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (see below), .pts,
+    .npy ((N, K), the first three columns), .npz (the array ``points``, else the only one of shape (N, 3); other arrays
+    with N rows are data), .e57 (with pye57), .bin (KITTI's x, y, z and reflectance in float32; of nuScenes if the name
+    ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices).
 
     Columns ``name_x, name_y, name_z`` become one array (N, 3), ``nx, ny, nz`` the array ``normals``, and
     ``red, green, blue`` of one type the array ``rgb``; unnamed columns are called ``column_3``, ``column_4``, ... Text
     is read as float64, each number rounded correctly.
+
+    In .csv, .xyz and .txt a first line without any number is a header. The coordinates are the columns called x, y and
+    z, in either case and with a unit (``X [m]``); else those of the only position (``pos_x``, ``position.x``,
+    ``Points:0``, ``x_coord``); else easting, northing and height, elevation or altitude. A header without any of these
+    is an error that lists its names; ``columns`` then chooses. Without a header they are the first three columns.
+    Columns of text are left out with a warning. Words such as nan, N/A and -nan(ind) are NaN, and so are empty cells
+    outside of the coordinates. Exponents may be Fortran's (1.5D+00).
 
     In .pcd files ``normal_x, normal_y, normal_z`` become ``normals``, and a packed ``rgb`` or ``rgba`` becomes an array
     of uint8; width, height and viewpoint are not kept, and the viewpoint is not applied. In .pts files the color
@@ -117,6 +125,8 @@ def load(
     Args:
         path: {formats}.
         grid: Of a .vdb: name of the grid of points; None if there is one.
+        columns: Of a .csv, .xyz or .txt: names of the columns of x, y and z, as in ("east", "north", "up"). Columns
+            without names are called ``column_0``, ``column_1``, ... None finds them by their names.
         finite_only: Leave out points that are not finite, as scanners write them for rays without an echo, with their
             rows of data. Otherwise such points raise FileFormatError.
         trusted: Whether a .vtp, .laz, .e57 or .vdb file is known to be sound. It is then read in this process, which
@@ -127,10 +137,10 @@ def load(
         PointCloud.
     Raises:
         InputError: The extension is not one of these, the .vdb has no such grid of points, or several and none is
-            named.
+            named; or columns are not three names of columns of the table.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The content is damaged or has no coordinates, or a point is not finite; the message gives the
-            row.
+        FileFormatError: The content is damaged, has no coordinates or none that its names tell, or a point is not
+            finite; the message gives the row.
         DeviceMemoryError: The content is larger than memory_limit.
         MissingDependencyError: The file is .las or .laz and laspy is not installed, or .e57 and pye57 is not, or .vdb
             without the OpenVDB extension.
@@ -143,13 +153,16 @@ def load(
     Held by: tests/formats/test_damaged_points_stability.py, tests/formats/test_bombs_stability.py,
     tests/formats/reader/test_trusted.py, tests/native/test_points.py
     """
-    return load_counted(path, grid=grid, finite_only=finite_only, trusted=trusted, memory_limit=memory_limit)[0]
+    return load_counted(
+        path, grid=grid, columns=columns, finite_only=finite_only, trusted=trusted, memory_limit=memory_limit
+    )[0]
 
 
 def load_counted(
     path: str | os.PathLike[str],
     *,
     grid: str | None = None,
+    columns: Sequence[str] | None = None,
     finite_only: bool = False,
     trusted: bool = False,
     memory_limit: int | None = None,
@@ -162,8 +175,10 @@ def load_counted(
         require_text(grid, "grid")
         if kind != ".vdb":
             raise InputError(f"grid: {kind} holds one cloud; leave it out")
+    if columns is not None:
+        columns = _three_names(columns, kind)
     path = require_file(path)
-    if kind not in _MAY_BE_EMPTY:
+    if kind not in _TABLES:
         refuse_empty(path)
     if kind == ".vdb":
         from geokit.native import _points as vdb_points
@@ -174,7 +189,7 @@ def load_counted(
     with named_damage(path):
         size, limit = _sizes(path, module, memory_limit)
         if size is None or not FORMATS[kind].process:
-            points, data = module.read_points(path)
+            points, data = module.read_points(path) if columns is None else module.read_points(path, columns)
         elif trusted:
             from geokit.formats.reader import trusted as in_process
 
@@ -184,6 +199,23 @@ def load_counted(
 
             points, data = reader_process.read_points(path, module.__name__, limit)
     return _finite(path, points, data, finite_only=finite_only)
+
+
+def _three_names(columns: Any, kind: str) -> tuple[str, ...]:
+    """Names of three columns.
+
+    Raises:
+        InputError: They are others, or the format is no table.
+    """
+    if kind not in _TABLES:
+        raise InputError(f"columns: {kind} says itself which numbers are coordinates; leave it out")
+    if isinstance(columns, str) or not isinstance(columns, Sequence):
+        raise InputError(f"columns: {described(columns)} is not a list of three names; use ('a', 'b', 'c')")
+    for name in columns:
+        require_text(name, "columns")
+    if len(columns) != 3 or len(set(columns)) != 3:
+        raise InputError(f"columns: {described(columns)} is not three different names; use ('a', 'b', 'c')")
+    return tuple(columns)
 
 
 def _finite(

@@ -84,3 +84,33 @@ def test_damaged_files(geokit, fails, tmp_path: Path, cube_sdf: Path) -> None:
     empty = tmp_path / "empty.obj"
     empty.write_bytes(b"")
     fails(geokit("info", empty), 1, "empty.obj")
+
+
+@pytest.mark.slow
+def test_columns_of_a_table_are_chosen(geokit, fails, cube: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,a,b,c d\n0,1,2,3\n1,4,5,6\n")
+    fails(geokit("info", path), 1, "'time', 'a', 'b', 'c d'", "--columns time,a,b of geokit convert")
+    done = geokit("info", path, "--columns", "a, b, c d", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["bounds"] == [[1, 2, 3], [4, 5, 6]]
+    fails(geokit("info", path, "--columns", "a,b"), 1, "--columns: ", "three different names")
+    fails(geokit("info", path, "--columns", "a,b,q"), 1, "--columns: 'q' is not the name")
+    fails(geokit("info", cube, "--columns", "a,b,c"), 1, "--columns: has no effect on a mesh")
+    target = tmp_path / "a.ply"
+    assert geokit("convert", path, target, "--columns", "b,a,c d").returncode == 0
+    from geokit.points import load
+
+    assert load(target).points.tolist() == [[2, 1, 3], [5, 4, 6]]
+    fails(geokit("convert", cube, tmp_path / "b.ply", "--columns", "a,b,c"), 1, "--columns: has no effect")
+
+
+@pytest.mark.slow
+def test_what_was_not_computed_is_not_none(geokit, cube: Path, tmp_path: Path) -> None:
+    path = tmp_path / "field.npy"
+    np.save(path, np.zeros((4, 4, 4), np.float32))
+    shown, report = geokit("info", path).stdout, json.loads(geokit("info", path, "--json").stdout)
+    assert "not asked" in shown
+    assert "none" not in shown
+    assert report["grids"][0]["active_voxel_count"] is None
+    assert "none" not in geokit("info", cube).stdout

@@ -16,9 +16,10 @@ from geokit import formats
 from geokit.cli import query
 from geokit.cli._kinds import kind_of_input, kind_of_output
 from geokit.cli._results import OUTPUT_EXTENSIONS
-from geokit.formats import decimal, lzf
+from geokit.formats import lzf
 from geokit.formats.reader import process as reader_process
 from geokit.formats.table import FORMATS, Format, extensions, image_module, module_of
+from geokit.formats.text_files import decimal
 from geokit.native import _parsers
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -333,7 +333,7 @@ def _point_calls(s: Scene) -> Iterator[Call]:
     for library in ("trimesh", "pyvista"):
         yield Call(f"points.to_{library}", getattr(p, f"to_{library}"), {"points": s.cloud}, {"points": "numbers"})
     yield Call("points.sample", p.sample, {"mesh": s.painted.mesh, "count": 20})
-    yield Call("points.load", p.load, {"path": s.folder / "cloud.csv"})
+    yield Call("points.load", p.load, {"path": s.folder / "cloud.csv", "columns": ("x", "y", "z")})
     yield Call("points.load(vtp)", p.load, {"path": s.folder / "mesh.vtp", "trusted": True})
     if native.available():
         yield Call("points.load(vdb)", p.load, {"path": s.folder / "points.vdb", "grid": "points", "trusted": True})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from geokit.core.files import refuse_empty, require_extension, require_file
 from geokit.errors import FileFormatError
 from geokit.formats.ply import read_header
-from geokit.formats.stl import HEADER_BYTES, RECORD
+from geokit.formats.stl import HEADER_BYTES, RECORD, binary_count, left_behind
+from geokit.formats.text_files.plain import without_mark
 
 __all__ = ["KINDS", "TriangleFile", "open_triangles"]
 
@@ -73,17 +75,25 @@ def _open_stl(path: Path) -> TriangleFile:
     size = path.stat().st_size
     with open(path, "rb") as file:
         head = file.read(HEADER_BYTES)
-    count = int.from_bytes(head[80:84], "little") if len(head) == HEADER_BYTES else -1
-    if size != HEADER_BYTES + count * RECORD.itemsize:
-        if head.lstrip()[:5].lower() == b"solid":
+    found = binary_count(head, size)
+    if found is None:
+        if _is_text(head):
             raise FileFormatError(f"{path}: is text, which has no blocks; {REMEDY}")
-        raise FileFormatError(f"{path}: {size} bytes are not those of {count} triangles; get a whole copy")
+        declared = int.from_bytes(head[80:84], "little")
+        raise FileFormatError(f"{path}: {size} bytes are not those of {declared} triangles; get a whole copy")
+    count = found
+    for note in left_behind(size, count):
+        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=4)
 
     def read(first: int, rows: int) -> NDArray[Any]:
         records = np.fromfile(path, RECORD, rows, offset=HEADER_BYTES + first * RECORD.itemsize)
         return _whole(records, rows, path)["corners"].astype(np.float32)
 
     return TriangleFile(path, count, np.dtype(np.float32), read)
+
+
+def _is_text(head: bytes) -> bool:
+    return without_mark(head).lstrip()[:5].lower() == b"solid"
 
 
 def _open_ply(path: Path) -> TriangleFile:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import geokit as gk
 from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
@@ -537,3 +538,13 @@ class TestRefusals:
         monkeypatch.setattr(native, "_load", lambda: (None, "not built"))
         with pytest.raises(MissingDependencyError, match="libopenvdb-dev"):
             from_volume(_grid(_ball), method="openvdb")
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16])
+def test_a_mask_without_an_isosurface_names_the_class_that_has_one(dtype: type) -> None:
+    mask = np.zeros((6, 6, 6), dtype)
+    mask[2:4, 2:4, 2:4] = 1
+    with pytest.raises(gk.UnsupportedGridError, match=r'from_dense\(\.\.\., grid_class="fog volume"\)'):
+        gk.mesh.from_volume(gk.volume.from_dense(mask, voxel_size=1.0), isovalue=0.5)
+    fog = gk.volume.from_dense(mask, voxel_size=1.0, grid_class="fog volume")
+    assert gk.mesh.audit(gk.mesh.from_volume(fog, isovalue=0.5)).signed_volume > 0.0

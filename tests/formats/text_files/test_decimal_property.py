@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
-from geokit.formats import decimal
-from geokit.formats.decimal import parse
+from geokit.formats.text_files import decimal
+from geokit.formats.text_files.decimal import parse
 from geokit.native._parsers import parsers
 from geokit.points import _io as io
 

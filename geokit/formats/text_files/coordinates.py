@@ -1,0 +1,93 @@
+"""Which columns of a table are the coordinates, by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from geokit.core.files import in_one_line
+from geokit.errors import FileFormatError
+
+__all__ = ["coordinate_columns"]
+
+# The unit behind a name: X [m], X(m), X_mm.
+_UNIT = re.compile(
+    r"\s*[\[({<][^\])}>]*[\])}>]$|(?<=[xyz])[ _/](?:[munk]?m|cm|dm|ft|in|feet|inch(?:es)?|met(?:er|re)s?)$"
+)
+_PLACE = re.compile(r"[\[(]([012xyz])[\])]$")
+_WORD = "pos|position|point|pnt|coord|coordinate|location|loc|vertex|xyz|cent(?:er|re)|centroid"
+# position.x, Points:0, px; x_coord, x position. What stands before belongs to the name.
+_VECTOR = re.compile(
+    rf"(?P<of>(?:.*[ _.:/\-])?(?:{_WORD})s?)[ _.:/\-]*(?P<axis>[xyz012])|(?P<short>p)(?P<letter>[xyz])"
+)
+_TURNED = re.compile(rf"(?P<axis>[xyz])[ _.:/\-]?(?P<of>(?:{_WORD}|axis)s?)")
+_SIGNS = re.compile(r"[ _.:/\-]+")
+_EAST, _NORTH = {"easting", "eastings", "east"}, {"northing", "northings", "north"}
+_UP = {"height", "elevation", "elev", "altitude", "alt", "z", "up"}
+_ANGLES = {"lon", "long", "longitude", "lng"}, {"lat", "latitude"}
+
+
+def coordinate_columns(names: Sequence[str], path: Path) -> tuple[int, int, int] | None:
+    """Places of the columns of x, y and z; None if no names are those of coordinates, or several sets are.
+
+    Known are x, y and z, also with a unit (``X [m]``); the three numbers of a position (``pos_x``, ``position.x``,
+    ``Points:0``, ``x_coord``); and easting, northing and a height, also a height beside x and y.
+
+    Raises:
+        FileFormatError: The names are those of longitude and latitude, which are angles.
+    """
+    plain = [_plain(name) for name in names]
+    for found in (_axes(plain), _vector(plain), _east_north_up(plain)):
+        if found is not None:
+            return found
+    words = [set(_SIGNS.split(name)) for name in plain]
+    if all(any(word & angle for word in words) for angle in _ANGLES):
+        raise FileFormatError(
+            f"{path}: its columns {in_one_line(', '.join(names))} hold longitudes and latitudes, which are angles; "
+            "project them to lengths first, or choose three other columns with columns=(...)"
+        )
+    return None
+
+
+def _plain(name: str) -> str:
+    low = _PLACE.sub(r"_\1", name.strip().strip("\"'").lstrip("/#%!").strip().lower())
+    return _UNIT.sub("", low)
+
+
+def _only(places: list[int]) -> int | None:
+    return places[0] if len(places) == 1 else None
+
+
+def _triple(*places: int | None) -> tuple[int, int, int] | None:
+    a, b, c = places
+    return None if a is None or b is None or c is None else (a, b, c)
+
+
+def _axes(plain: list[str]) -> tuple[int, int, int] | None:
+    return _triple(*(_only([at for at, name in enumerate(plain) if name == axis]) for axis in "xyz"))
+
+
+def _vector(plain: list[str]) -> tuple[int, int, int] | None:
+    """The columns of the only vector that is a position."""
+    vectors: dict[str, dict[str, int]] = {}
+    for at, name in enumerate(plain):
+        match = _VECTOR.fullmatch(name) or _TURNED.fullmatch(name)
+        if match:
+            parts = match.groupdict()
+            of, axis = parts["of"] or parts["short"], parts["axis"] or parts["letter"]
+            vectors.setdefault(of, {}).setdefault({"0": "x", "1": "y", "2": "z"}.get(axis, axis), at)
+    whole = [vector for vector in vectors.values() if len(vector) == 3]
+    return (whole[0]["x"], whole[0]["y"], whole[0]["z"]) if len(whole) == 1 else None
+
+
+def _east_north_up(plain: list[str]) -> tuple[int, int, int] | None:
+    words = [set(_SIGNS.split(name)) for name in plain]
+
+    def place(known: set[str]) -> int | None:
+        return _only([at for at, word in enumerate(words) if word & known])
+
+    found = _triple(place(_EAST), place(_NORTH), place(_UP))
+    letters = [_only([at for at, name in enumerate(plain) if name in known]) for known in ("e", "n", ("h", "u", "z"))]
+    across = [_only([at for at, name in enumerate(plain) if name == axis]) for axis in "xy"]
+    return found or _triple(*letters) or _triple(*across, place(_UP))

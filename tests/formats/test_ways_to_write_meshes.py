@@ -1,0 +1,183 @@
+"""STL, OFF, XDMF and USD as programs write them beside the letter of the format."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geokit as gk
+
+VERTICES = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)])
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FACES = np.array([[quad[0], quad[at], quad[at + 1]] for quad in QUADS for at in (1, 2)])
+FACETS = "".join(
+    "facet normal 0 0 0\n outer loop\n"
+    + "".join(f"  vertex {x!r} {y!r} {z!r}\n" for x, y, z in VERTICES[face].tolist())
+    + " endloop\nendfacet\n"
+    for face in FACES
+)
+HALVES = ["endfacet\n".join([*part, ""]) for part in (FACETS.split("endfacet\n")[:6], FACETS.split("endfacet\n")[6:-1])]
+RECORDS = b"".join(struct.pack("<12fH", 0, 0, 0, *VERTICES[face].ravel(), 0) for face in FACES)
+
+
+def loaded(path: Path, content: str | bytes) -> gk.mesh.TriangleMesh:
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    mesh = gk.mesh.load(path)
+    audit = gk.mesh.audit(mesh)
+    assert (audit.face_count, audit.watertight, audit.signed_volume) == (12, True, 6.0)
+    return mesh
+
+
+# --- STL --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"solid a\n{FACETS}end solid a\n",
+        f"solid a\n{FACETS}endsolid",
+        f"SOLID a\n{FACETS.upper()}END SOLID a\n",
+        f"solid a\r{FACETS}endsolid a\r".replace("\n", "\r"),
+        " ".join(f"solid a\n{FACETS}endsolid a\n".split()),
+        f"solid a\n{FACETS}endsolid a\n".replace("outer", "color 1 0 0\n outer"),
+        f"solid a\n color 0.5 0.5 0.5\n{FACETS}endsolid a\n".replace("0 0 0\n", "0 0 0\n COLOR 1 0 0\n"),
+        f"solid a\n{FACETS}endsolid a\n".replace("1.0", "0.1D+01"),
+        f"solid my facet normal part\n{FACETS}endsolid my facet normal part\n",
+    ],
+)
+def test_text_of_stl(tmp_path: Path, text: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loaded(tmp_path / "a.stl", text)
+
+
+def test_stl_without_endsolid_is_read_and_told(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="the last solid has no 'endsolid'"):
+        loaded(tmp_path / "a.stl", f"solid a\n{FACETS}")
+    with pytest.warns(UserWarning, match="a solid has no 'endsolid' before the next"):
+        mesh = loaded(tmp_path / "a.stl", f"solid a\n{HALVES[0]}solid b\n{HALVES[1]}endsolid b\n")
+    assert [(part.name, part.face_count) for part in mesh.parts] == [("a", 6), ("b", 6)]
+
+
+@pytest.mark.parametrize("cut", ["endfacet\n", " endloop\nendfacet\n", "0\n  vertex 1.0 2.0 3.0\n endloop\nendfacet\n"])
+def test_stl_that_ends_in_a_facet_is_refused(tmp_path: Path, cut: str) -> None:
+    path = tmp_path / "a.stl"
+    path.write_text(f"solid a\n{FACETS}"[: -len(cut)])
+    with pytest.raises(gk.FileFormatError, match="no 'endsolid'"):
+        gk.mesh.load(path)
+
+
+@pytest.mark.parametrize("head", [b"", b"solid of a CAD", b"solid facet normal outer loop vertex"])
+@pytest.mark.parametrize("behind", [1, 37, 49, 51, 1234])
+def test_bytes_behind_a_binary_stl(tmp_path: Path, head: bytes, behind: int) -> None:
+    path = tmp_path / "a.stl"
+    with pytest.warns(UserWarning, match=f"{behind} bytes behind the last of its 12 triangles"):
+        loaded(path, head.ljust(80) + struct.pack("<I", 12) + RECORDS + b"\x01" * behind)
+    with pytest.warns(UserWarning, match=f"{behind} bytes behind the last of its 12 triangles"):
+        assert gk.mesh.audit_file(path).signed_volume == 6.0
+
+
+@pytest.mark.parametrize("count", [0, 11, 2, 13, 1 << 31])
+def test_a_wrong_count_of_triangles_is_refused(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "a.stl"
+    path.write_bytes(b"".ljust(80) + struct.pack("<I", count) + RECORDS)
+    with pytest.raises(gk.FileFormatError, match=f"declares {count} triangles"):
+        gk.mesh.load(path)
+    with pytest.raises(gk.FileFormatError, match=f"not those of {count} triangles"):
+        gk.mesh.audit_file(path)
+
+
+# --- OFF --------------------------------------------------------------------------------------------------------------
+
+_ROWS = "".join(f"{x} {y} {z}\n" for x, y, z in VERTICES.tolist())
+_FACES = "".join(f"3 {a} {b} {c}\n" for a, b, c in FACES.tolist())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"OFF8 12 0\n{_ROWS}{_FACES}",
+        f"off\n8 12 0\n{_ROWS}{_FACES}",
+        f"coff 8 12 0\n{_ROWS.replace(chr(10), ' 255 0 0 255' + chr(10))}{_FACES}",
+        f"8 12 0\n{_ROWS}{_FACES}",
+        f"# no word\n8 12\n\n{_ROWS}{_FACES}",
+        f"OFF\n8 12 0\n{_ROWS}{_FACES.replace(' ', chr(10), 1)}",
+        f"OFF\n8 12 0\n{_ROWS}{_FACES.replace('3 ', '3' + chr(10))}",
+        f"OFF # a box\r# counts\r8 12 0\r{_ROWS}{_FACES}".replace("\n", "\r"),
+    ],
+)
+def test_text_of_off(tmp_path: Path, text: str) -> None:
+    loaded(tmp_path / "a.off", text)
+
+
+@pytest.mark.parametrize(
+    "text", [f"8 12 0\n{_ROWS}", f"8 12 0\n{_ROWS}{_FACES}3 0 1 2\n", f"8 0 0\n{_ROWS}", f"{_ROWS}", "4OFF\n8 12 0\n"]
+)
+def test_counts_without_a_word_have_as_many_lines(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.off"
+    path.write_text(text)
+    with pytest.raises(gk.FileFormatError, match="does not start with OFF"):
+        gk.mesh.load(path)
+
+
+# --- XDMF -------------------------------------------------------------------------------------------------------------
+
+_GRID = (
+    '<Grid Name="{name}" GridType="Uniform"><Geometry GeometryType="{kind}"><DataItem Dimensions="4 3" Format="XML">'
+    "0 0 0 1 0 0 0 1 0 1 1 0</DataItem></Geometry>"
+    '<Topology TopologyType="Triangle" NumberOfElements="2"><DataItem Dimensions="2 3" Format="XML" NumberType="Int">'
+    "0 1 3 0 3 2</DataItem></Topology></Grid>"
+)
+_ONE = _GRID.format(name="g", kind="XYZ")
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (f'<Grid GridType="Collection" CollectionType="Temporal">{_ONE * 12}</Grid>', "a time series of 12 steps"),
+        (
+            f'<Grid GridType="Collection" CollectionType="Temporal">{_ONE}</Grid>',
+            r"a time series of 1 step,.*TimeSeries",
+        ),
+        (f'<Grid GridType="Collection" CollectionType="Spatial">{_ONE * 2}</Grid>', "a collection of 2 grids"),
+        (f'<Grid GridType="Tree">{_ONE * 3}</Grid>', "a collection of 3 grids"),
+        (_ONE * 2, "holds 2 grids"),
+        (_GRID.format(name="g", kind="X_Y_Z"), "geometry of type X_Y_Z"),
+    ],
+)
+def test_xdmf_of_more_than_a_mesh_is_called_what_it_is(tmp_path: Path, body: str, message: str) -> None:
+    path = tmp_path / "a.xdmf"
+    path.write_text(f'<?xml version="1.0"?><Xdmf Version="3.0"><Domain>{body}</Domain></Xdmf>')
+    with pytest.raises(gk.FileFormatError, match=message) as caught:
+        gk.mesh.load(path)
+    assert "damaged" not in str(caught.value)
+    path.write_text(f'<?xml version="1.0"?><Xdmf Version="3.0"><Domain>{_ONE}</Domain></Xdmf>')
+    assert gk.mesh.audit(gk.mesh.load(path)).area == 1.0
+
+
+# --- USD --------------------------------------------------------------------------------------------------------------
+
+
+def test_holes_of_usd_are_left_out_with_their_data(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    path = tmp_path / "a.usda"
+    path.write_text(
+        """#usda 1.0
+def Mesh "a" {
+    int[] faceVertexCounts = [4, 4, 3]
+    int[] faceVertexIndices = [0, 1, 4, 3, 1, 2, 5, 4, 3, 4, 6]
+    int[] holeIndices = [1]
+    point3f[] points = [(0,0,0),(1,0,0),(2,0,0),(0,1,0),(1,1,0),(2,1,0),(0,2,0)]
+    float[] primvars:weight = [1, 2, 3] (interpolation = "uniform")
+    float[] primvars:corner = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10] (interpolation = "faceVarying")
+}
+"""
+    )
+    mesh = gk.mesh.load(path)
+    assert gk.mesh.audit(mesh).area == 1.5
+    assert mesh.face_data["weight"].tolist() == [1, 1, 3]
+    assert mesh.corner_data["corner"].tolist() == [[0, 1, 2], [0, 2, 3], [8, 9, 10]]
