@@ -1,4 +1,4 @@
-"""The few array functions that closed forms are written with, for torch and jax alike, and vectors made of them."""
+"""The few array functions that closed forms are written with, for all libraries alike, and vectors made of them."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop.arrays import import_array
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
@@ -125,6 +125,7 @@ class PointQueries:
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     # Its answers are dictionaries of NumPy arrays, so calls are not replayed.
+    @undifferentiable
     @needs(lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points), late=True)
     @on_snapshot
     def sample_attributes(
@@ -162,6 +163,7 @@ class PointQueries:
         return interpolated(self.mesh, triangle_id, barycentric.astype(np.float64), asked)
 
     @placed("points", moved=("points",))
+    @undifferentiable
     @replayed()
     @needs(lambda self, points, *_, **__: 72 * rows(points), late=True)
     @on_snapshot

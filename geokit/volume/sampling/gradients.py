@@ -106,6 +106,17 @@ def _order(asked: Asked) -> int:
     return order
 
 
+def _check_sample(asked: Asked) -> None:
+    _order(asked)
+
+
+def _check_gradient(asked: Asked) -> None:
+    _order(asked)
+    components = COMPONENTS.get(asked.arguments["volume"].info.grid_type, 1)
+    if components > 1 or asked.arguments["channel"] is not None:
+        raise InputError("points: second derivatives are known for scalar grids without channels; detach the points")
+
+
 def _pull_sample(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
     (slope,), order, points = slopes, _order(asked), asked.tensors["points"]
     volume, space, device = (asked.arguments[name] for name in ("volume", "space", "device"))
@@ -119,10 +130,9 @@ def _pull_sample(library: Library, asked: Asked, answer: Any, slopes: Any) -> di
 
 
 def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
+    _check_gradient(asked)
     (slope,), order, points = slopes, _order(asked), asked.tensors["points"]
     volume, space, device = (asked.arguments[name] for name in ("volume", "space", "device"))
-    if slope.ndim > 2 or asked.arguments["channel"] is not None:
-        raise InputError("points: second derivatives are known for scalar grids without channels; detach the points")
     stencil = _Stencil(library, volume, points, order, space)
     if order == 1:
         second = _mixed(library, stencil, stencil.read(volume, device))
@@ -195,7 +205,7 @@ def _shapes(*columns: tuple[int, ...], name: str = "points", of: bool = False) -
     return shapes
 
 
-SAMPLE = Rule((True,), pull=_pull_sample, shapes=_shapes((), of=True))
-GRADIENT = Rule((True,), pull=_pull_gradient, shapes=_shapes((3,), of=True))
+SAMPLE = Rule((True,), pull=_pull_sample, check=_check_sample, shapes=_shapes((), of=True))
+GRADIENT = Rule((True,), pull=_pull_gradient, check=_check_gradient, shapes=_shapes((3,), of=True))
 ADAPTIVE = Rule((True,), pull=_pull_adaptive, shapes=_shapes(()))
 RAYCAST = Rule((True, True, False), pull=_pull_raycast, shapes=_shapes((), (3,), (3,), name="origins"))
