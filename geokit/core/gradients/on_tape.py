@@ -2,7 +2,7 @@
 
 A backward pass reads arrays where they are then, as those of warp's own launches do: what is overwritten between the
 query and the pass has its new values. It adds to the gradients of arguments, and consumes those of answers: a second
-pass over a tape adds as much again. Arrays of a GPU go by way of the host.
+pass over a tape adds as much again. Arrays of a GPU go by way of the host, except where a rule has a kernel.
 """
 
 from __future__ import annotations
@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 
 from geokit.core.gradients.rules import Asked, Call, detached, is_tracked, untracked
 from geokit.core.gradients.with_numpy import Followed, plain, pulled, pulled_back
+from geokit.core.interop.arrays import reinterpreted
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array
 from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
 __all__ = ["attach", "derived"]
+
+# Numbers and vectors of one precision.
+_SINGLE, _DOUBLE = (wp.float32, wp.vec3f), (wp.float64, wp.vec3d)
+_NUMBERS = {wp.float32: _SINGLE, wp.vec3f: _SINGLE, wp.float64: _DOUBLE, wp.vec3d: _DOUBLE}
 
 
 def attach(call: Call) -> Any:
@@ -40,13 +45,16 @@ def attach(call: Call) -> Any:
     outputs = answer if isinstance(answer, tuple) else (answer,)
     wanted = {name: array for name, array in arrays.items() if array.requires_grad}
 
+    def on_device(slopes: list[Any]) -> bool:
+        return rule.on_device is not None and _on_device(rule.on_device, arrays, others, outputs, slopes)
+
     def back(slopes: list[Any]) -> list[NDArray[Any]]:
         tensors = {name: _rows(array) for name, array in arrays.items()}
         inputs = {name: part for name, part in tensors.items() if name in call.entry.inputs}
         found = pulled(rule, Asked(tensors, {**others, **inputs}), list(map(_rows, outputs)), slopes, list(wanted))
         return [found[name] for name in wanted]
 
-    _record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names))
+    _record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names), on_device)
     return answer
 
 
@@ -75,8 +83,23 @@ def derived(build: Callable[..., Any], *arrays: Any) -> Any:
     return _with_leaves(found, iter(outputs))
 
 
-def _record(inputs: list[Any], outputs: list[Any], has_slope: Any, back: Any, names: str) -> None:
-    """Record ``back``, which takes the slopes of the outputs (None where they are 0) to those of the inputs."""
+def _record(
+    inputs: list[Any],
+    outputs: list[Any],
+    has_slope: Any,
+    back: Callable[[list[Any]], list[NDArray[Any]]],
+    names: str,
+    on_device: Callable[[list[Any]], bool] = lambda _: False,
+) -> None:
+    """Record the way back from outputs to inputs.
+
+    Args:
+        inputs, outputs: Arrays of warp.
+        has_slope: For each output, whether it has a derivative.
+        back: Takes the slopes of the outputs (None where they are 0) to those of the inputs, on the host.
+        names: Of the inputs.
+        on_device: Adds the same to the gradients of the inputs on their device, and returns whether it could.
+    """
     tape = warp_private.tape_in_progress()
     if isinstance(tape, str):
         raise InputError(
@@ -95,6 +118,10 @@ def _record(inputs: list[Any], outputs: list[Any], has_slope: Any, back: Any, na
                 f"{names}: gradients of queries are computed on the host, which a CUDA graph does not record; "
                 "take the backward pass outside the capture"
             )
+        if on_device([None if out is None else out.grad for out in sloped]):
+            for out in carrying:
+                _consume(out)
+            return
         slopes = [None if out is None else _consumed(out) for out in sloped]
         if any(slope is not None for slope in slopes):
             for array, part in zip(inputs, back(slopes), strict=True):
@@ -140,9 +167,35 @@ def _consumed(out: Any) -> NDArray[np.float64] | None:
     slope = _rows(out.grad)
     if not slope.any():
         return None
+    _consume(out)
+    return slope
+
+
+def _consume(out: Any) -> None:
     if not out.retain_grad:
         out.grad.zero_()
-    return slope
+
+
+def _on_device(
+    pull: Callable[..., bool], arrays: dict[str, Any], others: dict[str, Any], outputs: Any, slopes: list[Any]
+) -> bool:
+    """Call a rule's ``on_device`` if the arrays are as it takes them."""
+    totals = {name: array.grad for name, array in arrays.items() if array.requires_grad}
+    first = next(iter(arrays.values()))
+    numbers = _NUMBERS[first.dtype]
+    given = [*arrays.values(), *totals.values(), *outputs, *(slope for slope in slopes if slope is not None)]
+    if any(array.device != first.device or not array.is_contiguous or not array.size for array in given):
+        return False
+    if any(array.dtype not in (*numbers, wp.int32) for array in given):
+        return False
+
+    def vectors(array: Any) -> Any:
+        is_table = array is not None and array.ndim == 2 and array.shape[1] == 3 and array.dtype == numbers[0]
+        return reinterpreted(array, numbers[1], array.shape[:1]) if is_table else array
+
+    asked = Asked({name: vectors(detached(array)) for name, array in arrays.items()}, others)
+    by_name = {name: vectors(total) for name, total in totals.items()}
+    return pull(asked, [vectors(out) for out in outputs], [vectors(slope) for slope in slopes], by_name)
 
 
 def _add_to(array: Any, part: NDArray[Any]) -> None:

@@ -62,6 +62,9 @@ class Rule(NamedTuple):
         on_host: ``on_host(asked)(asked, slopes)`` gives the first derivatives for NumPy arrays, by name, where
             ``prepare`` finds arrays whose shapes depend on values: jax calls it in place of ``build``. The first call
             sees tracers.
+        on_device: ``on_device(asked, answer, slopes, totals)`` adds the first derivatives to ``totals``, arrays of warp
+            by name, and returns whether it could: a shorter way for a tape of warp. All its arrays are contiguous, on
+            one device and of one precision, vectors where there are rows of three; a slope is None where there is none.
         check: ``check(asked)`` raises the error for a call that has no derivative, where a tape of warp must know it
             before the answer.
         shapes: ``shapes(asked)`` gives shape and kind ("float" for that of the tensors, or "int32") of each output, for
@@ -74,6 +77,7 @@ class Rule(NamedTuple):
     quick: Callable[..., dict[str, Any] | None] | None = None
     pull: Callable[..., dict[str, Any]] | None = None
     on_host: Callable[[Asked], Callable[[Asked, Any], dict[str, Any]]] | None = None
+    on_device: Callable[..., bool] | None = None
     check: Callable[[Asked], None] | None = None
     shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None
 

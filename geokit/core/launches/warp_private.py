@@ -281,8 +281,21 @@ def mark_modified(module: Any) -> None:
 # Tapes
 
 
+# Warp's runtime once it has started, which holds the tape: every query looks at it.
+_runtime: Any = None
+
+
 def tape_in_progress() -> Any:
     """The ``wp.Tape`` that records now; None if none does, and "unknown" if one does that warp does not tell."""
+    try:
+        tape = _runtime.tape
+    except AttributeError:  # before the first look, or there is no such part
+        return _first_tape()
+    return tape if tape is None or "tape" not in _missing() else _unknown_tape()
+
+
+def _first_tape() -> Any:
+    global _runtime
     warp = sys.modules.get("warp")
     if warp is None:
         return None
@@ -290,14 +303,17 @@ def tape_in_progress() -> Any:
         runtime = warp._src.context.runtime  # None until warp has started
         tape = None if runtime is None else runtime.tape
     except AttributeError:
-        return _unknown_tape(warp)
-    return tape if tape is None or "tape" not in _missing() else _unknown_tape(warp)
+        return _unknown_tape()
+    _runtime = runtime
+    return tape
 
 
-def _unknown_tape(warp: Any) -> str | None:
+def _unknown_tape() -> str | None:
     """Whether a tape records, by trying to begin another."""
+    import warp as wp
+
     try:
-        with warp.Tape():
+        with wp.Tape():
             return None
     except RuntimeError:
         return "unknown"

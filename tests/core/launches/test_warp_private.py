@@ -103,6 +103,7 @@ def test_without_the_tape_it_is_known_whether_one_records(how, monkeypatch):
     if how == "another meaning":
         monkeypatch.setattr(warp_private, "_missing", lambda: frozenset(["tape"]))
     else:
+        monkeypatch.setattr(warp_private, "_runtime", None)
         monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(Tape=wp.Tape))
     assert warp_private.tape_in_progress() is None
     tape = wp.Tape()
