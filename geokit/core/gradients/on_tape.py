@@ -31,9 +31,10 @@ _NUMBERS = {wp.float32: _SINGLE, wp.vec3f: _SINGLE, wp.float64: _DOUBLE, wp.vec3
 
 def attach(call: Call) -> Any:
     """Answer a call with arrays that carry gradients, and record the way back."""
-    given = call.asked.tensors
-    like = next(value for value in given.values() if isinstance(value, wp.array))
-    arrays = {name: _array(given[name], name, like) for name in call.names}
+    tensors = call.asked.tensors
+    like = next(value for value in tensors.values() if isinstance(value, wp.array))
+    arrays = {name: _array(tensors[name], name, like) for name in call.names}
+    _refuse_capture(list(arrays.values()), ", ".join(call.names))
     rule = call.entry.rule()
     # Objects as they are now: they may be updated before the backward pass.
     others = {name: _kept(value) for name, value in call.asked.arguments.items() if name not in arrays}
@@ -41,8 +42,8 @@ def attach(call: Call) -> Any:
         rule.check(Asked(arrays, {**others, **arrays}))
     if rule.on_host is not None:
         rule.on_host(Asked(arrays, {**others, **arrays}))
-    answer = call.run(*map(detached, arrays.values()))
-    outputs = answer if isinstance(answer, tuple) else (answer,)
+    given = call.run(*map(detached, arrays.values()))
+    outputs = given if isinstance(given, tuple) else (given,)
     wanted = {name: array for name, array in arrays.items() if array.requires_grad}
 
     def on_device(slopes: list[Any]) -> bool:
@@ -51,11 +52,12 @@ def attach(call: Call) -> Any:
     def back(slopes: list[Any]) -> list[NDArray[Any]]:
         tensors = {name: _rows(array) for name, array in arrays.items()}
         inputs = {name: part for name, part in tensors.items() if name in call.entry.inputs}
-        found = pulled(rule, Asked(tensors, {**others, **inputs}), list(map(_rows, outputs)), slopes, list(wanted))
+        answer = [out.numpy() for out in outputs]
+        found = pulled(rule, Asked(tensors, {**others, **inputs}), answer, slopes, list(wanted))
         return [found[name] for name in wanted]
 
     _record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names), on_device)
-    return answer
+    return given
 
 
 def derived(build: Callable[..., Any], *arrays: Any) -> Any:
@@ -113,11 +115,7 @@ def _record(
         out.requires_grad = True
 
     def backward() -> None:
-        if any(array.device.is_capturing for array in (*inputs, *carrying)):
-            raise InputError(
-                f"{names}: gradients of queries are computed on the host, which a CUDA graph does not record; "
-                "take the backward pass outside the capture"
-            )
+        _refuse_capture([*inputs, *carrying], names)
         if on_device([None if out is None else out.grad for out in sloped]):
             for out in carrying:
                 _consume(out)
@@ -131,6 +129,14 @@ def _record(
     if wp.config.verify_autograd_array_access:
         for array in inputs:
             array.mark_read()
+
+
+def _refuse_capture(arrays: list[Any], names: str) -> None:
+    if any(array.device.is_capturing for array in arrays):
+        raise InputError(
+            f"{names}: a graph is being captured, which would not hold what a query or its gradients do on the host; "
+            "query, and go back over the tape, outside the capture"
+        )
 
 
 def _array(values: Any, name: str, like: Any) -> Any:

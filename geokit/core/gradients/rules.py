@@ -54,8 +54,8 @@ class Rule(NamedTuple):
         prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
             search.
         quick: ``quick(library, asked, answer, slopes, wanted)``: the first derivatives that are wanted, by name, where
-            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. Only
-            torch asks for it: it may look at values.
+            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. It
+            may look at values, so jax does not ask for it.
         pull: In place of ``build``: ``pull(library, asked, answer, slopes)`` gives the derivative with respect to each
             tensor in ``asked.tensors``, by name; ``slopes`` are those with respect to the outputs.
         has_slope: For each output, whether it has a derivative.

@@ -161,7 +161,7 @@ def _quick_distance(place: int) -> Any:
             found[:, None], point - feet, 0.0
         )
         weights = library.where(found[:, None], weights, 0.0)
-        short = (found & (abs(distance) <= SHORT * asked.arguments["self"].scale)).nonzero()[:, 0]
+        short = library.rows(found & (abs(distance) <= SHORT * asked.arguments["self"].scale))
         if len(short):
             near = (part[short] for part in (point, triangle_id, weights, distance))
             direction, weights[short] = _near_slopes(library, asked, *near, signed=place == 0)

@@ -290,28 +290,38 @@ def test_kernels_before_and_after(device: str) -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64, wp.vec3f, wp.vec3d])
-@pytest.mark.parametrize("name", ["closest_point", "signed_distance", "sample"])
+@pytest.mark.parametrize("name", ["closest_point", "signed_distance", "sample", "vertices", "values"])
 def test_types_of_arrays(name: str, dtype: Any, device: str) -> None:
     """Each array type has the gradients of float64 rows, in its own type."""
-    body = gk.mesh.Surface(BODY, device=device)
-    rows = AROUND.astype(np.float32).astype(np.float64)
+    rows, corners, numbers = (part.astype(np.float32).astype(np.float64) for part in (AROUND, BODY.vertices, values()))
+    number = wp.float32 if dtype in (wp.float32, wp.vec3f) else wp.float64
 
-    def gradient(kind: Any) -> np.ndarray:
-        points = on_tape(rows, kind, device)
+    def gradients(kind: Any, number: Any) -> list[np.ndarray]:
+        given = [on_tape(rows, kind, device)]
+        if name == "vertices":
+            given.append(on_tape(corners, kind, device))
+        if name == "values":
+            given.append(on_tape(numbers, number, device))
         with wp.Tape() as tape:
-            answer = ball().sample(points, device=device) if name == "sample" else getattr(body, name)(points).distance
-        assert answer.device == points.device
-        assert answer.dtype == (wp.float32 if kind in (wp.float32, wp.vec3f) else wp.float64)
+            if name == "sample":
+                answer = ball().sample(given[0], device=device)
+            elif name == "values":
+                answer = valued(given[1]).sample(given[0], device=device)
+            else:
+                body = gk.mesh.Surface((given[-1] if name == "vertices" else corners, BODY.faces), device=device)
+                answer = getattr(body, name if name != "vertices" else "signed_distance")(given[0]).distance
+        assert answer.device == given[0].device
+        assert answer.dtype == number
         tape.backward(grads={answer: wp.ones_like(answer, requires_grad=False)})
-        assert points.grad.dtype == kind
-        return points.grad.numpy()
+        assert [array.grad.dtype for array in given] == [array.dtype for array in given]
+        return [array.grad.numpy() for array in given]
 
-    expected, found = gradient(wp.float64), gradient(dtype)
-    assert expected.any()
-    if dtype in (wp.float64, wp.vec3d):
-        np.testing.assert_array_equal(found, expected)
-    else:
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+    for expected, found in zip(gradients(wp.float64, wp.float64), gradients(dtype, number), strict=True):
+        assert expected.any()
+        if number is wp.float64:
+            np.testing.assert_array_equal(found, expected)
+        else:
+            np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -331,7 +341,8 @@ def test_points_alone_stay_on_their_device(device: str, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
-def test_kernels_agree_with_the_rule_at_kinks(query: str) -> None:
+@pytest.mark.parametrize("outputs", [["distance"], ["distance", "points", "barycentric"]])
+def test_kernels_agree_with_the_rule_at_kinks(query: str, outputs: list[str]) -> None:
     """Far and near, on faces, edges and vertices, at distance 0, and beside a triangle without area."""
     flat = np.concatenate([BODY.faces, [[0, 1, 1], [2, 2, 2]]])
     body = gk.mesh.Surface((BODY.vertices, flat), device="cpu")
@@ -344,8 +355,8 @@ def test_kernels_agree_with_the_rule_at_kinks(query: str) -> None:
         points = on_tape(rows)
         with wp.Tape() as tape:
             answer = getattr(gk.mesh.Surface((vertices, flat), device="cpu"), query)(points)
-        outputs = [answer.distance, answer.points, answer.barycentric]
-        pulled(tape, outputs, weights_of(outputs))
+        some = [getattr(answer, name) for name in outputs]
+        pulled(tape, some, weights_of(some))
         slopes.append(points.grad.numpy())
     assert np.isfinite(slopes[0]).all()
     # Directions between points that are 1e-9 apart are known to 1e-6.
@@ -413,6 +424,21 @@ def test_vertices_alone() -> None:
     # A rigid shift of the mesh is one of the points, the other way.
     away = (AROUND - found.points.numpy()) / found.distance.numpy()[:, None]
     np.testing.assert_allclose(vertices.grad.numpy().sum(axis=0), -away.sum(axis=0), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_adaptive_fields() -> None:
+    body = gk.mesh.load(ROOT / "data" / "samples" / "bracket.obj")
+    field = gk.volume.adaptive_from_mesh(body, tolerance=1.0)
+    low, high = body.bounds
+    points = on_tape(low + (high - low) * np.random.default_rng(1).random((20, 3)))
+    with wp.Tape() as tape:
+        answer = field.sample(points, device="cpu")
+    tape.backward(grads={answer: wp.ones_like(answer, requires_grad=False)})
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        ahead, behind = (field.sample(points.numpy() + way, device="cpu") for way in (step, -step))
+        np.testing.assert_allclose(points.grad.numpy()[:, axis], (ahead - behind) / 2e-6, atol=1e-5)
 
 
 def test_misses_and_nothing() -> None:
@@ -503,6 +529,18 @@ class TestRefusals:
                 surface(on_tape(BODY.vertices)).closest_point(AROUND[0])
             # Three vectors are three rows.
             assert body.closest_point(on_tape(AROUND[:3], wp.vec3d)).distance.shape == (3,)
+
+    @pytest.mark.parametrize("device", DEVICES)
+    def test_graphs(self, device: str) -> None:
+        body, points = gk.mesh.Surface(BODY, device=device), on_tape(AROUND, wp.vec3d, device)
+        with wp.Tape() as tape:
+            found = body.closest_point(points)
+            found.distance.grad.fill_(1.0)
+            with wp.ScopedCapture(device), pytest.raises(gk.InputError, match="points: a graph is being captured"):
+                body.closest_point(points)
+        with wp.ScopedCapture(device), pytest.raises(gk.InputError, match="points: a graph is being captured"):
+            tape.backward()
+        assert not points.grad.numpy().any()
 
     def test_other_numbers(self) -> None:
         body = gk.mesh.Surface(BODY, device="cpu")
