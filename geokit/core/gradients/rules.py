@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from geokit.core.interop.arrays import reinterpreted
+from geokit.core.interop.arrays import detached
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array, refuse_recording
@@ -28,7 +28,6 @@ __all__ = [
     "Deferred",
     "Entry",
     "Rule",
-    "detached",
     "held_by",
     "hold",
     "is_on_tape",
@@ -238,17 +237,6 @@ def split(values: Any) -> tuple[Any, Any]:
     if is_warp_array(values):
         return detached(values), values
     return (values.detach(), values) if _is_torch_tensor(values) else (values, None)
-
-
-def detached(array: Any) -> Any:
-    """An array of warp over the same memory that requires no gradient; a copy if it is not contiguous."""
-    import warp as wp
-
-    if not array.is_contiguous:
-        copy: Any = wp.empty(array.shape, dtype=array.dtype, device=array.device)
-        wp.copy(copy, array)  # between arrays of which one has no gradient, which no tape records
-        return copy
-    return reinterpreted(array, array.dtype, array.shape)
 
 
 def held_by(holder: Any) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
+from geokit.core.require import require_unrecorded
 from geokit.core.snapshot import on_snapshot
 from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.topology.size_limits import require_measurable
@@ -156,6 +157,7 @@ class PointQueries:
         Held by: tests/mesh/attributes/test_transfer.py
         """
         asked = chosen_names(self.mesh, names)
+        require_unrecorded(points, "points")
         if isinstance(points, np.ndarray) and points.dtype == np.float32:
             points = points.astype(np.float64)  # answers would be float32, weights too
         found = self.closest_point(points, max_distance=max_distance)

@@ -482,6 +482,7 @@ class TestOutsideATape:
 
     def test_objects_that_were_made_of_arrays_with_gradients(self) -> None:
         assert gk.mesh.audit((on_tape(BODY.vertices), BODY.faces)).watertight
+        np.testing.assert_array_equal(gk.points.PointCloud(on_tape(AROUND)).points, AROUND)
         made = valued(on_tape(values()))
         np.testing.assert_array_equal(made.sample(NEAR, device="cpu"), valued(values()).sample(NEAR, device="cpu"))
 
@@ -504,6 +505,8 @@ class TestRefusals:
             ("points: second derivatives", lambda p: gk.volume.gradient_field(ball()).gradient(p, device="cpu")),
             ("kernel: 'count' has no derivative", lambda p: gk.points.density(p, radius=0.4, device="cpu")),
             ("points: a tensor with gradients beside transform", lambda p: ball().sample(p, transform=np.eye(4))),
+            ("values: a wp.Tape is", lambda p: gk.volume.from_dense(on_tape(np.zeros((4, 4, 4))))),
+            ("points: a wp.Tape is recording", lambda p: gk.points.PointCloud(p)),
             ("mass: a wp.Tape", lambda p: gk.points.density(A, radius=0.4, kernel="poly6", mass=p.flatten())),
             ("max_distance: a wp.Tape is", lambda p: surface(BODY.vertices).closest_point(A, max_distance=p.flatten())),
         ],
