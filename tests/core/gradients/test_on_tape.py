@@ -496,6 +496,7 @@ class TestRefusals:
             ("points: a wp.Tape is recording", lambda p: surface(BODY.vertices).contains(p)),
             ("points: a wp.Tape is recording, and radius_search has no", lambda p: cloud(p).radius_search(radius=0.2)),
             ("points: a wp.Tape is recording, and pairs has no", lambda p: cloud(p).pairs(radius=0.2)),
+            ("vertices: a wp.Tape is recording, and sign_confidence", lambda p: surface(p, OPEN).sign_confidence(A)),
             ("vertices: a wp.Tape is recording, and raycast_all", lambda p: surface(p, OPEN).raycast_all(A, A)),
             ("vertices: a wp.Tape is recording, and distance", lambda p: surface(p).distance(surface(BODY.vertices))),
             ("vertices: a wp.Tape is recording", lambda p: gk.mesh.TriangleMesh(p, OPEN.faces)),
