@@ -15,11 +15,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.launches import warp_private
 from geokit.errors import InputError
 
 __all__ = [
     "described",
     "read_array",
+    "refuse_recording",
     "require_affine",
     "require_callable",
     "require_choice",
@@ -32,6 +34,7 @@ __all__ = [
     "require_path",
     "require_table",
     "require_text",
+    "require_unrecorded",
     "whole_number",
 ]
 
@@ -222,13 +225,15 @@ def read_array(values: Any, name: str, dtype: Any = None, *, kinds: str = "fiu")
         kinds: Kinds of NumPy types that are taken: f, i, u, or b for bool.
     Raises:
         InputError: ``values`` cannot be read, is of a type that is no real number (bool, complex, text, date, object,
-            record), or is a masked array with masked entries, which would be taken for numbers.
+            record), or is a masked array with masked entries, which would be taken for numbers; or a wp.Tape is
+            recording, and ``values`` is an array of warp that requires gradients.
     """
     if type(values) is np.ndarray and values.dtype.kind in kinds:
         return values if dtype is None else values.astype(dtype, copy=False)
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         row = int(np.argmax(np.ma.getmaskarray(values).reshape(len(values), -1).any(axis=1))) if values.ndim else 0
         raise InputError(f"{name}: row {row} is masked; leave out such rows, or fill them")
+    require_unrecorded(values, name)
     if isinstance(values, (bytes, bytearray)) or (isinstance(values, memoryview) and values.format == "B"):
         raise InputError(f"{name}: {type(values).__name__} holds bytes, not numbers; use numpy.frombuffer")
     try:
@@ -240,6 +245,27 @@ def read_array(values: Any, name: str, dtype: Any = None, *, kinds: str = "fiu")
             raise InputError(f"{name}: requires gradients, which are not recorded here; detach() it") from error
         raise InputError(f"{name}: cannot be read as an array of numbers ({_reason(error)}); give one") from error
     raise InputError(f"{name}: dtype {array.dtype} is not a real number type; convert it to float64")
+
+
+def require_unrecorded(values: Any, name: str) -> None:
+    """Refuse an array of warp whose gradient a tape is recording, where it would stay zero.
+
+    Raises:
+        InputError: ``values`` is such an array.
+    """
+    if getattr(values, "requires_grad", False) is True and warp_private.tape_in_progress() is not None:
+        import warp as wp
+
+        if isinstance(values, wp.array):
+            raise refuse_recording(name)
+
+
+def refuse_recording(name: str) -> InputError:
+    """The error for an array of warp that requires gradients where a tape would get zeros."""
+    return InputError(
+        f"{name}: a wp.Tape is recording, and the answer has no gradient for this array, which requires one; query "
+        "outside the tape, or give wp.clone(array, requires_grad=False). docs/gradients.md lists what has gradients"
+    )
 
 
 def _on_host(values: Any) -> Any:

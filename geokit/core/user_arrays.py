@@ -23,7 +23,7 @@ from geokit.core.launches import replay
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.host_array import HostArray, row_of
 from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
-from geokit.core.require import read_array, require_number
+from geokit.core.require import read_array, require_number, require_unrecorded
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def read_vectors(
     import warp as wp
 
     if isinstance(values, wp.array):
-        _refuse_recording(values, name)
+        require_unrecorded(values, name)
         source = values
         vectors = values.ndim == 1 and values.dtype in (wp.vec3f, wp.vec3d)
         finish = _on_device_of(source, lambda out: out if vectors else as_table(out))
@@ -157,6 +157,7 @@ def read_numbers(values: Any, name: str) -> np.ndarray:
     import warp as wp
 
     if isinstance(values, wp.array):
+        require_unrecorded(values, name)
         values = values.numpy()
     elif not isinstance(values, (np.ndarray, np.generic)) and is_exporter(values):
         values = import_array(values, name).numpy()
@@ -327,26 +328,6 @@ def _alone(give: Callable[[Any], Any]) -> Callable[[Any], Any]:
         return reinterpreted(found, found.dtype, found.shape[1:]) if found.ndim > 1 else found.numpy()[0]
 
     return first
-
-
-def _refuse_recording(values: "wp.array", name: str) -> None:
-    """Refuse rows whose gradients a tape is meant to record: kernels of queries have no adjoints.
-
-    Raises:
-        InputError: There is such a tape.
-    """
-    if not values.requires_grad:
-        return
-    import warp as wp
-
-    try:
-        with wp.Tape():
-            return
-    except RuntimeError:  # another tape is recording
-        raise InputError(
-            f"{name}: a wp.Tape would record this query with gradients of zero, since queries have no adjoint; query "
-            "outside the tape, take volume.gradient, or sample in a kernel of your own (docs/kernels.md)"
-        ) from None
 
 
 def _all_within(table: np.ndarray, largest: float) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.gradients.rules import is_warp_array
 from geokit.core.interop.objects import Polygons, attribute, getattr_or_none, points_of, polygons_of
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
@@ -103,7 +104,8 @@ def _carried(
 def _vertices(points: Any, name: str) -> NDArray[np.float64]:
     from geokit.core.user_arrays import read_numbers
 
-    if getattr_or_none(points, "requires_grad") is True:
+    # Those of warp are refused where a tape is recording.
+    if getattr_or_none(points, "requires_grad") is True and not is_warp_array(points):
         raise InputError("vertices: require gradients, not recorded here; geokit.torch records them, or detach() them")
     return read_numbers(points_of(points, name), "vertices")
 

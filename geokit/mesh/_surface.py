@@ -63,7 +63,8 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
 
     Args:
         mesh: The triangles; at least one. Of a pair (vertices, faces), vertices that are a torch tensor with gradients
-            are kept as such, as by :class:`geokit.torch.Surface`.
+            are kept as such, as by :class:`geokit.torch.Surface`; so is an array of warp that requires gradients, for
+            a ``wp.Tape``.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices has the mesh
             on each: they share queries of points and rays of 65,536 rows or more, and the first does all else.
     Attributes:
@@ -85,7 +86,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
 
     @needs(lambda self, mesh, **_: BYTES_PER_FACE * mesh.face_count)
     def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
-        # Of a pair (vertices, faces) whose vertices are a tensor with gradients.
+        # Of a pair (vertices, faces) whose vertices are a tensor, or an array of warp, with gradients.
         given: Any = mesh
         tracked = None
         if isinstance(given, tuple) and len(given) == 2:

@@ -72,7 +72,7 @@ class Surfaces:
         meshes: The meshes, as :class:`geokit.mesh.Surface` takes them; or a tuple (vertices, faces, offsets) of packed
             arrays: vertices (V, 3) [world], faces (F, 3) whose numbers are rows of ``vertices``, and offsets (B + 1,)
             from 0 to F: mesh m has the faces from ``offsets[m]`` to ``offsets[m + 1]``. Packed vertices that are a
-            torch tensor with gradients are kept as such: answers carry gradients for them.
+            torch tensor or an array of warp with gradients are kept as such: answers carry gradients for them.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
     Raises:
         InputError: There is no mesh, a mesh has no faces, an array is not as above, or there is no such device.

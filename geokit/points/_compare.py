@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import differentiable, library_of
-from geokit.core.gradients.rules import is_tracked
+from geokit.core.gradients.rules import is_on_tape, is_tracked
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import described
 from geokit.core.user_arrays import read_vectors
@@ -119,7 +121,8 @@ def chamfer(a: Any, b: Any, *, groups: Any = None, device: Any = None) -> Chamfe
     """
     if groups is not None:
         return _chamfer_of_groups(a, b, groups, device)
-    return _chamfer_of(*_directed(a, b, device))
+    found: ChamferDistance = _compared(a, b, device, _chamfer_of)
+    return found
 
 
 @needs(lambda a, b, **_: 48 * (rows(a) + rows(b)))
@@ -145,7 +148,11 @@ def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
 
     Held by: tests/points/test_compare.py
     """
-    there, back = _directed(a, b, device)
+    found: HausdorffDistance = _compared(a, b, device, _hausdorff_of)
+    return found
+
+
+def _hausdorff_of(there: DirectedDistance, back: DirectedDistance) -> HausdorffDistance:
     forth = there.max >= back.max
     return HausdorffDistance(
         max=max(there.max, back.max),
@@ -156,6 +163,18 @@ def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
         a_to_b=there,
         b_to_a=back,
     )
+
+
+def _compared(a: Any, b: Any, device: Any, of: Callable[[DirectedDistance, DirectedDistance], Any]) -> Any:
+    """What ``of`` makes of the distances from each cloud to the other."""
+    if not is_on_tape(a) and not is_on_tape(b):
+        return of(*_directed(a, b, device))
+    from geokit.core.gradients import on_tape
+
+    def made(there: Any, index_b: Any, back: Any, index_a: Any) -> Any:
+        return of(_summed(there, index_b), _summed(back, index_a))
+
+    return on_tape.derived(made, *_between(a, b, device))
 
 
 def _directed(a: Any, b: Any, device: Any) -> tuple[DirectedDistance, DirectedDistance]:
@@ -188,10 +207,20 @@ def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDista
             raise InputError(f"{name}: cloud {number} has no points, so it is not at any distance; leave the pair out")
     if tracked:
         found = _between_groups(a, b, (first, second), device)
-        library = library_of(found.a_to_b)
-        there = _summed_groups(library, found.a_to_b, found.index_b, found.far_a, first)
-        back = _summed_groups(library, found.b_to_a, found.index_a, found.far_b, second)
-        return _chamfer_of(there, back)
+
+        def summed(library: Any, *parts: Any) -> ChamferDistance:
+            there, index_b, far_a, back, index_a, far_b = parts
+            return _chamfer_of(
+                _summed_groups(library, there, index_b, far_a, first),
+                _summed_groups(library, back, index_a, far_b, second),
+            )
+
+        if not is_on_tape(a) and not is_on_tape(b):
+            return summed(library_of(found.a_to_b), *found)
+        from geokit.core.gradients import on_tape, with_numpy
+
+        answer: ChamferDistance = on_tape.derived(functools.partial(summed, with_numpy.LIBRARY), *found)
+        return answer
     there = _from_groups(batches[0].array, batches[1].array, first, second, "a")
     back = _from_groups(batches[1].array, batches[0].array, second, first, "b")
     chamfer_of = _chamfer_of(there, back)

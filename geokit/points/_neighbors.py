@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import OnDevices, devices_of, shares
 from geokit.core.forks import Lock
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
 from geokit.core.launches import replay
 from geokit.core.launches.replay import replayed
@@ -427,6 +427,7 @@ class NeighborGrid:
         asked, home = self._ask(queries, radius, exclude_self, groups)
         return home.to_caller(search.count(asked))
 
+    @undifferentiable
     @needs(_list_bytes, late=True)
     @on_snapshot
     def radius_search(
@@ -474,6 +475,7 @@ class NeighborGrid:
             )
         )
 
+    @undifferentiable
     @needs(lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given), late=True)
     @on_snapshot
     def neighbor_list(
@@ -558,6 +560,7 @@ class NeighborGrid:
         offsets, indices, shifts = listed[0].candidates(exclude_self)
         return Candidates(give(offsets), give(indices), None if shifts is None else give(shifts))
 
+    @undifferentiable
     @needs()
     @on_snapshot
     def radius_search_blocks(
@@ -614,6 +617,7 @@ class NeighborGrid:
         counts = search.count(self._asked(batch.array, len(batch), radii, exclude_self, group=group)).numpy()
         return self._blocks(batch, radii, exclude_self, order, counts, budget, group)
 
+    @undifferentiable
     @needs(lambda self, **given: _list_bytes(self, **given, neighbor_bytes=search.BYTES_PER_NEIGHBOR + 9), late=True)
     @on_snapshot
     def pairs(self, *, radius: float | None = None) -> Pairs:

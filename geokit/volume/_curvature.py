@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
+from geokit.core.gradients.differentiable import undifferentiable
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import Batch, read_vectors
@@ -36,6 +37,7 @@ class Curvatures(NamedTuple):
 
 
 @over_devices()
+@undifferentiable
 @replayed()
 @needs(lambda volume, points, **_: 96 * rows(points), late=True)
 def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
@@ -75,6 +77,7 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
 
 
 @over_devices()
+@undifferentiable
 @replayed()
 @needs(lambda volume, points, **_: 128 * rows(points), late=True)
 def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:

@@ -12,7 +12,7 @@ from geokit.core import launcher, user_arrays
 from geokit.core.interop.objects import image_of
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
-from geokit.core.require import described, read_array, require_text
+from geokit.core.require import described, read_array, require_text, require_unrecorded
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
@@ -286,6 +286,7 @@ def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
 def _read_dense(values: Any) -> NDArray[Any]:
     import warp as wp
 
+    require_unrecorded(values, "values")
     try:
         if isinstance(values, wp.array):
             array = values.numpy()

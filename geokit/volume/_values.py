@@ -68,9 +68,10 @@ def active_voxels(volume: SparseVolume) -> ActiveVoxels:
 def with_values(volume: SparseVolume, values: Any) -> SparseVolume:
     """The same voxels with other active values.
 
-    Values that are a torch tensor which requires gradients are kept as such: samples, gradients and hits of the new
-    volume then carry gradients with respect to them, so that a distance field can be optimized. A tensor on a GPU makes
-    a volume there, without a copy through the host. The new grid states no smallest and largest value.
+    Values that are a torch tensor which requires gradients are kept as such, and so is an array of warp for a
+    ``wp.Tape``: samples, gradients and hits of the new volume then carry gradients with respect to them, so that a
+    distance field can be optimized. A tensor on a GPU makes a volume there, without a copy through the host. The new
+    grid states no smallest and largest value.
 
     Args:
         volume: A float or double grid.

@@ -1,1 +1,1 @@
-"""Gradients of answers: torch tensors that require gradients and jax tracers pass through queries."""
+"""Gradients of answers: tensors of torch that require them, tracers of jax and arrays on a tape of warp."""

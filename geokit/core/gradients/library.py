@@ -1,4 +1,4 @@
-"""The few array functions that closed forms are written with, for torch and jax alike, and vectors made of them."""
+"""The few array functions that closed forms are written with, for all libraries alike, and vectors made of them."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class Library(NamedTuple):
         kept: ``kept(cache, name, array, like)``: the same of an array that belongs to an object, uploaded once and kept
             in its cache where the library can.
         wide, whole: A tensor in float64, in int64.
+        rows: ``rows(condition)``: the numbers of the rows where a constant condition holds.
         detach: A tensor as a constant.
         on_host: A constant tensor as a NumPy array.
         once: ``once(tensor, message, of)``: the tensor, whose derivative with respect to the tensors ``of`` is not
@@ -39,6 +40,7 @@ class Library(NamedTuple):
     kept: Callable[..., Any]
     wide: Callable[..., Any]
     whole: Callable[..., Any]
+    rows: Callable[..., Any]
     detach: Callable[..., Any]
     on_host: Callable[..., Any]
     once: Callable[..., Any]

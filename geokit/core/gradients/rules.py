@@ -1,8 +1,9 @@
 """Rules of gradients: how an answer depends on what was asked and on what an object holds.
 
 A query searches once, without gradients. Its rule then has the closed form of the answer's derivative, so that a
-backward pass searches nothing. A rule knows neither torch nor jax: it is written with the functions of a
-:class:`~geokit.core.gradients.library.Library`, and both libraries differentiate what it builds.
+backward pass searches nothing. A rule knows no library: it is written with the functions of a
+:class:`~geokit.core.gradients.library.Library`. Torch and jax differentiate what it builds; for a tape of warp it is
+followed through NumPy.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from geokit.core.interop.arrays import detached
 from geokit.core.interop.objects import points_of
-from geokit.core.require import read_array
+from geokit.core.launches import warp_private
+from geokit.core.require import read_array, refuse_recording
 from geokit.errors import InputError
 
 __all__ = [
@@ -27,8 +30,11 @@ __all__ = [
     "Rule",
     "held_by",
     "hold",
+    "is_on_tape",
     "is_tracked",
+    "is_warp_array",
     "refuse_gradients",
+    "require_constant",
     "split",
     "untracked",
 ]
@@ -38,7 +44,7 @@ _HELD = "_held_tensors"
 
 
 class Rule(NamedTuple):
-    """How an answer depends on tensors.
+    """How an answer depends on tensors; those of a tape of warp are arrays of NumPy here.
 
     Attributes:
         build: ``build(library, asked, answer)`` gives each output again as a function of the tensors, or None where an
@@ -47,14 +53,19 @@ class Rule(NamedTuple):
         prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
             search.
         quick: ``quick(library, asked, answer, slopes, wanted)``: the first derivatives that are wanted, by name, where
-            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. Only
-            torch asks for it: it may look at values.
+            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. It
+            may look at values, so jax does not ask for it.
         pull: In place of ``build``: ``pull(library, asked, answer, slopes)`` gives the derivative with respect to each
             tensor in ``asked.tensors``, by name; ``slopes`` are those with respect to the outputs.
         has_slope: For each output, whether it has a derivative.
         on_host: ``on_host(asked)(asked, slopes)`` gives the first derivatives for NumPy arrays, by name, where
             ``prepare`` finds arrays whose shapes depend on values: jax calls it in place of ``build``. The first call
             sees tracers.
+        on_device: ``on_device(asked, answer, slopes, totals)`` adds the first derivatives to ``totals``, arrays of warp
+            by name, and returns whether it could: a shorter way for a tape of warp. All its arrays are contiguous, on
+            one device and of one precision, vectors where there are rows of three; a slope is None where there is none.
+        check: ``check(asked)`` raises the error for a call that has no derivative, where a tape of warp must know it
+            before the answer.
         shapes: ``shapes(asked)`` gives shape and kind ("float" for that of the tensors, or "int32") of each output, for
             jax and torch.compile, which need them before the answer.
     """
@@ -65,6 +76,8 @@ class Rule(NamedTuple):
     quick: Callable[..., dict[str, Any] | None] | None = None
     pull: Callable[..., dict[str, Any]] | None = None
     on_host: Callable[[Asked], Callable[[Asked, Any], dict[str, Any]]] | None = None
+    on_device: Callable[..., bool] | None = None
+    check: Callable[[Asked], None] | None = None
     shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None
 
 
@@ -132,15 +145,23 @@ class Entry:
         holder, _, key = name.rpartition(".")
         return holder or self.parameters[0][0], key
 
-    def widen(self, arguments: dict[str, Any]) -> bool:
-        """Make tables of inputs that are objects with points, or one point; return whether all are one point."""
+    def widen(self, arguments: dict[str, Any], held: dict[str, Any]) -> bool:
+        """Make tables of inputs that are objects with points, or one point; return whether all are one point.
+
+        Raises:
+            InputError: All are one point, and a tape of warp records the call: warp has no arrays of no dimension.
+        """
         given = {name: points_of(arguments[name], name) for name in self.inputs if arguments[name] is not None}
         arguments.update(given)
         if not self.single or not given:
             return False
         rows = {name: value if hasattr(value, "ndim") else read_array(value, name) for name, value in given.items()}
-        if any(tuple(value.shape) != (3,) for value in rows.values()):
+        if any(tuple(value.shape) != (3,) or _has_vectors(value) for value in rows.values()):
             return False
+        if any(map(is_on_tape, (*rows.values(), *held.values()))):
+            raise InputError(
+                f"{', '.join(rows)}: a single row has no gradient on a wp.Tape; give it as a table of shape (1, 3)"
+            )
         arguments.update({name: value[None] for name, value in rows.items()})
         return True
 
@@ -207,15 +228,23 @@ class Deferred:
 
 
 def split(values: Any) -> tuple[Any, Any]:
-    """Values without gradients, and the tensor that carries gradients (None if there is none)."""
-    if _needs_gradient(values):
-        return values.detach(), values
-    return values, None
+    """Values without gradients, and the tensor that carries gradients (None if there is none).
+
+    An array of warp carries them whether a tape is recording or not: the tape may begin later.
+    """
+    if getattr(values, "requires_grad", False) is not True:
+        return values, None
+    if is_warp_array(values):
+        return detached(values), values
+    return (values.detach(), values) if _is_torch_tensor(values) else (values, None)
 
 
 def held_by(holder: Any) -> dict[str, Any]:
-    """The tensors with gradients that an object holds, by name."""
-    return getattr(holder, "__dict__", {}).get(_HELD) or {}
+    """The tensors with gradients that an object holds, by name; arrays of warp count while a tape is recording."""
+    held: dict[str, Any] = getattr(holder, "__dict__", {}).get(_HELD) or {}
+    if held and warp_private.tape_in_progress() is None:
+        return {name: value for name, value in held.items() if not is_warp_array(value)}
+    return held
 
 
 def untracked(holder: Any) -> Any:
@@ -230,22 +259,60 @@ def untracked(holder: Any) -> Any:
     return plain
 
 
-def refuse_gradients(name: str) -> InputError:
+def refuse_gradients(name: str, value: Any) -> InputError:
     """The error for a tensor that requires gradients where the answer has none."""
+    if is_warp_array(value):
+        return refuse_recording(name)
     return InputError(f"{name}: a tensor that requires gradients, but answers carry none for it; detach it")
 
 
+def require_constant(holder: Any, what: str) -> None:
+    """Refuse an object that holds arrays of a tape, for an answer without gradients by them.
+
+    torch has no need of it: there the answer has no graph, so that a backward pass fails.
+
+    Raises:
+        InputError: It holds such arrays, and a tape is recording.
+    """
+    for name, value in held_by(holder).items():
+        if is_on_tape(value):
+            raise InputError(
+                f"{name}: a wp.Tape is recording, and {what} has no gradient by the array of {name} that the "
+                f"{type(holder).__name__} holds; ask outside the tape, or make it of wp.clone(array, "
+                "requires_grad=False). docs/gradients.md lists what has gradients"
+            )
+
+
 def is_tracked(value: Any) -> bool:
-    """Whether a value is a tensor in a graph, or a tracer."""
-    if _needs_gradient(value):
-        return True
+    """Whether a value is a tensor in a graph, a tracer, or an array whose gradient a tape of warp is recording."""
+    if getattr(value, "requires_grad", False) is True:
+        return _is_torch_tensor(value) or is_on_tape(value)
     jax = sys.modules.get("jax")
     return jax is not None and isinstance(value, jax.core.Tracer)
 
 
-def _needs_gradient(value: Any) -> bool:
-    # Arrays of warp have the attribute too; their tapes are refused where the arrays are read.
-    if getattr(value, "requires_grad", False) is not True:
+def is_on_tape(value: Any) -> bool:
+    """Whether a value is an array of warp that requires gradients, while a tape is recording."""
+    if getattr(value, "requires_grad", False) is not True or not is_warp_array(value):
         return False
+    return warp_private.tape_in_progress() is not None
+
+
+def _is_torch_tensor(value: Any) -> bool:
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(value, torch.Tensor)
+
+
+def is_warp_array(value: Any) -> bool:
+    """Whether a value is an array of warp."""
+    warp = sys.modules.get("warp")
+    return warp is not None and isinstance(value, warp.array)
+
+
+def _has_vectors(value: Any) -> bool:
+    """Whether a value is an array of warp whose entries are vectors: each is a row."""
+    if not is_warp_array(value):
+        return False
+    import warp as wp
+
+    return value.dtype not in (wp.float32, wp.float64)

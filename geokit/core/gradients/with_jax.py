@@ -219,6 +219,7 @@ LIBRARY = Library(
     kept=lambda cache, name, values, like: _constant(values, like),
     wide=_wide,
     whole=lambda tensor: tensor.astype(jnp.result_type(int)),
+    rows=lambda condition: jnp.nonzero(condition)[0],
     detach=jax.lax.stop_gradient,
     on_host=np.asarray,
     once=lambda tensor, message, of: _unknown(message, tensor, *of.values()),

@@ -223,6 +223,7 @@ LIBRARY = Library(
     kept=_kept,
     wide=lambda tensor: tensor.double(),
     whole=lambda tensor: tensor.long(),
+    rows=lambda condition: condition.nonzero()[:, 0],
     detach=lambda tensor: tensor.detach(),
     on_host=lambda tensor: tensor.detach().cpu().numpy(),
     once=_once,

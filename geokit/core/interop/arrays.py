@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.require import require_unrecorded
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["as_table", "exporter_like", "import_array", "is_exporter", "reinterpreted"]
+__all__ = ["as_table", "detached", "exporter_like", "import_array", "is_exporter", "reinterpreted"]
 
 
 def is_exporter(values: Any) -> bool:
@@ -24,6 +25,9 @@ def is_exporter(values: Any) -> bool:
 def import_array(values: Any, name: str) -> "wp.array":
     import warp as wp
 
+    if isinstance(values, wp.array) and values.requires_grad:
+        require_unrecorded(values, name)
+        values = detached(values)
     if getattr(values, "requires_grad", False):
         raise InputError(f"{name}: the {type(values).__name__} requires gradients, which are not recorded; detach() it")
     try:
@@ -123,3 +127,14 @@ def reinterpreted(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.
     view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
     view._geokit_source = array
     return view
+
+
+def detached(array: "wp.array") -> "wp.array":
+    """An array of warp over the same memory that requires no gradient; a copy if it is not contiguous."""
+    import warp as wp
+
+    if not array.is_contiguous:
+        copy: Any = wp.empty(array.shape, dtype=array.dtype, device=array.device)
+        wp.copy(copy, array)  # between arrays of which one has no gradient, which no tape records
+        return copy
+    return reinterpreted(array, array.dtype, array.shape)

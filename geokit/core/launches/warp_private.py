@@ -1,7 +1,8 @@
 """What geokit uses of warp besides its documented API, and what it does where a version of warp has no such part.
 
-All of it makes small calls faster or checks the kernel cache; with ``wp.launch`` and ``wp.load_module`` alone the
-answers are the same. ``missing()`` says what the installed warp lacks, and the test prints it.
+All of it but the tape makes small calls faster or checks the kernel cache; with ``wp.launch`` and ``wp.load_module``
+alone the answers are the same. Without the tape, queries with gradients are refused while one records. ``missing()``
+says what the installed warp lacks, and the test prints it.
 
 Held by: tests/core/launches/test_warp_private.py
 """
@@ -12,6 +13,7 @@ import contextlib
 import ctypes
 import functools
 import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from inspect import signature
 from pathlib import Path
@@ -43,6 +45,7 @@ __all__ = [
     "packed_parameters",
     "parameters",
     "record_launch",
+    "tape_in_progress",
 ]
 
 # Fields of the descriptor by which a kernel sees an array. HostArray fills in the address, shape, strides and ndim.
@@ -57,7 +60,8 @@ def missing() -> dict[str, str]:
     import warp as wp
 
     found = {}
-    for name, check in (("descriptor", _check_descriptor), ("launch", _check_launch), ("module", _check_module)):
+    checks = {"descriptor": _check_descriptor, "launch": _check_launch, "module": _check_module, "tape": _check_tape}
+    for name, check in checks.items():
         try:
             check()
         except Exception as error:  # whatever an attribute of another meaning leads to
@@ -100,6 +104,14 @@ def _check_module() -> None:
             raise AttributeError(f"a module's {name} takes no block_dim")
     if len(module.failed_builds) or not callable(module.mark_modified):
         raise AttributeError("a module's failed builds are kept in another way")
+
+
+def _check_tape() -> None:
+    import warp as wp
+
+    wp.init()
+    if not hasattr(wp._src.context.runtime, "tape"):
+        raise AttributeError("warp's runtime does not hold the tape that records")
 
 
 # Arrays
@@ -264,3 +276,44 @@ def mark_modified(module: Any) -> None:
     """Make warp load a module anew."""
     if "module" not in _missing():
         module.mark_modified()
+
+
+# Tapes
+
+
+# Warp's runtime once it has started, which holds the tape: every query looks at it.
+_runtime: Any = None
+
+
+def tape_in_progress() -> Any:
+    """The ``wp.Tape`` that records now; None if none does, and "unknown" if one does that warp does not tell."""
+    try:
+        tape = _runtime.tape
+    except AttributeError:  # before the first look, or there is no such part
+        return _first_tape()
+    return tape if tape is None or "tape" not in _missing() else _unknown_tape()
+
+
+def _first_tape() -> Any:
+    global _runtime
+    warp = sys.modules.get("warp")
+    if warp is None:
+        return None
+    try:
+        runtime = warp._src.context.runtime  # None until warp has started
+        tape = None if runtime is None else runtime.tape
+    except AttributeError:
+        return _unknown_tape()
+    _runtime = runtime
+    return tape
+
+
+def _unknown_tape() -> str | None:
+    """Whether a tape records, by trying to begin another."""
+    import warp as wp
+
+    try:
+        with wp.Tape():
+            return None
+    except RuntimeError:
+        return "unknown"

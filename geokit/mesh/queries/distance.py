@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.gradients.differentiable import undifferentiable
 from geokit.core.memory.needs import needs
 from geokit.core.poses.move import move
 from geokit.core.require import require_affine
@@ -44,6 +45,7 @@ class SurfaceDistance(NamedTuple):
 class DistanceQueries(OverlapQueries):
     """Distances of a :class:`geokit.mesh.Surface` from others."""
 
+    @undifferentiable
     @needs(lambda self, *_, **__: 80 * self.mesh.face_count, late=True)
     @on_snapshot
     def distance(self, other: OverlapQueries, *, transform: ArrayLike | None = None) -> SurfaceDistance:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core import launcher, user_arrays
 from geokit.core.gradients.library import Library, cross, dot, length
 from geokit.core.gradients.rules import Asked, Rule
 
@@ -161,7 +161,7 @@ def _quick_distance(place: int) -> Any:
             found[:, None], point - feet, 0.0
         )
         weights = library.where(found[:, None], weights, 0.0)
-        short = (found & (abs(distance) <= SHORT * asked.arguments["self"].scale)).nonzero()[:, 0]
+        short = library.rows(found & (abs(distance) <= SHORT * asked.arguments["self"].scale))
         if len(short):
             near = (part[short] for part in (point, triangle_id, weights, distance))
             direction, weights[short] = _near_slopes(library, asked, *near, signed=place == 0)
@@ -174,6 +174,25 @@ def _quick_distance(place: int) -> Any:
         return result
 
     return quick
+
+
+def _on_device(place: int) -> Any:
+    """The derivatives by points where they are; ``place`` is that of the distance."""
+
+    def on_device(asked: Asked, answer: Any, slopes: Any, totals: dict[str, Any]) -> bool:
+        surface, points = asked.arguments["self"], asked.tensors["points"]
+        if list(totals) != ["points"] or surface._device != points.device:
+            return False
+        from geokit.mesh.queries.foot_slopes_kernels import FOOT_SLOPES
+
+        triangle_id, weights = answer[2:]
+        inputs = [surface._vertices, surface._faces, place == 0, points, answer[place], triangle_id, weights]
+        by = [slopes[place], slopes[1 - place], slopes[3]]
+        kernel: Any = FOOT_SLOPES[answer[place].dtype]
+        launcher.launch(kernel, len(points), [*inputs, *by], [totals["points"]], points.device)
+        return True
+
+    return on_device
 
 
 def _quick_hit(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
@@ -230,12 +249,14 @@ CLOSEST_POINT = Rule(
     (True, True, False, True),
     _closest_point,
     quick=_quick_distance(1),
+    on_device=_on_device(1),
     shapes=_shapes_of_points((3, "float"), (1, "float"), (1, "int32"), (3, "float")),
 )
 SIGNED_DISTANCE = Rule(
     (True, True, False, True),
     _signed_distance,
     quick=_quick_distance(0),
+    on_device=_on_device(0),
     shapes=_shapes_of_points((1, "float"), (3, "float"), (1, "int32"), (3, "float")),
 )
 RAYCAST = Rule(
@@ -283,7 +304,7 @@ def _of_many(rule: Rule) -> Rule:
         found = of_one(library, flat, rows, steep, wanted)
         return found and {name: part.reshape(asked.tensors[name].shape) for name, part in found.items()}
 
-    return rule._replace(build=build, quick=quick)
+    return rule._replace(build=build, quick=quick, on_device=None)
 
 
 CLOSEST_POINT_OF_MANY = _of_many(CLOSEST_POINT)

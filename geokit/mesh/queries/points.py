@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop.arrays import import_array
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
+from geokit.core.require import require_unrecorded
 from geokit.core.snapshot import on_snapshot
 from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.topology.size_limits import require_measurable
@@ -125,6 +126,7 @@ class PointQueries:
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     # Its answers are dictionaries of NumPy arrays, so calls are not replayed.
+    @undifferentiable
     @needs(lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points), late=True)
     @on_snapshot
     def sample_attributes(
@@ -155,6 +157,7 @@ class PointQueries:
         Held by: tests/mesh/attributes/test_transfer.py
         """
         asked = chosen_names(self.mesh, names)
+        require_unrecorded(points, "points")
         if isinstance(points, np.ndarray) and points.dtype == np.float32:
             points = points.astype(np.float64)  # answers would be float32, weights too
         found = self.closest_point(points, max_distance=max_distance)
@@ -162,6 +165,7 @@ class PointQueries:
         return interpolated(self.mesh, triangle_id, barycentric.astype(np.float64), asked)
 
     @placed("points", moved=("points",))
+    @undifferentiable
     @replayed()
     @needs(lambda self, points, *_, **__: 72 * rows(points), late=True)
     @on_snapshot

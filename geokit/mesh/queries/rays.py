@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -137,6 +137,7 @@ class RayQueries:
         return self._in_chunks(query, origins, directions, progress)
 
     @placed("origins", "directions", directions=("directions",))
+    @undifferentiable
     @needs(lambda self, origins, *_, **__: 52 * rows(origins), late=True)
     @on_snapshot
     def raycast_all(

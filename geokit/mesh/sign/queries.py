@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
@@ -249,6 +249,7 @@ class SignQueries(PointQueries):
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     @placed("points")
+    @undifferentiable
     @replayed()
     @needs(lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points), late=True)
     @on_snapshot

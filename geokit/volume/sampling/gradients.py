@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core import launcher
 from geokit.core.gradients.library import Library, dot
 from geokit.core.gradients.rules import Asked, Rule, untracked
+from geokit.core.interop.arrays import reinterpreted
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.nodes import set_bits
@@ -106,6 +108,17 @@ def _order(asked: Asked) -> int:
     return order
 
 
+def _check_sample(asked: Asked) -> None:
+    _order(asked)
+
+
+def _check_gradient(asked: Asked) -> None:
+    _order(asked)
+    components = COMPONENTS.get(asked.arguments["volume"].info.grid_type, 1)
+    if components > 1 or asked.arguments["channel"] is not None:
+        raise InputError("points: second derivatives are known for scalar grids without channels; detach the points")
+
+
 def _pull_sample(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
     (slope,), order, points = slopes, _order(asked), asked.tensors["points"]
     volume, space, device = (asked.arguments[name] for name in ("volume", "space", "device"))
@@ -118,11 +131,30 @@ def _pull_sample(library: Library, asked: Asked, answer: Any, slopes: Any) -> di
     return found
 
 
+def _sample_on_device(asked: Asked, answer: Any, slopes: Any, totals: dict[str, Any]) -> bool:
+    """The derivatives by points where they are."""
+    import warp as wp
+
+    points, (by_sample,) = asked.tensors["points"], slopes
+    if list(totals) != ["points"]:
+        return False
+    from geokit.volume.sampling.sample_slopes_kernels import SAMPLE_SLOPES
+
+    options = {name: asked.arguments[name] for name in ("space", "channel", "device")}
+    along = asked.arguments["volume"].gradient(points, order=_order(asked), **options)
+    number = wp.float32 if points.dtype == wp.vec3f else wp.float64
+    components = by_sample.size * (3 if by_sample.dtype == points.dtype else 1) // len(points)
+    entries = reinterpreted(by_sample, number, (components * len(points),))
+    vectors = reinterpreted(along, points.dtype, (components * len(points),))
+    inputs = [components, entries, vectors]
+    launcher.launch(SAMPLE_SLOPES[number], len(points), inputs, [totals["points"]], points.device)
+    return True
+
+
 def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
+    _check_gradient(asked)
     (slope,), order, points = slopes, _order(asked), asked.tensors["points"]
     volume, space, device = (asked.arguments[name] for name in ("volume", "space", "device"))
-    if slope.ndim > 2 or asked.arguments["channel"] is not None:
-        raise InputError("points: second derivatives are known for scalar grids without channels; detach the points")
     stencil = _Stencil(library, volume, points, order, space)
     if order == 1:
         second = _mixed(library, stencil, stencil.read(volume, device))
@@ -195,7 +227,7 @@ def _shapes(*columns: tuple[int, ...], name: str = "points", of: bool = False) -
     return shapes
 
 
-SAMPLE = Rule((True,), pull=_pull_sample, shapes=_shapes((), of=True))
-GRADIENT = Rule((True,), pull=_pull_gradient, shapes=_shapes((3,), of=True))
+SAMPLE = Rule((True,), pull=_pull_sample, on_device=_sample_on_device, check=_check_sample, shapes=_shapes((), of=True))
+GRADIENT = Rule((True,), pull=_pull_gradient, check=_check_gradient, shapes=_shapes((3,), of=True))
 ADAPTIVE = Rule((True,), pull=_pull_adaptive, shapes=_shapes(()))
 RAYCAST = Rule((True, True, False), pull=_pull_raycast, shapes=_shapes((), (3,), (3,), name="origins"))

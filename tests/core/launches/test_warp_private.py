@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import ast
 import inspect
+import sys
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,7 +53,7 @@ def test_private_parts_are_used_in_one_module():
     assert not found, "through geokit/core/launches/warp_private.py, with a public way beside it"
 
 
-@pytest.mark.parametrize("part", ["descriptor", "launch", "module", "direct", "all"])
+@pytest.mark.parametrize("part", ["descriptor", "launch", "module", "direct", "tape", "all"])
 def test_without_a_part_the_answers_are_the_same(part, monkeypatch):
     points, directions = np.random.default_rng(0).uniform(-2, 2, (2, 40, 3))
 
@@ -65,7 +67,7 @@ def test_without_a_part_the_answers_are_the_same(part, monkeypatch):
         return found
 
     expected = answers()
-    lacking = frozenset(["descriptor", "launch", "module", "direct"] if part == "all" else [part])
+    lacking = frozenset(["descriptor", "launch", "module", "direct", "tape"] if part == "all" else [part])
     monkeypatch.setattr(warp_private, "_missing", lambda: lacking)
     monkeypatch.setattr(launch_cache, "_idle", {})
     warp_private.descriptor_type.cache_clear()
@@ -87,3 +89,24 @@ def test_a_changed_part_is_named(monkeypatch):
     assert "shape" in warp_private.missing()["descriptor"]
     monkeypatch.delattr(type(wp.get_module("geokit.core.launches.none")), "mark_modified")
     assert set(warp_private.missing()) == {"descriptor", "module"}
+
+
+def test_the_tape_that_records():
+    assert warp_private.tape_in_progress() is None
+    with wp.Tape() as tape:
+        assert warp_private.tape_in_progress() is tape
+    assert warp_private.tape_in_progress() is None
+
+
+@pytest.mark.parametrize("how", ["another meaning", "no such part"])
+def test_without_the_tape_it_is_known_whether_one_records(how, monkeypatch):
+    if how == "another meaning":
+        monkeypatch.setattr(warp_private, "_missing", lambda: frozenset(["tape"]))
+    else:
+        monkeypatch.setattr(warp_private, "_runtime", None)
+        monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(Tape=wp.Tape))
+    assert warp_private.tape_in_progress() is None
+    tape = wp.Tape()
+    with tape:
+        assert warp_private.tape_in_progress() == "unknown"
+    assert warp_private.tape_in_progress() is None

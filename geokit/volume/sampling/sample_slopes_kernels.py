@@ -1,0 +1,41 @@
+"""Derivatives of samples with respect to the points, from the gradients there."""
+
+from typing import Any
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+# Without fused multiply-adds a GPU gives the same bits as a CPU.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def sample_slopes_kernel(
+    first: int,
+    components: int,
+    by_sample: wp.array(dtype=Any),
+    gradient: wp.array(dtype=Any),
+    out_slopes: wp.array(dtype=Any),
+):
+    """Add to the slopes of the points those of their samples, which have some components each, times the gradients."""
+    i = first + wp.tid()
+    # Summed before it is added: so a second pass adds the same bits.
+    total = type(out_slopes[i])()
+    for k in range(components):
+        total += by_sample[components * i + k] * gradient[components * i + k]
+    out_slopes[i] = out_slopes[i] + total
+
+
+# By the type of the points' coordinates.
+SAMPLE_SLOPES = {
+    number: wp.overload(
+        sample_slopes_kernel,
+        {
+            "by_sample": wp.array(dtype=number),
+            "gradient": wp.array(dtype=vector),
+            "out_slopes": wp.array(dtype=vector),
+        },
+    )
+    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
+}
