@@ -106,8 +106,8 @@ def convert(
         grid_type: Dense volume to volume: type of the grid, such as float or int32; by default that of the values.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
-        unit: From a mesh: the unit of what is made, mm, cm, m, km, um, in or ft. Positions are scaled from the unit that
-            the file or from-unit says, and lengths of other options are in the new one.
+        unit: From a mesh: the unit of what is made, mm, cm, m, km, um, in or ft. Positions are scaled from the unit
+            that the file or from-unit says, and lengths of other options are in the new one.
         up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.
         from_unit: With unit, or to say it in the new file: the unit of a file that does not say its own.
         from_up: With up, or to say it in the new file: the axis that points up in a file that does not say its own.

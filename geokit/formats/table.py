@@ -143,7 +143,7 @@ FORMATS: dict[str, Format] = {
     # trimesh
     ".glb": Format("scenes", **_GLTF),
     ".gltf": Format("scenes", **_GLTF),
-    ".3mf": Format("three_mf", mesh="rw", unit=True, fixed_up="z", process=True, **_Z),
+    ".3mf": Format("exchange.three_mf", mesh="rw", unit=True, fixed_up="z", process=True, **_Z),
     # VTK. Meshes are written by pyvista, .vtu by meshio.
     ".vtk": Format("vtk", mesh="rw", **_ARRAYS, unit=True, process=True, **_Z),
     ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, unit=True, process=True, **_Z),

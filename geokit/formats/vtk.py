@@ -122,9 +122,9 @@ def unit_of(fields: Any) -> dict[str, Any]:
     meters, axis = fields.GetArray(_METERS), fields.GetAbstractArray(_UP)
     if meters is not None and meters.GetNumberOfValues() == 1 and 0.0 < meters.GetTuple1(0) < float("inf"):
         found["meters_per_unit"] = meters.GetTuple1(0)
-    if axis is not None and axis.GetClassName() == "vtkStringArray" and axis.GetNumberOfValues() == 1:
-        if axis.GetValue(0) in ("x", "y", "z"):
-            found["up_axis"] = axis.GetValue(0)
+    is_text = axis is not None and axis.GetClassName() == "vtkStringArray" and axis.GetNumberOfValues() == 1
+    if is_text and axis.GetValue(0) in ("x", "y", "z"):
+        found["up_axis"] = axis.GetValue(0)
     return found
 
 

@@ -24,6 +24,8 @@ __all__ = ["BAND_TOLERANCE", "BandWidths", "widths_of", "with_widths"]
 BAND_TOLERANCE = 1e-5
 # No band is narrower: a cell that the surface crosses has a corner within this distance on each side.
 NARROWEST = 1.0 - BAND_TOLERANCE
+# A background beyond this many voxels is some large number, and no width.
+WIDEST = 1 << 16
 LEAVES_AT_A_TIME = 1024
 
 
@@ -59,7 +61,7 @@ def widths_of(volume: SparseVolume, voxel_size: float) -> BandWidths:
 
     The width inside is that of the value which inactive voxels inside have in common. A body that is active throughout
     has none: all that it holds is kept. Fields that say neither, because these values differ or active ones exceed
-    them, count as bands of one width, that of the background.
+    them, or because the background is no width, count as bands of one width, that of the background.
     """
     found: BandWidths = volume._cache.find("widths of the band", lambda: _found_widths(volume, voxel_size))
     return found
@@ -92,6 +94,8 @@ def _found_widths(volume: SparseVolume, voxel_size: float) -> BandWidths:
     background = float(volume.info.background)
     outside = _in_voxels(background, voxel_size)
     one = BandWidths(outside, outside)
+    if not outside <= WIDEST:
+        return one
     check_volume(volume)
     inner, deepest = None, 0.0
     for values, active in _inside_values(volume):

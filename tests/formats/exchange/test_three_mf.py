@@ -79,9 +79,7 @@ class TestParts:
             "3D/Objects/object_1.model": model(body(1)),
             "3D/Objects/object_2.model": model(body(1, (30.0, 20.0, 5.0))),
         }
-        objects = "".join(
-            joined(n, component(1, f"/3D/Objects/object_{n - 1}.model")) for n in (2, 3)
-        )
+        objects = "".join(joined(n, component(1, f"/3D/Objects/object_{n - 1}.model")) for n in (2, 3))
         mesh = load(model(objects, item(2, transform=moved(100, 0, 0)) + item(3)), parts)
         assert mesh.face_count == 24
         assert mesh.volume == pytest.approx(4000.0)

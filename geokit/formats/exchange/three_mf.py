@@ -76,9 +76,7 @@ def read_mesh(path: Path) -> list[Body]:
     if others:
         notes.append(f"parts in {', '.join(sorted(others))} are taken as the file's {root.unit or 'millimeter'}")
     first = found.bodies[0]
-    found.bodies[0] = first._replace(
-        meters_per_unit=_UNITS[root.unit or "millimeter"], up_axis="z", notes=tuple(notes)
-    )
+    found.bodies[0] = first._replace(meters_per_unit=_UNITS[root.unit or "millimeter"], up_axis="z", notes=tuple(notes))
     return found.bodies
 
 
@@ -173,7 +171,8 @@ class _Placed:
             )
         if here in above:
             raise FileFormatError(
-                f"{path}: object {place.object[:40]!r} in {file} is part of itself; the file is damaged, export it again"
+                f"{path}: object {place.object[:40]!r} in {file} is part of itself; the file is damaged, "
+                "export it again"
             )
         if found.kind in _ASIDE:
             self.aside += 1
