@@ -34,7 +34,7 @@ geokit convert bunny.usd field.nvdb --tolerance 1e-3
 geokit convert bunny.vdb bunny.obj --tolerance 1e-3
 geokit convert bunny.usd light.obj --tolerance 1e-3
 geokit convert bunny.usd points.xyz --count 20000
-geokit convert bunny.usd print.3mf --from-unit cm --unit mm --from-up y --up z
+geokit convert bunny.usd metric.vtp --from-unit cm --unit mm --from-up y --up z
 geokit convert cloud.ply balls.vdb --radius 0.02
 geokit convert cloud.ply skin.stl
 geokit convert smoke.vdb smoke.npz --grid density
