@@ -1041,10 +1041,10 @@ def gltf_text() -> str:
     )
 
 
-TRIMESH, VTKS, MESHIO, USD = ("trimesh", "networkx", "lxml"), ("pyvista", "vtkmodules"), ("meshio", "h5py"), ("pxr",)
+TRIMESH, VTKS, MESHIO, USD = ("trimesh",), ("pyvista", "vtkmodules"), ("meshio", "h5py"), ("pxr",)
 MESH_FORMATS = {
-    **dict.fromkeys(("obj", "off", "ply", "stl"), ()),
-    **dict.fromkeys(("glb", "3mf"), TRIMESH),
+    **dict.fromkeys(("obj", "off", "ply", "stl", "3mf"), ()),
+    "glb": TRIMESH,
     **dict.fromkeys(("vtk", "vtp"), VTKS),
     "vtu": (*MESHIO, *VTKS),
     **dict.fromkeys(("msh", "xdmf"), MESHIO),

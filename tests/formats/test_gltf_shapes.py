@@ -253,6 +253,34 @@ class TestSkins:
         scene.tree["skins"] = [{"joints": [1]}]
         np.testing.assert_allclose(scene.load(tmp_path).vertices, placed(BOX.vertices, far), atol=1e-6)
 
+    def test_of_a_deep_skeleton(self, scene: Scene, tmp_path: Path) -> None:
+        """Each joint is placed once, however many lie above it."""
+        count, step = 3000, matrix(0.001, [0.01, 0.0, 0.02])
+        pose = np.linalg.matrix_power(step, count)
+        joints = np.zeros((8, 4), int)
+        joints[4:, 0] = count - 1
+        attributes = {
+            "POSITION": scene.accessor(BOX.vertices),
+            "JOINTS_0": scene.accessor(joints, "u2"),
+            "WEIGHTS_0": scene.accessor(np.tile([1.0, 0, 0, 0], (8, 1))),
+        }
+        scene.mesh(attributes=attributes, indices=scene.accessor(BOX.faces.ravel(), "u2"))
+        # The deepest comes first.
+        chain = [{"matrix": columns(step), "children": [number]} for number in range(count)]
+        chain[0].pop("children")
+        scene.tree["nodes"] = [{"mesh": 0, "skin": 0}, *chain]
+        scene.tree["scenes"][0]["nodes"] = [0, count]
+        scene.tree["skins"] = [{"joints": list(range(count, 0, -1))}]
+        expected = np.concatenate([placed(BOX.vertices[:4], step), placed(BOX.vertices[4:], pose)])
+        np.testing.assert_allclose(scene.load(tmp_path).vertices, expected, atol=1e-5)
+
+    def test_whose_nodes_are_their_own_parents_are_refused(self, scene: Scene, tmp_path: Path) -> None:
+        scene.box()
+        scene.tree["nodes"] = [{"mesh": 0, "skin": 0}, {"children": [2]}, {"children": [1]}]
+        scene.tree["skins"] = [{"joints": [1]}]
+        with pytest.raises(gk.FileFormatError, match="nodes are their own parents"):
+            scene.load(tmp_path)
+
 
 class TestInstances:
     def test_have_poses_below_their_node(self, scene: Scene, tmp_path: Path) -> None:

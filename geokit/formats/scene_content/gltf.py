@@ -14,6 +14,7 @@ from typing import Any
 
 from geokit.errors import FileFormatError
 from geokit.formats.scene_content.gltf_accessors import Accessors
+from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, needs_writing_out, write_out
 
 __all__ = ["understood"]
@@ -84,51 +85,30 @@ def _opened(data: bytes) -> tuple[Any, bytes]:
 
 
 def _require_understood(tree: dict[str, Any], path: Path) -> None:
-    version = str(_object(tree.get("asset")).get("version", "2.0"))
+    version = str(object_of(tree.get("asset")).get("version", "2.0"))
     if not version.startswith("2"):
         raise FileFormatError(f"{path}: is glTF {version[:20]}, and only 2 is read; convert it with gltf-pipeline")
-    for name in _listed(tree.get("extensionsRequired"), str):
+    for name in objects(tree.get("extensionsRequired"), str):
         if name not in _WRITTEN_OUT and not name.startswith(_LOOKS):
             remedy = _REMEDIES.get(name, "export it without")
             raise FileFormatError(f"{path}: requires the glTF extension {name[:80]!r}, which is not read; {remedy}")
-    for node in _listed(tree.get("nodes")):
+    for node in objects(tree.get("nodes")):
         for name, what in _SHAPES.items():
-            if name in _object(node.get("extensions")):
+            if name in object_of(node.get("extensions")):
                 raise FileFormatError(f"{path}: has {what} ({name}), which are not read; export it without")
-        if "skin" in node and INSTANCES in _object(node.get("extensions")):
+        if "skin" in node and INSTANCES in object_of(node.get("extensions")):
             raise FileFormatError(
                 f"{path}: has instances of a skin ({INSTANCES}), which are not read; export it without"
             )
-    for primitive in _primitives(tree):
+    for primitive in primitives_of(tree):
         # Without data there is only what an extension holds, whether the file requires it or not.
-        position = _at(tree, "accessors", _object(primitive.get("attributes")).get("POSITION"))
+        position = entry_of(tree, "accessors", object_of(primitive.get("attributes")).get("POSITION"))
         if position is not None and "bufferView" not in position and "sparse" not in position:
-            name = next(iter(_object(primitive.get("extensions"))), "no buffer of positions")
+            name = next(iter(object_of(primitive.get("extensions"))), "no buffer of positions")
             remedy = _REMEDIES.get(name, "export it again")
             raise FileFormatError(f"{path}: holds a mesh without positions ({name[:80]!r}); {remedy}")
-    for buffer in _listed(tree.get("buffers")):
+    for buffer in objects(tree.get("buffers")):
         # A buffer that only a decoder would fill.
-        for name, extension in _object(buffer.get("extensions")).items():
-            if name in _REMEDIES and "uri" not in buffer and _object(extension).get("fallback") is True:
+        for name, extension in object_of(buffer.get("extensions")).items():
+            if name in _REMEDIES and "uri" not in buffer and object_of(extension).get("fallback") is True:
                 raise FileFormatError(f"{path}: is compressed with {name!r}, which is not read; {_REMEDIES[name]}")
-
-
-def _primitives(tree: dict[str, Any]) -> list[dict[str, Any]]:
-    found = (_listed(mesh.get("primitives")) for mesh in _listed(tree.get("meshes")))
-    return [primitive for primitives in found for primitive in primitives]
-
-
-def _object(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _at(tree: dict[str, Any], name: str, index: Any) -> dict[str, Any] | None:
-    found = tree.get(name)
-    if not isinstance(found, list) or not isinstance(index, int) or not 0 <= index < len(found):
-        return None
-    return found[index] if isinstance(found[index], dict) else None
-
-
-def _listed(value: Any, kind: type = dict) -> list[Any]:
-    """The entries of a list that are objects, or texts; damaged files hold anything."""
-    return [entry for entry in value if isinstance(entry, kind)] if isinstance(value, list) else []

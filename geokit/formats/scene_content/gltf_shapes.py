@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.formats.scene_content.gltf_accessors import Accessors
+from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 
 __all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "write_out"]
 
@@ -29,36 +30,36 @@ _WEIGHT, _JOINT = "WEIGHTS_", "JOINTS_"
 
 def needs_writing_out(tree: dict[str, Any]) -> bool:
     """Whether anything of a file must be written out."""
-    nodes = list(_objects(tree.get("nodes")))
+    nodes = objects(tree.get("nodes"))
     return (
-        any(_is_shaped(tree, primitive) for primitive in _primitives(tree))
-        or any(INSTANCES in _object(node.get("extensions")) or ("skin" in node and "mesh" in node) for node in nodes)
+        any(_is_shaped(tree, primitive) for primitive in primitives_of(tree))
+        or any(INSTANCES in object_of(node.get("extensions")) or _is_skinned(node) for node in nodes)
         or any(map(_is_hidden, nodes))
-        or any(_weights(node, _mesh(tree, node)) for node in nodes)
+        or any(_weights(tree, node) for node in nodes)
     )
 
 
 def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
     """Change the file's JSON so that triangles, float positions and nodes are all there is."""
     done: dict[tuple[str, int], int] = {}
-    for primitive in _primitives(tree):
+    for primitive in primitives_of(tree):
         _plain(tree, primitive, accessors, done)
     hidden = [number for number, node in enumerate(tree.get("nodes", ())) if _is_hidden(node)]
     for number in _reached(tree, hidden):
         tree["nodes"][number].pop("mesh", None)
     # Poses are those of the file, before nodes are added or taken away.
-    poses = _poses(tree)
+    poses = _poses(tree) if any(map(_is_skinned, objects(tree.get("nodes")))) else []
     morphed: dict[tuple[int, tuple[float, ...]], int] = {}
     for number, node in enumerate(list(tree.get("nodes", ()))):
-        weights = _weights(node, _mesh(tree, node))
+        weights = _weights(tree, node)
         if weights:
             key = node["mesh"], tuple(weights)
             if key not in morphed:
                 morphed[key] = _morphed(tree, node["mesh"], weights, accessors)
             node["mesh"] = morphed[key]
-        if "skin" in node and "mesh" in node:
+        if _is_skinned(node):
             _skin(tree, number, poses, accessors)
-        extensions = _object(node.get("extensions"))
+        extensions = object_of(node.get("extensions"))
         if INSTANCES in extensions:
             _instantiate(tree, node, extensions.pop(INSTANCES), accessors)
     for name in ("extensionsUsed", "extensionsRequired"):
@@ -67,14 +68,13 @@ def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
 
 
 def _is_shaped(tree: dict[str, Any], primitive: dict[str, Any]) -> bool:
-    attributes = _object(primitive.get("attributes"))
+    attributes = object_of(primitive.get("attributes"))
     places = [*attributes.values(), primitive.get("indices")]
-    entries = [tree["accessors"][index] for index in places if _is_row(tree, index)]
-    position = attributes.get("POSITION")
+    position = entry_of(tree, "accessors", attributes.get("POSITION"))
     return (
         primitive.get("mode") == _FAN
-        or any("sparse" in entry for entry in entries)
-        or (_is_row(tree, position) and tree["accessors"][position].get("componentType") != _FLOAT)
+        or any("sparse" in object_of(entry_of(tree, "accessors", index)) for index in places)
+        or (bool(position) and object_of(position).get("componentType") != _FLOAT)
     )
 
 
@@ -95,9 +95,9 @@ def _plain(
 
     attributes = primitive["attributes"]
     for name, index in attributes.items():
-        if _is_row(tree, index):
+        if entry_of(tree, "accessors", index):
             attributes[name] = written(index, as_float=name == "POSITION")
-    if _is_row(tree, primitive.get("indices")):
+    if entry_of(tree, "accessors", primitive.get("indices")):
         primitive["indices"] = written(primitive["indices"], as_float=False)
     if primitive.get("mode") == _FAN:
         if "indices" in primitive:
@@ -110,16 +110,21 @@ def _plain(
         primitive["mode"] = _TRIANGLES
 
 
+def _is_skinned(node: dict[str, Any]) -> bool:
+    return "skin" in node and "mesh" in node
+
+
 def _is_hidden(node: dict[str, Any]) -> bool:
     """Whether a node is hidden, and with it all below."""
-    return _object(_object(node.get("extensions")).get(VISIBILITY)).get("visible") is False
+    return object_of(object_of(node.get("extensions")).get(VISIBILITY)).get("visible") is False
 
 
-def _weights(node: dict[str, Any], mesh: dict[str, Any]) -> list[float]:
+def _weights(tree: dict[str, Any], node: dict[str, Any]) -> list[float]:
     """Weights of a node's morph targets, or of its mesh; nothing if all are 0."""
+    mesh = object_of(entry_of(tree, "meshes", node.get("mesh")))
     weights = node.get("weights", mesh.get("weights"))
     if not isinstance(weights, list) or not any(
-        _object(part).get("targets") for part in _objects(mesh.get("primitives"))
+        object_of(part).get("targets") for part in objects(mesh.get("primitives"))
     ):
         return []
     return weights if any(weights) else []
@@ -167,7 +172,7 @@ def _skin(tree: dict[str, Any], number: int, poses: list[NDArray[np.float64]], a
     tree["meshes"].append(mesh)
     placed = {"name": node["name"]} if "name" in node else {}
     tree["nodes"].append({**placed, "mesh": len(tree["meshes"]) - 1, "translation": middle.tolist()})
-    for scene in _objects(tree.get("scenes")):
+    for scene in objects(tree.get("scenes")):
         if number in _reached(tree, scene.get("nodes", ())):
             scene["nodes"] = [*scene["nodes"], len(tree["nodes"]) - 1]
 
@@ -204,7 +209,7 @@ def _instantiate(tree: dict[str, Any], node: dict[str, Any], instances: dict[str
     if "mesh" not in node:
         return
     names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
-    found = _object(instances.get("attributes"))
+    found = object_of(instances.get("attributes"))
     placed = {names[name]: accessors.numbers(index).tolist() for name, index in found.items() if name in names}
     if not placed:
         return
@@ -217,19 +222,20 @@ def _instantiate(tree: dict[str, Any], node: dict[str, Any], instances: dict[str
 
 def _poses(tree: dict[str, Any]) -> list[NDArray[np.float64]]:
     """Matrix of each node to the world; those of nodes that are reached from no root are local."""
-    nodes = list(_objects(tree.get("nodes")))
+    nodes = objects(tree.get("nodes"))
     local = [_local(node) for node in nodes]
     parent = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
-    found = []
+    found: dict[int, NDArray[np.float64]] = {}
     for number in range(len(nodes)):
-        matrix, at, steps = local[number], number, 0
-        while at in parent:
-            at, steps = parent[at], steps + 1
-            if steps > len(nodes):
+        way = [number]
+        while way[-1] not in found and way[-1] in parent:
+            way.append(parent[way[-1]])
+            if len(way) > len(nodes):
                 raise ValueError("nodes are their own parents")
-            matrix = local[at] @ matrix
-        found.append(matrix)
-    return found
+        for at in reversed(way):
+            if at not in found:
+                found[at] = found[parent[at]] @ local[at] if at in parent else local[at]
+    return [found[number] for number in range(len(nodes))]
 
 
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
@@ -263,34 +269,3 @@ def _reached(tree: dict[str, Any], roots: Any) -> set[int]:
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
-
-
-def _mesh(tree: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
-    meshes, number = tree.get("meshes"), node.get("mesh")
-    if not isinstance(meshes, list) or not isinstance(number, int) or not 0 <= number < len(meshes):
-        return {}
-    return _object(meshes[number])
-
-
-def _primitives(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for mesh in _objects(tree.get("meshes")):
-        yield from _objects(mesh.get("primitives"))
-
-
-def _is_row(tree: dict[str, Any], index: Any) -> bool:
-    entries = tree.get("accessors")
-    return (
-        isinstance(index, int)
-        and isinstance(entries, list)
-        and 0 <= index < len(entries)
-        and bool(_object(entries[index]))
-    )
-
-
-def _objects(value: Any) -> Iterator[dict[str, Any]]:
-    """The entries of a list that are objects; damaged files hold anything."""
-    yield from (entry for entry in value if isinstance(entry, dict)) if isinstance(value, list) else ()
-
-
-def _object(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}

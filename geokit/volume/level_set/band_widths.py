@@ -22,6 +22,8 @@ __all__ = ["BAND_TOLERANCE", "BandWidths", "widths_of", "with_widths"]
 
 # Bands whose widths differ by less count as equal: a background is a float32 product of voxel size and half width.
 BAND_TOLERANCE = 1e-5
+# Active values of a band exceed its background by no more: files in half precision round values by 2^-11 of them.
+ROUNDING = 1e-3
 # No band is narrower: a cell that the surface crosses has a corner within this distance on each side.
 NARROWEST = 1.0 - BAND_TOLERANCE
 # A background beyond this many voxels is some large number, and no width.
@@ -61,7 +63,8 @@ def widths_of(volume: SparseVolume, voxel_size: float) -> BandWidths:
 
     The width inside is that of the value which inactive voxels inside have in common. A body that is active throughout
     has none: all that it holds is kept. Fields that say neither, because these values differ or active ones exceed
-    them, or because the background is no width, count as bands of one width, that of the background.
+    them, or because the background is no width, count as bands of one width, that of the background. So do fields that
+    are active beyond the background, as those whose distances nobody has cut off.
     """
     found: BandWidths = volume._cache.find("widths of the band", lambda: _found_widths(volume, voxel_size))
     return found
@@ -97,9 +100,11 @@ def _found_widths(volume: SparseVolume, voxel_size: float) -> BandWidths:
     if not outside <= WIDEST:
         return one
     check_volume(volume)
+    highest = background * (1.0 + ROUNDING)
     inner, deepest = None, 0.0
-    for values, active in _inside_values(volume):
-        known = -values[~active].astype(np.float64)
+    for values, active in _values(volume):
+        inside = values < 0
+        known = -values[inside & ~active].astype(np.float64)
         if len(known):
             # Most bands end here, with the first leaves that were read.
             inner = float(known[0]) if inner is None else inner
@@ -107,8 +112,9 @@ def _found_widths(volume: SparseVolume, voxel_size: float) -> BandWidths:
                 return one
             if not _same(known, inner).all():
                 return one
-        if active.any():
-            deepest = max(deepest, -float(values[active].min()))
+        if (active & (values > highest)).any():
+            return one
+        deepest = max(deepest, -float(values.min(initial=0, where=inside & active)))
     if not np.isfinite(deepest):
         return one
     if inner is None:
@@ -128,25 +134,21 @@ def _in_voxels(width: float, voxel_size: float) -> float:
     return float(nearest) if abs(voxels - nearest) < BAND_TOLERANCE * voxels else voxels
 
 
-def _inside_values(volume: SparseVolume) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
-    """Negative values in parts, each with which of them are active: of tiles, then of leaves."""
+def _values(volume: SparseVolume) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
+    """Values in parts, each with which of them are active: of tiles, then of leaves."""
     is_quantized = volume.info.grid_type in QUANTIZED
     grid = grid_nodes(volume.nanovdb)
     for level in (grid.lower, grid.upper):
         for _, part in level.parts():
-            values = np.asarray(part.values)
-            inside = ~bits_of(np.ascontiguousarray(part.child_mask)) & (values < 0)
-            yield values[inside], bits_of(np.ascontiguousarray(part.value_mask))[inside]
-    table = grid.table
-    inside = (table["child"] == 0) & (table["value"] < 0)
-    yield table["value"][inside], table["state"][inside] != 0
+            is_tile = ~bits_of(np.ascontiguousarray(part.child_mask))
+            yield np.asarray(part.values)[is_tile], bits_of(np.ascontiguousarray(part.value_mask))[is_tile]
+    table = grid.table[grid.table["child"] == 0]
+    yield table["value"], table["state"] != 0
     if is_quantized:
         source = dequantized(volume)
         grid = grid_nodes(source.nanovdb, LAYOUTS[source.info.grid_type])
     for _, part in grid.leaf.parts(LEAVES_AT_A_TIME):
-        values = np.asarray(part.values)
-        inside = values < 0
-        yield values[inside], bits_of(np.ascontiguousarray(part.value_mask))[inside]
+        yield np.asarray(part.values), bits_of(np.ascontiguousarray(part.value_mask))
 
 
 def _needed(origins: NDArray[np.int32], active: NDArray[np.bool_], is_inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -47,6 +47,12 @@ def far_ball():
     return gk.volume.from_mesh(ball, SIZE, half_width=3.0)
 
 
+def ball_field():
+    """Distances to a ball of radius 8 that nobody has cut off, shape (24, 24, 24)."""
+    points = np.stack(np.meshgrid(*3 * [np.arange(-12.0, 12.0)], indexing="ij"), axis=-1)
+    return np.linalg.norm(points, axis=-1) - 8.0
+
+
 @pytest.fixture(params=PAIRS, ids=str)
 def pair(request):
     return request.param
@@ -83,14 +89,30 @@ class TestWidths:
         assert values.min() < -0.35
 
     def test_fields_that_do_not_say_count_as_of_one_width(self):
-        points = np.stack(np.meshgrid(*3 * [np.arange(-12.0, 12.0)], indexing="ij"), axis=-1)
-        field = np.linalg.norm(points, axis=-1) - 8.0
+        field = ball_field()
         # Inside, inactive voxels hold different values.
-        values = np.where(
-            np.abs(field) < 3.0, field, np.where(field > 0, 3.0, np.where(points[..., 0] > 0, -3.0, -4.0))
-        )
+        lower = np.where(np.arange(len(field)) > len(field) // 2, -3.0, -4.0)[:, None, None]
+        values = np.where(np.abs(field) < 3.0, field, np.where(field > 0, 3.0, lower))
         volume = gk.volume.from_dense(values, voxel_size=1.0, background=3.0, grid_class="level set")
         assert widths_of(volume, 1.0) == (3.0, 3.0)
+
+    @pytest.mark.parametrize("kind", ["float32", "float64"])
+    def test_a_field_that_is_active_everywhere_is_no_band(self, kind):
+        field = ball_field().astype(kind)
+        # No value is the background, so none is inactive.
+        volume = gk.volume.from_dense(field, voxel_size=1.0, background=2.5, grid_class="level set")
+        assert volume.info.active_voxel_count == field.size
+        assert widths_of(volume, 1.0) == (2.5, 2.5)
+        _, values = active_voxels(gk.volume.offset(volume, 0.5))
+        assert values.min() >= -2.5
+        assert values.max() <= 2.5
+
+    def test_values_that_a_file_has_rounded_do_not_exceed_the_background(self):
+        field = np.clip(ball_field(), -6.0, 2.5)
+        rounded = np.where((field > 2.4) & (field < 2.5), 2.5 * (1.0 + 2.0**-11), field)
+        assert (rounded > 2.5).any()
+        volume = gk.volume.from_dense(rounded, voxel_size=1.0, background=2.5, grid_class="level set")
+        assert widths_of(volume, 1.0) == (2.5, 6.0)
 
     def test_the_narrowed_band_is_that_of_the_mesh(self, pair):
         """Cut from a wider band, the leaves, active voxels and values are those that from_mesh makes."""
