@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
+    "ALL_GPUS",
     "compile_notice",
     "cuda_devices",
     "device_or_default",
     "identity",
+    "is_several",
     "launch",
     "launch_queries",
     "load_module",
@@ -38,6 +40,9 @@ __all__ = [
     "resolve_device",
     "thread_count",
 ]
+
+# As a device: all CUDA devices.
+ALL_GPUS = "cuda:*"
 
 # A launch costs about 30 us of Python; shorter slices would spend more time on launching than on work.
 MINIMUM_SLICE = 512
@@ -118,6 +123,11 @@ def cuda_devices() -> list[str]:
     return [device.alias for device in _warp().get_cuda_devices()]
 
 
+def is_several(device: Any) -> bool:
+    """Whether a device is a list of them, or all GPUs."""
+    return isinstance(device, (list, tuple)) or (isinstance(device, str) and device == ALL_GPUS)
+
+
 def resolve_device(device: Any = None) -> "wp.Device":
     """The warp device for an alias ("cpu", "cuda:0"), a warp device, or None (the first GPU, else the CPU).
 
@@ -125,8 +135,9 @@ def resolve_device(device: Any = None) -> "wp.Device":
         InputError: There is no such device; the message lists the existing ones.
     """
     wp = _warp()
-    if isinstance(device, (list, tuple)):
-        raise InputError("device: a list is for Surface, NeighborGrid and queries of volumes; give one device here")
+    if is_several(device):
+        what = repr(ALL_GPUS) if isinstance(device, str) else "a list"
+        raise InputError(f"device: {what} is for Surface, NeighborGrid and queries of volumes; give one device here")
     if device is None:
         gpus = wp.get_cuda_devices()
         device = gpus[0] if gpus else "cpu"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import OnDevices, devices_of, shares
+from geokit.core.blocks.several_devices import OnDevices, replicas, shares
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.notebook import repr_html
@@ -17,7 +17,6 @@ from geokit.core.memory.needs import needs
 from geokit.core.memory.unchecked import allocating
 from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import read_array
-from geokit.core.snapshot import snapshot
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh._device_mesh import arrays_on
 from geokit.mesh._model import TriangleMesh
@@ -65,8 +64,9 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         mesh: The triangles; at least one. Of a pair (vertices, faces), vertices that are a torch tensor with gradients
             are kept as such, as by :class:`geokit.torch.Surface`; so is an array of warp that requires gradients, for
             a ``wp.Tape``.
-        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices has the mesh
-            on each: they share queries of points and rays of 65,536 rows or more, and the first does all else.
+        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices, or
+            "cuda:*" for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or more,
+            and the first does all else.
     Attributes:
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).
@@ -81,7 +81,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
     _cache = CacheAttribute()
 
     def __new__(cls, *_: Any, device: Any = None, **__: Any) -> Surface:
-        shared = cls is Surface and isinstance(device, (list, tuple))
+        shared = cls is Surface and launcher.is_several(device)
         return object.__new__(_SurfaceOnDevices if shared else cls)
 
     @needs(lambda self, mesh, **_: BYTES_PER_FACE * mesh.face_count)
@@ -331,13 +331,10 @@ class _SurfaceOnDevices(OnDevices, Surface):
     """A surface with a replica on each of several devices."""
 
     def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
-        self._parts = tuple(Surface(mesh, device=one) for one in devices_of(device) or ())
+        self._parts = replicas(lambda one: Surface(mesh, device=one), device)
 
     def update(self, vertices: ArrayLike) -> None:
-        moved = [snapshot(part) for part in self._parts]
-        for part in moved:
-            part.update(vertices)
-        self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
+        self._update(vertices)
 
     def __reduce__(self) -> Any:
         return _restored, (self.mesh, self._aliases)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import OnDevices, devices_of, shares
+from geokit.core.blocks.several_devices import OnDevices, replicas, shares
 from geokit.core.forks import Lock
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
@@ -22,7 +22,7 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import require_count, require_flag
 from geokit.core.scan import row_offsets
-from geokit.core.snapshot import on_snapshot, snapshot
+from geokit.core.snapshot import on_snapshot
 from geokit.core.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import radius as search
@@ -205,8 +205,8 @@ class NeighborGrid:
             a point has moved by half the skin. Answers are the same; order "any" is "index" then. Memory: 4 bytes for
             each listed pair, and 120 a point. None for no lists.
         device: Where the points live and queries run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. A
-            list of devices has the points on each: they share ``count``, ``radius_search``, ``knn`` and ``hybrid`` of
-            65,536 given queries or more, and the first does all else.
+            list of devices, or "cuda:*" for all GPUs, has the points on each: they share ``count``,
+            ``radius_search``, ``knn`` and ``hybrid`` of 65,536 given queries or more, and the first does all else.
     Raises:
         InputError: points is not (N, 3), not finite, or its extent overflows float64; radius is negative or not a
             finite number; skin is not a positive number; groups are not offsets from 0 to N; periodic spans no volume,
@@ -235,7 +235,7 @@ class NeighborGrid:
     _cache = CacheAttribute()
 
     def __new__(cls, *_: Any, device: Any = None, **__: Any) -> NeighborGrid:
-        shared = cls is NeighborGrid and isinstance(device, (list, tuple))
+        shared = cls is NeighborGrid and launcher.is_several(device)
         return object.__new__(_GridOnDevices if shared else cls)
 
     @needs(lambda self, points, *_, **__: 48 * rows(points))
@@ -1016,13 +1016,10 @@ class _GridOnDevices(OnDevices, NeighborGrid):
     """A grid with a replica on each of several devices."""
 
     def __init__(self, points: Any, radius: float | None = None, *, device: Any = None, **options: Any) -> None:
-        self._parts = tuple(NeighborGrid(points, radius, device=one, **options) for one in devices_of(device) or ())
+        self._parts = replicas(lambda one: NeighborGrid(points, radius, device=one, **options), device)
 
     def update(self, points: Any) -> None:
-        moved = [snapshot(part) for part in self._parts]
-        for part in moved:
-            part.update(points)
-        self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
+        self._update(points)
 
     def __reduce__(self) -> Any:
         restored, (points, radius, _, *others) = self._parts[0].__reduce__()

@@ -1,12 +1,14 @@
 """Queries on several devices: each answers a block of the rows, and the answers are joined in order.
 
-A row's answer does not depend on the other rows, so it has the bits that one device gives.
+A row's answer does not depend on the other rows, so it has the bits that one device gives. The caller's current CUDA
+device is after a call what it was before.
 
 Held by: tests/core/blocks/test_several_devices.py
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import itertools
@@ -20,12 +22,13 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.gradients.rules import held_by, is_tracked
+from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["OnDevices", "devices_of", "over_devices", "shares"]
+__all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares"]
 
 # Fewest rows for each device; the first device alone answers fewer.
 LEAST_ROWS = 1 << 15
@@ -36,18 +39,44 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def devices_of(device: Any) -> list["wp.Device"] | None:
-    """The devices of a list, or None for what is not a list.
+    """The devices of a list, or all GPUs for "cuda:*"; None for one device.
 
     Raises:
-        InputError: The list is empty, an entry is None, or there is no such device.
+        InputError: The list is empty, an entry is None, or there is no such device, or no GPU at all.
     """
-    if not isinstance(device, (list, tuple)):
+    if not launcher.is_several(device):
         return None
     if not device:
         raise InputError("device: the list is empty; name at least one device")
-    if any(one is None for one in device):
-        raise InputError(f"device: entry {list(device).index(None)} is None; name each device of a list")
-    return [launcher.resolve_device(one) for one in device]
+    given = [device] if isinstance(device, str) else list(device)
+    if any(one is None for one in given):
+        raise InputError(f"device: entry {given.index(None)} is None; name each device of a list")
+    return [launcher.resolve_device(name) for one in given for name in _named(one)]
+
+
+def _named(one: Any) -> Sequence[Any]:
+    if not (isinstance(one, str) and launcher.is_several(one)):
+        return (one,)
+    gpus = launcher.cuda_devices()
+    if not gpus:
+        raise InputError(f"device: {one!r} is all GPUs, and this machine has none; use 'cpu'")
+    return gpus
+
+
+def _current_kept(devices: Sequence["wp.Device"]) -> Any:
+    """Context that leaves the current CUDA device of the calling thread as it was, which is that of torch too.
+
+    Warp makes a device current for each call on it, and leaves it so. This one is pushed on the driver's stack, whose
+    top warp changes, and popped in the end.
+    """
+    return next((device.context_guard for device in devices if device.is_cuda), contextlib.nullcontext())
+
+
+def replicas(make: Callable[["wp.Device"], _Answer], device: Any) -> tuple[_Answer, ...]:
+    """What ``make`` returns for each device."""
+    devices = devices_of(device) or []
+    with _current_kept(devices):
+        return tuple(map(make, devices))
 
 
 class OnDevices:
@@ -64,6 +93,14 @@ class OnDevices:
     @property
     def _aliases(self) -> list[str]:
         return [part.device for part in self._parts]
+
+    def _update(self, rows: Any) -> None:
+        """Move the vertices or points of each replica."""
+        moved = [snapshot(part) for part in self._parts]
+        with _current_kept([part._device for part in moved]):
+            for part in moved:
+                part.update(rows)
+        self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
 
 
 def shares(**queries: int) -> Callable[[_Class], _Class]:
@@ -87,10 +124,12 @@ def _shared(query: Callable[..., Any], rows: int) -> Callable[..., Any]:
     @functools.wraps(query)
     def run(owner: Any, *given: Any, **options: Any) -> Any:
         queries = [functools.partial(query, part) for part in owner._parts]
-        if held_by(owner._parts[0]) or options.get("groups") is not None:
-            return queries[0](*given, **options)
-        values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-        return _answer(queries, [part._device for part in owner._parts], rows, values, options)
+        devices = [part._device for part in owner._parts]
+        with _current_kept(devices):
+            if held_by(owner._parts[0]) or options.get("groups") is not None:
+                return queries[0](*given, **options)
+            values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
+            return _answer(queries, devices, rows, values, options)
 
     return run
 
@@ -99,11 +138,15 @@ def _row_names(query: Callable[..., Any], rows: int) -> list[str]:
     return list(inspect.signature(query).parameters)[1 : rows + 1]
 
 
-def over_devices(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
-    """Decorate a query whose option ``device`` may be a list.
+def over_devices(
+    rows: int = 1, *, pays: Callable[..., bool] = lambda *_, **__: True
+) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
+    """Decorate a query whose option ``device`` may be several devices.
 
     Args:
         rows: Number of the arguments after the first that are rows, (N, 3).
+        pays: Called with the first argument and the options: whether the answers take longer than the copies between
+            devices. Where they do not, the first device alone answers.
     """
 
     def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
@@ -111,7 +154,7 @@ def over_devices(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Cal
 
         @functools.wraps(query)
         def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            if type(options.get("device")) not in (list, tuple):
+            if not launcher.is_several(options.get("device")):
                 return query(*given, **options)
             answer: _Answer = on_each(*given, **options)
             return answer
@@ -119,10 +162,11 @@ def over_devices(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Cal
         def on_each(volume: Any, *given: Any, device: Any, **options: Any) -> Any:
             devices: Any = devices_of(device)
             queries: list[Any] = [functools.partial(query, volume, device=one) for one in devices]
-            if held_by(volume):
-                return queries[0](*given, **options)
-            values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-            return _answer(queries, devices, rows, values, options)
+            with _current_kept(devices):
+                if held_by(volume) or not pays(volume, **options):
+                    return queries[0](*given, **options)
+                values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
+                return _answer(queries, devices, rows, values, options)
 
         return run
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.core import launcher
 from geokit.core.blocks import several_devices
 from geokit.errors import InputError
 from tests.support.devices import DEVICES
@@ -120,11 +121,10 @@ def test_a_periodic_grid(parts_asked: list[int]) -> None:
 
 
 VOLUME = {
-    "sample": (1, {}),
-    "gradient": (1, {"transform": TURN}),
+    "sample": (1, {"order": 2}),
+    "gradient": (1, {"order": 3, "transform": TURN}),
     "hessian": (1, {}),
     "curvature": (1, {}),
-    "active_at": (1, {}),
     "raycast": (2, {}),
     "integrate": (2, {"max_distance": 3.0}),
 }
@@ -141,6 +141,114 @@ def test_volumes(name: str, parts_asked: list[int]) -> None:
     require_same(query(*given, **options, device=SHARED), query(*given, **options, device=ONE))
     require_same(query(*given, **options, device=tuple(SHARED)), query(*given, **options, device=ONE))
     assert parts_asked == [3, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("sample", {}), ("sample", {"order": 0}), ("gradient", {"order": 1}), ("active_at", {"space": "index"})],
+)
+def test_what_takes_less_time_than_copies_is_asked_of_the_first(
+    name: str, options: dict[str, Any], parts_asked: list[int]
+) -> None:
+    volume = gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.05, device=ONE)
+    query = getattr(volume, name)
+    require_same(query(POINTS, **options, device=SHARED), query(POINTS, **options, device=ONE))
+    assert parts_asked == []
+
+
+def test_a_volume_s_own_order_counts(parts_asked: list[int]) -> None:
+    volume = gk.volume.from_mesh(gk.mesh.torus(), tolerance=0.02, order=3, device=ONE)
+    require_same(volume.sample(POINTS, device=SHARED), volume.sample(POINTS, device=ONE))
+    assert parts_asked == [3]
+    with pytest.raises(InputError, match="order"):
+        volume.sample(POINTS, order="high", device=SHARED)
+
+
+@pytest.fixture
+def three_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine with three GPUs, each of which is the device of these tests."""
+    there = launcher.resolve_device(ONE)
+    resolve = launcher.resolve_device
+    monkeypatch.setattr(launcher, "cuda_devices", lambda: ["cuda:0", "cuda:1", "cuda:2"])
+    monkeypatch.setattr(
+        launcher, "resolve_device", lambda one=None: there if str(one).startswith("cuda:") else resolve(one)
+    )
+
+
+@pytest.mark.usefixtures("three_gpus")
+def test_all_gpus(parts_asked: list[int]) -> None:
+    mesh, cloud = gk.mesh.torus(), RNG.uniform(-1.0, 1.0, (3000, 3))
+    one, several = gk.mesh.Surface(mesh, device=ONE), gk.mesh.Surface(mesh, device="cuda:*")
+    require_same(several.closest_point(POINTS), one.closest_point(POINTS))
+    ours, other = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in ("cuda:*", ONE))
+    require_same(ours.count(POINTS), other.count(POINTS))
+    volume = gk.volume.from_mesh(mesh, voxel_size=0.05, device=ONE)
+    require_same(volume.hessian(POINTS, device="cuda:*"), volume.hessian(POINTS, device=ONE))
+    require_same(volume.hessian(POINTS, device=["cuda:*"]), volume.hessian(POINTS, device=ONE))
+    require_same(volume.hessian(POINTS, device=[ONE, "cuda:*"]), volume.hessian(POINTS, device=ONE))
+    assert parts_asked == [3, 3, 3, 3, 4]
+
+
+def test_all_gpus_of_a_machine_without_one_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launcher, "cuda_devices", list)
+    for given in ("cuda:*", [ONE, "cuda:*"]):
+        with pytest.raises(InputError, match=r"device: 'cuda:\*' is all GPUs, and this machine has none; use 'cpu'"):
+            gk.mesh.Surface(gk.mesh.torus(), device=given)
+
+
+class StackedContext:
+    """A device's guard that notes how deep it is entered."""
+
+    def __init__(self, device: Any) -> None:
+        self.device, self.depth, self.entered = device, 0, 0
+
+    is_cuda = True
+    context_guard = property(lambda self: self)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.device, name)
+
+    def __enter__(self) -> None:
+        self.depth += 1
+        self.entered += 1
+
+    def __exit__(self, *_: object) -> None:
+        self.depth -= 1
+
+
+def test_the_current_device_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also after an error; on machines with two GPUs the device itself is asked."""
+    guard = StackedContext(launcher.resolve_device(ONE))
+    monkeypatch.setattr(several_devices, "devices_of", lambda _: [guard, guard])
+    volume = gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.05, device=ONE)
+    depths: list[int] = []
+
+    def note(*_: Any) -> int:
+        depths.append(guard.depth)
+        return 0
+
+    monkeypatch.setattr(several_devices, "_rows_of", note)
+    with pytest.raises(Exception, match="device"):
+        # The guard is no device for the query itself.
+        volume.hessian(POINTS, device=SHARED)
+    assert depths == [1]
+    assert (guard.depth, guard.entered) == (0, 1)
+
+
+@pytest.mark.skipif(len(DEVICES) < 3, reason="needs two GPUs")
+def test_the_current_device_of_torch_is_kept() -> None:
+    torch = pytest.importorskip("torch")
+    mesh, points = gk.mesh.torus(), torch.from_numpy(POINTS).to("cuda:1")
+    volume = gk.volume.from_mesh(mesh, voxel_size=0.05)
+    for current in (0, 1):
+        torch.cuda.set_device(current)
+        surface = gk.mesh.Surface(mesh, device="cuda:*")
+        assert torch.cuda.current_device() == current
+        surface.closest_point(points)
+        volume.sample(points, order=2, device="cuda:*")
+        volume.sample(POINTS, order=1, device=["cuda:1", "cuda:0"])
+        surface.update(mesh.vertices * 2.0)
+        assert torch.cuda.current_device() == current
 
 
 @pytest.mark.parametrize("container", ["torch", "warp", "float32"])
@@ -186,8 +294,9 @@ def test_errors_count_the_rows_of_the_caller() -> None:
         gk.mesh.Surface(gk.mesh.torus(), device=[ONE, None])
     with pytest.raises(InputError, match=r"device: .*nowhere"):
         gk.points.NeighborGrid(POINTS, 0.1, device=[ONE, "nowhere"])
-    with pytest.raises(InputError, match="device: a list is for"):
-        gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.1, device=SHARED)
+    for several, what in ((SHARED, "a list"), ("cuda:*", r"'cuda:\*'")):
+        with pytest.raises(InputError, match=f"device: {what} is for"):
+            gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.1, device=several)
 
 
 def test_progress_adds_up() -> None:
