@@ -39,6 +39,7 @@ def convert(
     half_width: float | None = None,
     sign: str | None = None,
     thickness: float | None = None,
+    interior: str | None = None,
     within: float | None = None,
     order: int | None = None,
     isovalue: float | None = None,
@@ -82,6 +83,8 @@ def convert(
         sign: Mesh to volume: method that decides inside or outside: auto (default), winding, pseudonormal, parity, or
             none for unsigned distances.
         thickness: Mesh to volume: make a solid shell of this thickness around the surface, in world units.
+        interior: Mesh to volume: what happens to surface that has the solid on both sides, between bodies that touch or
+            overlap: remove (default), or keep.
         within: Mesh to volume with tolerance: distance from the surface up to which the tolerance holds, in world
             units; by default the tolerance itself, or a quarter of it for an open mesh.
         order: Mesh to volume with tolerance: order of the interpolation that will be used, 1, 2 or 3; by default the
@@ -130,6 +133,7 @@ def convert(
         "half-width": half_width,
         "sign": sign,
         "thickness": thickness,
+        "interior": interior,
         "within": within,
         "order": order,
         "isovalue": isovalue,
@@ -204,7 +208,9 @@ def _converted(
     elif kinds == ("mesh", "volume") and options["stream"]:
         summary = _streamed(source, target, options, device, quiet=quiet)
     elif kinds == ("mesh", "volume"):
-        how = {name: given[name] for name in ("half_width", "sign", "thickness", "method", "within", "order")}
+        how = {
+            name: given[name] for name in ("half_width", "sign", "thickness", "interior", "method", "within", "order")
+        }
         summary = _mesh_to_volume(
             source, target, options["voxel-size"], {**how, "device": device}, storage, options, quiet=quiet
         )
@@ -246,6 +252,7 @@ _USES = {
         "half-width",
         "sign",
         "thickness",
+        "interior",
         "method",
         "codec",
         "tolerance",
@@ -394,7 +401,7 @@ def _streamed(
     from geokit.distributed._cluster import connected
     from geokit.volume import from_mesh_file
 
-    for name in ("method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS):
+    for name in ("interior", "method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS):
         if options[name] is not None:
             raise InputError(f"--{name}: has no effect with --stream; leave it out")
     if options["voxel-size"] is None:

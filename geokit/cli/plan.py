@@ -27,6 +27,7 @@ def plan(
     half_width: float | None = None,
     sign: str = "auto",
     thickness: float | None = None,
+    interior: str = "remove",
     device: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -45,6 +46,7 @@ def plan(
         half_width: Width of the band on each side, in voxels; by default the least that interpolation needs.
         sign: Method that decides inside or outside: auto, winding, pseudonormal, parity, or none.
         thickness: Make a solid shell of this thickness around the surface, in world units.
+        interior: What happens to surface inside of solids: remove, or keep.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         json: Print JSON.
     """
@@ -57,7 +59,7 @@ def plan(
     mesh = load(file)
     options: dict[str, Any] = {"within": within, "order": order, "codec": codec, "half_width": half_width}
     with step(f"planning for {file}", quiet=json) as planning:
-        options |= {"sign": sign, "thickness": thickness, "device": device}
+        options |= {"sign": sign, "thickness": thickness, "interior": interior, "device": device}
         fields = make_plan(mesh, tolerance, **options, progress=planning.progress)
     if json:
         print_json({"file": str(file), "tolerance": tolerance, "fields": fields})

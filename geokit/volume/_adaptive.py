@@ -30,7 +30,7 @@ from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
 from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels_or_one
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
-from geokit.volume.band.fields import hash_of
+from geokit.volume.band.fields import hash_of, interior_metadata
 from geokit.volume.nanovdb.provenance import ORDER, VOXEL_SIZE, provenance, with_more
 from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within
@@ -249,6 +249,7 @@ def adaptive_from_mesh(
     codec: str | None = None,
     max_levels: int = MOST_LEVELS,
     sign: str = "auto",
+    interior: str = "remove",
     name: str | None = None,
     device: Any = None,
 ) -> AdaptiveSDF:
@@ -291,6 +292,7 @@ def adaptive_from_mesh(
         codec: Storage of the values of all levels, as in :func:`geokit.volume.quantize`; None for the best of each.
         max_levels: Largest number of levels.
         sign: Method that tells inside from outside, as for ``Surface.signed_distance``.
+        interior: What happens to surface inside of solids, as for :func:`from_mesh`.
         name: Name of level 0, and prefix of the names of the others; None for the mesh's name.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
@@ -326,6 +328,7 @@ def adaptive_from_mesh(
         half_width=None,
         sign=sign,
         thickness=None,
+        interior=interior,
         codec=codec,
         device=device,
     )
@@ -344,6 +347,7 @@ def adaptive_from_mesh(
         ),
         "geokit:sign_method": search.sign_method,
         "geokit:sign_reason": surface.sign_reason if sign == "auto" else "asked for",
+        **interior_metadata(surface.mesh),
     }
     sizes, count = made.voxel_sizes, made.level_count
     for number, level in enumerate(made.levels):

@@ -67,6 +67,7 @@ def plan(
     half_width: float | None = None,
     sign: str = "auto",
     thickness: float | None = None,
+    interior: str = "remove",
     codec: str | None = None,
     device: Any = None,
     progress: Progress | None = None,
@@ -92,6 +93,7 @@ def plan(
         half_width: Width of the band [voxels]; None for as little as interpolation needs.
         sign: Method that tells inside from outside, as for :func:`from_mesh`.
         thickness: Thickness [world] of a solid shell around the surface.
+        interior: What happens to surface inside of solids, as for :func:`from_mesh`.
         codec: Codec of the values; None for all.
         device: Where to compute.
         progress: Called as ``progress(percent, 100)``, with an estimate of the end.
@@ -117,6 +119,7 @@ def plan(
         half_width=half_width,
         sign=sign,
         thickness=thickness,
+        interior=interior,
         codec=codec,
         device=device,
     )

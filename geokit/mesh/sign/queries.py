@@ -71,7 +71,9 @@ class SignQueries(PointQueries):
     ) -> SignedDistances:
         """Distance to the surface for each query point, negative inside.
 
-        The magnitude is that of :meth:`closest_point`. The sign is that of the mesh wound as by
+        The magnitude is that of :meth:`closest_point`: to the nearest of all triangles, also to walls inside of the
+        solid, as between bodies that touch. For distances to the boundary of the union make a Surface of
+        :func:`geokit.mesh.union`. The sign is that of the mesh wound as by
         :func:`geokit.mesh.orient` (see ``orientation``). ``sign`` selects the method:
 
         - "auto": the method in ``sign_method``: "pseudonormal" if the mesh is proven clean, else "winding".
@@ -256,7 +258,10 @@ class SignQueries(PointQueries):
     def sign_confidence(self, points: Any, *, transform: ArrayLike | None = None) -> Any:
         """Margin of the sign by winding number: the distance of the winding number from 1/2.
 
-        1/2 or more where the sign is certain; near 0 in the holes of an open mesh, where either sign may be right.
+        1/2 or more where the winding number is a whole one; near 0 in the holes of an open mesh, where either sign may
+        be right. It measures how open the mesh is as seen from a point, not whether the sign is right: single open
+        sheets inside of a solid (decks, partitions) add up, and a wrong sign beside them may have a margin of 0.4.
+        :func:`geokit.mesh.union` removes such sheets.
 
         Args:
             points: Query points [world], shape (N, 3).

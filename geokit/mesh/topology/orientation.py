@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
     from geokit.mesh.queries.rays import RayHitLists
 
-__all__ = ["FaceOrientation", "orient_faces"]
+__all__ = ["FLAT_SHARE", "FaceOrientation", "enclosing_pairs", "orient_faces"]
 
 # A closed component whose volume is under this share of its area times the mesh's size is a folded sheet: its volume
 # cannot be told from rounding (1e-16 for each face; the faces' errors add up like a random walk).
@@ -221,30 +221,49 @@ def _outward(
 def _nesting(
     mesh: TriangleMesh, first: NDArray[np.int64], pieces: _Pieces, solid: NDArray[np.int64], rays: _Rays
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of components, as indices into ``solid``: the second encloses the first.
-
-    A component encloses another if its box contains the other's box, and a ray from the other's largest face crosses it
-    an odd number of times.
-    """
+    """Pairs of components, as indices into ``solid``: the second encloses the first."""
     index = np.full(pieces.piece_count, -1)
     index[solid] = np.arange(len(solid))
     piece = np.full(len(mesh.faces), -1)
     piece[first] = index[pieces.label]
+    return _enclosing(mesh, piece, len(solid), rays)
+
+
+def enclosing_pairs(
+    mesh: TriangleMesh, piece: NDArray[Any], count: int, make_surface: Callable[[TriangleMesh], Surface]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of closed pieces of a mesh: the second encloses the first.
+
+    Args:
+        mesh: The mesh.
+        piece: Piece of each face (F,); -1 for the faces of none.
+        count: Number of pieces; each has a face.
+        make_surface: As for :func:`orient_faces`.
+    """
+    return _enclosing(mesh, piece, count, _Rays(None, make_surface))
+
+
+def _enclosing(
+    mesh: TriangleMesh, piece: NDArray[Any], count: int, rays: _Rays
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A piece encloses another if its box contains the other's box, and a ray from the other's largest face crosses it
+    an odd number of times.
+    """
     members = np.flatnonzero(piece >= 0)
     members = members[np.argsort(piece[members], kind="stable")]
-    starts = np.searchsorted(piece[members], np.arange(len(solid)))
+    starts = np.searchsorted(piece[members], np.arange(count))
     corners = mesh.vertices[mesh.faces[members]]
     lower = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
     upper = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
     if not _any_box_in_another(lower, upper):
-        return solid[:0], solid[:0]
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     origins = corners[_largest_of_each(piece[members], corners)].mean(axis=1)
     hits = _nesting_rays(mesh, rays, origins)
-    ray = np.repeat(np.arange(len(solid)), np.diff(hits.offsets))
+    ray = np.repeat(np.arange(count), np.diff(hits.offsets))
     hit = piece[hits.triangle_id]
     elsewhere = (hit >= 0) & (hit != ray)
-    pair, passages = np.unique(ray[elsewhere] * len(solid) + hit[elsewhere], return_counts=True)
-    inner, outer = np.divmod(pair[passages % 2 == 1], len(solid))
+    pair, passages = np.unique(ray[elsewhere] * count + hit[elsewhere], return_counts=True)
+    inner, outer = np.divmod(pair[passages % 2 == 1], count)
     held = np.all((lower[outer] <= lower[inner]) & (upper[inner] <= upper[outer]), axis=1)
     return inner[held], outer[held]
 

@@ -156,8 +156,14 @@ def build_band(band: Band, head: GridHead) -> BuiltGrid:
     return build_on_device(band.leaves, head, write, band.negative if signed else None)
 
 
-def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
-    """Build an int32 grid of the nearest triangle at each active voxel; the band needs its slots."""
+def build_triangle_ids(band: Band, head: GridHead, source: NDArray[np.int64] | None = None) -> BuiltGrid:
+    """Build an int32 grid of the nearest triangle at each active voxel; the band needs its slots.
+
+    Args:
+        band: The band.
+        head: Head of the grid.
+        source: The number to write for each triangle (F,); None for its own.
+    """
     import warp as wp
 
     from geokit.volume.band.band_kernels import triangle_values_kernel
@@ -167,7 +173,10 @@ def build_triangle_ids(band: Band, head: GridHead) -> BuiltGrid:
 
     def write(buffer: "wp.array", begin: int) -> None:
         values = wp.empty(512 * count, dtype=wp.int32, device=device)
-        inputs = [band.leaves.rows, band.slots, band.active, band.lattice.surface._tree.slot_triangle]
+        numbers = band.lattice.surface._tree.slot_triangle
+        if source is not None:
+            numbers = wp.array(source[numbers.numpy()], dtype=wp.int32, device=device)
+        inputs = [band.leaves.rows, band.slots, band.active, numbers]
         launcher.launch(triangle_values_kernel, 8 * count, inputs, [values], device)
         inputs = [wp.int64(begin), _numbered(count, device), values, band.active.flatten()]
         launcher.launch(copy_leaves_kernel, 8 * count, inputs, [buffer], device)

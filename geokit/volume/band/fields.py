@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from geokit.core import launcher, user_arrays
 from geokit.core.require import described, require_choice
 from geokit.core.snapshot import snapshot
-from geokit.errors import InputError
+from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh.sign.queries import SIGN_METHODS
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.nanovdb.provenance import content_hash, provenance
+from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
@@ -26,23 +26,42 @@ if TYPE_CHECKING:
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
-__all__ = ["band_metadata", "grid_head", "half_widths", "in_float32", "resolve_surface", "volume_from_built"]
+__all__ = [
+    "band_metadata",
+    "grid_head",
+    "half_widths",
+    "in_float32",
+    "interior_metadata",
+    "resolve_surface",
+    "source_of",
+    "volume_from_built",
+]
 
 # Thickest shell, in lengths of the mesh's longest edge of its bounding box: float32 sees a point in the middle of it.
 THICKEST = 1e6
 
 
+class _Origin(NamedTuple):
+    """What the mesh of a boundary was made from: the mesh that was given, and the face in which each face lies."""
+
+    mesh: TriangleMesh
+    source: NDArray[np.int64]
+    partly: bool
+
+
 def resolve_surface(
-    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, device: Any
+    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, interior: str, device: Any
 ) -> tuple[Surface, str, float]:
     """The prepared surface, its sign method (or "none"), and half the thickness of a shell.
 
     Raises:
-        InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method.
+        InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method, or no
+            such ``interior``.
     """
     from geokit.mesh._surface import Surface
 
     require_choice(sign, "sign", SIGNS)
+    require_choice(interior, "interior", INTERIORS)
     offset = 0.0
     if thickness is not None:
         offset = 0.5 * user_arrays.require_finite_scalar(thickness, "thickness", low=0.0)
@@ -54,6 +73,17 @@ def resolve_surface(
             f"thickness: {2.0 * offset:g} is more than {THICKEST:g} times the size of the mesh, {longest:g}; "
             "give one in the mesh's units"
         )
+    # By parity, bodies within others are holes; who asks for pseudonormals says that there are no such bodies.
+    if interior == "remove" and sign in ("auto", "winding"):
+        boundary, kept = surface._cache.find("boundary", lambda: _without_interior(surface))
+        surface = boundary or surface
+        if kept:
+            warnings.warn(
+                f"{surface.mesh.name or 'mesh'}: bodies touch or overlap, and surface inside of the solid stays in the "
+                f'field, because {kept}; interior="keep" is silent',
+                UserWarning,
+                stacklevel=4,
+            )
     method = "none" if sign == "none" else surface._method(sign)
     # Who asks for a method has looked at the mesh; for "auto" the audit has been made.
     open_edges = surface._signs.audit.boundary_edge_count if sign == "auto" else 0
@@ -66,6 +96,37 @@ def resolve_surface(
             stacklevel=4,
         )
     return surface, method, offset
+
+
+def _without_interior(surface: Surface) -> tuple[Surface | None, str]:
+    """The surface of what a mesh encloses, None if that is all of it, and why some is still inside of solids."""
+    from geokit.mesh._surface import Surface
+    from geokit.mesh.solids.boundary import boundary_of
+
+    try:
+        boundary = boundary_of(surface)
+    except MissingDependencyError as error:
+        return None, str(error)
+    if boundary.source is None:
+        return None, boundary.kept
+    boundary.mesh._cache.keep("origin", _Origin(surface.mesh, boundary.source, bool(boundary.kept)))
+    return Surface(boundary.mesh, device=surface._device), boundary.kept
+
+
+def source_of(mesh: TriangleMesh) -> NDArray[np.int64] | None:
+    """Row of the given mesh's face in which each face lies (F,), if surface inside of solids was removed."""
+    origin = _origin_of(mesh)
+    return None if origin is None else origin.source
+
+
+def interior_metadata(mesh: TriangleMesh) -> dict[str, str]:
+    """What metadata say of surface inside of solids: nothing if the mesh is as it was given."""
+    origin = _origin_of(mesh)
+    return {} if origin is None else {INTERIOR: "partly removed" if origin.partly else "removed"}
+
+
+def _origin_of(mesh: TriangleMesh) -> _Origin | None:
+    return mesh._cache.find("origin", lambda: None)
 
 
 def half_widths(half_width: Any) -> tuple[float, float]:
@@ -100,6 +161,7 @@ def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]
         **_origin(surface, band.lattice),
         "geokit:sign_method": "shell" if band.shape.offset else method,
         "geokit:sign_reason": reason,
+        **interior_metadata(surface.mesh),
     }
     if method != "none":
         from geokit.volume.band.thin_components import lost_components
@@ -128,6 +190,8 @@ def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume
 
 
 SIGNS = (*SIGN_METHODS, "none")
+# What happens to surface that has the solid on both sides.
+INTERIORS = ("remove", "keep")
 
 
 def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
@@ -136,6 +200,10 @@ def _pieces_of(mesh: TriangleMesh) -> tuple[NDArray[np.int32], int]:
     def find() -> tuple[NDArray[np.int32], int]:
         from geokit.mesh.topology.audit import face_parts
 
+        origin = _origin_of(mesh)
+        if origin is not None:
+            pieces, count = _pieces_of(origin.mesh)
+            return pieces[origin.source], count
         labels = face_parts(mesh)
         if (labels == labels[0]).all():
             return np.zeros(len(labels), np.int32), 1
@@ -152,5 +220,8 @@ def _origin(surface: Surface, lattice: Lattice) -> dict[str, Any]:
 
 
 def hash_of(mesh: TriangleMesh) -> str:
+    origin = _origin_of(mesh)
+    if origin is not None:
+        return hash_of(origin.mesh)
     # Hashing takes as long as building a small band, so each mesh is hashed once.
     return mesh._cache.find("content hash", lambda: content_hash(mesh.vertices, mesh.faces))

@@ -26,7 +26,8 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
 
     Args:
         band: The band.
-        pieces: Connected component of each face, (F,), numbered from 0 in the order of their first faces.
+        pieces: Connected component of each face, (F,), numbered from 0 in the order of their first faces; those that
+            no face has are not lost.
         piece_count: Number of connected components.
     """
     import warp as wp
@@ -36,7 +37,8 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
     device, count = band.lattice.device, len(band.leaves.keys)
     if piece_count == 1:
         return [] if band.has_negative.numpy()[0] else [0]
-    found = np.zeros(piece_count, np.bool_)
+    found = np.ones(piece_count, np.bool_)
+    found[pieces] = False
     both = wp.empty((count, 8), dtype=wp.uint64, device=device)
     launcher.launch(kernels.common_bits_kernel, count, [band.active, band.negative], [both], device)
     # If the band ends one voxel inside, a component's only negative voxels may lie beyond the band's end.

@@ -57,9 +57,10 @@ def from_mesh_file(
 ) -> GridInfo:
     """Build the narrow band of a mesh in a file, and write it to a .nvdb file; neither has to fit into memory.
 
-    The file has the grid of :func:`from_mesh` bit for bit: voxels, values, tiles, statistics. Only its metadata differ,
-    and, on a mesh that intersects itself, signs of voxels where a winding number of :func:`from_mesh` (within 0.005)
-    is off. Distances of voxels within 1e-14 of the mesh's size from the surface may have either sign.
+    The file has the grid of :func:`from_mesh` with ``interior="keep"``, bit for bit: voxels, values, tiles, statistics.
+    Only its metadata differ, and, on a mesh that intersects itself, signs of voxels where a winding number of
+    ``from_mesh`` (within 0.005) is off. Distances of voxels within 1e-14 of the mesh's size from the surface may have
+    either sign.
 
     Triangles are read block after block and sorted into cubes of voxels, with those that come within reach of a
     cube, in files beside ``out``. A cube that is too large for the memory is split. Then the band of each is built as
@@ -67,10 +68,10 @@ def from_mesh_file(
     (36 bytes each, 72 in a .ply of doubles) and of the grid, and are removed at the end.
 
     The mesh must be closed: each edge is used as often in one direction as in the other. Faces keep their winding (of a
-    mesh with a negative volume all are turned), where :func:`from_mesh` turns each part outward. Signs are those of
-    exact winding numbers. They are counted from a point outside of the mesh, crossing after crossing, from cube to
-    cube, so that they do not depend on triangles that are far away. Faces back to back cancel. Of an open mesh there
-    are unsigned distances, or a solid shell.
+    mesh with a negative volume all are turned), where :func:`from_mesh` turns each part outward. Surface inside of
+    solids stays, as with ``interior="keep"`` there. Signs are those of exact winding numbers. They are counted from a
+    point outside of the mesh, crossing after crossing, from cube to cube, so that they do not depend on triangles that
+    are far away. Faces back to back cancel. Of an open mesh there are unsigned distances, or a solid shell.
 
     Args:
         path: A mesh of triangles in a binary .stl or .ply file. Vertices of a .ply file are mapped into memory, and

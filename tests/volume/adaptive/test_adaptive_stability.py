@@ -35,6 +35,7 @@ def levels_only(mesh: TriangleMesh, tolerance: float, order: int | None, codec: 
         half_width=None,
         sign="auto",
         thickness=None,
+        interior="keep",
         codec=codec,
         device="cpu",
     )
@@ -78,7 +79,7 @@ def test_the_tolerance_holds_at_every_order_and_codec(order, codec):
 @pytest.mark.parametrize("size", [0.3, 0.1, 0.03, 0.01, 0.003])
 def test_the_tolerance_holds_while_a_detail_shrinks(size):
     mesh, cube = ball_and_cube(size)
-    field = adaptive_from_mesh(mesh, TOLERANCE, device="cpu")
+    field = adaptive_from_mesh(mesh, TOLERANCE, interior="keep", device="cpu")
     assert field.achieved_error <= TOLERANCE
     assert worst(field, mesh, [mesh, cube], TOLERANCE) <= TOLERANCE
 

@@ -119,7 +119,7 @@ def test_walls_closer_than_a_voxel_keep_their_sides(gap):
 def test_broken_meshes_have_the_signs_of_their_surface(mesh):
     surface = Surface(mesh, device="cpu")
     size = float((mesh.bounds[1] - mesh.bounds[0]).max()) / 25.3
-    grid = volume.from_mesh(surface, size)
+    grid = volume.from_mesh(surface, size, interior="keep")
     world = some_voxels(mesh, grid, 2500, 84)
     expected = surface.signed_distance(world).distance
     active = (np.abs(expected) < 0.999 * grid.info.background) & (np.abs(expected) > SIGNED * mesh.diagonal)

@@ -1,0 +1,1 @@
+"""Closed bodies that touch, overlap or lie within each other: the boundary of their union."""

@@ -1,0 +1,179 @@
+"""The boundary of what a mesh encloses: its closed bodies are united, and surface inside of them is left out.
+
+An assembly, a union by concatenation, a shell around a core: such meshes have surface with the solid on both sides.
+It is no boundary. Where bodies touch but for rounding, they are made to overlap by a millionth of the mesh's size or
+less. Every result is held against winding numbers of the mesh that was given, on both sides of its faces.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.solids.judging import CONTACT, areas_of, self_overlap, verdict_of
+from geokit.mesh.solids.reading import Reading, read_solids
+from geokit.mesh.solids.union import Pieces, boxes_that_meet, inflated, united
+from geokit.mesh.topology.audit import face_parts
+from geokit.mesh.topology.bodies import Bodies
+
+if TYPE_CHECKING:
+    from geokit.mesh._surface import Surface
+
+__all__ = ["Boundary", "boundary_of"]
+
+# Bodies grow by the first of these shares of the size that joins what touches but for the rounding of float64, or of
+# float32, else by CONTACT.
+GROWTHS = (1e-9, 1e-7)
+# Smallest contact that is looked for, as a share of the bodies' area.
+LEAST_CONTACT = 1e-6
+# Beyond, winding numbers are refused: products of lengths leave the range of float64.
+EXTREME_SIZE = 1e70
+
+
+class Boundary(NamedTuple):
+    """What is left of a mesh without the surface inside of its solids.
+
+    Attributes:
+        mesh: The boundary, with the parts and the attributes of faces; the mesh that was given if nothing is removed.
+        source: Row of the given mesh's face in which each face lies (F,), ascending; None if nothing is removed.
+        kept: Why surface inside of solids is still there; "" if none is.
+        whole: Whether all faces belong to closed bodies.
+    """
+
+    mesh: TriangleMesh
+    source: NDArray[np.int64] | None
+    kept: str
+    whole: bool
+
+
+def boundary_of(surface: Surface) -> Boundary:
+    """The boundary of what a surface's mesh encloses.
+
+    Raises:
+        MissingDependencyError: Bodies are to be united, and manifold3d is not installed.
+    """
+    from geokit.mesh.sign.left_out import left_out_faces
+
+    given: Any = surface._signs
+    mesh: TriangleMesh = given.mesh
+    unchanged = Boundary(surface.mesh, None, "", given.audit.watertight)
+    size = float((mesh.bounds[1] - mesh.bounds[0]).max())
+    if not 1.0 / EXTREME_SIZE < size < EXTREME_SIZE:
+        return unchanged
+    if _are_apart(given, CONTACT * size):
+        return unchanged._replace(kept=self_overlap(mesh, given, CONTACT * size))
+    flipped = given._orientation.flipped[:, None]
+    oriented = TriangleMesh(mesh.vertices, np.where(flipped, mesh.faces[:, ::-1], mesh.faces))
+    make_surface = partial(type(surface), device=surface._device)
+    read = read_solids(oriented, given, size, make_surface)
+    crowded, alone = _by_contact(read.bodies, read.solids, CONTACT * size)
+    if crowded and given._sign_choice.method == "pseudonormal" and not _touch(read.bodies, crowded, size, make_surface):
+        crowded, alone = [], read.solids
+    pieces, kept = _joined(oriented, read, crowded, size) if crowded else (None, "")
+    kept = kept or read.said
+    if not kept and alone:
+        # Where sheets are left, bodies may be inside of others that lack a face.
+        judge = read.judge if len(read.inner) == len(read.sheets) else given
+        kept = self_overlap(oriented, judge, CONTACT * size, np.concatenate(alone))
+    inner, sheets = read.inner, read.sheets
+    unchanged = unchanged._replace(kept=kept, whole=len(inner) == len(sheets))
+    if pieces is None and not len(inner):
+        return unchanged
+    rest = [*alone, np.setdiff1d(sheets, inner), *(crowded if pieces is None else [])]
+    result = _assembled(oriented, np.concatenate(rest), pieces)
+    source = result.source
+    if given is not surface:
+        source = np.delete(np.arange(surface.mesh.face_count), left_out_faces(surface))[source]
+    plain = with_data(surface.mesh, vertex_data={}, corner_data={})
+    return unchanged._replace(mesh=derived(plain, result.vertices, result.faces, face_source=source), source=source)
+
+
+def _are_apart(given: Any, within: float) -> bool:
+    """Whether it is quick to see that no part of the mesh can be inside another, or touch it."""
+    audit = given.audit
+    if not audit.manifold:
+        # Bodies that share an edge or a vertex are one component.
+        return False
+    if audit.component_count == 1:
+        return True
+    _, part = np.unique(face_parts(given.mesh), return_inverse=True)
+    group = boxes_that_meet(given.mesh.vertices, given.mesh.faces, part, int(part.max()) + 1, within)
+    return len(np.unique(group)) == len(group)
+
+
+def _touch(bodies: Bodies, crowded: list[NDArray[np.int64]], size: float, make_surface: Any) -> bool:
+    """Whether bodies that do not intersect do so when they grow by what counts as contact."""
+    rows = np.concatenate(crowded)
+    grown = TriangleMesh(inflated(bodies, rows, CONTACT * size), bodies.corners[rows])
+    return bool(make_surface(grown)._has_self_intersections())
+
+
+def _by_contact(
+    bodies: Bodies, solids: list[NDArray[np.int64]], within: float
+) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
+    """The solids whose boxes meet others', and those that are alone."""
+    if not len(bodies.volume):
+        return [], []
+    rows = np.flatnonzero(bodies.label >= 0)
+    faces, label = bodies.corners[rows], bodies.label[rows]
+    group = boxes_that_meet(bodies.positions, faces, label, len(bodies.volume), within)
+    # A cavity's box lies within its body's.
+    of_solid = [int(group[bodies.label[rows].max()]) for rows in solids]
+    names, counts = np.unique(of_solid, return_counts=True)
+    several = set(names[counts > 1].tolist())
+    crowded = [rows for rows, name in zip(solids, of_solid, strict=True) if name in several]
+    return crowded, [rows for rows, name in zip(solids, of_solid, strict=True) if name not in several]
+
+
+def _joined(
+    mesh: TriangleMesh, read: Reading, crowded: list[NDArray[np.int64]], size: float
+) -> tuple[Pieces | None, str]:
+    """The boundary of the union, and why surface inside of it is still there; None if no union is right."""
+    bodies, judge = read.bodies, read.judge
+    rows = np.concatenate(crowded)
+
+    def made(share: float) -> Pieces | None:
+        return united(bodies, crowded, share * size)
+
+    as_given, grown = made(0.0), made(CONTACT)
+    # Where bodies touch but for rounding, both sides of the contact are in the union until they grow together.
+    before, after = (
+        areas_of(places, bodies.corners[rows]) for places in (bodies.positions, inflated(bodies, rows, CONTACT * size))
+    )
+    slack = 4.0 * np.abs(after - before).sum() + LEAST_CONTACT * before.sum()
+
+    def joins(pieces: Pieces | None) -> bool:
+        """Whether bodies that grow as far as CONTACT would join no further."""
+        if pieces is None or grown is None:
+            return pieces is not None
+        return areas_of(pieces.vertices, pieces.faces).sum() - areas_of(grown.vertices, grown.faces).sum() <= slack
+
+    unions = itertools.chain([(as_given, 0.0)], ((made(share), share) for share in GROWTHS), [(grown, CONTACT)])
+    joined = next((one for one in unions if joins(one[0])), (grown, CONTACT))
+    candidates = [joined, (grown, CONTACT), (as_given, 0.0)]
+    best, kept = None, "their union could not be made"
+    for pieces, share in candidates:
+        verdict = "wrong" if pieces is None else verdict_of(mesh, rows, pieces, judge, size, share * size)
+        if not verdict:
+            return pieces, ""
+        if verdict == "walls" and best is None:
+            best, kept = pieces, "some of it is left in their union"
+    return best, kept
+
+
+def _assembled(mesh: TriangleMesh, rest: NDArray[np.int64], pieces: Pieces | None) -> Pieces:
+    """Faces of the mesh and pieces in one, in the order of the faces that they come from."""
+    used, corners = np.unique(mesh.faces[rest], return_inverse=True)
+    vertices, faces, source = mesh.vertices[used], corners.reshape(-1, 3), rest
+    if pieces is not None:
+        vertices = np.concatenate([vertices, pieces.vertices])
+        faces = np.concatenate([faces, pieces.faces + len(used)])
+        source = np.concatenate([source, pieces.source])
+    order = np.argsort(source, kind="stable")
+    return Pieces(vertices, faces[order], source[order])

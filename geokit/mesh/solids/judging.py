@@ -1,0 +1,111 @@
+"""Holds unions against winding numbers of the bodies that were given, on both sides of their faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh._model import TriangleMesh
+from geokit.mesh.solids.union import Pieces
+
+__all__ = [
+    "CONTACT",
+    "FACES_FOR_A_SHARE",
+    "INNER_POINT",
+    "OVERLAP_SHARE",
+    "areas_of",
+    "checkable",
+    "normals_of",
+    "self_overlap",
+    "verdict_of",
+]
+
+# Sides of a face are looked at this far from it, as a share of the mesh's size; nearer surfaces touch.
+CONTACT = 1e-6
+# Faces that are held against winding numbers at most, and the share of their area that may be found wrong: beside
+# an edge where others cross, a face's side cannot be told from theirs.
+CHECKED_FACES = 100_000
+WRONG_SHARE = 1e-5
+# Share of the surface of bodies inside of themselves, and of sheets inside of bodies, from which it is said: scans
+# have folds.
+OVERLAP_SHARE = 1e-3
+FACES_FOR_A_SHARE = 10_000
+# Faces with less than this many times CONTACT between their middle and their edges cannot be checked.
+ROOM = 10.0
+# A point inside of a triangle that lies on no line of symmetry, as weights of its corners: bodies often have edges and
+# planes through the middle of each other's faces.
+INNER_POINT = np.array([0.2957, 0.3731, 0.3312])
+
+
+def verdict_of(
+    mesh: TriangleMesh, rows: NDArray[np.int64], pieces: Pieces, judge: Any, size: float, inflation: float
+) -> str:
+    """Nothing if the pieces bound what the bodies enclose, "walls" if some have the solid on both sides, or "wrong"."""
+    if not len(pieces.faces):
+        return "wrong"
+    off = CONTACT * size
+    corners, area = checkable(pieces.vertices, pieces.faces, off)
+    if not len(area):
+        return "wrong"
+    middle, normals = INNER_POINT @ corners, normals_of(corners)
+    in_front = judge.winding_number(middle + (off + inflation) * normals) > 0.5
+    behind = judge.winding_number(middle - (off + 2.0 * inflation) * normals) > 0.5
+    most = WRONG_SHARE * area.sum()
+    if area[~behind].sum() > most:
+        return "wrong"
+    # Nothing is missing: what is boundary of the bodies is there.
+    corners, given_area = checkable(mesh.vertices, mesh.faces[rows], off)
+    middle, normals = INNER_POINT @ corners, normals_of(corners)
+    boundary = judge.winding_number(middle + off * normals) < 0.5
+    boundary &= judge.winding_number(middle - off * normals) > 0.5
+    made = type(judge)(TriangleMesh(pieces.vertices, pieces.faces), device=judge._device)
+    missing = boundary.copy()
+    missing[boundary] = made.closest_point(middle[boundary]).distance > ROOM * off
+    if given_area[missing].sum() > WRONG_SHARE * given_area.sum():
+        return "wrong"
+    return "walls" if area[in_front].sum() > most else ""
+
+
+def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.int64] | None = None) -> str:
+    """What is said of closed bodies that no other one comes near, if much of their surface is inside all the same."""
+    if (rows is None and not judge._orientation.closed) or judge._sign_choice.method == "pseudonormal":
+        return ""
+    faces = mesh.faces if rows is None else mesh.faces[rows]
+    corners, area = checkable(mesh.vertices, faces, off, most=FACES_FOR_A_SHARE)
+    middle, step = INNER_POINT @ corners, off * normals_of(corners)
+    # Whichever way the faces are wound.
+    inside = (judge.winding_number(middle + step) > 0.5) & (judge.winding_number(middle - step) > 0.5)
+    share = area[inside].sum() / max(area.sum(), np.finfo(float).tiny)
+    return (
+        f"{share:.1%} of the surface of bodies lies inside of themselves, or of others that are not closed"
+        if share > OVERLAP_SHARE
+        else ""
+    )
+
+
+def checkable(
+    vertices: NDArray[np.float64], faces: NDArray[Any], off: float, most: int = CHECKED_FACES
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of at most so many faces whose middles are far from their edges, in units of ``off``, and their areas."""
+    if len(faces) > most:
+        faces = faces[np.random.default_rng(0).choice(len(faces), most, replace=False)]
+    corners = vertices[faces]
+    sides = np.roll(corners, -1, axis=1) - corners
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    # The middle is a third of the height away from each edge.
+    roomy = 2.0 * area / 3.0 > ROOM * off * longest
+    return corners[roomy], area[roomy]
+
+
+def normals_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit normals of triangles (F, 3); zero without area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def areas_of(vertices: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.float64]:
+    corners = vertices[faces]
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -1,0 +1,117 @@
+"""Exact unions of closed bodies, by manifold3d."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit._packages import require_package
+from geokit.mesh.topology.bodies import Bodies
+from geokit.mesh.topology.connectivity import connected_components
+
+__all__ = ["Pieces", "boxes_that_meet", "inflated", "united"]
+
+# Boxes whose pairs are looked at together.
+BOXES_AT_A_TIME = 1 << 10
+
+
+class Pieces(NamedTuple):
+    """Faces, each with the face that it is, or lies in.
+
+    Attributes:
+        vertices: Positions [world] (V, 3).
+        faces: Vertex indices (F, 3).
+        source: Row of the face that each lies in (F,).
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    source: NDArray[np.int64]
+
+
+def boxes_that_meet(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], label: NDArray[Any], count: int, within: float
+) -> NDArray[np.int32]:
+    """Groups of labels whose boxes are no farther apart than ``within`` [world]: the lowest label of each (count,).
+
+    Args:
+        vertices: Positions [world] (V, 3).
+        faces: Vertex indices (F, 3).
+        label: Label of each face (F,), from 0 to ``count``; each has a face.
+        count: Number of labels.
+        within: The distance [world].
+    """
+    order = np.argsort(label, kind="stable")
+    starts = np.searchsorted(label[order], np.arange(count))
+    corners = vertices[faces[order]]
+    lower = np.minimum.reduceat(corners.min(axis=1), starts, axis=0) - within
+    upper = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    order = np.argsort(lower[:, 0], kind="stable")
+    lower, upper = lower[order], upper[order]
+    ones, others = [order[:0]], [order[:0]]
+    for begin in range(0, count, BOXES_AT_A_TIME):
+        rows = np.arange(begin, min(begin + BOXES_AT_A_TIME, count))
+        last = np.searchsorted(lower[:, 0], upper[rows, 0].max(), side="right")
+        meet = np.ones((len(rows), last - begin), bool)
+        for axis in range(3):
+            meet &= lower[rows, None, axis] <= upper[None, begin:last, axis]
+            meet &= lower[None, begin:last, axis] <= upper[rows, None, axis]
+        one, other = np.nonzero(meet)
+        ones.append(order[begin + one])
+        others.append(order[begin + other])
+    return connected_components(count, np.concatenate(ones), np.concatenate(others))
+
+
+def united(bodies: Bodies, solids: list[NDArray[np.int64]], inflation: float) -> Pieces | None:
+    """The boundary of the union of solids; None where manifold3d refuses one of them.
+
+    Args:
+        bodies: The bodies.
+        solids: Rows of the faces of each solid: those of a body and of its cavities.
+        inflation: How far the vertices move outward first [world], so that bodies that touch but for rounding overlap.
+    """
+    manifold: Any = require_package("manifold3d")
+    positions = inflated(bodies, np.concatenate(solids), inflation) if inflation else bodies.positions
+    parts = []
+    for rows in solids:
+        used, corners = np.unique(bodies.corners[rows], return_inverse=True)
+        # Every face keeps its number through the union, and flat regions keep their triangles.
+        made = manifold.Mesh64(
+            positions[used], corners.reshape(-1, 3).astype(np.uint64), face_id=rows.astype(np.uint64)
+        )
+        part = manifold.Manifold(made)
+        if part.status() != manifold.Error.NoError:
+            return None
+        parts.append(part)
+    result = manifold.Manifold.batch_boolean(parts, manifold.OpType.Add)
+    if result.status() != manifold.Error.NoError:
+        return None
+    mesh = result.to_mesh64()
+    vertices = np.ascontiguousarray(mesh.vert_properties[:, :3], np.float64)
+    return Pieces(vertices, mesh.tri_verts.astype(np.int64), np.asarray(mesh.face_id).astype(np.int64))
+
+
+def inflated(bodies: Bodies, rows: NDArray[np.int64], by: float) -> NDArray[np.float64]:
+    """The vertices of bodies, moved away from the inside [world] (V, 3): along the mean normal of their faces, weighted
+    by angle.
+
+    Args:
+        bodies: The bodies.
+        rows: Rows of the faces whose vertices move.
+        by: How far they move [world].
+    """
+    corners = bodies.corners[rows]
+    places = bodies.positions[corners]
+    edges = np.roll(places, -1, axis=1) - places
+    edges /= np.maximum(np.linalg.norm(edges, axis=2, keepdims=True), np.finfo(float).tiny)
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    angles = np.arccos(np.clip(-(edges * np.roll(edges, 1, axis=1)).sum(axis=2), -1.0, 1.0))
+    outward = np.zeros_like(bodies.positions)
+    for corner in range(3):
+        np.add.at(outward, corners[:, corner], angles[:, corner, None] * normals)
+    return bodies.positions + by * outward / np.maximum(
+        np.linalg.norm(outward, axis=1, keepdims=True), np.finfo(float).tiny
+    )
