@@ -8,11 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit.core.memory.needs import require_free
 from geokit.mesh.topology.bodies import Bodies
 from geokit.mesh.topology.connectivity import connected_components
 
 __all__ = ["Pieces", "boxes_that_meet", "inflated", "united"]
 
+# Memory of manifold3d for each face, with its copies.
+BYTES_PER_FACE = 700
+# Memory for the corners of a face and their bounds.
+BYTES_PER_BOXED_FACE = 200
 # Boxes whose pairs are looked at together.
 BOXES_AT_A_TIME = 1 << 10
 
@@ -43,6 +48,8 @@ def boxes_that_meet(
         count: Number of labels.
         within: The distance [world].
     """
+    # NumPy's reductions end the process where there is no memory for their buffers.
+    require_free(BYTES_PER_BOXED_FACE * len(faces), "boxes of bodies", always=True)
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(count))
     corners = vertices[faces[order]]
@@ -67,12 +74,18 @@ def boxes_that_meet(
 def united(bodies: Bodies, solids: list[NDArray[np.int64]], inflation: float) -> Pieces | None:
     """The boundary of the union of solids; None where manifold3d refuses one of them.
 
+    Raises:
+        MissingDependencyError: manifold3d is not installed.
+        DeviceMemoryError: There is not enough memory for it.
+
     Args:
         bodies: The bodies.
         solids: Rows of the faces of each solid: those of a body and of its cavities.
         inflation: How far the vertices move outward first [world], so that bodies that touch but for rounding overlap.
     """
     manifold: Any = require_package("manifold3d")
+    # It does not check what it allocates.
+    require_free(BYTES_PER_FACE * sum(map(len, solids)), "union of bodies", always=True)
     positions = inflated(bodies, np.concatenate(solids), inflation) if inflation else bodies.positions
     parts = []
     for rows in solids:
