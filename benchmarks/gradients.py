@@ -1,7 +1,7 @@
 """Gradients through torch beside plain calls, warp's tape and torch alone: ``python -m benchmarks.gradients``.
 
-Options: ``--device cuda:0``, ``--queries N``. Each row is the median of several runs after a warm-up. Answers and
-gradients are compared first.
+Options: ``--device cuda:0``, ``--queries N``. Each row has medians of runs after a warm-up, made in turn, so that what
+slows the host for a while slows all. Answers and gradients are compared first.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ import warp as wp
 import geokit as gk
 from benchmarks.raw_tape_kernels import tape_closest_kernel, tape_sample_kernel
 
-RUNS = 7
+RUNS = 25
 # Answers of float32 kernels and gradients of float64 ones agree to this share of a unit slope.
 SAME = 2e-3
 
 
-def median(run: Callable[[], Any]) -> float:
-    seconds = []
+def medians(*runs: Callable[[], Any]) -> list[float]:
+    seconds: list[list[float]] = [[] for _ in runs]
     for number in range(RUNS + 2):
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        start = time.perf_counter()
-        run()
-        if torch.cuda.is_available():
-            torch.cuda.synchronize()
-        if number > 1:
-            seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+        for run, taken in zip(runs, seconds, strict=True):
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            start = time.perf_counter()
+            run()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            if number > 1:
+                taken.append(time.perf_counter() - start)
+    return [statistics.median(taken) for taken in seconds]
 
 
 def compared(name: str, query: Callable[[Any], Any], points: Any, tape: Callable[[], Any] | None) -> None:
     """One row: plain call, forward and backward with gradients, and warp's tape."""
     asked = points.clone().requires_grad_()
     ones = torch.ones_like(query(points))
-    plain = median(lambda: query(points))
-    forward = median(lambda: query(asked))
-    both = median(lambda: torch.autograd.grad(query(asked), asked, ones))
+    ours = (lambda: query(points), lambda: query(asked), lambda: torch.autograd.grad(query(asked), asked, ones))
+    plain, forward, both, *taped = medians(*ours, *([] if tape is None else [tape]))
     line = f"| {name} | {plain * 1e3:.3f} | {forward / plain:.2f} | {(both - forward) / forward:.2f} |"
     if tape is None:
         print(line, "|")
@@ -54,7 +54,7 @@ def compared(name: str, query: Callable[[Any], Any], points: Any, tape: Callable
     far = (slope - other).norm(dim=1)
     # At ties and kinks two triangles or cells are as good.
     share = float((far > SAME).float().mean())
-    print(line, f"{median(tape) / both:.2f}, {share:.1e} of the gradients differ |")
+    print(line, f"{taped[0] / both:.2f}, {share:.1e} of the gradients differ |")
 
 
 def tape_of(kernel: Any, handle: Any, points: Any) -> Callable[[], Any]:
@@ -116,7 +116,8 @@ def main() -> None:
         return torch.autograd.grad((away.amin(0) ** 2).mean() + (away.amin(1) ** 2).mean(), a)[0]
 
     far = float((ours() - alone()).abs().max() / alone().abs().max())
-    ratio = median(alone) / median(ours)
+    by_torch, by_geokit = medians(alone, ours)
+    ratio = by_torch / by_geokit
     print(f"\nchamfer of {few} points, forward and backward: {ratio:.1f} times the rate of torch.cdist")
     print(f"largest difference {far:.1e} of the largest gradient")
 

@@ -65,6 +65,7 @@ class Batch:
             One row of shape (3,) gets results without the leading axis.
         first_row: Index of the first row among the caller's rows, for error messages.
         to_lists: The same for results that do not have one entry for each row, which keep their shape.
+        is_shared: Whether the caller gets the memory of float64 results itself, in which kernels may still write.
     """
 
     rows: Any
@@ -72,6 +73,7 @@ class Batch:
     to_caller: Callable[["wp.array"], Any]
     first_row: int = 0
     to_lists: Callable[["wp.array"], Any] | None = None
+    is_shared: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -143,7 +145,9 @@ def read_vectors(
     def to_lists(out: "wp.array") -> Any:
         return finish(_narrowed(_as_warp(out), is_float32))
 
-    return Batch(rows, is_float32, _alone(to_lists) if alone else to_lists, first_row, to_lists)
+    give = _alone(to_lists) if alone else to_lists
+    is_shared = not is_float32 and not alone and source.device == device
+    return Batch(rows, is_float32, give, first_row, to_lists, is_shared)
 
 
 def read_numbers(values: Any, name: str) -> np.ndarray:

@@ -434,4 +434,4 @@ def test_streams_in_order_need_no_events(torch_stream, warp_stream, is_blocking,
     torch = types.SimpleNamespace(
         cuda=types.SimpleNamespace(current_stream=lambda ordinal: types.SimpleNamespace(cuda_stream=torch_stream))
     )
-    assert arrays._in_order(torch, device) is expected
+    assert arrays.is_in_order(torch, device) is expected

@@ -7,7 +7,16 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from geokit.core.gradients.rules import Asked, Call, Entry, is_on_tape, is_tracked, refuse_gradients, require_constant
+from geokit.core.gradients.rules import (
+    PLAIN,
+    Asked,
+    Call,
+    Entry,
+    is_on_tape,
+    is_tracked,
+    refuse_gradients,
+    require_constant,
+)
 from geokit.core.launches import warp_private
 
 __all__ = ["differentiable", "library_of", "undifferentiable"]
@@ -45,9 +54,9 @@ def differentiable(
             if not held and not any(map(is_tracked, args)) and not any(map(is_tracked, kwargs.values())):
                 return query(*args, **kwargs)
             arguments = entry.bind(args, kwargs)
-            for name, value in arguments.items():
-                if name not in inputs and is_tracked(value):
-                    raise refuse_gradients(name, value)
+            for name in entry.others:
+                if type(arguments[name]) not in PLAIN and is_tracked(arguments[name]):
+                    raise refuse_gradients(name, arguments[name])
             alone = entry.widen(arguments, held)
             # All inputs are tensors then, also those given as NumPy: so is the answer.
             tensors = {name: arguments[name] for name in inputs if arguments[name] is not None} | held
@@ -85,7 +94,7 @@ def library_of(tensor: Any) -> Any:
 
 
 def _attach(call: Call) -> Any:
-    if any(map(is_on_tape, call.asked.tensors.values())):
+    if warp_private.tape_in_progress() is not None and any(map(is_on_tape, call.asked.tensors.values())):
         from geokit.core.gradients import on_tape
 
         return on_tape.attach(call)

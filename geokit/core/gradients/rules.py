@@ -23,6 +23,7 @@ from geokit.core.require import read_array, refuse_recording
 from geokit.errors import InputError
 
 __all__ = [
+    "PLAIN",
     "Asked",
     "Call",
     "Deferred",
@@ -41,6 +42,8 @@ __all__ = [
 
 # Attribute of an object (Surface, SparseVolume, NeighborGrid) that holds tensors with gradients.
 _HELD = "_held_tensors"
+# Types of options, which neither are tensors nor hold any.
+PLAIN = frozenset((bool, int, float, str, type(None)))
 
 
 class Rule(NamedTuple):
@@ -64,6 +67,11 @@ class Rule(NamedTuple):
         on_device: ``on_device(asked, answer, slopes, totals)`` adds the first derivatives to ``totals``, arrays of warp
             by name, and returns whether it could: a shorter way for a tape of warp. All its arrays are contiguous, on
             one device and of one precision, vectors where there are rows of three; a slope is None where there is none.
+        on_tensors: ``on_tensors(asked, answer, slopes, wanted)``: what ``quick`` gives, by a kernel on tensors of torch
+            where they lie; None where there is none for this call. It reads their memory only: they may be in a graph.
+        at_once: ``at_once(asked)`` gives the answer to tensors of torch, a tuple, together with its derivative by each
+            number of the first tensor, where one kernel finds both; None where none does. Of an answer (N,) to rows
+            (N, 3), the derivative is (N, 3).
         check: ``check(asked)`` raises the error for a call that has no derivative, where a tape of warp must know it
             before the answer.
         shapes: ``shapes(asked)`` gives shape and kind ("float" for that of the tensors, or "int32") of each output, for
@@ -77,6 +85,8 @@ class Rule(NamedTuple):
     pull: Callable[..., dict[str, Any]] | None = None
     on_host: Callable[[Asked], Callable[[Asked, Any], dict[str, Any]]] | None = None
     on_device: Callable[..., bool] | None = None
+    on_tensors: Callable[..., dict[str, Any] | None] | None = None
+    at_once: Callable[[Asked], tuple[tuple[Any, ...], Any] | None] | None = None
     check: Callable[[Asked], None] | None = None
     shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None
 
@@ -105,6 +115,7 @@ class Entry:
         single: Whether one point of shape (3,) is taken.
         holders: Parameters besides the first whose objects may hold tensors.
         parameters: Names and defaults of all parameters.
+        others: Names of those that are no inputs.
         kind: Container of the outputs: a NamedTuple's class, or None for a single array.
         address: Of this object.
     """
@@ -115,7 +126,13 @@ class Entry:
         signature = inspect.signature(query)
         self.query, self.inputs, self._rule, self.single, self.holders = query, inputs, rule, single, holders
         self._signature = signature
+        self._found: Rule | None = None
         self.parameters = tuple((name, parameter.default) for name, parameter in signature.parameters.items())
+        self.others = tuple(name for name, _ in self.parameters if name not in inputs)
+        self._defaults = dict(self.parameters)
+        self._positional = tuple(
+            name for name, parameter in signature.parameters.items() if parameter.kind is not parameter.KEYWORD_ONLY
+        )
         # Results are defined above the queries that return them.
         kind = inspect.unwrap(query).__globals__.get(str(signature.return_annotation))
         self.kind: Any = kind if hasattr(kind, "_fields") else None
@@ -123,15 +140,18 @@ class Entry:
 
     def rule(self) -> Rule:
         """The query's rule; its module is imported by the first call with gradients."""
+        if self._found is not None:
+            return self._found
         module, _, name = self._rule.partition(":")
         found: Rule = getattr(importlib.import_module(module), name)
+        self._found = found
         return found
 
     def run(self, arguments: dict[str, Any]) -> Any:
         """The answer for arguments without gradients."""
-        first, *others = (arguments[name] for name, _ in self.parameters[:1])
-        rest = {name: value for name, value in arguments.items() if name != self.parameters[0][0]}
-        return self.query(first, *others, **rest)
+        # Rows go by position: small calls are replayed then.
+        rest = {name: value for name, value in arguments.items() if name not in self._positional}
+        return self.query(*(arguments[name] for name in self._positional), **rest)
 
     def held(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
         """The tensors that the objects of a call hold, by name; "keyword.name" for those of other holders."""
@@ -151,7 +171,11 @@ class Entry:
         Raises:
             InputError: All are one point, and a tape of warp records the call: warp has no arrays of no dimension.
         """
-        given = {name: points_of(arguments[name], name) for name in self.inputs if arguments[name] is not None}
+        given = {
+            name: arguments[name] if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
+            for name in self.inputs
+            if arguments[name] is not None
+        }
         arguments.update(given)
         if not self.single or not given:
             return False
@@ -175,6 +199,12 @@ class Entry:
         Raises:
             TypeError: The call does not fit the query.
         """
+        given = dict(zip(self._positional, args, strict=False))
+        found = {**self._defaults, **given, **kwargs}
+        fits = len(given) == len(args) and len(found) == len(self._defaults) and given.keys().isdisjoint(kwargs)
+        if fits and not any(value is inspect.Parameter.empty for value in found.values()):
+            return found
+        # What does not fit is named there, which takes ten times as long.
         bound = self._signature.bind(*args, **kwargs)
         bound.apply_defaults()
         return dict(bound.arguments)
@@ -195,9 +225,14 @@ class Call(NamedTuple):
 
     def run(self, *plain: Any) -> Any:
         """The answer for tensors without gradients, given in the order of ``names``."""
-        arguments = {name: untracked(value) for name, value in self.asked.arguments.items()}
         given = dict(zip(self.names, plain, strict=True))
-        return self.entry.run({name: given.get(name, value) for name, value in arguments.items()})
+        # Tensors that objects hold are no arguments.
+        return self.entry.run(
+            {
+                name: given[name] if name in given else value if type(value) in PLAIN else untracked(value)
+                for name, value in self.asked.arguments.items()
+            }
+        )
 
 
 def hold(holder: Any, **tensors: Any) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import torch
 
 from geokit.core.gradients.rules import Asked, Entry, untracked
-from geokit.core.gradients.with_torch import pulled
+from geokit.core.gradients.with_torch import by_kernel, pulled
 from geokit.errors import InputError
 
 __all__ = ["traced"]
@@ -106,7 +106,10 @@ def _pull(
     others = {name for name, _ in known.entry.parameters} - set(known.entry.inputs)
     wanted = [name for name in known.names if name not in others]
     asked = asked._replace(tensors={name: asked.tensors[name] for name in wanted})
-    found = pulled(known.entry.rule(), asked, answer, slopes, wanted)
+    rule = known.entry.rule()
+    found = by_kernel(rule, asked, answer, slopes, wanted)
+    if found is None:
+        found = pulled(rule, asked, answer, slopes, wanted)
     given = zip(known.names, tensors, strict=True)
     return [found[name].to(tensor.dtype) if name in wanted else torch.zeros_like(tensor) for name, tensor in given]
 

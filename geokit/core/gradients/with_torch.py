@@ -9,10 +9,17 @@ import torch
 
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Call, Rule, untracked
+from geokit.core.launches.late_checks import AtEnd
 from geokit.core.require import read_array
+from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
-__all__ = ["LIBRARY", "attach", "pulled"]
+__all__ = ["LIBRARY", "attach", "by_kernel", "pulled"]
+
+# Whether torch.func transforms what runs; all calls count as transformed where torch does not tell.
+_is_transformed = getattr(torch._C, "_are_functorch_transforms_active", lambda: True)
+# The hooks that watch what graphs keep, if there are any: of checkpoints, or to move it to the host.
+_watching = getattr(torch._C._autograd, "_top_saved_tensors_default_hooks", lambda _: None)
 
 
 def attach(call: Call) -> Any:
@@ -20,14 +27,58 @@ def attach(call: Call) -> Any:
     given = call.asked.tensors
     like = next(value for value in given.values() if isinstance(value, torch.Tensor))
     tensors = [_tensor(given[name], name, like) for name in call.names]
-    devices = {str(tensor.device) for tensor in tensors}
-    if len(devices) > 1:
+    if len(tensors) > 1 and len({tensor.device for tensor in tensors}) > 1:
+        devices = {str(tensor.device) for tensor in tensors}
         raise InputError(f"{', '.join(call.names)}: tensors on {', '.join(sorted(devices))}; move them to one device")
     for name, tensor in zip(call.names, tensors, strict=True):
         if tensor.dtype not in (torch.float32, torch.float64):
             raise InputError(f"{name}: {tensor.dtype} has no gradients; give float32 or float64")
-    answer = _Query.apply(call, *tensors)
+    if _is_transformed():
+        answer = _Query.apply(call, *tensors)
+    else:
+        # A GPU is at work while the graph is made.
+        with AtEnd():
+            answer = _answered(call, tensors)
     return answer[0] if call.entry.kind is None else call.entry.kind(*answer)
+
+
+def _answered(call: Call, tensors: list[Any]) -> Any:
+    plain = [tensor.detach() for tensor in tensors]
+    if not torch.is_grad_enabled():
+        return _tuple_of(call.run(*plain))
+    rule, first = call.entry.rule(), call.entry.parameters[0][0]
+    asked = call.asked._replace(arguments=dict(call.asked.arguments))
+    if hasattr(asked.arguments[first], "update") and hasattr(asked.arguments[first], "_cache"):
+        # The backward pass is that of the object as it is now.
+        asked.arguments[first] = snapshot(asked.arguments[first])
+    found = None
+    # Who watches what a graph keeps gets no more than the arguments and the answer, in each call the same.
+    if rule.at_once is not None and _watching(True) is None:
+        found = rule.at_once(asked._replace(tensors=dict(zip(call.names, plain, strict=True))))
+    answer, kept = found or (_tuple_of(call.run(*plain)), None)
+    return _Attached.apply(call._replace(asked=asked), answer, kept, *tensors)
+
+
+def _tuple_of(answer: Any) -> tuple[Any, ...]:
+    return tuple(answer) if isinstance(answer, tuple) else (answer,)
+
+
+def by_kernel(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any] | None:
+    """The same as :func:`pulled` by one kernel, where there is one and nothing is differentiated further."""
+    if rule.on_tensors is None or torch.is_grad_enabled() or _is_transformed() or not _have_memory(slopes):
+        return None
+    return rule.on_tensors(asked, answer, slopes, wanted)
+
+
+def _have_memory(slopes: Any) -> bool:
+    """Whether a kernel can read them; batches of torch's vmap have no memory of their own."""
+    try:
+        for slope in slopes:
+            if slope is not None:
+                slope.data_ptr()
+    except RuntimeError:
+        return False
+    return True
 
 
 def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any]:
@@ -64,6 +115,41 @@ def _tensor(values: Any, name: str, like: Any) -> Any:
     return values if isinstance(values, torch.Tensor) else torch.tensor(read_array(values, name), device=like.device)
 
 
+def _keep(ctx: Any, call: Call, tensors: Any, answer: Any, kept: Any) -> None:
+    """Keep for the backward pass what was asked and found, and the derivative by the first tensor, if it is known."""
+    ctx.call, ctx.outputs = call, len(answer)
+    ctx.set_materialize_grads(False)
+    has_slope = call.entry.rule().has_slope
+    ctx.mark_non_differentiable(*(out for out, some in zip(answer, has_slope, strict=True) if not some))
+    ctx.save_for_backward(*tensors, *answer, *(() if kept is None else (kept,)))
+
+
+def _pulled_back(ctx: Any, slopes: Any) -> list[Any]:
+    """The derivative by each tensor; None where it is not wanted."""
+    call: Call = ctx.call
+    count = len(call.names)
+    try:
+        saved = ctx.saved_tensors
+    except RuntimeError as error:
+        if "a second time" not in str(error):  # such as a tensor that was changed in place
+            raise
+        raise InputError(
+            f"{', '.join(call.names)}: an earlier backward pass has freed what this one needs; give that one "
+            "retain_graph=True, or ask the query again"
+        ) from error
+    tensors, answer, kept = saved[:count], saved[count : count + ctx.outputs], saved[count + ctx.outputs :]
+    if kept and not torch.is_grad_enabled() and slopes[0] is not None:
+        return [slopes[0][:, None] * kept[0]]
+    wanted = [name for name, need in zip(call.names, ctx.needs_input_grad[-count:], strict=True) if need]
+    asked = call.asked._replace(tensors=dict(zip(call.names, tensors, strict=True)))
+    rule = call.entry.rule()
+    found = by_kernel(rule, asked, answer, slopes, wanted)
+    if found is None:
+        found = pulled(rule, asked, [output.detach() for output in answer], slopes, wanted)
+    of = zip(call.names, tensors, strict=True)
+    return [found[name].to(tensor.dtype) if name in wanted else None for name, tensor in of]
+
+
 class _Query(torch.autograd.Function):
     """One search, and the derivative of its answer by the call's rule."""
 
@@ -71,36 +157,16 @@ class _Query(torch.autograd.Function):
 
     @staticmethod
     def forward(call: Call, *tensors: Any) -> Any:
-        answer = call.run(*(tensor.detach() for tensor in tensors))
-        return tuple(answer) if isinstance(answer, tuple) else (answer,)
+        return _tuple_of(call.run(*(tensor.detach() for tensor in tensors)))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        ctx.call, *tensors = inputs
-        ctx.set_materialize_grads(False)
-        has_slope = ctx.call.entry.rule().has_slope
-        ctx.mark_non_differentiable(*(out for out, some in zip(output, has_slope, strict=True) if not some))
-        ctx.save_for_backward(*tensors, *output)
+        call, *tensors = inputs
+        _keep(ctx, call, tensors, output, None)
 
     @staticmethod
     def backward(ctx: Any, *slopes: Any) -> Any:
-        call: Call = ctx.call
-        count = len(call.names)
-        try:
-            saved = ctx.saved_tensors
-        except RuntimeError as error:
-            if "a second time" not in str(error):  # such as a tensor that was changed in place
-                raise
-            raise InputError(
-                f"{', '.join(call.names)}: an earlier backward pass has freed what this one needs; give that one "
-                "retain_graph=True, or ask the query again"
-            ) from error
-        tensors, answer = saved[:count], [output.detach() for output in saved[count:]]
-        wanted = [name for name, need in zip(call.names, ctx.needs_input_grad[1:], strict=True) if need]
-        asked = call.asked._replace(tensors=dict(zip(call.names, tensors, strict=True)))
-        found = pulled(call.entry.rule(), asked, answer, slopes, wanted)
-        of = zip(call.names, tensors, strict=True)
-        return (None, *(found[name].to(tensor.dtype) if name in wanted else None for name, tensor in of))
+        return (None, *_pulled_back(ctx, slopes))
 
     @staticmethod
     def vmap(info: Any, in_dims: Any, call: Call, *tensors: Any) -> Any:
@@ -116,6 +182,19 @@ class _Query(torch.autograd.Function):
             flat.append(tensor)
         answer = _Query.apply(call, *flat)
         return tuple(out.reshape(size, -1, *out.shape[1:]) for out in answer), tuple(0 for _ in answer)
+
+
+class _Attached(torch.autograd.Function):
+    """An answer that is known, and its derivative by the call's rule."""
+
+    @staticmethod
+    def forward(ctx: Any, call: Call, answer: Any, kept: Any, *tensors: Any) -> Any:
+        _keep(ctx, call, tensors, answer, kept)
+        return answer
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Any) -> Any:
+        return (None, None, None, *_pulled_back(ctx, slopes))
 
 
 # Torch asks for the signature in each call, and to find it takes longer than all else there.

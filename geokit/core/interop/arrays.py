@@ -14,7 +14,7 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["as_table", "detached", "exporter_like", "import_array", "is_exporter", "reinterpreted"]
+__all__ = ["as_table", "detached", "exporter_like", "import_array", "is_exporter", "is_in_order", "reinterpreted"]
 
 
 def is_exporter(values: Any) -> bool:
@@ -38,7 +38,7 @@ def import_array(values: Any, name: str) -> "wp.array":
             torch = sys.modules.get("torch")
             if torch is not None and isinstance(values, torch.Tensor):
                 device = wp.device_from_torch(values.device)
-                return wp.from_torch(values) if _in_order(torch, device) else wp.from_dlpack(values)
+                return wp.from_torch(values) if is_in_order(torch, device) else wp.from_dlpack(values)
             device, _ = values.__dlpack_device__()
             if isinstance(device, int):
                 return wp.from_dlpack(values)
@@ -97,10 +97,10 @@ def exporter_like(values: Any) -> Callable[["wp.array"], Any]:
 def _to_torch(torch: Any, out: "wp.array") -> Any:
     import warp as wp
 
-    return torch.utils.dlpack.from_dlpack(wp.to_dlpack(out) if _in_order(torch, out.device) else out)
+    return torch.utils.dlpack.from_dlpack(wp.to_dlpack(out) if is_in_order(torch, out.device) else out)
 
 
-def _in_order(torch: Any, device: "wp.Device") -> bool:
+def is_in_order(torch: Any, device: "wp.Device") -> bool:
     """Whether torch's work and warp's on a device follow each other without events, which take 40 us an array.
 
     So it is on the same stream, and where torch works on CUDA's null stream: blocking streams, such as those that warp

@@ -71,6 +71,48 @@ def over_edge(
     return slope
 
 
+@wp.func
+def foot_slope(
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    triangle: int,
+    p: wp.vec3d,
+    weights: wp.vec3d,
+    distance: wp.float64,
+    is_signed: bool,
+    by_distance: wp.float64,
+    by_foot: wp.vec3d,
+    by_weights: wp.vec3d,
+) -> wp.vec3d:
+    """The slope of a point, from those of its answer."""
+    a = vertices[faces[3 * triangle]]
+    b = vertices[faces[3 * triangle + 1]]
+    c = vertices[faces[3 * triangle + 2]]
+    has_a = weights[0] > NONE
+    has_b = weights[1] > NONE
+    has_c = weights[2] > NONE
+    if has_a and has_b and has_c and wp.length_sq(wp.cross(b - a, c - a)) > NONE:
+        return over_face(p, a, b, c, distance, is_signed, by_distance, by_foot, by_weights)
+    # From the first corner with weight to the last.
+    begin = c
+    by_begin = by_weights[2]
+    if has_a:
+        begin = a
+        by_begin = by_weights[0]
+    elif has_b:
+        begin = b
+        by_begin = by_weights[1]
+    end = a
+    by_end = by_weights[0]
+    if has_c:
+        end = c
+        by_end = by_weights[2]
+    elif has_b:
+        end = b
+        by_end = by_weights[1]
+    return over_edge(p, begin, end, distance, by_distance, by_foot, by_end - by_begin)
+
+
 @wp.kernel
 def foot_slopes_kernel(
     first: int,
@@ -91,50 +133,64 @@ def foot_slopes_kernel(
     triangle = triangle_id[i]
     if triangle < 0:
         return
-    a = vertices[faces[3 * triangle]]
-    b = vertices[faces[3 * triangle + 1]]
-    c = vertices[faces[3 * triangle + 2]]
     p = wp.vec3d(points[i])
     weights = wp.vec3d(barycentric[i])
     d = wp.float64(distance[i])
     slope_d = wp.float64(by_distance[i])
     slope_f = wp.vec3d(by_foot[i])
     slope_w = wp.vec3d(by_weights[i])
-    has_a = weights[0] > NONE
-    has_b = weights[1] > NONE
-    has_c = weights[2] > NONE
-    slope = wp.vec3d()
-    if has_a and has_b and has_c and wp.length_sq(wp.cross(b - a, c - a)) > NONE:
-        slope = over_face(p, a, b, c, d, is_signed, slope_d, slope_f, slope_w)
-    else:
-        # From the first corner with weight to the last.
-        begin = c
-        by_begin = slope_w[2]
-        if has_a:
-            begin = a
-            by_begin = slope_w[0]
-        elif has_b:
-            begin = b
-            by_begin = slope_w[1]
-        end = a
-        by_end = slope_w[0]
-        if has_c:
-            end = c
-            by_end = slope_w[2]
-        elif has_b:
-            end = b
-            by_end = slope_w[1]
-        slope = over_edge(p, begin, end, d, slope_d, slope_f, by_end - by_begin)
+    slope = foot_slope(vertices, faces, triangle, p, weights, d, is_signed, slope_d, slope_f, slope_w)
     out_slopes[i] = out_slopes[i] + type(points[i])(slope)
 
 
-_VECTORS = ("points", "barycentric", "by_foot", "by_weights", "out_slopes")
-# By the type of the points' coordinates.
-FOOT_SLOPES = {
-    number: wp.overload(
-        foot_slopes_kernel,
-        {name: wp.array(dtype=vector) for name in _VECTORS}
-        | {name: wp.array(dtype=number) for name in ("distance", "by_distance")},
-    )
-    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
-}
+@wp.kernel
+def distance_slopes_kernel(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=int),
+    is_signed: bool,
+    shortest: wp.float64,
+    points: wp.array(dtype=Any),
+    distance: wp.array(dtype=Any),
+    feet: wp.array(dtype=Any),
+    triangle_id: wp.array(dtype=int),
+    barycentric: wp.array(dtype=Any),
+    by_distance: wp.array(dtype=Any),
+    out_slopes: wp.array(dtype=Any),
+):
+    """The slopes of the points from those of their distances alone; 0 for a miss.
+
+    A distance above ``shortest`` has the direction between the point and its foot, without a look at the triangle.
+    """
+    i = first + wp.tid()
+    slope = wp.vec3d()
+    triangle = triangle_id[i]
+    if triangle >= 0:
+        p = wp.vec3d(points[i])
+        d = wp.float64(distance[i])
+        slope_d = wp.float64(by_distance[i])
+        if wp.abs(d) > shortest:
+            slope = (slope_d / d) * (p - wp.vec3d(feet[i]))
+        else:
+            weights = wp.vec3d(barycentric[i])
+            slope = foot_slope(vertices, faces, triangle, p, weights, d, is_signed, slope_d, wp.vec3d(), wp.vec3d())
+    out_slopes[i] = type(points[i])(slope)
+
+
+_PRECISIONS = ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
+
+
+def _overloads(kernel: Any, vectors: tuple[str, ...]) -> dict[Any, Any]:
+    """Overloads of a kernel by the type of the points' coordinates."""
+    return {
+        number: wp.overload(
+            kernel,
+            {name: wp.array(dtype=vector) for name in vectors}
+            | {name: wp.array(dtype=number) for name in ("distance", "by_distance")},
+        )
+        for number, vector in _PRECISIONS
+    }
+
+
+FOOT_SLOPES = _overloads(foot_slopes_kernel, ("points", "barycentric", "by_foot", "by_weights", "out_slopes"))
+DISTANCE_SLOPES = _overloads(distance_slopes_kernel, ("points", "feet", "barycentric", "out_slopes"))

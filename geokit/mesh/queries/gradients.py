@@ -195,6 +195,60 @@ def _on_device(place: int) -> Any:
     return on_device
 
 
+def _on_tensors(place: int) -> Any:
+    """The derivatives by points in one kernel; ``place`` is that of the distance."""
+
+    def on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
+        surface, points = asked.arguments["self"], asked.tensors["points"]
+        alone = [slope is None for slope in slopes] == [number != place for number in range(4)]
+        kept = _arrays_beside(surface, [points, answer[place]], wanted, ("points",))
+        if kept is None or (alone and _is_quick_in_torch(points)):
+            return None
+        import warp as wp
+
+        from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
+        from geokit.mesh.queries.foot_slopes_kernels import DISTANCE_SLOPES, FOOT_SLOPES
+
+        (triangle_id, weights), distance, feet = answer[2:], answer[place], answer[1 - place]
+        number = number_of(points)
+        if alone:
+            # Feet of float32 are too near to their points to tell the direction between them.
+            short = math.inf if points.element_size() == 4 else SHORT * surface.scale
+            out, kernel, options = points.new_empty(points.shape), DISTANCE_SLOPES[number], [wp.float64(short)]
+            given = [points, distance, feet, triangle_id, weights, slopes[place]]
+        else:
+            out, kernel, options = points.new_zeros(points.shape), FOOT_SLOPES[number], []
+            none = points.new_zeros(3)
+            by = slopes[place], slopes[1 - place], slopes[3]
+            whole = [
+                (none[0] if like.ndim == 1 else none).expand(like.shape) if slope is None else slope
+                for slope, like in zip(by, (distance, points, points), strict=True)
+            ]
+            given = [points, distance, triangle_id, weights, *whole]
+        inputs = [*kept, place == 0, *options, *map(TensorRows, given)]
+        launch(kernel, len(points), inputs, [TensorRows(out)], surface._device)
+        return {"points": out}
+
+    return on_tensors
+
+
+def _is_quick_in_torch(rows: Any) -> bool:
+    """Whether the few passes of :func:`_quick_distance` take no longer than a launch: for float64 rows on a CPU."""
+    return bool(rows.is_cpu) and rows.element_size() == 8
+
+
+def _arrays_beside(surface: Any, tensors: list[Any], wanted: list[str], known: tuple[str, ...]) -> Any:
+    """The vertices and faces where tensors lie, for a kernel that knows the derivatives by some of them.
+
+    None where others are wanted, the surface is elsewhere, or the tensors are not of one precision.
+    """
+    if not set(known).issuperset(wanted) or any(tensor.dtype != tensors[0].dtype for tensor in tensors):
+        return None
+    from geokit.core.gradients.tensor_rows import device_of
+
+    return (surface._vertices, surface._faces) if surface._device == device_of(tensors[0]) else None
+
+
 def _quick_hit(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
     """The derivative of t alone: a hit stays on the plane of its triangle."""
     if slopes[0] is None or slopes[2] is not None or "float64" not in str(answer[0].dtype):
@@ -213,6 +267,27 @@ def _quick_hit(library: Library, asked: Asked, answer: Any, slopes: Any, wanted:
         shares = library.where(some[:, None], weights, 0.0)[:, :, None] * back[:, None]
         result["vertices"] = library.add(shares, faces, len(asked.tensors["vertices"]))
     return result
+
+
+def _hit_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
+    """The derivatives of t by rays in one kernel."""
+    surface, directions = asked.arguments["self"], asked.tensors.get("directions")
+    if slopes[0] is None or slopes[2] is not None or directions is None:
+        return None
+    given = [directions, asked.tensors.get("origins", directions), answer[0]]
+    kept = _arrays_beside(surface, given, wanted, ("origins", "directions"))
+    if kept is None:
+        return None
+    from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
+    from geokit.mesh.queries.hit_slopes_kernels import HIT_SLOPES
+
+    t, triangle_id, _ = answer
+    count = len(directions)
+    out = {name: directions.new_empty((count if name in wanted else 0, 3)) for name in ("origins", "directions")}
+    inputs = [*kept, *map(TensorRows, (directions, t, triangle_id, slopes[0]))]
+    outputs = list(map(TensorRows, out.values()))
+    launch(HIT_SLOPES[number_of(directions)], count, inputs, outputs, surface._device)
+    return {name: out[name] for name in wanted}
 
 
 def _raycast(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
@@ -250,6 +325,7 @@ CLOSEST_POINT = Rule(
     _closest_point,
     quick=_quick_distance(1),
     on_device=_on_device(1),
+    on_tensors=_on_tensors(1),
     shapes=_shapes_of_points((3, "float"), (1, "float"), (1, "int32"), (3, "float")),
 )
 SIGNED_DISTANCE = Rule(
@@ -257,12 +333,14 @@ SIGNED_DISTANCE = Rule(
     _signed_distance,
     quick=_quick_distance(0),
     on_device=_on_device(0),
+    on_tensors=_on_tensors(0),
     shapes=_shapes_of_points((1, "float"), (3, "float"), (1, "int32"), (3, "float")),
 )
 RAYCAST = Rule(
     (True, False, True),
     _raycast,
     quick=_quick_hit,
+    on_tensors=_hit_on_tensors,
     shapes=_shapes_of_points((1, "float"), (1, "int32"), (3, "float")),
 )
 
@@ -304,7 +382,7 @@ def _of_many(rule: Rule) -> Rule:
         found = of_one(library, flat, rows, steep, wanted)
         return found and {name: part.reshape(asked.tensors[name].shape) for name, part in found.items()}
 
-    return rule._replace(build=build, quick=quick, on_device=None)
+    return rule._replace(build=build, quick=quick, on_device=None, on_tensors=None)
 
 
 CLOSEST_POINT_OF_MANY = _of_many(CLOSEST_POINT)

@@ -13,6 +13,7 @@ from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop.arrays import import_array
+from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -120,7 +121,7 @@ class PointQueries:
             found = self._closest(batch.rows, reach, bad)
             # A GPU is at work meanwhile: the flag waits for it.
             answer = ClosestPoints(*(batch.to_caller(array) for array in found))
-            refuse_raised(bad, batch)
+            later(lambda: refuse_raised(bad, batch), self._device)
             return answer
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -131,8 +133,14 @@ class RayQueries:
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:
             found = RayHits(*user_arrays.empty_outputs(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
-            self._cast(raycast_kernel, rays, heading, t_min, max_distance, list(found))
-            return RayHits(*(rays.to_caller(array) for array in found))
+            finish = self._begin(raycast_kernel, rays, heading, t_min, max_distance, list(found))
+            if not rays.is_shared:
+                finish()
+                return RayHits(*(rays.to_caller(array) for array in found))
+            # A GPU is at work meanwhile.
+            answer = RayHits(*(rays.to_caller(array) for array in found))
+            later(finish, self._device)
+            return answer
 
         return self._in_chunks(query, origins, directions, progress)
 
@@ -320,24 +328,41 @@ class RayQueries:
         outputs: list[Any],
         *streams: "wp.array",
     ) -> None:
+        self._begin(kernel, rays, heading, t_min, max_distance, outputs, *streams)()
+
+    def _begin(
+        self,
+        kernel: Any,
+        rays: user_arrays.Batch,
+        heading: user_arrays.Batch,
+        t_min: float,
+        max_distance: float,
+        outputs: list[Any],
+        *streams: "wp.array",
+    ) -> Callable[[], None]:
+        """Launch the kernel; the function that is returned waits for it and casts what it left undecided."""
         start, reach = checked_limits(rays, heading, t_min, max_distance)
         bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
-        if kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES:
-            self._cast_in_passes(count, shared, outputs, bad)
+        in_passes = kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES
+        if in_passes:
+            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
+
+            launcher.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
         else:
             group = group_size(count) if self._device.is_cpu else 1
             launcher.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
-        refuse_rays(bad, rays, heading)
 
-    def _cast_in_passes(self, count: int, shared: list[Any], outputs: list[Any], bad: "wp.array") -> None:
-        from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
-        from geokit.mesh.queries.raycast_kernels import raycast_undecided_kernel
+        def finish() -> None:
+            if in_passes and bad.numpy()[1]:
+                from geokit.mesh.queries.raycast_kernels import raycast_undecided_kernel
 
-        launcher.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
-        if bad.numpy()[1]:
-            launcher.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
+                launcher.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
+            # Waits for the launches, so that the answer is whole.
+            refuse_rays(bad, rays, heading)
+
+        return finish
 
 
 def checked_limits(

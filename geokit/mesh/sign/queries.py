@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
@@ -138,7 +139,7 @@ class SignQueries(PointQueries):
             self._sign(method, batch.rows, closest, reach)
             found = closest.distance, closest.points, closest.triangle_id, closest.barycentric
             answer = SignedDistances(*(batch.to_caller(array) for array in found))
-            refuse_raised(bad, batch)
+            later(lambda: refuse_raised(bad, batch), self._device)
             return answer
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)

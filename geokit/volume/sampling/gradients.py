@@ -20,6 +20,10 @@ from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.nodes import set_bits
 from geokit.volume.nanovdb.types import COMPONENTS
+from geokit.volume.sampling.kernel_table import query_kernel
+from geokit.volume.sampling.leaf_table import made_table
+from geokit.volume.sampling.space import SPACES, world_to_index
+from geokit.volume.sampling.trilinear_table import sample_and_slopes
 from geokit.volume.tree.leaves import assemble, leaves_of
 
 __all__ = ["ADAPTIVE", "GRADIENT", "RAYCAST", "SAMPLE"]
@@ -151,6 +155,51 @@ def _sample_on_device(asked: Asked, answer: Any, slopes: Any, totals: dict[str, 
     return True
 
 
+def _is_quick_alone(points: Any) -> bool:
+    """Whether samples alone are clearly faster: on a CPU, where a gradient costs as much as a sample."""
+    return bool(points.is_cpu)
+
+
+def _sample_at_once(asked: Asked) -> Any:
+    """Samples of order 1 together with their gradients, which cost little beside them on a GPU."""
+    volume, space, points = asked.arguments["volume"], asked.arguments["space"], asked.tensors["points"]
+    if len(asked.tensors) > 1 or _is_quick_alone(points) or points.ndim != 2 or 0 in points.shape[:1]:
+        return None
+    if points.shape[1] != 3 or asked.arguments["channel"] is not None or _order(asked) != 1 or space not in SPACES:
+        return None
+    from geokit.core.gradients.tensor_rows import device_of
+
+    device = launcher.resolve_device(asked.arguments["device"])
+    found = sample_and_slopes(volume, points, space, device) if device == device_of(points) else None
+    return found and ((found[0],), found[1])
+
+
+def _sample_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
+    """The derivatives of samples of scalar grids by points, which the query itself has checked."""
+    volume, space, points, (slope,) = (
+        asked.arguments["volume"],
+        asked.arguments["space"],
+        asked.tensors["points"],
+        slopes,
+    )
+    is_scalar = asked.arguments["channel"] is None and COMPONENTS.get(volume.info.grid_type) == 1
+    if wanted != ["points"] or _is_quick_alone(points) or not is_scalar:
+        return None
+    import warp as wp
+
+    from geokit.core.gradients.tensor_rows import TensorRows, device_of, launch
+
+    order, device = _order(asked), launcher.resolve_device(asked.arguments["device"])
+    if device != device_of(points) or (order == 1 and made_table(volume, device) is not None):
+        return None
+    rows = points.double()
+    along = rows.new_empty((len(rows), 1, 3))
+    kernel, _ = query_kernel("gradient", order, 1, False)
+    inputs = [wp.uint64(volume.id(device)), TensorRows(rows), *world_to_index(volume, space), wp.float64(0.0)]
+    launch(kernel, len(rows), inputs, [wp.from_torch(along)], device)
+    return {"points": slope[:, None] * along[:, 0].to(points.dtype)}
+
+
 def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
     _check_gradient(asked)
     (slope,), order, points = slopes, _order(asked), asked.tensors["points"]
@@ -227,7 +276,15 @@ def _shapes(*columns: tuple[int, ...], name: str = "points", of: bool = False) -
     return shapes
 
 
-SAMPLE = Rule((True,), pull=_pull_sample, on_device=_sample_on_device, check=_check_sample, shapes=_shapes((), of=True))
+SAMPLE = Rule(
+    (True,),
+    pull=_pull_sample,
+    on_device=_sample_on_device,
+    on_tensors=_sample_on_tensors,
+    at_once=_sample_at_once,
+    check=_check_sample,
+    shapes=_shapes((), of=True),
+)
 GRADIENT = Rule((True,), pull=_pull_gradient, check=_check_gradient, shapes=_shapes((3,), of=True))
 ADAPTIVE = Rule((True,), pull=_pull_adaptive, shapes=_shapes(()))
 RAYCAST = Rule((True, True, False), pull=_pull_raycast, shapes=_shapes((), (3,), (3,), name="origins"))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from geokit.volume._model import SparseVolume
 
-__all__ = ["leaf_table"]
+__all__ = ["leaf_table", "made_table"]
 
 # Filling an entry takes a quarter of the time of a query through the tree, and the table saves half of a query's time.
 # So the table pays once it has at most this many entries per query so far.
@@ -54,6 +54,11 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
         return None
     replay.refuse()
     return volume._uploads.setdefault(key, _make(volume, device, *box))
+
+
+def made_table(volume: SparseVolume, device: "wp.Device") -> Any:
+    """The LeafTable of a volume if it has been made; this counts as no query."""
+    return volume._uploads.get(f"leaf table {device.alias}")
 
 
 def _box(volume: SparseVolume) -> tuple[np.ndarray, np.ndarray] | None:

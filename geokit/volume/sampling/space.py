@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from geokit.volume._model import SparseVolume
 
-__all__ = ["query_inputs", "require_space", "world_to_index"]
+__all__ = ["SPACES", "query_inputs", "require_space", "world_to_index"]
 
 SPACES = ("world", "index")
 
@@ -34,9 +34,14 @@ def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any
 
     if space == "index":
         return wp.vec3d(0.0, 0.0, 0.0), wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    transform = volume.info.transform
-    to_index = np.linalg.inv(transform[:3, :3])
-    return wp.vec3d(*transform[:3, 3].tolist()), wp.mat33d(*to_index.ravel().tolist())
+
+    def make() -> tuple[Any, Any]:
+        transform = volume.info.transform
+        to_index = np.linalg.inv(transform[:3, :3])
+        return wp.vec3d(*transform[:3, 3].tolist()), wp.mat33d(*to_index.ravel().tolist())
+
+    # The transform of a volume is read-only.
+    return volume._cache.find("world to index", make)
 
 
 def query_inputs(volume: SparseVolume, points: "wp.array", space: str = "world") -> list[Any]:

@@ -2,8 +2,10 @@
 // CPU for up to 64 queries in SIMD. Fields of one level (trilinear_table_kernels) and of several
 // (adaptive/sample_kernels) share this text, so their sums agree to the last bit.
 //
-// Expects to_index and FIRST_TABLE, a macro for the LeafTable (of level 0); the macro GRADIENT, 0 or 1; and
-// - for one query: u, its index coordinates. Returns a double or a wp::vec_t of three; NaN beyond the table's box.
+// Expects to_index and FIRST_TABLE, a macro for the LeafTable (of level 0); the macro GRADIENT, 0, 1, or 2 for both (of
+// one level, for one query); and
+// - for one query: u, its index coordinates. Returns a double, a wp::vec_t of three, or one of four, the value first;
+//   NaN beyond the table's box.
 // - for many: the macro REAL, the type of points and answers; start, stop, points, origin, out. Returns a bit mask of
 //   the queries beyond the table's box, which the caller must answer through the tree.
 // Fields of several levels define the hooks DESCENT and GROUP_DESCENT, which go from the cell of level 0 to the cell
@@ -174,7 +176,9 @@ return count == G ? left : left & ((1ull << count) - 1ull);
 const double i0 = floor(u[0]), j0 = floor(u[1]), k0 = floor(u[2]);
 const double i1 = i0 - lower_x, j1 = j0 - lower_y, k1 = k0 - lower_z;
 if (!(i1 >= 0.0 && i1 <= last_x && j1 >= 0.0 && j1 <= last_y && k1 >= 0.0 && k1 <= last_z)) {
-#if GRADIENT
+#if GRADIENT == 2
+    return wp::vec_t<4, double>((double)NAN);
+#elif GRADIENT
     return wp::vec_t<3, double>((double)NAN);
 #else
     return (double)NAN;
@@ -244,6 +248,8 @@ if (e000 >= 0 && finest.pairs.data) {
 #include "volume/sampling/trilinear_sums.inl"
 #if !GRADIENT
 return value;
+#elif GRADIENT == 2
+return wp::vec_t<4, double>(value, g0, g1, g2);
 #elif defined(DESCENT)
 const double s = (double)(1ll << level);
 return wp::vec_t<3, double>(s * g0, s* g1, s* g2);

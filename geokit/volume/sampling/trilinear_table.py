@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher, user_arrays
+from geokit.core.launches.late_checks import later
+from geokit.core.memory.needs import is_out_of_memory
 from geokit.core.memory.pinned import host_flags
-from geokit.volume.sampling.leaf_table import leaf_table
+from geokit.volume.sampling.leaf_table import leaf_table, made_table
 from geokit.volume.sampling.space import world_to_index
 
 if TYPE_CHECKING:
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
     from geokit.volume._model import SparseVolume
 
-__all__ = ["gradient_linear", "sample_linear"]
+__all__ = ["gradient_linear", "sample_and_slopes", "sample_linear"]
 
 # Fewest groups of queries per thread.
 GRAIN = 16
@@ -60,9 +62,58 @@ def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", 
     inputs = [wp.uint64(volume.id(device)), table, batch.rows, *world_to_index(volume, space), background]
     items = -(-count // kernels.GROUP) if device.is_cpu else count
     launcher.launch(choices[batch.is_float32], items, inputs, [out, bad], device, grain=GRAIN if device.is_cpu else 0)
-    if count and bad.numpy()[0]:
-        user_arrays.require_finite(batch, "points")
-    return batch.to_caller(out)
+
+    def check() -> None:
+        if count and bad.numpy()[0]:
+            user_arrays.require_finite(batch, "points")
+
+    if not batch.is_shared:
+        check()
+        return batch.to_caller(out)
+    answer = batch.to_caller(out)
+    later(check, device)
+    return answer
+
+
+def sample_and_slopes(volume: SparseVolume, points: Any, space: str, device: "wp.Device") -> Any:
+    """Samples (N,) and gradients (N, 3), each with its own bits, from one pass over the voxels.
+
+    Args:
+        volume: Any grid.
+        points: A tensor of torch, shape (N, 3), float32 or float64, on the device.
+        space: Its coordinates, "world" or "index".
+        device: Where to compute.
+    Returns:
+        Two tensors; None if the grid has no table yet, or there is no memory for both.
+    Raises:
+        InputError: points is not finite.
+    """
+    import warp as wp
+
+    from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
+    from geokit.volume.sampling.trilinear_slopes_kernels import AT_ONCE
+
+    table = made_table(volume, device)
+    if table is None:
+        return None
+    try:
+        value, slopes = points.new_empty(points.shape[0]), points.new_empty(points.shape)
+    except RuntimeError as error:
+        if is_out_of_memory(error):
+            return None
+        raise
+    bad = host_flags(1, device)
+    handle, place = volume._uploads[device.alias][0].id, world_to_index(volume, space)
+    inputs = [wp.uint64(handle), table, TensorRows(points), *place, wp.float64(volume.info.background)]
+    outputs = [TensorRows(value), TensorRows(slopes), bad]
+    launch(AT_ONCE[number_of(points)], points.shape[0], inputs, outputs, device)
+
+    def check() -> None:
+        if bad.numpy()[0]:
+            user_arrays.read_vectors(points, "points", device)
+
+    later(check, device)
+    return value, slopes
 
 
 def _count(points: Any) -> int:

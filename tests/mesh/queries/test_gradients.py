@@ -8,6 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from geokit import InputError, mesh  # noqa: E402
+from geokit.core.launches import replay  # noqa: E402
+from geokit.mesh.queries import gradients  # noqa: E402
 from tests.support.gradient_checks import check, tensor  # noqa: E402
 
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -156,3 +158,126 @@ def test_two_devices(tetrahedron, points):
     tetrahedron.update(tensor(tetrahedron.mesh.vertices).requires_grad_())
     with pytest.raises(InputError, match="cpu, meta; move them to one device"):
         tetrahedron.closest_point(points.to("meta"))
+
+
+OUTPUTS = [("distance",), ("points",), ("barycentric",), ("distance", "points"), ("distance", "points", "barycentric")]
+
+
+def slope_of(answer, outputs, by, *, create_graph=False):
+    """The derivative of a weighted sum of some outputs, those of misses left out."""
+    total = 0.0
+    for place, name in enumerate(outputs):
+        out = torch.nan_to_num(getattr(answer, name), posinf=0.0, neginf=0.0)
+        weights = torch.linspace(1.0 + place, 2.0, out.numel(), dtype=out.dtype).reshape(out.shape)
+        total = total + (out * weights).sum()
+    return torch.autograd.grad(total, by, create_graph=create_graph)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("outputs", OUTPUTS, ids="-".join)
+@pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
+def test_kernels_give_the_slopes_of_the_closed_form(tetrahedron, points, query, outputs, dtype, monkeypatch):
+    # As on a GPU: everywhere by a kernel, also where torch is as fast on a CPU.
+    monkeypatch.setattr(gradients, "_is_quick_in_torch", lambda rows: False)
+    inner = (tetrahedron.closest_point(points.numpy()).barycentric > 0.0).all(axis=1)
+    asked = (points[inner] if "barycentric" in outputs else points).to(dtype).requires_grad_()
+    answer = getattr(tetrahedron, query)(asked, max_distance=0.9)
+    (found,) = slope_of(answer, outputs, asked)
+    (expected,) = slope_of(getattr(tetrahedron, query)(asked, max_distance=0.9), outputs, asked, create_graph=True)
+    assert found.dtype == dtype
+    assert not found.requires_grad
+    assert (found[answer.triangle_id < 0] == 0.0).all()
+    assert torch.allclose(found, expected, rtol=1e-5 if dtype == torch.float32 else 1e-11, atol=1e-6)
+
+
+@pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
+def test_the_kernel_has_the_bits_of_torch(tetrahedron, points, query, monkeypatch):
+    asked = points.clone().requires_grad_()
+    weights = tensor(np.linspace(1.0, 2.0, len(points)))
+
+    def slope():
+        return torch.autograd.grad(getattr(tetrahedron, query)(asked).distance, asked, weights)[0]
+
+    by_torch = slope()
+    monkeypatch.setattr(gradients, "_is_quick_in_torch", lambda rows: False)
+    assert torch.equal(slope(), by_torch)
+
+
+@pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
+def test_kernels_close_to_the_surface(tetrahedron, points, query, monkeypatch):
+    found = tetrahedron.closest_point(points.numpy())
+    feet, over_face = tensor(found.points), (found.barycentric > 0.0).all(axis=1)
+    away = (points - feet) / (points - feet).norm(dim=1, keepdim=True)
+    rows = torch.cat([feet + 1e-9 * away, feet[over_face]]).requires_grad_()
+    weights = tensor(np.linspace(1.0, 2.0, len(rows)))
+
+    def slope():
+        return torch.autograd.grad(getattr(tetrahedron, query)(rows).distance, rows, weights)[0]
+
+    by_torch = slope()
+    monkeypatch.setattr(gradients, "_is_quick_in_torch", lambda rows: False)
+    assert torch.allclose(slope(), by_torch, rtol=1e-12, atol=1e-12)
+
+
+@pytest.fixture
+def rays():
+    random = np.random.default_rng(5)
+    origins, targets = 3.0 * random.standard_normal((60, 3)), 0.2 + 0.2 * random.standard_normal((60, 3))
+    return tensor(origins), tensor(targets - origins)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("wanted", [(0,), (1,), (0, 1)])
+def test_slopes_of_hits(tetrahedron, rays, wanted, dtype):
+    asked = [part.to(dtype).requires_grad_(place in wanted) for place, part in enumerate(rays)]
+    by = [asked[place] for place in wanted]
+    found = slope_of(tetrahedron.raycast(*asked), ("t",), by)
+    expected = slope_of(tetrahedron.raycast(*asked), ("t",), by, create_graph=True)
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == dtype
+        assert torch.allclose(one, other, rtol=2e-5 if dtype == torch.float32 else 1e-11)
+
+
+def test_rays_of_two_precisions(tetrahedron, rays):
+    asked = rays[0].requires_grad_(), rays[1].float().requires_grad_()
+    found = slope_of(tetrahedron.raycast(*asked), ("t",), asked)
+    expected = slope_of(tetrahedron.raycast(asked[0], asked[1].double()), ("t",), asked)
+    assert [part.dtype for part in found] == [torch.float64, torch.float32]
+    assert torch.allclose(found[0], expected[0])
+    assert torch.allclose(found[1], expected[1])
+
+
+def test_a_backward_pass_is_that_of_the_surface_of_its_query(tetrahedron, rays):
+    asked = rays[0].requires_grad_(), rays[1]
+    (expected,) = slope_of(tetrahedron.raycast(*asked), ("t",), asked[0])
+    answer = tetrahedron.raycast(*asked)
+    tetrahedron.update(tetrahedron.mesh.vertices[::-1] * [1.0, 2.0, 3.0])
+    assert torch.equal(slope_of(answer, ("t",), asked[0])[0], expected)
+
+
+def test_batches_of_slopes(tetrahedron, points):
+    # Under vmap there is no memory for a kernel.
+    asked = points.float().requires_grad_()
+    distance = tetrahedron.closest_point(asked).distance
+    some = torch.eye(len(points), dtype=torch.float32)[:3]
+    (batch,) = torch.autograd.grad(distance, asked, some, is_grads_batched=True, retain_graph=True)
+    for one, weights in zip(batch, some, strict=True):
+        assert torch.allclose(one, torch.autograd.grad(distance, asked, weights, retain_graph=True)[0])
+
+
+def test_small_calls_on_a_cpu_are_replayed(tetrahedron, points):
+    asked = points.clone().requires_grad_()
+    answers = [tetrahedron.closest_point(asked) for _ in range(4)]
+    assert any(kept for kept in tetrahedron._cache.find(replay.KEPT, dict).values())
+    for answer in answers[1:]:
+        for part, first in zip(answer, answers[0], strict=True):
+            assert torch.equal(part, first)
+            assert part.requires_grad == first.requires_grad
+            assert part.data_ptr() != first.data_ptr()
+
+
+def test_no_graph_under_no_grad(tetrahedron, points):
+    with torch.no_grad():
+        found = tetrahedron.closest_point(points.clone().requires_grad_())
+    assert type(found).__name__ == "ClosestPoints"
+    assert not any(part.requires_grad for part in found)
