@@ -65,8 +65,8 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
             are kept as such, as by :class:`geokit.torch.Surface`; so is an array of warp that requires gradients, for
             a ``wp.Tape``.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices, or
-            "cuda:*" for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or more,
-            and the first does all else.
+            "cuda:*" for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or more
+            (in arrays on a GPU 2 million points, 8 million rays), and the first does all else.
     Attributes:
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).
@@ -323,7 +323,9 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         return f"Surface({self.mesh!r}, device={self.device!r})"
 
 
+# First hits of fewer rays on a GPU take less time than their copies to another one.
 @shares(
+    dict.fromkeys(("raycast", "occluded", "crossing_count", "raycast_all"), 1 << 22),
     closest_point=1, furthest_point=1, signed_distance=1, contains=1, winding_number=1, sign_confidence=1,
     raycast=2, raycast_all=2, crossing_count=2, occluded=2,
 )  # fmt: skip

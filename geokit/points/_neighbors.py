@@ -206,7 +206,8 @@ class NeighborGrid:
             each listed pair, and 120 a point. None for no lists.
         device: Where the points live and queries run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. A
             list of devices, or "cuda:*" for all GPUs, has the points on each: they share ``count``,
-            ``radius_search``, ``knn`` and ``hybrid`` of 65,536 given queries or more, and the first does all else.
+            ``radius_search``, ``knn`` and ``hybrid`` of 65,536 given queries or more (in arrays on a GPU 33 million),
+            and the first does all else.
     Raises:
         InputError: points is not (N, 3), not finite, or its extent overflows float64; radius is negative or not a
             finite number; skin is not a positive number; groups are not offsets from 0 to N; periodic spans no volume,
@@ -1011,7 +1012,16 @@ def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None
         )
 
 
-@shares(count=1, radius_search=1, neighbor_list=1, knn=1, hybrid=1)
+# Neighbors of points on a GPU are found in less time than it takes to copy the points to another one, unless there are
+# very many.
+@shares(
+    dict.fromkeys(("count", "radius_search", "neighbor_list", "knn", "hybrid"), 1 << 24),
+    count=1,
+    radius_search=1,
+    neighbor_list=1,
+    knn=1,
+    hybrid=1,
+)
 class _GridOnDevices(OnDevices, NeighborGrid):
     """A grid with a replica on each of several devices."""
 

@@ -17,7 +17,7 @@ __all__ = ["active_at"]
 
 
 # A point takes less time than its copy to another device.
-@over_devices(pays=lambda *_, **__: False)
+@over_devices(least=None)
 @replayed()
 @needs(lambda volume, points, **_: 5 * rows(points), late=True)
 def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device: Any = None) -> Any:

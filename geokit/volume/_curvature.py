@@ -53,7 +53,8 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
         order: 2 (triquadratic) or 3 (tricubic).
         space: Space of ``points`` and of the derivatives: "world", or "index", where voxel centers lie at whole
             numbers.
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more.
+        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more, of
+            arrays on a GPU 2 million.
 
     Returns:
         Symmetric matrices [value / world^2] in the container of ``points``, shape (N, 3, 3), float64 (float32 where the
@@ -97,7 +98,8 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
         volume: A scalar grid, such as a level set.
         points: Query points [world], shape (N, 3).
         order: 2 (triquadratic) or 3 (tricubic).
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more.
+        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more, of
+            arrays on a GPU 2 million.
 
     Returns:
         Curvatures with mean (N,) [1 / world], gaussian (N,) [1 / world^2] and principal (N, 2) [1 / world], in the

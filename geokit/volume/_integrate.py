@@ -68,7 +68,8 @@ def integrate(
             emission.
         t_min: Start of the integral, in units of the direction.
         max_distance: Length of the rays [world].
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more.
+        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more, of
+            arrays on a GPU 2 million.
     Returns:
         Transmittance in the container of ``origins``: transmittance (N,) and emission (N,).
     Raises:

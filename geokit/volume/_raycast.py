@@ -78,7 +78,8 @@ def raycast(
         max_distance: Length of the rays [world]; farther crossings are misses.
         transform: Where the volume is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in world
             coordinates; moving them rounds each to 1e-15 of its size. None leaves the volume in place.
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more.
+        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more, of
+            arrays on a GPU 2 million.
     Returns:
         VolumeHits in the container of ``origins``: t (N,) in units of the direction, points (N, 3), and normals (N, 3):
             unit gradients of the interpolant, towards larger values, in the cell of the hit; zero where the interpolant

@@ -30,11 +30,6 @@ __all__ = ["gradient", "is_scalar", "require_order", "sample", "view_as"]
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}
 
 
-def _takes_long(volume: SparseVolume, *, order: int | None = None, **_: Any) -> bool:
-    """Whether points take longer than copies of them: of order 1 two GPUs that share them are slower than one."""
-    return _order_of(volume, order) > 1
-
-
 def _require_placeable(volume: Any, *, space: str = "world", channel: int | str | None = None, **_: Any) -> None:
     """Refuse what a transform has no meaning for: points of the index space, and values that may have to turn."""
     require_space(space)
@@ -47,7 +42,8 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
         )
 
 
-@over_devices(pays=_takes_long)
+# Points take less time than their copies to another device, at any order.
+@over_devices(least=None)
 @placed("points", check=_require_placeable)
 @differentiable("geokit.volume.sampling.gradients:SAMPLE", "points")
 @replayed()
@@ -94,8 +90,7 @@ def sample(
         transform: Where the volume is: a rigid map for column vectors, shape (4, 4), beside scalar grids and world
             points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
             leaves the volume in place.
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more
-            at orders 2 and 3; the first answers all else.
+        device: Where to compute; None for the first GPU, else the CPU. The first of several devices answers.
     Returns:
         Values in the container of ``points``, float64 (float32 if the points are): shape (N,) for scalar grids, bool
             and mask grids as 0 and 1, (N, 3) and (N, 4) for vector and color grids. Integers keep their stored range.
@@ -121,7 +116,8 @@ def sample(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
-    order = _order_of(volume, order)
+    require_volume(volume, "volume")
+    order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
     components = _require_components(volume)
@@ -138,7 +134,8 @@ def sample(
     return batch.to_caller(view_as(out, wp.float64, (len(batch), 4)) if components == 4 else out)
 
 
-@over_devices(pays=_takes_long)
+# Points take less time than their copies to another device, at any order.
+@over_devices(least=None)
 @placed("points", turned=("gradient",), check=_require_placeable)
 @differentiable("geokit.volume.sampling.gradients:GRADIENT", "points")
 @replayed()
@@ -176,8 +173,7 @@ def gradient(
         transform: Where the volume is: a rigid map for column vectors, shape (4, 4), beside scalar grids and world
             points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
             leaves the volume in place.
-        device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more
-            at orders 2 and 3; the first answers all else.
+        device: Where to compute; None for the first GPU, else the CPU. The first of several devices answers.
     Returns:
         Gradients [value / world] in the container of ``points``, float64 (float32 where the points are): shape (N, 3)
         for scalar grids; for grids of C components the Jacobian, shape (N, C, 3), last axis the world axis.
@@ -195,7 +191,8 @@ def gradient(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
-    order = _order_of(volume, order)
+    require_volume(volume, "volume")
+    order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
     volume = _valued(volume, channel)
     components = _require_components(volume)
@@ -210,11 +207,6 @@ def gradient(
     inputs = [*query_inputs(volume, batch.array, space), zero, *more]
     launcher.launch(kernel, count, inputs, [out], target)
     return batch.to_caller(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
-
-
-def _order_of(volume: SparseVolume, order: int | None) -> int:
-    require_volume(volume, "volume")
-    return require_order((volume.info.order or 1) if order is None else order)
 
 
 def is_scalar(volume: SparseVolume) -> bool:

@@ -14,8 +14,9 @@ import inspect
 import itertools
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -30,8 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares"]
 
-# Fewest rows for each device; the first device alone answers fewer.
+# Fewest rows for each device; the first device alone answers fewer. Rows on a GPU are answered sooner, and copies
+# between GPUs take a millisecond or two, so there have to be more.
 LEAST_ROWS = 1 << 15
+LEAST_ROWS_ON_GPUS = 1 << 20
 
 _Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
@@ -103,22 +106,23 @@ class OnDevices:
         self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
 
 
-def shares(**queries: int) -> Callable[[_Class], _Class]:
+def shares(least: Mapping[str, int] = MappingProxyType({}), /, **queries: int) -> Callable[[_Class], _Class]:
     """Decorate a subclass of :class:`OnDevices`: give it these queries of its other base.
 
     Args:
+        least: For some of them the fewest rows for each device, where the rows are on a GPU.
         queries: How many of the arguments of each are rows, (N, 3).
     """
 
     def decorate(cls: _Class) -> _Class:
         for name, rows in queries.items():
-            setattr(cls, name, _shared(getattr(cls, name), rows))
+            setattr(cls, name, _shared(getattr(cls, name), rows, least.get(name, LEAST_ROWS_ON_GPUS)))
         return cls
 
     return decorate
 
 
-def _shared(query: Callable[..., Any], rows: int) -> Callable[..., Any]:
+def _shared(query: Callable[..., Any], rows: int, least: int) -> Callable[..., Any]:
     names = _row_names(query, rows)
 
     @functools.wraps(query)
@@ -129,7 +133,7 @@ def _shared(query: Callable[..., Any], rows: int) -> Callable[..., Any]:
             if held_by(owner._parts[0]) or options.get("groups") is not None:
                 return queries[0](*given, **options)
             values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-            return _answer(queries, devices, rows, values, options)
+            return _answer(queries, devices, rows, least, values, options)
 
     return run
 
@@ -139,14 +143,14 @@ def _row_names(query: Callable[..., Any], rows: int) -> list[str]:
 
 
 def over_devices(
-    rows: int = 1, *, pays: Callable[..., bool] = lambda *_, **__: True
+    rows: int = 1, *, least: int | None = LEAST_ROWS_ON_GPUS
 ) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
     """Decorate a query whose option ``device`` may be several devices.
 
     Args:
         rows: Number of the arguments after the first that are rows, (N, 3).
-        pays: Called with the first argument and the options: whether the answers take longer than the copies between
-            devices. Where they do not, the first device alone answers.
+        least: Fewest rows for each device, where the rows are on a GPU; None where answers never take longer than the
+            copies between devices, so that the first device alone answers.
     """
 
     def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
@@ -163,10 +167,10 @@ def over_devices(
             devices: Any = devices_of(device)
             queries: list[Any] = [functools.partial(query, volume, device=one) for one in devices]
             with _current_kept(devices):
-                if held_by(volume) or not pays(volume, **options):
+                if held_by(volume) or least is None:
                     return queries[0](*given, **options)
                 values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-                return _answer(queries, devices, rows, values, options)
+                return _answer(queries, devices, rows, least, values, options)
 
         return run
 
@@ -177,6 +181,7 @@ def _answer(
     queries: Sequence[Callable[..., Any]],
     devices: Sequence["wp.Device"],
     rows: int,
+    least: int,
     given: Sequence[Any],
     options: dict[str, Any],
 ) -> Any:
@@ -184,7 +189,7 @@ def _answer(
     values, total = given[:rows], _rows_of(given, rows)
     if any(held_by(value) or is_tracked(value) for value in options.values()):
         total = 0  # a graph stays on its device
-    count = min(len(queries), total // LEAST_ROWS)
+    count = min(len(queries), total // (least if total and _is_on_gpu(values[0]) else LEAST_ROWS))
     if count < 2:
         return queries[0](*given, **options)
     ends = [total * k // count for k in range(count + 1)]
@@ -237,6 +242,12 @@ def _is_known(value: Any) -> bool:
         return True
     torch, warp = sys.modules.get("torch"), sys.modules.get("warp")
     return (torch is not None and type(value) is torch.Tensor) or (warp is not None and isinstance(value, warp.array))
+
+
+def _is_on_gpu(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return False
+    return bool(value.device.is_cuda if isinstance(value, _warp_array()) else value.is_cuda)
 
 
 def _part(value: Any, first: int, stop: int, device: "wp.Device") -> Any:

@@ -27,6 +27,7 @@ TURN = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.
 @pytest.fixture(autouse=True)
 def few_rows_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(several_devices, "LEAST_ROWS", 100)
+    monkeypatch.setattr(several_devices, "_is_on_gpu", lambda rows: False)
 
 
 @pytest.fixture
@@ -121,9 +122,7 @@ def test_a_periodic_grid(parts_asked: list[int]) -> None:
 
 
 VOLUME = {
-    "sample": (1, {"order": 2}),
-    "gradient": (1, {"order": 3, "transform": TURN}),
-    "hessian": (1, {}),
+    "hessian": (1, {"space": "index"}),
     "curvature": (1, {}),
     "raycast": (2, {}),
     "integrate": (2, {"max_distance": 3.0}),
@@ -145,7 +144,7 @@ def test_volumes(name: str, parts_asked: list[int]) -> None:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("sample", {}), ("sample", {"order": 0}), ("gradient", {"order": 1}), ("active_at", {"space": "index"})],
+    [("sample", {}), ("sample", {"order": 3}), ("gradient", {"order": 2}), ("active_at", {"space": "index"})],
 )
 def test_what_takes_less_time_than_copies_is_asked_of_the_first(
     name: str, options: dict[str, Any], parts_asked: list[int]
@@ -156,12 +155,23 @@ def test_what_takes_less_time_than_copies_is_asked_of_the_first(
     assert parts_asked == []
 
 
-def test_a_volume_s_own_order_counts(parts_asked: list[int]) -> None:
-    volume = gk.volume.from_mesh(gk.mesh.torus(), tolerance=0.02, order=3, device=ONE)
-    require_same(volume.sample(POINTS, device=SHARED), volume.sample(POINTS, device=ONE))
-    assert parts_asked == [3]
-    with pytest.raises(InputError, match="order"):
-        volume.sample(POINTS, order="high", device=SHARED)
+def test_rows_on_a_gpu_are_shared_if_there_are_very_many(
+    parts_asked: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Copies between GPUs take longer than answers to a few thousand rows."""
+    monkeypatch.setattr(several_devices, "_is_on_gpu", lambda rows: True)
+    surface, grid = gk.mesh.Surface(gk.mesh.torus(), device=SHARED), gk.points.NeighborGrid(POINTS, 0.3, device=SHARED)
+    volume = gk.volume.from_mesh(gk.mesh.torus(), voxel_size=0.05, device=ONE)
+    surface.closest_point(POINTS)
+    surface.raycast(POINTS, DIRECTIONS)
+    grid.count(POINTS)
+    volume.hessian(POINTS, device=SHARED)
+    assert parts_asked == []
+    many = np.zeros((2 * several_devices.LEAST_ROWS_ON_GPUS, 3))
+    surface.contains(many)
+    surface.raycast(many, many + 1.0)
+    grid.count(many[:, :3] + 9.0)
+    assert parts_asked == [2]
 
 
 @pytest.fixture
