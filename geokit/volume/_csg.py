@@ -12,6 +12,7 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.band_widths import widths_of, with_widths
+from geokit.volume.level_set.false_walls import without_false_walls
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
 from geokit.volume.tree.estimates import leaf_count
@@ -24,6 +25,8 @@ __all__ = ["difference", "intersection", "union"]
 WIDEST_BLEND = 256.0
 # Voxels between the reach of the blend and the end of the bands from which it is computed.
 BLEND_MARGIN = 1.0
+# Factors of both operands and of the result with which each operation is a union.
+UNIONS = {"union": (1.0, 1.0, 1.0), "intersection": (-1.0, -1.0, -1.0), "difference": (-1.0, 1.0, -1.0)}
 
 
 @needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
@@ -31,7 +34,9 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     """Union of level sets, or of masks: the region inside at least one of them.
 
     Each voxel takes the minimum of the distances. That is exact outside the result. Inside it is the distance to the
-    nearest operand surface, which near a seam is nearer than the surface of the result. With ``smooth`` the seam is
+    nearest operand surface, which near a seam is nearer than the surface of the result. Where surfaces of operands
+    touch back to back, or overlap by less than two voxels, that would be a wall: there depths are those from the
+    result's isosurface, right to 0.8 voxel. With ``smooth`` the seam is
     filled by the quadratic smooth minimum, whose blend ends where the distances differ by that width; the distances are
     then recomputed from the result's surface (:func:`geokit.volume.renormalize`).
 
@@ -58,7 +63,8 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     Source:
         Museth et al., "Level set surface editing operators" (2002), as in OpenVDB's csgUnion; smooth minimum: Quilez.
 
-    Held by: tests/volume/test_csg.py, tests/volume/tree/test_mask_csg.py
+    Held by: tests/volume/test_csg.py, tests/volume/level_set/test_false_walls.py,
+        tests/volume/tree/test_mask_csg.py
     """
     return _combined("union", (a, b, *more), smooth)
 
@@ -68,7 +74,8 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     """Intersection of level sets, or of masks: the region inside all of them.
 
     Each voxel takes the maximum of the distances. That is exact inside the result. Outside it is the distance to the
-    farthest operand, which near the edges of the result is less than the distance to the result. The intersection of
+    farthest operand, which near the edges of the result is less than the distance to the result; where what the
+    operands leave out touches, it is computed anew as in :func:`union`. The intersection of
     masks is the set of voxels that are on in all of them. Conversions and limits are those of :func:`union`.
 
     Args:
@@ -136,7 +143,9 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
             width = half_width if number == len(operands) else reach
             result = redistance(blended, voxel_size, width)
         else:
-            result = call_openvdb(operations.csg, result, other, kind=kind)
+            combined = call_openvdb(operations.csg, result, other, kind=kind)
+            one, two, side = UNIONS[kind]
+            result = without_false_walls(combined, (result, one), (other, two), voxel_size, side)
     return with_widths(with_band(result, voxel_size, half_width), voxel_size, widths)
 
 
