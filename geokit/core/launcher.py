@@ -84,6 +84,9 @@ def _warp() -> Any:
     def init() -> None:
         with _quiet(warp), _silenced_stderr():
             warp.init()
+        gpus = warp.get_cuda_devices()
+        if gpus:
+            needs.be_a_guest(warp_private.native_library(), gpus)
 
     kernel_cache.initialize(warp, init)
     return warp
@@ -161,7 +164,6 @@ def device_or_default(alias: str) -> str:
 def _keep_pool(device: str) -> None:
     """Make warp's pool of the device keep freed memory; a larger threshold set by the user stays."""
     wp = _warp()
-    needs.silence_cuda(warp_private.native_library())
     kept = int(POOL_SHARE * wp.get_device(device).total_memory)
     if wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) < kept:
         wp.set_mempool_release_threshold(device, kept)

@@ -8,16 +8,17 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 from geokit.core.forks import renew_after_fork
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError
 
-__all__ = ["file_size", "is_out_of_memory", "needs", "require_free", "rows", "silence_cuda"]
+__all__ = ["be_a_guest", "file_size", "is_out_of_memory", "needs", "require_free", "rows"]
 
 # Needs up to this many bytes are not checked: to ask for the free memory takes 50 us.
 UNCHECKED_BYTES = 1 << 24
@@ -71,6 +72,8 @@ def needs(
         def guarded(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
             if not late:
                 require_free(bytes_of(*args, **kwargs), what, always=fatal)
+            if _native is None:
+                _look_for_torch()
             try:
                 if _native is None:
                     return function(*args, **kwargs)
@@ -92,11 +95,18 @@ def needs(
     return decorated
 
 
-class _Silenced:
-    """Warp's native code, which prints what CUDA refuses to stderr; silent while a public operation runs."""
+class _Guest:
+    """Warp's native code while a public operation runs.
 
-    def __init__(self, core: Any) -> None:
+    It does not print what CUDA refuses to stderr. Where there are several GPUs, it leaves the thread's current one,
+    which is that of torch too, as it was: warp makes the device of each call current. A context is pushed on the
+    driver's stack, whose top warp changes, and popped in the end. (Warp's own setting for that, which restores the
+    context after each of its calls, makes its allocations fail.)
+    """
+
+    def __init__(self, core: Any, gpus: Sequence[Any]) -> None:
         self._core, self._was_on = core, True
+        self._context = gpus[0].context if len(gpus) > 1 else None
         self._after_fork()
         renew_after_fork(self)
 
@@ -109,22 +119,41 @@ class _Silenced:
                 self._was_on = bool(self._core.wp_is_error_output_enabled())
                 self._core.wp_set_error_output_enabled(0)
             self._running += 1
+        if self._context is not None:
+            self._core.wp_cuda_context_push_current(self._context)
 
     def __exit__(self, *_: object) -> None:
+        if self._context is not None:
+            self._core.wp_cuda_context_pop_current()
         with self._lock:
             self._running -= 1
             if not self._running:
                 self._core.wp_set_error_output_enabled(int(self._was_on))
 
 
-_native: _Silenced | None = None
+_native: _Guest | None = None
 
 
-def silence_cuda(core: Any) -> None:
-    """Keep warp's native code from printing where memory runs out; the errors themselves are raised as ever."""
+def be_a_guest(core: Any, gpus: Sequence[Any]) -> None:
+    """Keep warp's native code from printing where memory runs out, and from changing the thread's current GPU.
+
+    Args:
+        core: Warp's compiled library. Errors themselves are raised as ever.
+        gpus: All CUDA devices.
+    """
     global _native
     if _native is None and hasattr(core, "wp_set_error_output_enabled"):
-        _native = _Silenced(core)
+        _native = _Guest(core, gpus)
+
+
+def _look_for_torch() -> None:
+    """Load warp before the first call where torch has made one of several GPUs current."""
+    torch: Any = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_initialized() and torch.cuda.device_count() > 1:
+        # The launcher is in a later room, and has been imported by whatever is called.
+        launcher: Any = sys.modules.get("geokit.core.launcher")
+        if launcher is not None:
+            launcher.cuda_devices()
 
 
 def rows(values: Any) -> int:

@@ -255,9 +255,19 @@ def test_the_current_device_of_torch_is_kept() -> None:
         surface = gk.mesh.Surface(mesh, device="cuda:*")
         assert torch.cuda.current_device() == current
         surface.closest_point(points)
-        volume.sample(points, order=2, device="cuda:*")
+        volume.hessian(points, device="cuda:*")
         volume.sample(POINTS, order=1, device=["cuda:1", "cuda:0"])
         surface.update(mesh.vertices * 2.0)
+        assert torch.cuda.current_device() == current
+        # One device, which is not the current one.
+        other = f"cuda:{1 - current}"
+        gk.mesh.Surface(mesh, device=other).signed_distance(POINTS)
+        gk.points.NeighborGrid(POINTS, 0.1, device=other).count()
+        gk.volume.from_mesh(mesh, voxel_size=0.05, device=other).sample(POINTS, device=other)
+        assert torch.cuda.current_device() == current
+        for device in ("cuda:0", "cuda:1"):
+            asked = torch.from_numpy(POINTS).to(device)
+            assert gk.mesh.Surface(mesh, device=device).closest_point(asked).points.device == asked.device
         assert torch.cuda.current_device() == current
 
 
