@@ -101,6 +101,21 @@ class LinkedLeaves:
         self.tiles = leaves.origins >> 3
         self._link()
 
+    def activate_beside_zeros(self, rounding: float) -> None:
+        """Let voxels next to an active one with the value 0 count as active: they are a voxel away from the surface.
+
+        Args:
+            rounding: Largest value that counts as 0 [world].
+        """
+        import warp as wp
+
+        from geokit.volume.level_set.leaf_neighbors_kernels import beside_zeros_kernel
+
+        wider = wp.empty_like(self.active)
+        inputs = [self.values, self._isovalue, wp.float64(rounding), self.active, self.beside]
+        launcher.launch(beside_zeros_kernel, len(wider), inputs, [wider], self.device)
+        self.active = wider
+
     def add(self, tiles: NDArray[np.int32]) -> None:
         """Add rows for new leaves; they take the side of the tiles in their places."""
         import warp as wp

@@ -117,6 +117,31 @@ def read_rows_kernel(
 
 
 @wp.kernel
+def beside_zeros_kernel(
+    first: int,
+    values: wp.array(dtype=wp.float64),
+    isovalue: wp.float64,
+    rounding: wp.float64,
+    active: wp.array(dtype=wp.uint64),
+    beside: wp.array2d(dtype=int),
+    out_active: wp.array(dtype=wp.uint64),
+):
+    """Active voxels, and those with an active neighbor of value 0 across a face; an item is a plane of a leaf."""
+    i = first + wp.tid()
+    word = active[i]
+    for n in range(64):
+        if ((word >> wp.uint64(n)) & wp.uint64(1)) == wp.uint64(0):
+            for way in range(6):
+                step = wp.vec3i(0, 0, 0)
+                step[way >> 1] = 1 - 2 * (way & 1)
+                at = place(beside, i >> 3, (i & 7) + step[0], (n >> 3) + step[1], (n & 7) + step[2])
+                if at >= 0 and at < values.shape[0] and bit_of(active, at):
+                    if wp.abs(values[at] + isovalue) <= rounding:
+                        word = word | (wp.uint64(1) << wp.uint64(n))
+    out_active[i] = word
+
+
+@wp.kernel
 def tile_side_kernel(
     first: int,
     volume: wp.uint64,

@@ -35,6 +35,9 @@ STAGE = 7.0
 # The length to the nearest foot, with its penalty (ONE_SIDED), exceeds the distance to the surface between feet by less
 # than this.
 WAY_MARGIN = 0.5
+# Up to this width [voxels] corners of cells that a surface on the lattice crosses may not be active: they are as far as
+# the band is wide.
+NARROW = 1.0 + 1e-5
 # Fewest planes of leaves per thread.
 GRAIN = 64
 
@@ -74,6 +77,8 @@ def redistance(
     if not widths.are_equal:
         background = widths.narrowest * voxel_size
     old_width = background / voxel_size
+    if old_width <= NARROW:
+        leaves.activate_beside_zeros((NARROW - 1.0) * voxel_size)
     band = Band(leaves, background, voxel_size, isovalue * voxel_size)
     if keeps_band:
         band.hold_active()
