@@ -19,7 +19,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume._sample import sample
 from geokit.volume.isosurface.surface_nets import surface_nets
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
-from geokit.volume.tree.leaves import assemble, leaves_of
+from geokit.volume.tree.leaves import assemble, dequantized, leaves_of
 
 __all__ = ["Operand", "without_false_walls"]
 
@@ -88,7 +88,7 @@ def without_false_walls(
 
 def _wall_voxels(one: Operand, other: Operand, voxel_size: float) -> NDArray[np.int32]:
     """Index coordinates of the voxels beside a wall, (W, 3)."""
-    volume, sign = one
+    volume, sign = dequantized(one[0]), one[1]
     leaf, leaves = grid_nodes(volume.nanovdb).leaf, leaves_of(volume)
     node, slot = set_bits(leaves.masks)
     found = leaf.values[node, slot]
