@@ -110,8 +110,8 @@ def from_mesh(
     exterior width outside (the background) and minus the interior width inside. The result has the same bytes for any
     number of threads; on CUDA it is within two roundings of the CPU's.
 
-    Signs are those of ``Surface.signed_distance``, of active and of inactive voxels; voxels on the surface itself, to
-    1e-12 of the band's width, are outside. Closed meshes evaluate a few
+    Signs are those of ``Surface.signed_distance``, of active and of inactive voxels; voxels on a closed surface
+    itself, to 1e-12 of the band's width, are outside. Closed meshes evaluate a few
     voxels and derive the others from their distances; open ones evaluate every active voxel, and the ends of each run
     of inactive ones. Up to 2e-5 of the voxels around an open mesh may differ: inactive ones beside the sign change.
 

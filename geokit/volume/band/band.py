@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
 
+# Voxels nearer to a closed surface than this share of the band's width are on it, and count as outside.
+ON_SURFACE = 1e-12
 # A launch counts its threads in 31 bits; longer launches would gain nothing.
 VOXELS_AT_A_TIME = 1 << 28
 # Bytes per tile of the nearest triangles' slots, of their numbers, and of the leaf that holds these.
@@ -128,6 +130,10 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False, t
     if shape.method != "none":
         beyond = beyond_signs(lattice, _places(leaves), shape.method) if opens else None
         inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, shape.method, beyond)
+        if not opens:
+            # Rounding would decide; an open sheet without thickness would have no other inside.
+            inputs = [leaves.rows, distance, wp.float32(ON_SURFACE * shape.exterior)]
+            launcher.launch(kernels.surface_is_outside_kernel, 8 * len(leaves.keys), inputs, [inside], device)
     active, negative = _bits(lattice, shape, leaves, distance, inside, has_negative)
     if uneven:
         some = wp.empty(len(leaves.keys), dtype=wp.int32, device=device)

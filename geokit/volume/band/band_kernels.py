@@ -81,6 +81,26 @@ def keep_bits_kernel(
             out_bits[ends[i] - 1, x] = bits[i, x]
 
 
+@wp.kernel
+def surface_is_outside_kernel(
+    first: int,
+    rows: wp.array(dtype=int),
+    distance: wp.array2d(dtype=wp.float32),
+    on_surface: wp.float32,
+    out_inside: wp.array2d(dtype=wp.uint64),
+):
+    """Clears the bits of the voxels on the surface; an item is a plane of a leaf."""
+    i = first + wp.tid()
+    t = i >> 3
+    x = i & 7
+    word = out_inside[t, x]
+    if word != wp.uint64(0):
+        for n in range(64):
+            if distance[rows[t], 64 * x + n] <= on_surface:
+                word = word & ~(wp.uint64(1) << wp.uint64(n))
+        out_inside[t, x] = word
+
+
 @wp.func_native(cpp("volume/band/plane_values.inl", "volume/band/plane_bits.inl"))
 def plane_bits(
     leaf: int,
