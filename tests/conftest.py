@@ -16,12 +16,20 @@ import signal
 import tempfile
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+from tests.support.effort import ALL
 
 FOLDER = "GEOKIT_TEST_STACKS"
 STACKS = pytest.StashKey[int]()
 # Files named by the time that their tests take.
 SLOWEST = 60
+
+
+# The same examples every time: a rare one that fails is found by everything, and stops no change by chance.
+hypothesis.settings.register_profile("tests", derandomize=not ALL, deadline=None)
+hypothesis.settings.load_profile("tests")
 
 
 # After pytest's own, which writes to stderr in the midst of everything.

@@ -126,6 +126,9 @@ def cuda_devices() -> list[str]:
     return [device.alias for device in _warp().get_cuda_devices()]
 
 
+needs.loaders.append(cuda_devices)
+
+
 def is_several(device: Any) -> bool:
     """Whether a device is a list of them, or all GPUs."""
     return isinstance(device, (list, tuple)) or (isinstance(device, str) and device == ALL_GPUS)

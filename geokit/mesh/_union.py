@@ -45,7 +45,8 @@ def union(mesh: TriangleMesh, *others: TriangleMesh) -> TriangleMesh:
         TriangleMesh with the name of the first one.
     Raises:
         InputError: An argument is no mesh, units or axes differ, more than 0.1% of the surface of a body lies inside of
-            that body itself, or the union cannot be made; the message says why.
+            that body itself, whole triangles with more than 0.1% of the area of sheets that reach out of a body lie
+            inside of it, or the union cannot be made; the message says why.
         MissingDependencyError: manifold3d is not installed.
         DeviceMemoryError: There is not enough memory.
     Source:

@@ -36,7 +36,7 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     Each voxel takes the minimum of the distances. That is exact outside the result. Inside it is the distance to the
     nearest operand surface, which near a seam is nearer than the surface of the result. Where surfaces of operands
     touch back to back, or overlap by less than two voxels, that would be a wall: there depths are those from the
-    result's isosurface, right to 0.8 voxel. With ``smooth`` the seam is
+    result's isosurface, right to 0.8 voxel; gaps under 0.01 voxel count as touching. With ``smooth`` the seam is
     filled by the quadratic smooth minimum, whose blend ends where the distances differ by that width; the distances are
     then recomputed from the result's surface (:func:`geokit.volume.renormalize`).
 

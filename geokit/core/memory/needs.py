@@ -132,6 +132,8 @@ class _Guest:
 
 
 _native: _Guest | None = None
+# What loads warp, from a later room.
+loaders: list[Callable[[], Any]] = []
 
 
 def be_a_guest(core: Any, gpus: Sequence[Any]) -> None:
@@ -150,10 +152,8 @@ def _look_for_torch() -> None:
     """Load warp before the first call where torch has made one of several GPUs current."""
     torch: Any = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_initialized() and torch.cuda.device_count() > 1:
-        # The launcher is in a later room, and has been imported by whatever is called.
-        launcher: Any = sys.modules.get("geokit.core.launcher")
-        if launcher is not None:
-            launcher.cuda_devices()
+        for load in loaders:
+            load()
 
 
 def rows(values: Any) -> int:

@@ -199,7 +199,8 @@ class RayQueries:
         t = user_arrays.empty(total, wp.float64, rays.rows)
         triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
         barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
-        self._cast(list_crossings_kernel, rays, directions, t_min, max_distance, [t, triangle_id, barycentric], offsets)
+        outputs = [t, triangle_id, barycentric]
+        self._begin(list_crossings_kernel, rays, directions, t_min, max_distance, outputs, offsets)()
         give = rays.to_lists or rays.to_caller
         return RayHitLists(give(offsets), give(t), give(triangle_id), give(barycentric))
 
@@ -282,7 +283,7 @@ class RayQueries:
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
             occluded = user_arrays.empty(len(rays), wp.bool, rays.rows)
-            self._cast(occluded_kernel, rays, heading, t_min, max_distance, [occluded])
+            self._begin(occluded_kernel, rays, heading, t_min, max_distance, [occluded])()
             return rays.to_caller(occluded)
 
         return self._in_chunks(query, origins, directions, progress)
@@ -311,24 +312,12 @@ class RayQueries:
         from geokit.mesh.queries.crossings_kernels import count_crossings_kernel
 
         count = user_arrays.empty(len(rays), wp.int32, rays.rows)
-        self._cast(count_crossings_kernel, rays, directions, t_min, max_distance, [count])
+        self._begin(count_crossings_kernel, rays, directions, t_min, max_distance, [count])()
         return count
 
     def _in_chunks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
         names = ["origins", "directions"]
         return in_chunks(query, [origins, directions], names, self._device, progress, defer=True)
-
-    def _cast(
-        self,
-        kernel: Any,
-        rays: user_arrays.Batch,
-        heading: user_arrays.Batch,
-        t_min: float,
-        max_distance: float,
-        outputs: list[Any],
-        *streams: "wp.array",
-    ) -> None:
-        self._begin(kernel, rays, heading, t_min, max_distance, outputs, *streams)()
 
     def _begin(
         self,

@@ -43,13 +43,11 @@ class Boundary(NamedTuple):
         mesh: The boundary, with the parts and the attributes of faces; the mesh that was given if nothing is removed.
         source: Row of the given mesh's face in which each face lies (F,), ascending; None if nothing is removed.
         kept: Why surface inside of solids is still there; "" if none is.
-        whole: Whether all faces belong to closed bodies.
     """
 
     mesh: TriangleMesh
     source: NDArray[np.int64] | None
     kept: str
-    whole: bool
 
 
 def boundary_of(surface: Surface) -> Boundary:
@@ -62,7 +60,7 @@ def boundary_of(surface: Surface) -> Boundary:
 
     given: Any = surface._signs
     mesh: TriangleMesh = given.mesh
-    unchanged = Boundary(surface.mesh, None, "", given.audit.watertight)
+    unchanged = Boundary(surface.mesh, None, "")
     size = float((mesh.bounds[1] - mesh.bounds[0]).max())
     if not 1.0 / EXTREME_SIZE < size < EXTREME_SIZE:
         return unchanged
@@ -82,7 +80,7 @@ def boundary_of(surface: Surface) -> Boundary:
         judge = read.judge if len(read.inner) == len(read.sheets) else given
         kept = self_overlap(oriented, judge, CONTACT * size, np.concatenate(alone))
     inner, sheets = read.inner, read.sheets
-    unchanged = unchanged._replace(kept=kept, whole=len(inner) == len(sheets))
+    unchanged = unchanged._replace(kept=kept)
     if pieces is None and not len(inner):
         return unchanged
     rest = [*alone, np.setdiff1d(sheets, inner), *(crowded if pieces is None else [])]
@@ -156,7 +154,7 @@ def _joined(
 
     unions = itertools.chain([(as_given, 0.0)], ((made(share), share) for share in GROWTHS), [(grown, CONTACT)])
     joined = next((one for one in unions if joins(one[0])), (grown, CONTACT))
-    candidates = [joined, (grown, CONTACT), (as_given, 0.0)]
+    candidates = [joined, *(one for one in ((grown, CONTACT), (as_given, 0.0)) if one[1] != joined[1])]
     best, kept = None, "their union could not be made"
     for pieces, share in candidates:
         verdict = "wrong" if pieces is None else verdict_of(mesh, rows, pieces, judge, size, share * size)

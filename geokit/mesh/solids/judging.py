@@ -17,7 +17,6 @@ __all__ = [
     "OVERLAP_SHARE",
     "areas_of",
     "checkable",
-    "normals_of",
     "self_overlap",
     "verdict_of",
 ]
@@ -46,18 +45,18 @@ def verdict_of(
     if not len(pieces.faces):
         return "wrong"
     off = CONTACT * size
-    corners, area = checkable(pieces.vertices, pieces.faces, off)
+    corners, area, normals = checkable(pieces.vertices, pieces.faces, off)
     if not len(area):
         return "wrong"
-    middle, normals = INNER_POINT @ corners, normals_of(corners)
+    middle = INNER_POINT @ corners
     in_front = judge.winding_number(middle + (off + inflation) * normals) > 0.5
     behind = judge.winding_number(middle - (off + 2.0 * inflation) * normals) > 0.5
     most = WRONG_SHARE * area.sum()
     if area[~behind].sum() > most:
         return "wrong"
     # Nothing is missing: what is boundary of the bodies is there.
-    corners, given_area = checkable(mesh.vertices, mesh.faces[rows], off)
-    middle, normals = INNER_POINT @ corners, normals_of(corners)
+    corners, given_area, normals = checkable(mesh.vertices, mesh.faces[rows], off)
+    middle = INNER_POINT @ corners
     boundary = judge.winding_number(middle + off * normals) < 0.5
     boundary &= judge.winding_number(middle - off * normals) > 0.5
     made = type(judge)(TriangleMesh(pieces.vertices, pieces.faces), device=judge._device)
@@ -73,8 +72,8 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
     if (rows is None and not judge._orientation.closed) or judge._sign_choice.method == "pseudonormal":
         return ""
     faces = mesh.faces if rows is None else mesh.faces[rows]
-    corners, area = checkable(mesh.vertices, faces, off, most=FACES_FOR_A_SHARE)
-    middle, step = INNER_POINT @ corners, off * normals_of(corners)
+    corners, area, normals = checkable(mesh.vertices, faces, off, most=FACES_FOR_A_SHARE)
+    middle, step = INNER_POINT @ corners, off * normals
     # Whichever way the faces are wound.
     inside = (judge.winding_number(middle + step) > 0.5) & (judge.winding_number(middle - step) > 0.5)
     share = area[inside].sum() / max(area.sum(), np.finfo(float).tiny)
@@ -87,23 +86,18 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
 
 def checkable(
     vertices: NDArray[np.float64], faces: NDArray[Any], off: float, most: int = CHECKED_FACES
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of at most so many faces whose middles are far from their edges, in units of ``off``, and their areas."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of at most so many faces whose middles are far from their edges, in units of ``off``; areas, normals."""
     if len(faces) > most:
         faces = faces[np.random.default_rng(0).choice(len(faces), most, replace=False)]
     corners = vertices[faces]
     sides = np.roll(corners, -1, axis=1) - corners
-    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    twice_area = np.linalg.norm(normals, axis=1)
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     # The middle is a third of the height away from each edge.
-    roomy = 2.0 * area / 3.0 > ROOM * off * longest
-    return corners[roomy], area[roomy]
-
-
-def normals_of(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit normals of triangles (F, 3); zero without area."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    roomy = twice_area / 3.0 > ROOM * off * longest
+    return corners[roomy], 0.5 * twice_area[roomy], normals[roomy] / twice_area[roomy, None]
 
 
 def areas_of(vertices: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.float64]:

@@ -16,10 +16,10 @@ from geokit.mesh.solids.judging import (
     INNER_POINT,
     OVERLAP_SHARE,
     checkable,
-    normals_of,
 )
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.bodies import Bodies, closed_bodies
+from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.orientation import enclosing_pairs
 
 __all__ = ["Reading", "read_solids"]
@@ -109,7 +109,7 @@ def _inner_sheets(
     inner, outer = sheets[whole[sheet]], sheets[~whole[sheet]]
     if not len(outer):
         return inner, False
-    corners, area = checkable(mesh.vertices, mesh.faces[outer], off, most=FACES_FOR_A_SHARE)
+    corners, area, _ = checkable(mesh.vertices, mesh.faces[outer], off, most=FACES_FOR_A_SHARE)
     share = area[_is_inside(corners, judge, off)].sum() / max(area.sum(), np.finfo(float).tiny)
     return inner, bool(share > OVERLAP_SHARE)
 
@@ -118,7 +118,8 @@ def _is_inside(corners: NDArray[np.float64], judge: Any, off: float) -> NDArray[
     """Whether triangles (F, 3, 3) have the solid on both sides, or lie on its boundary."""
     middle = (INNER_POINT @ corners)[:, None]
     places = np.concatenate([middle, middle + TOWARD_CORNER * (corners - middle)], axis=1)
-    step = off * normals_of(corners)[:, None]
+    triangles = TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    step = off * face_normals(triangles)[:, None]
     inside = np.ones(places.shape[:2], bool)
     for side in (step, -step):
         inside &= judge.winding_number((places + side).reshape(-1, 3)).reshape(inside.shape) > 0.5

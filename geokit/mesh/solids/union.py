@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.memory.needs import require_free
 from geokit.mesh.topology.bodies import Bodies
+from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import connected_components
 
 __all__ = ["Pieces", "boxes_that_meet", "inflated", "united"]
 
 # Memory of manifold3d for each face, with its copies.
 BYTES_PER_FACE = 700
-# Memory for the corners of a face and their bounds.
-BYTES_PER_BOXED_FACE = 200
 # Boxes whose pairs are looked at together.
 BOXES_AT_A_TIME = 1 << 10
 
@@ -48,13 +47,8 @@ def boxes_that_meet(
         count: Number of labels.
         within: The distance [world].
     """
-    # NumPy's reductions end the process where there is no memory for their buffers.
-    require_free(BYTES_PER_BOXED_FACE * len(faces), "boxes of bodies", always=True)
-    order = np.argsort(label, kind="stable")
-    starts = np.searchsorted(label[order], np.arange(count))
-    corners = vertices[faces[order]]
-    lower = np.minimum.reduceat(corners.min(axis=1), starts, axis=0) - within
-    upper = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    lower, upper = boxes_of(vertices, faces, label, count)
+    lower = lower - within
     order = np.argsort(lower[:, 0], kind="stable")
     lower, upper = lower[order], upper[order]
     ones, others = [order[:0]], [order[:0]]
@@ -115,6 +109,7 @@ def inflated(bodies: Bodies, rows: NDArray[np.int64], by: float) -> NDArray[np.f
         rows: Rows of the faces whose vertices move.
         by: How far they move [world].
     """
+    # Not mesh.topology.normals: there, bodies that touch would share the normals of a corner.
     corners = bodies.corners[rows]
     places = bodies.positions[corners]
     edges = np.roll(places, -1, axis=1) - places

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.equal_rows import repeated_triples
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
@@ -250,13 +251,11 @@ def _enclosing(
     an odd number of times.
     """
     members = np.flatnonzero(piece >= 0)
-    members = members[np.argsort(piece[members], kind="stable")]
-    starts = np.searchsorted(piece[members], np.arange(count))
-    corners = mesh.vertices[mesh.faces[members]]
-    lower = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
-    upper = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    lower, upper = boxes_of(mesh.vertices, mesh.faces[members], piece[members], count)
     if not _any_box_in_another(lower, upper):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    members = members[np.argsort(piece[members], kind="stable")]
+    corners = mesh.vertices[mesh.faces[members]]
     origins = corners[_largest_of_each(piece[members], corners)].mean(axis=1)
     hits = _nesting_rays(mesh, rays, origins)
     ray = np.repeat(np.arange(count), np.diff(hits.offsets))

@@ -15,7 +15,7 @@ from geokit.errors import InputError
 from tests.support.devices import DEVICES
 
 # The same device twice is two devices for all that is tested here.
-SHARED = [*DEVICES[-2:], *DEVICES[-1:]][-3:] if len(DEVICES) > 1 else ["cpu", "cpu", "cpu"]
+SHARED = [*DEVICES[-2:], DEVICES[-1]] if len(DEVICES) > 2 else [DEVICES[-1]] * 3
 ONE = SHARED[0]
 COUNT = 1000
 RNG = np.random.default_rng(11)

@@ -158,7 +158,8 @@ def test_every_end_is_named_and_the_next_file_is_read(make):
 @pytest.mark.parametrize("stubborn", [False, True])
 def test_a_hang_is_stopped(make, monkeypatch, stubborn):
     pids(make())
-    monkeypatch.setattr(reader_process, "BASE_SECONDS", 0.3)
+    # Long enough for the program to begin, on a busy machine too.
+    monkeypatch.setattr(reader_process, "BASE_SECONDS", 3.0)
     monkeypatch.setattr(reader_server, "GRACE_SECONDS", 2.0 if stubborn else 60.0)
     wait = "signal.signal(signal.SIGALRM, signal.SIG_IGN);" * stubborn
     path = make(f"open(path.name + '.pid', 'w').write(str(os.getpid())); {wait} time.sleep(60)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
@@ -15,6 +15,7 @@ from tests.support.assemblies import concatenated, in_float32, subdivided, turne
 CELLS = 6
 SPANS = st.tuples(st.integers(0, CELLS - 1), st.integers(1, 4))
 BOXES = st.lists(st.tuples(SPANS, SPANS, SPANS, st.booleans()), min_size=1, max_size=7)
+UNIT = ((0, 1), (0, 1), (0, 1), False)
 SHAPES = st.lists(st.tuples(st.sampled_from("bsct"), st.integers(0, 10**6)), min_size=2, max_size=5)
 
 
@@ -33,7 +34,8 @@ def counted(spans: list[tuple[tuple[int, int], ...]]) -> tuple[TriangleMesh, flo
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
+@example(spans=[*[UNIT] * 4, ((0, 1), (0, 1), (0, 2), False), ((0, 1), (1, 1), (1, 1), False)], way="turned")
 @given(spans=BOXES, way=st.sampled_from(["own vertices", "welded", "turned", "turned and welded", "float32"]))
 def test_boxes_have_the_volume_and_the_area_of_their_cells(spans: list, way: str) -> None:
     mesh, volume, area = counted(spans)
