@@ -127,10 +127,11 @@ def from_mesh(
     Several closed bodies mean their union. Where they touch, overlap or lie within each other, surface that has the
     solid on both sides is no boundary and leaves the field, and so do open sheets inside of a body; cavities stay. The
     union is exact (manifold3d). Bodies that touch but for rounding, up to 1e-6 of the mesh's size apart, grow by as
-    much as joins them, at most 1e-6 of the size. Metadata "geokit:interior" then says "removed". If the union cannot be
-    made, or winding numbers contradict it, or a single body lies inside of itself by more than 0.1% of its surface,
-    that surface stays and a UserWarning says why. ``interior="keep"`` keeps all, as does a ``sign`` that allows no such
-    union: "parity", "pseudonormal" or "none".
+    much as joins them, at most 1e-6 of the size. Where a body lies inside of itself by more than 0.1% of its surface,
+    or the union cannot be made, faces that cross others are cut into pieces instead; next to where they cross,
+    distances are then right to a quarter of a voxel, or of the tolerance. Metadata "geokit:interior" says "removed". If
+    the mesh is open as well, or too crumpled (4 million pieces), that surface stays and a UserWarning says why.
+    ``interior="keep"`` keeps all, as does a ``sign`` that allows no such union: "parity", "pseudonormal" or "none".
 
     Faces that lie back to back count once on closed components (``Surface.signed_distance`` has the rules). Open sheets
     of two sides have no inside: a UserWarning says so, and ``thickness`` makes solids of them.
@@ -294,7 +295,7 @@ def _prepared(
 ) -> tuple[Surface, BandShape, Lattice]:
     voxel_size = user_arrays.require_finite_scalar(voxel_size, "voxel_size", low=0.0)
     outside, inside = half_widths(half_width)
-    surface, method, offset = resolve_surface(mesh, sign, thickness, interior, device)
+    surface, method, offset = resolve_surface(mesh, sign, thickness, interior, device, voxel_size)
     shape = BandShape(in_float32(outside * voxel_size), in_float32(inside * voxel_size), offset, method)
     return surface, shape, Lattice(surface, voxel_size, shape.reach, shape.hollow)
 

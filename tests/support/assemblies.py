@@ -6,10 +6,21 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.mesh import TriangleMesh, box, merge_vertices, transform
 
-__all__ = ["blocks", "concatenated", "in_float32", "sheet", "subdivided", "turned"]
+__all__ = [
+    "blocks",
+    "concatenated",
+    "in_float32",
+    "prism_distance",
+    "sheet",
+    "star",
+    "star_outline",
+    "subdivided",
+    "turned",
+]
 
 
 def concatenated(*meshes: TriangleMesh) -> TriangleMesh:
@@ -53,3 +64,37 @@ def subdivided(mesh: TriangleMesh) -> TriangleMesh:
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     soup = np.concatenate([np.stack(part, axis=1) for part in parts])
     return merge_vertices(TriangleMesh(soup.reshape(-1, 3), np.arange(3 * len(soup)).reshape(-1, 3)))
+
+
+def star(points: int = 5, turns: int = 2, height: float = 1.0) -> TriangleMesh:
+    """One closed body that crosses itself: a prism over a star polygon of radius 1 that is drawn in one stroke."""
+    angles = 2.0 * np.pi * turns * np.arange(points) / points
+    flat = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rings = [np.column_stack([flat, np.full(points, z)]) for z in (-0.5 * height, 0.5 * height)]
+    i, last = np.arange(points), 2 * points
+    j = (i + 1) % points
+    walls = [[i, j, points + j], [i, points + j, points + i]]
+    caps = [[0 * i + last, j, i], [0 * i + last + 1, points + i, points + j]]
+    vertices = np.concatenate([*rings, [[0.0, 0.0, -0.5 * height], [0.0, 0.0, 0.5 * height]]])
+    return TriangleMesh(vertices, np.stack([*walls, *caps]).transpose(0, 2, 1).reshape(-1, 3))
+
+
+def star_outline(points: int = 5, turns: int = 2) -> NDArray[np.float64]:
+    """The outline of the region that the star encloses (2 points, 2), counterclockwise."""
+    angles = np.pi * np.arange(2 * points) / points
+    inner = np.cos(np.pi * turns / points) / np.cos(np.pi * (turns - 1) / points)
+    return np.where(np.arange(2 * points) % 2, inner, 1.0)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def prism_distance(outline: NDArray[np.float64], height: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed distance [world] from places (N, 3) to a prism over a counterclockwise polygon (K, 2)."""
+    flat = places[:, :2]
+    to_outline, inside = np.full(len(places), np.inf), np.zeros(len(places), bool)
+    for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        along = np.clip((flat - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        to_outline = np.minimum(to_outline, np.linalg.norm(flat - a - along[:, None] * (b - a), axis=1))
+        straddles = (a[1] > flat[:, 1]) != (b[1] > flat[:, 1])
+        left = (b[0] - a[0]) * (flat[:, 1] - a[1]) - (b[1] - a[1]) * (flat[:, 0] - a[0]) > 0.0
+        inside ^= straddles & (left == (b[1] > a[1]))
+    beyond = np.stack([np.where(inside, -to_outline, to_outline), np.abs(places[:, 2]) - 0.5 * height], axis=1)
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)

@@ -55,6 +55,8 @@ class SignQueries(PointQueries):
     audit: Any
     _vertices: "wp.array"
     _faces: "wp.array"
+    # Whether faces were left out that signs are still decided by.
+    _is_trimmed = False
 
     @placed("points", moved=("points",))
     @differentiable("geokit.mesh.queries.gradients:SIGNED_DISTANCE", "points")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.solids.union import Pieces
+from geokit.mesh.topology.normals import face_normals
 
 __all__ = [
     "CONTACT",
@@ -31,6 +32,7 @@ WRONG_SHARE = 1e-5
 # have folds.
 OVERLAP_SHARE = 1e-3
 FACES_FOR_A_SHARE = 10_000
+SAMPLES = 10_000
 # Faces with less than this many times CONTACT between their middle and their edges cannot be checked.
 ROOM = 10.0
 # A point inside of a triangle that lies on no line of symmetry, as weights of its corners: bodies often have edges and
@@ -71,12 +73,18 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
     """What is said of closed bodies that no other one comes near, if much of their surface is inside all the same."""
     if (rows is None and not judge._orientation.closed) or judge._sign_choice.method == "pseudonormal":
         return ""
-    faces = mesh.faces if rows is None else mesh.faces[rows]
-    corners, area, normals = checkable(mesh.vertices, faces, off, most=FACES_FOR_A_SHARE)
-    middle, step = INNER_POINT @ corners, off * normals
+    # Points on all of it: a large face may lie inside in part.
+    given = mesh if rows is None else TriangleMesh(mesh.vertices, mesh.faces[rows])
+    area = areas_of(given.vertices, given.faces)
+    if not area.any():
+        return ""
+    rng = np.random.default_rng(0)
+    faces = rng.choice(len(area), SAMPLES, p=area / area.sum())
+    points = np.einsum("sk,skj->sj", rng.dirichlet((1.0, 1.0, 1.0), SAMPLES), given.vertices[given.faces[faces]])
+    step = off * face_normals(given)[faces]
     # Whichever way the faces are wound.
-    inside = (judge.winding_number(middle + step) > 0.5) & (judge.winding_number(middle - step) > 0.5)
-    share = area[inside].sum() / max(area.sum(), np.finfo(float).tiny)
+    inside = (judge.winding_number(points + step) > 0.5) & (judge.winding_number(points - step) > 0.5)
+    share = np.count_nonzero(inside) / SAMPLES
     return (
         f"{share:.1%} of the surface of bodies lies inside of themselves, or of others that are not closed"
         if share > OVERLAP_SHARE

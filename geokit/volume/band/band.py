@@ -130,7 +130,7 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False, t
     if shape.method != "none":
         beyond = beyond_signs(lattice, _places(leaves), shape.method) if opens else None
         inside = inside_bits(lattice, tiles.coordinates, leaves.rows, distance, shape.method, beyond)
-        if not opens:
+        if not opens or lattice.surface._is_trimmed:
             # Rounding would decide; an open sheet without thickness would have no other inside.
             inputs = [leaves.rows, distance, wp.float32(ON_SURFACE * shape.exterior)]
             launcher.launch(kernels.surface_is_outside_kernel, 8 * len(leaves.keys), inputs, [inside], device)

@@ -39,6 +39,9 @@ __all__ = [
 
 # Thickest shell, in lengths of the mesh's longest edge of its bounding box: float32 sees a point in the middle of it.
 THICKEST = 1e6
+# Surface inside of a body that crosses itself stays this far from where it does, as a share of a voxel, or of the
+# tolerance.
+LEFT_INSIDE = 0.25
 
 
 class _Origin(NamedTuple):
@@ -50,9 +53,12 @@ class _Origin(NamedTuple):
 
 
 def resolve_surface(
-    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, interior: str, device: Any
+    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, interior: str, device: Any, detail: float
 ) -> tuple[Surface, str, float]:
     """The prepared surface, its sign method (or "none"), and half the thickness of a shell.
+
+    Where closed bodies cross themselves, or could not be united, surface inside of the solid stays as far as a share
+    LEFT_INSIDE of ``detail`` [world] from where they cross.
 
     Raises:
         InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method, or no
@@ -77,6 +83,8 @@ def resolve_surface(
     if interior == "remove" and sign in ("auto", "winding"):
         boundary, kept = surface._cache.find("boundary", lambda: _without_interior(surface))
         surface = boundary or surface
+        if kept:
+            surface, kept = _trimmed(surface, kept, LEFT_INSIDE * detail)
         if kept:
             warnings.warn(
                 f"{surface.mesh.name or 'mesh'}: bodies touch or overlap, and surface inside of the solid stays in the "
@@ -111,6 +119,21 @@ def _without_interior(surface: Surface) -> tuple[Surface | None, str]:
         return None, boundary.kept
     boundary.mesh._cache.keep("origin", _Origin(surface.mesh, boundary.source, bool(boundary.kept)))
     return Surface(boundary.mesh, device=surface._device), boundary.kept
+
+
+def _trimmed(surface: Surface, kept: str, length: float) -> tuple[Surface, str]:
+    """A surface without what lies inside of the solid, and why some stays, "" if none; the same where it is open."""
+    from geokit.mesh.solids.trimming import trimmed
+    from geokit.volume.band.trimmed_surface import TrimmedSurface
+
+    found = trimmed(surface, length)
+    if found is None:
+        return surface, kept
+    mesh, source = found
+    origin = _origin_of(surface.mesh)
+    given, rows = (surface.mesh, source) if origin is None else (origin.mesh, origin.source[source])
+    mesh._cache.keep("origin", _Origin(given, rows, False))
+    return TrimmedSurface(mesh, surface), ""
 
 
 def source_of(mesh: TriangleMesh) -> NDArray[np.int64] | None:

@@ -95,7 +95,7 @@ class _SurfaceSigns:
 
         device, regions = self.lattice.device, signs_kernels.REGIONS
         answers = wp.zeros(len(seeds), dtype=wp.bool, device=device)
-        if self.method == "parity":
+        if self._by_list:
             bits, inside = (wp.zeros((len(seeds) // regions, 8), dtype=wp.uint64, device=device) for _ in range(2))
             launcher.launch(signs_kernels.seed_bits_kernel, len(bits), [regions, seeds], [bits], device)
             self.listed(bits, bits, inside)
@@ -117,7 +117,7 @@ class _SurfaceSigns:
 
         device, count = self.lattice.device, len(known)
         # Far from an open surface the nearest triangle may be out of reach of the kernel's search.
-        if self.method == "parity" or (self.method == "pseudonormal" and not self.lattice.surface.is_closed):
+        if self._by_list or (self.method == "pseudonormal" and not self.lattice.surface.is_closed):
             left = wp.empty_like(known)
             launcher.launch(signs_kernels.invert_bits_kernel, count, [known], [left], device)
             self.listed(left, known, inside)
@@ -148,6 +148,11 @@ class _SurfaceSigns:
         answers = self.lattice.surface.contains(points, sign=self.method)
         inputs = [bits, ends, counts, answers]
         launcher.launch(kernels.take_answers_kernel, count, inputs, [known, inside], device)
+
+    @property
+    def _by_list(self) -> bool:
+        # Kernels take voxels on any face as outside, also on faces that were left out.
+        return self.method == "parity" or self.lattice.surface._is_trimmed
 
     @property
     def _voxels(self) -> Any:

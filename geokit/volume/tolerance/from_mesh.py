@@ -71,7 +71,7 @@ def tolerance_search(
         raise InputError("half_width: a pair of widths has no meaning with tolerance; give one, or none")
     if half_width is not None:
         half_width = half_widths(half_width)[0]
-    surface, method, offset = resolve_surface(mesh, sign, thickness, interior, device)
+    surface, method, offset = resolve_surface(mesh, sign, thickness, interior, device, tolerance)
     within = checked_within(within, tolerance, jumps=method != "none" and not surface.is_closed)
 
     def truth(points: NDArray[np.float64]) -> NDArray[np.float64]:

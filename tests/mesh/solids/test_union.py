@@ -28,6 +28,7 @@ def hollow(inner: float) -> TriangleMesh:
     return concatenated(box((3, 3, 3)), TriangleMesh(hole.vertices, hole.faces[:, ::-1]))
 
 
+OPEN = TriangleMesh(box(center=(0.0, 0.0, 5.0)).vertices, box().faces[:-2])
 PEG = cylinder(0.5, 1.0, center=(0.0, 0.0, 1.5))
 # Name: the mesh, and the volume and area of what its bodies enclose.
 ASSEMBLIES = {
@@ -155,6 +156,8 @@ def test_without_manifold3d_its_name_and_command_are_given(monkeypatch: pytest.M
     monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
     with pytest.raises(MissingDependencyError, match="a union of solids needs the package manifold3d"):
         union(ASSEMBLIES["overlap"][0])
+    # Fields need no exact union, unless bodies are open as well.
+    field = gk.volume.from_mesh(ASSEMBLIES["overlap"][0], 0.1, device="cpu")
+    assert field.info.metadata["geokit:interior"] == "removed"
     with pytest.warns(UserWarning, match="surface inside of the solid stays in the field, because .*manifold3d"):
-        kept = gk.volume.from_mesh(ASSEMBLIES["overlap"][0], 0.1, device="cpu")
-    assert "geokit:interior" not in kept.info.metadata
+        gk.volume.from_mesh(concatenated(ASSEMBLIES["overlap"][0], OPEN), 0.1, sign="winding", device="cpu")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 import geokit as gk
 from geokit.mesh import TriangleMesh, box, drop_degenerate, merge_vertices, torus
-from tests.support.assemblies import concatenated, in_float32, sheet, turned
+from geokit.mesh.solids import trimming
+from tests.support.assemblies import concatenated, in_float32, prism_distance, sheet, star, star_outline, turned
 
 LOW, HIGH = box(center=(0.5, 0.5, 0.5)), box(center=(0.5, 0.5, 1.5))
 TWO = concatenated(LOW, HIGH)
@@ -123,17 +125,56 @@ def test_metadata_are_those_of_the_given_mesh() -> None:
     assert field.info.metadata["geokit:lost_components"] == "2"
 
 
-def test_a_body_inside_of_itself_is_said_to_keep_its_inner_surface() -> None:
-    ring = torus(1.0, 0.9, segments=24, tube_segments=12)
-    radius = np.linalg.norm(ring.vertices[:, :2], axis=1, keepdims=True)
-    # The axis of the tube moves to 0.4, so that the tube crosses itself.
-    shift = 0.6 * ring.vertices[:, :2] / radius
-    spindle = TriangleMesh(ring.vertices - np.concatenate([shift, 0.0 * radius], axis=1), ring.faces)
-    with pytest.warns(UserWarning, match=r"% of the surface of bodies lies inside of themselves.*; interior=\"keep\""):
-        gk.volume.from_mesh(spindle, 0.1, device="cpu")
+@pytest.mark.parametrize("voxel_size", [0.05, 0.047])
+@pytest.mark.parametrize("points", [5, 7])
+def test_a_body_that_crosses_itself(points: int, voxel_size: float) -> None:
+    outline = star_outline(points)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        gk.volume.from_mesh(spindle, 0.1, interior="keep", device="cpu")
+        field = gk.volume.from_mesh(star(points), voxel_size, device="cpu")
+    assert field.info.metadata["geokit:interior"] == "removed"
+    values, expected = np.asarray(gk.volume.active_voxels(field).values), prism_distance(outline, 1.0, places(field))
+    assert np.abs(values - expected).max() < 0.25 * voxel_size
+    assert np.array_equal(values < 0.0, expected < 0.0)
+    inner = gk.mesh.audit(gk.mesh.from_volume(gk.volume.offset(field, -0.05), device="cpu"))
+    assert inner.component_count == 1
+    kept = gk.volume.from_mesh(star(points), voxel_size, interior="keep", device="cpu")
+    assert gk.mesh.audit(gk.mesh.from_volume(gk.volume.offset(kept, -0.05), device="cpu")).component_count > 1
+
+
+def test_all_makers_of_fields_leave_out_what_a_body_has_inside_of_itself() -> None:
+    # A wall passes here.
+    place = [[0.0, 0.309, 0.0]]
+    depth = float(-prism_distance(star_outline(), 1.0, np.array(place))[0])
+    makers: dict[str, Any] = {
+        "tolerance": lambda **options: gk.volume.from_mesh(star(), tolerance=0.02, within=0.4, device="cpu", **options),
+        "levels": lambda **options: gk.volume.adaptive_from_mesh(star(), 0.02, within=0.4, device="cpu", **options),
+        "triangles": lambda **options: (
+            gk.volume.from_mesh_with_triangles(star(), 0.1, half_width=6.0, device="cpu", **options).distance
+        ),
+    }
+    for name, make in makers.items():
+        assert make().sample(place, device="cpu")[0] == pytest.approx(-depth, abs=0.03), name
+        assert abs(make(interior="keep").sample(place, device="cpu")[0]) < 0.05, name
+    band = gk.volume.from_mesh_with_triangles(star(), 0.1, device="cpu")
+    rows = np.asarray(gk.volume.sample(band.triangle_id, places(band.distance), order=0, device="cpu"))
+    assert 0 <= rows.min() < rows.max() < star().face_count
+
+
+def test_a_body_too_crumpled_is_said_to_keep_its_inner_surface(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trimming, "MOST_PIECES", 10)
+    with pytest.warns(UserWarning, match=r"% of the surface of bodies lies inside of themselves.*; interior=\"keep\""):
+        gk.volume.from_mesh(star(), 0.1, device="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gk.volume.from_mesh(star(), 0.1, interior="keep", device="cpu")
+
+
+def test_without_manifold3d_walls_go_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    for mesh in (TWO, OVERLAPPING):
+        field = gk.volume.from_mesh(mesh, 0.05, device="cpu")
+        assert np.abs(np.asarray(gk.volume.active_voxels(field).values) - column(places(field))).max() < 0.25 * 0.05
 
 
 def test_cavities_stay() -> None:
