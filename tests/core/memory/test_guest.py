@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from geokit.core import launcher
 from geokit.core.memory import needs
 from geokit.errors import InputError
 
@@ -65,7 +66,8 @@ def test_the_first_call_looks_where_torch_is(monkeypatch: pytest.MonkeyPatch) ->
     asked: list[bool] = []
     cuda = SimpleNamespace(is_initialized=lambda: True, device_count=lambda: 2)
     monkeypatch.setitem(__import__("sys").modules, "torch", SimpleNamespace(cuda=cuda))
-    monkeypatch.setattr("geokit.core.launcher.cuda_devices", lambda: asked.append(True))
+    assert needs.loaders == [launcher.cuda_devices]
+    monkeypatch.setattr(needs, "loaders", [lambda: asked.append(True)])
     monkeypatch.setattr(needs, "_native", None)
     needs.needs()(lambda: None)()
     assert asked == [True]
