@@ -6,6 +6,7 @@ import contextlib
 import csv
 import mmap
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,10 +19,20 @@ from geokit.formats.foreign import refuse_foreign
 from geokit.formats.table import FORMATS, SPARSE, STAGES, image_module, module_of, volume_kind
 
 if TYPE_CHECKING:
-    from geokit.points._io import PointCloud
+    from geokit.points._io import PointCloud, Rays
     from geokit.volume._model import SparseVolume
 
-__all__ = ["FiniteOnly", "Kind", "UpAxis", "kind_of_input", "kind_of_output", "load_cloud", "load_grid", "may_write"]
+__all__ = [
+    "FiniteOnly",
+    "Kind",
+    "UpAxis",
+    "kind_of_input",
+    "kind_of_output",
+    "load_cloud",
+    "load_grid",
+    "load_rays",
+    "may_write",
+]
 
 Kind = Literal["mesh", "volume", "cloud"]
 UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
@@ -30,7 +41,7 @@ FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only")]
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16
 # How the library's messages name columns.
-_COLUMNS, _WHERE = re.compile(r"columns=\(([^)]*)\)"), " of geokit convert"
+_COLUMNS = re.compile(r"columns=\(([^)]*)\)")
 # Parts of USD's names for fields in .vdb files, which are compressed in .usdc.
 _VOLUMES = (b"OpenVDB", b"field:")
 
@@ -145,18 +156,40 @@ def load_cloud(
     """
     from geokit.points._io import load_counted
 
-    try:
-        chosen = None if columns is None else next(csv.reader([columns], skipinitialspace=True))
-        cloud, left_out = load_counted(path, grid=grid, columns=chosen, finite_only=finite_only)
-    except (FileFormatError, InputError) as error:
-        # The library's message names its parameter; the user knows the option.
-        told = str(error).replace("finite_only=True", "--finite-only").replace("with grid=", "with --grid")
-        told = _COLUMNS.sub(lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'") + _WHERE, told)
-        raise type(error)(re.sub("^columns:", "--columns:", told)) from error
+    with _options_named():
+        cloud, left_out = load_counted(path, grid=grid, columns=_split(columns), finite_only=finite_only)
     if left_out:
         total = left_out + len(cloud.points)
         note(f"{path}: {left_out} of its {total} points are not finite and are left out (--finite-only, the default)")
     return cloud
+
+
+def load_rays(path: Path, columns: str | None = None) -> "Rays":
+    """Load rays; ``columns`` names those of a table, as for :func:`load_cloud`.
+
+    Raises:
+        FileFormatError: The file is damaged or holds no rays.
+        InputError: Columns are not six names of the table's.
+    """
+    from geokit import points
+
+    with _options_named():
+        return points.load_rays(path, columns=_split(columns))
+
+
+def _split(columns: str | None) -> list[str] | None:
+    return None if columns is None else next(csv.reader([columns], skipinitialspace=True))
+
+
+@contextlib.contextmanager
+def _options_named() -> Iterator[None]:
+    """Let the library's messages name options, which the user knows, and not its parameters."""
+    try:
+        yield
+    except (FileFormatError, InputError) as error:
+        told = str(error).replace("finite_only=True", "--finite-only").replace("with grid=", "with --grid")
+        told = _COLUMNS.sub(lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'"), told)
+        raise type(error)(re.sub("^columns:", "--columns:", told)) from error
 
 
 def load_grid(

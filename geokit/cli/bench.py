@@ -28,6 +28,7 @@ def bench(
     device: Names = None,
     chart: Names = None,
     grid: str | None = None,
+    columns: str | None = None,
     stability: Flag = False,
     figures: Literal["png", "svg", "pdf"] = "png",
     force: Flag = False,
@@ -42,6 +43,8 @@ def bench(
         device: Device to compute on: cpu, cuda:0, ...; may be given several times; by default every device.
         chart: Name of a chart to make; may be given several times; by default all charts.
         grid: Name of the grid, if a volume file holds several.
+        columns: From tables of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         stability: Write stability.md instead: sweeps towards failure, and the envelope that each method promises.
         figures: Format of the figures beside the page.
         force: Replace an earlier report.
@@ -49,7 +52,7 @@ def bench(
     """
     started = time.perf_counter()
     if stability:
-        if sources or quick or chart or grid or json or len(device or ()) > 1:
+        if sources or quick or chart or grid or columns or json or len(device or ()) > 1:
             raise InputError(
                 "--stability: sweeps have their own inputs; give --out, --device, --figures and --force only"
             )
@@ -60,7 +63,7 @@ def bench(
     from geokit.accuracy.report.folder import check_folder
 
     check_folder(out, force=force)
-    subjects = [_subject(source, grid) for source in sources] or None
+    subjects = [_subject(source, grid, columns) for source in sources] or None
     announce_compiling()
     results = run(subjects, devices=device, quick=quick, charts=chart, progress=note)
     page = write_report(results, out, force=force, figure_format=figures)
@@ -83,7 +86,7 @@ def _stability(out: Path, device: str | None, figures: str, *, force: bool) -> N
     print(write_stability(out, force=force, device=device, progress=note, figure_format=figures))
 
 
-def _subject(source: Path, grid: str | None) -> "Subject":
+def _subject(source: Path, grid: str | None, columns: str | None) -> "Subject":
     from geokit.accuracy import Subject
 
     kind = kind_of_input(source)
@@ -95,7 +98,7 @@ def _subject(source: Path, grid: str | None) -> "Subject":
         from geokit.mesh import load
 
         return Subject(source.name, mesh=load(source))
-    return Subject(source.name, points=load_cloud(source).points)
+    return Subject(source.name, points=load_cloud(source, columns=columns).points)
 
 
 def _facts(row: object) -> dict[str, object]:

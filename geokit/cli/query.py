@@ -11,8 +11,9 @@ import numpy as np
 from cyclopts import App, Parameter
 
 from geokit.cli._console import announce_compiling, step
-from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, load_grid
+from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, load_grid, load_rays
 from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
+from geokit.core.files import extension
 from geokit.errors import InputError
 from geokit.formats.table import with_formats
 
@@ -35,6 +36,7 @@ def closest(
     max_distance: float = math.inf,
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -47,11 +49,13 @@ def closest(
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
-    surface, queries = _surface(mesh, device, json), _points(points, finite_only)
+    surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
     started = time.perf_counter()
     with step(f"querying {mesh}", quiet=json) as asking:
         found = surface.closest_point(queries, max_distance=max_distance, progress=asking.progress)
@@ -77,6 +81,7 @@ def signed(
     output: Output = None,
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -88,11 +93,13 @@ def signed(
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
-    surface, queries = _surface(mesh, device, json), _points(points, finite_only)
+    surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
     started = time.perf_counter()
     with step(f"querying {mesh}", quiet=json) as asking:
         found = surface.signed_distance(queries, progress=asking.progress)
@@ -121,6 +128,7 @@ def ray(
     output: Output = None,
     max_distance: float = math.inf,
     device: str | None = None,
+    columns: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -132,14 +140,14 @@ def ray(
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
+        columns: From a table (.csv .xyz .txt): names of the six columns, origins first, as in px,py,pz,vx,vy,vz; by
+            default their names tell.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
-    from geokit.points import load_rays
-
     check_output(output, force=force)
     surface = _surface(mesh, device, json)
-    origins, directions = load_rays(rays)
+    origins, directions = load_rays(rays, columns)
     announce_compiling()
     started = time.perf_counter()
     with step(f"querying {mesh}", quiet=json) as asking:
@@ -173,6 +181,7 @@ def sample(
     gradient: Flag = False,
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -187,12 +196,14 @@ def sample(
         gradient: Also write the gradient.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     check_output(output, force=force)
     _require_kind(volume, "volume")
-    field, queries = load_grid(volume, grid), _points(points, finite_only)
+    field, queries = load_grid(volume, grid), _points(points, finite_only, columns)
     announce_compiling()
     started = time.perf_counter()
     with step(f"querying {volume}", quiet=json):
@@ -221,6 +232,7 @@ def neighbors(
     output: Output = None,
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
     json: Flag = False,
 ) -> None:
@@ -238,10 +250,13 @@ def neighbors(
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
         json: Print the summary as JSON.
     """
     from geokit.points import NeighborGrid
+    from geokit.points._io import TABLES
 
     if radius is None and nearest is None:
         from cyclopts import CycloptsError
@@ -249,8 +264,12 @@ def neighbors(
         raise CycloptsError(msg="neither --radius nor --nearest is given; give one of them, or both")
 
     check_output(output, force=force)
-    found_points = _points(cloud, finite_only)
-    query_points = found_points if queries is None else _points(queries, finite_only)
+    # The names may be those of one table, beside a file that says itself what its coordinates are.
+    tables = [path for path in (cloud, queries) if path is not None and extension(path) in TABLES] or [cloud]
+    found_points = _points(cloud, finite_only, columns if cloud in tables else None)
+    query_points = (
+        found_points if queries is None else _points(queries, finite_only, columns if queries in tables else None)
+    )
     announce_compiling()
     started = time.perf_counter()
     with step(f"querying {cloud}", quiet=json):
@@ -288,8 +307,8 @@ def _surface(path: Path, device: str | None, json: bool) -> Any:
         return Surface(load(path), device=device)
 
 
-def _points(path: Path, finite_only: bool) -> np.ndarray:
-    return np.asarray(load_cloud(path, finite_only).points, dtype=np.float64)
+def _points(path: Path, finite_only: bool, columns: str | None) -> np.ndarray:
+    return np.asarray(load_cloud(path, finite_only, columns=columns).points, dtype=np.float64)
 
 
 def _require_kind(path: Path, wanted: str) -> None:

@@ -49,6 +49,7 @@ def render(
     look: Literal["values", "smoke"] = "values",
     transparent: Flag = False,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
 ) -> None:
     """Draw a mesh, a volume or a point cloud into a PNG file, off-screen.
@@ -74,6 +75,8 @@ def render(
         look: How fog is drawn: by the color map, or as white smoke, lit, in front of the dark.
         transparent: Leave the background transparent.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
     """
     kind = kind_of_input(source, grid)
@@ -81,6 +84,8 @@ def render(
     named = grid is not None and extension(source) != ".vdb"  # which may hold points
     if kind != "volume" and (named or isovalue is not None or slice is not None):
         raise InputError(f"--grid, --isovalue and --slice are for volumes, and {source} is a {kind}; leave them out")
+    if columns is not None and kind != "cloud":
+        raise InputError(f"--columns: has no effect on a {kind}; leave it out")
     camera: dict[str, Any] = {"azimuth": azimuth, "elevation": elevation, "distance": distance, "zoom": zoom}
     camera |= {"edges": edges, "shadow": shadow, "look": look}
     if slice is not None and camera != _DEFAULTS:
@@ -106,7 +111,7 @@ def render(
             scene["up"] = up or up_of(mesh, usual)
             drawing.figure(output, mesh=mesh, **_array_or_color(mesh, mesh.vertices, color), **scene)
         else:
-            cloud = load_cloud(source, finite_only, grid)
+            cloud = load_cloud(source, finite_only, grid, columns)
             own = color in ("rgb", "rgba") and color in cloud.data
             chosen = _array_or_color(cloud, cloud.points, None if own else color)
             scene["up"] = up or up_of_points(cloud.points, usual)

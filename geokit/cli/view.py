@@ -10,6 +10,7 @@ from cyclopts import CycloptsError, Parameter
 from geokit.cli._console import announce_compiling, note, step
 from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write
 from geokit.core.files import extension
+from geokit.errors import InputError
 from geokit.formats.table import FORMATS
 
 __all__ = ["view"]
@@ -27,6 +28,7 @@ def view(
     title: str = "",
     device: str | None = None,
     finite_only: FiniteOnly = True,
+    columns: str | None = None,
     force: Flag = False,
 ) -> None:
     """Show meshes, volumes and point clouds in a browser: one HTML file, which needs no network.
@@ -43,6 +45,8 @@ def view(
         title: Title of the page; by default the names of the files.
         device: Where volumes are read: cpu, cuda:0, ...
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
+        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
+            default their names tell.
         force: Replace an existing output.
     """
     if not sources:
@@ -50,6 +54,8 @@ def view(
     if output is not None:
         may_write(output, force=force)
     kinds = [kind_of_input(source, grid) for source in sources]
+    if columns is not None and "cloud" not in kinds:
+        raise InputError("--columns: has no effect without a table of points; leave it out")
     announce_compiling()
     from geokit.render import _view as drawing
     from geokit.render._camera import up_of, up_of_points
@@ -58,7 +64,7 @@ def view(
         if kind == "volume":
             return load_grid(source, grid, as_floats=True)
         if kind == "cloud":
-            return load_cloud(source, finite_only, grid if extension(source) == ".vdb" else None)
+            return load_cloud(source, finite_only, grid if extension(source) == ".vdb" else None, columns)
         from geokit.mesh import load
 
         return load(source)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 
-__all__ = ["AXES", "Columns", "by_place", "joined", "rays", "split"]
+__all__ = ["AXES", "Columns", "by_place", "first_rays", "joined", "split"]
 
 AXES = ("x", "y", "z")
 # Names of the components of normals in other programs.
@@ -74,17 +74,14 @@ def _vector(name: str) -> tuple[str, tuple[str, ...]]:
     return vector, tuple(f"{vector}_{axis}" for axis in AXES) if vector else ("",)
 
 
-def rays(names: list[str], table: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
-    """Origins and directions (N, 6): the columns with these names, else the first six columns.
+def first_rays(table: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+    """Origins and directions (N, 6): the first six columns of a table without names.
 
     Raises:
         FileFormatError: There are fewer than six columns.
     """
-    lowered = [name.lower() for name in names]
     if table.size == 0:
         return np.empty((0, 6))
-    if set(RAY_COLUMNS) <= set(lowered):
-        return table[:, [lowered.index(name) for name in RAY_COLUMNS]]
     if table.shape[1] < 6:
         raise FileFormatError(f"{path}: has {table.shape[1]} columns; rays need {', '.join(RAY_COLUMNS)}")
     return table[:, :6]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import AXES, Columns, by_place, joined, rays
+from geokit.formats.columns import AXES, Columns, by_place, first_rays, joined
 
 __all__ = ["content_bytes", "read_points", "read_rays", "write_points"]
 
@@ -56,7 +56,7 @@ def read_rays(path: Path) -> NDArray[np.float64]:
         FileFormatError: The content is damaged or has no rays.
     """
     if path.suffix.lower() != ".npz":
-        return rays([], _table(_loaded(path), path), path)
+        return first_rays(_table(_loaded(path), path), path)
     arrays = _archive(path)
     if {"origins", "directions"} <= arrays.keys():
         parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import AXES, Columns, joined, rays, split
-from geokit.formats.text_files.coordinates import coordinate_columns
+from geokit.formats.columns import AXES, RAY_COLUMNS, Columns, first_rays, joined, split
+from geokit.formats.text_files.coordinates import coordinate_columns, ray_columns
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import Cells, decoded, not_numbers, read_cells, separator_of, split_line
 from geokit.formats.text_files.words import as_number
@@ -36,15 +36,38 @@ def read_points(path: Path, columns: Sequence[str] | None = None) -> tuple[NDArr
     return joined(_named_columns(table, _coordinates(table, columns, path), path), path)
 
 
-def read_rays(path: Path) -> NDArray[np.float64]:
-    """Read origins and directions (N, 6).
+def read_rays(path: Path, columns: Sequence[str] | None = None) -> NDArray[np.float64]:
+    """Read origins and directions (N, 6), which their names tell, or ``columns``; without names the first six columns.
 
     Raises:
         FileFormatError: As for :func:`read_points`, or fewer than six columns.
+        InputError: A name in ``columns`` is none of the file's.
     """
-    names, named, cells = _read_table(path)
+    table = _read_table(path)
+    names, named, cells = table
+    places = _places_of(columns, names, path) if columns is not None else ray_columns(names) if named else None
+    if places is not None:
+        if not len(cells.values):
+            return np.empty((0, 6))
+        cells.refuse(places, path)
+        return cells.values[:, places]
+    listed = in_one_line(", ".join(map(repr, names)))
+    if named == "header":
+        if len(names) < 6:
+            raise FileFormatError(f"{path}: has {len(names)} columns; rays need {', '.join(RAY_COLUMNS)}")
+        raise FileFormatError(
+            f"{path}: its columns are not named as those of rays, {', '.join(RAY_COLUMNS)}: {listed}; choose six with "
+            f"columns=({', '.join(map(repr, names[:6]))})"
+        )
+    if named == "comment" and len(names) > 6:
+        warnings.warn(
+            f"{path}: the words of its comment ({listed}) are no names of rays; the first six columns are taken, and "
+            "columns=(...) chooses others",
+            UserWarning,
+            stacklevel=2,
+        )
     cells.refuse(range(cells.values.shape[1]), path)
-    return rays(names if named else [], cells.values, path)
+    return first_rays(cells.values, path)
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
@@ -160,12 +183,7 @@ def _coordinates(table: _Table, columns: Sequence[str] | None, path: Path) -> tu
     names, cells = table.names, table.cells
     listed = in_one_line(", ".join(map(repr, names)))
     if columns is not None:
-        missing = [name for name in columns if names.count(name) != 1]
-        if missing:
-            raise InputError(
-                f"columns: {missing[0]!r} is not the name of one column of {path}; its columns are {listed}"
-            )
-        x, y, z = (names.index(name) for name in columns)
+        x, y, z = _places_of(columns, names, path)
         return x, y, z
     if table.named:
         found = coordinate_columns(names, path)
@@ -196,6 +214,19 @@ def _coordinates(table: _Table, columns: Sequence[str] | None, path: Path) -> tu
     if first is None or not labels[:first].all():
         raise not_numbers(cells, int(np.argmax(cells.text.any(axis=1))), path)
     return first, first + 1, first + 2
+
+
+def _places_of(columns: Sequence[str], names: list[str], path: Path) -> list[int]:
+    """Places of chosen columns.
+
+    Raises:
+        InputError: A name is none of the file's, or of several columns.
+    """
+    missing = [name for name in columns if names.count(name) != 1]
+    if missing:
+        listed = in_one_line(", ".join(map(repr, names)))
+        raise InputError(f"columns: {missing[0]!r} is not the name of one column of {path}; its columns are {listed}")
+    return [names.index(name) for name in columns]
 
 
 def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> Columns:

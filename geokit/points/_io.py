@@ -32,7 +32,7 @@ TREE_COPIES, TREE_ROW, TREE_BYTES = 6, 200, 16 << 20
 # Of VTK's libraries, which are mapped at first use and end the process where there is no room for them.
 VTK_BYTES = 20 << 20
 # Of columns with or without names: no rows are no points.
-_TABLES = (".csv", ".txt", ".xyz")
+TABLES = (".csv", ".txt", ".xyz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +176,9 @@ def load_counted(
         if kind != ".vdb":
             raise InputError(f"grid: {kind} holds one cloud; leave it out")
     if columns is not None:
-        columns = _three_names(columns, kind)
+        columns = _names(columns, kind, 3)
     path = require_file(path)
-    if kind not in _TABLES:
+    if kind not in TABLES:
         refuse_empty(path)
     if kind == ".vdb":
         from geokit.native import _points as vdb_points
@@ -201,20 +201,21 @@ def load_counted(
     return _finite(path, points, data, finite_only=finite_only)
 
 
-def _three_names(columns: Any, kind: str) -> tuple[str, ...]:
-    """Names of three columns.
+def _names(columns: Any, kind: str, count: int) -> tuple[str, ...]:
+    """Names of so many columns.
 
     Raises:
         InputError: They are others, or the format is no table.
     """
-    if kind not in _TABLES:
+    if kind not in TABLES:
         raise InputError(f"columns: {kind} says itself which numbers are coordinates; leave it out")
+    number, example = {3: "three", 6: "six"}[count], ", ".join(map(repr, "abcdef"[:count]))
     if isinstance(columns, str) or not isinstance(columns, Sequence):
-        raise InputError(f"columns: {described(columns)} is not a list of three names; use ('a', 'b', 'c')")
+        raise InputError(f"columns: {described(columns)} is not a list of {number} names; use ({example})")
     for name in columns:
         require_text(name, "columns")
-    if len(columns) != 3 or len(set(columns)) != 3:
-        raise InputError(f"columns: {described(columns)} is not three different names; use ('a', 'b', 'c')")
+    if len(columns) != count or len(set(columns)) != count:
+        raise InputError(f"columns: {described(columns)} is not {number} different names; use ({example})")
     return tuple(columns)
 
 
@@ -244,30 +245,37 @@ def _sizes(path: Path, module: ModuleType, memory_limit: int | None) -> tuple[in
 
 @needs(lambda path, **_: 2 * file_size(path))
 @with_formats("rays", "r")
-def load_rays(path: str | os.PathLike[str], *, memory_limit: int | None = None) -> Rays:
+def load_rays(
+    path: str | os.PathLike[str], *, columns: Sequence[str] | None = None, memory_limit: int | None = None
+) -> Rays:
     """Read rays from a .csv, .txt, .xyz, .npy or .npz file.
 
-    Columns are named ox, oy, oz, dx, dy, dz; without these names the first six columns are used. An .npz file holds the
-    arrays ``origins`` and ``directions``, or one array of shape (N, 6). Directions need not have unit length.
+    Columns are named ox, oy, oz, dx, dy, dz; x, origin_x, pos.x or start:0 and dir_x or direction.x are known too. A
+    header with other names is an error that lists them; ``columns`` then chooses. Without names the first six columns
+    are used. An .npz file holds the arrays ``origins`` and ``directions``, or one array of shape (N, 6). Directions
+    need not have unit length.
 
     Args:
         path: {formats}.
+        columns: Of a .csv, .xyz or .txt: names of the six columns, origins first.
         memory_limit: As for :func:`load`.
     Returns:
         Rays(origins, directions), each (N, 3) float64.
     Raises:
-        InputError: The extension is not one of these.
+        InputError: The extension is not one of these, or columns are not six names of columns of the table.
         FileAccessError: The file is missing or not readable.
-        FileFormatError: The content is damaged or has no six columns, or a ray is not finite or has a direction of
-            length zero; the message gives the row.
+        FileFormatError: The content is damaged or has no six columns, the names are not those of rays, or a ray is not
+            finite or has a direction of length zero; the message gives the row.
         DeviceMemoryError: The content is larger than memory_limit.
     """
     kind = require_format(path, "rays", "r", "ray")
+    if columns is not None:
+        columns = _names(columns, kind, 6)
     path = require_file(path)
     module = module_of(kind)
     with named_damage(path):
         _sizes(path, module, memory_limit)
-        table = module.read_rays(path)
+        table = module.read_rays(path) if columns is None else module.read_rays(path, columns)
     bad = ~np.isfinite(table).all(axis=1) | ~(table[:, 3:] != 0.0).any(axis=1)
     if bad.any():
         row = int(np.argmax(bad))

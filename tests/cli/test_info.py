@@ -90,7 +90,7 @@ def test_damaged_files(geokit, fails, tmp_path: Path, cube_sdf: Path) -> None:
 def test_columns_of_a_table_are_chosen(geokit, fails, cube: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time,a,b,c d\n0,1,2,3\n1,4,5,6\n")
-    fails(geokit("info", path), 1, "'time', 'a', 'b', 'c d'", "--columns time,a,b of geokit convert")
+    fails(geokit("info", path), 1, "'time', 'a', 'b', 'c d'", "--columns time,a,b")
     done = geokit("info", path, "--columns", "a, b, c d", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["bounds"] == [[1, 2, 3], [4, 5, 6]]
@@ -103,6 +103,35 @@ def test_columns_of_a_table_are_chosen(geokit, fails, cube: Path, tmp_path: Path
 
     assert load(target).points.tolist() == [[2, 1, 3], [5, 4, 6]]
     fails(geokit("convert", cube, tmp_path / "b.ply", "--columns", "a,b,c"), 1, "--columns: has no effect")
+
+
+@pytest.mark.slow
+def test_every_command_that_takes_points_takes_columns(geokit, fails, cube: Path, tmp_path: Path) -> None:
+    path, rays, other = tmp_path / "a.csv", tmp_path / "rays.csv", tmp_path / "b.npy"
+    path.write_text("time,a,b,c\n0,1,2,3\n1,4,5,6\n")
+    rays.write_text("time,a,b,c,d,e,f\n0,0,0,-3,0,0,1\n")
+    np.save(other, [[1.0, 2.0, 3.0]])
+    asked = ("--columns", "a,b,c", "--json")
+    closest = json.loads(geokit("query", "closest", cube, path, *asked).stdout)
+    assert closest["distance_min"] == pytest.approx(np.sqrt(5.0))
+    assert json.loads(geokit("query", "signed", cube, path, *asked).stdout)["inside"] == 0
+    for pair in ((path, other), (other, path), (path,)):
+        assert json.loads(geokit("query", "neighbors", *pair, "--nearest", "1", *asked).stdout)["neighbors"] > 0
+    fails(geokit("query", "neighbors", other, "--nearest", "1", *asked), 1, "--columns: .npy says itself")
+    field = tmp_path / "field.nvdb"
+    assert geokit("convert", cube, field, "--voxel-size", "0.1").returncode == 0
+    assert json.loads(geokit("query", "sample", field, path, *asked).stdout)["queries"] == 2
+    fails(geokit("query", "ray", cube, rays), 1, "not named as those of rays", "--columns time,a,b,c,d,e")
+    hits = json.loads(geokit("query", "ray", cube, rays, "--columns", "a,b,c,d,e,f", "--json").stdout)
+    assert (hits["hits"], hits["t_min"]) == (1, 3.0)
+    for verb, target in (("render", "a.png"), ("view", "a.html")):
+        assert geokit(verb, path, "-o", tmp_path / target, "--columns", "a,b,c").returncode == 0
+        fails(
+            geokit(verb, cube, "-o", tmp_path / target, "--force", "--columns", "a,b,c"), 1, "--columns: has no effect"
+        )
+    fails(
+        geokit("bench", path, "--out", tmp_path / "report", "--columns", "a,b,z"), 1, "--columns: 'z' is not the name"
+    )
 
 
 @pytest.mark.slow

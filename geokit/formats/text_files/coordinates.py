@@ -9,7 +9,7 @@ from pathlib import Path
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 
-__all__ = ["coordinate_columns"]
+__all__ = ["coordinate_columns", "ray_columns"]
 
 # The unit behind a name: X [m], X(m), X_mm.
 _UNIT = re.compile(
@@ -25,6 +25,9 @@ _TURNED = re.compile(rf"(?P<axis>[xyz])[ _.:/\-]?(?P<of>(?:{_WORD}|axis)s?)")
 _SIGNS = re.compile(r"[ _.:/\-]+")
 _EAST, _NORTH = {"easting", "eastings", "east"}, {"northing", "northings", "north"}
 _UP = {"height", "elevation", "elev", "altitude", "alt", "z", "up"}
+# ox, dir_z, ray origin.y: what stands before the axis.
+_ORIGIN = re.compile(r"|(?:.*[ _.:/\-])?(?:o|p|pos|position|origin|start|source|src|eye|from)s?")
+_DIRECTION = re.compile(r"(?:.*[ _.:/\-])?(?:d|dir|direction|heading)s?")
 _ANGLES = {"lon", "long", "longitude", "lng"}, {"lat", "latitude"}
 
 
@@ -48,6 +51,25 @@ def coordinate_columns(names: Sequence[str], path: Path) -> tuple[int, int, int]
             "project them to lengths first, or choose three other columns with columns=(...)"
         )
     return None
+
+
+def ray_columns(names: Sequence[str]) -> list[int] | None:
+    """Places of the columns of origins and directions; None if no names are those of rays, or several sets are.
+
+    Known are a place (ox, x, origin_x, pos.x, start:0) and a direction (dx, dir_x, direction.x).
+    """
+    plain = [_plain(name) for name in names]
+    vectors: dict[str, dict[str, int]] = {}
+    for at, name in enumerate(plain):
+        match = re.fullmatch(r"(?P<of>.*?)[ _.:/\-]*(?P<axis>[xyz012])", name)
+        if match:
+            axis = {"0": "x", "1": "y", "2": "z"}.get(match["axis"], match["axis"])
+            vectors.setdefault(match["of"], {}).setdefault(axis, at)
+    whole = {of: [places[axis] for axis in "xyz"] for of, places in vectors.items() if len(places) == 3}
+    origins, directions = ([at for of, at in whole.items() if kind.fullmatch(of)] for kind in (_ORIGIN, _DIRECTION))
+    if {"o", "d"} <= whole.keys():
+        return [*whole["o"], *whole["d"]]
+    return [*origins[0], *directions[0]] if len(origins) == len(directions) == 1 else None
 
 
 def _plain(name: str) -> str:

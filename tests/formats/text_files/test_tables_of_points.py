@@ -249,3 +249,51 @@ def test_rays_keep_their_rows(tmp_path: Path) -> None:
     assert rays.origins.tolist() == [[0, 0, 0], [1, 2, 3]]
     with pytest.raises(gk.FileFormatError, match=r"line 1 .* is not a row of numbers"):
         gk.points.load_rays(write(tmp_path / "a.csv", "0,0,0,0,0,A\n1,2,3,0,0,1\n"))
+
+
+RAY_NAMES = [
+    "ox,oy,oz,dx,dy,dz",
+    "x,y,z,dx,dy,dz",
+    "X [m],Y [m],Z [m],dir_x,dir_y,dir_z",
+    "origin.x,origin.y,origin.z,direction.x,direction.y,direction.z",
+    "start:0,start:1,start:2,ray direction:0,ray direction:1,ray direction:2",
+    "px,py,pz,Dir_X,Dir_Y,Dir_Z",
+]
+
+
+@pytest.mark.parametrize("names", RAY_NAMES)
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4, 5, 6, 7], [7, 3, 4, 5, 0, 6, 1, 2], [5, 7, 4, 3, 6, 2, 1, 0]])
+def test_rays_are_found_by_their_names(tmp_path: Path, names: str, order: list[int]) -> None:
+    """Also behind a time, and beside words."""
+    header, row = [*names.split(","), "time", "label"], ["1", "2", "3", "0.5", "0.25", "-1", "7", "a"]
+    lines = "\n".join(",".join(line[at] for at in order) for line in (header, row)) + "\n"
+    origins, directions = gk.points.load_rays(write(tmp_path / "a.csv", lines))
+    assert origins.tolist() == [[1, 2, 3]]
+    assert directions.tolist() == [[0.5, 0.25, -1]]
+
+
+@pytest.mark.parametrize(
+    "names", ["t,px,py,pz,vx,vy,vz", "x,y,z,nx,ny,nz,w", "ax,ay,az,bx,by,bz,c", "ox,oy,oz,a,b,c,d"]
+)
+def test_other_names_are_no_rays(tmp_path: Path, names: str) -> None:
+    path = write(tmp_path / "a.csv", f"{names}\n0,1,2,3,4,5,6\n")
+    listed = ", ".join(map(repr, names.split(",")))
+    with pytest.raises(gk.FileFormatError, match=f"are not named as those of rays.*{listed}; choose six"):
+        gk.points.load_rays(path)
+    origins, directions = gk.points.load_rays(path, columns=names.split(",")[:0:-1])
+    assert origins.tolist() == [[6, 5, 4]]
+    assert directions.tolist() == [[3, 2, 1]]
+
+
+def test_columns_of_rays_are_six_names(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "a,b,c,d,e,f,g\n0,1,2,3,4,5,6\n")
+    for columns in ("abcdef", ("a", "b", "c"), ("a", "b", "c", "d", "e", "e"), 6):
+        with pytest.raises(gk.InputError, match=r"^columns: .*six"):
+            gk.points.load_rays(path, columns=columns)
+    with pytest.raises(gk.InputError, match="columns: 'h' is not the name of one column of"):
+        gk.points.load_rays(path, columns=("a", "b", "c", "d", "e", "h"))
+    with pytest.raises(gk.InputError, match=r"columns: \.npy says itself"):
+        gk.points.load_rays(tmp_path / "a.npy", columns=tuple("abcdef"))
+    with pytest.warns(UserWarning, match="the words of its comment"):
+        rays = gk.points.load_rays(write(tmp_path / "a.txt", "# a b c d e f g\n0 1 2 3 4 5 6\n"))
+    assert rays.directions.tolist() == [[3, 4, 5]]
