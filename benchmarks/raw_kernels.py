@@ -22,6 +22,14 @@ def raw_ray_kernel(
 
 
 @wp.kernel
+def raw_any_hit_kernel(
+    mesh: wp.uint64, origins: wp.array(dtype=wp.vec3), directions: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.bool)
+):
+    i = wp.tid()
+    out[i] = wp.mesh_query_ray_anyhit(mesh, origins[i], directions[i], 1.0e6)
+
+
+@wp.kernel
 def raw_sample_kernel(volume: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
     i = wp.tid()
     out[i] = wp.volume_sample_f(volume, wp.volume_world_to_index(volume, points[i]), wp.Volume.LINEAR)
