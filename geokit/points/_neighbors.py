@@ -428,7 +428,7 @@ class NeighborGrid:
         asked, home = self._ask(queries, radius, exclude_self, groups)
         return home.to_caller(search.count(asked))
 
-    @undifferentiable
+    @differentiable("geokit.points.search.gradients:WITHIN", "queries")
     @needs(_list_bytes, late=True)
     @on_snapshot
     def radius_search(
@@ -476,7 +476,7 @@ class NeighborGrid:
             )
         )
 
-    @undifferentiable
+    @differentiable("geokit.points.search.gradients:IMAGES", "queries")
     @needs(lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given), late=True)
     @on_snapshot
     def neighbor_list(

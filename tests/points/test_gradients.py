@@ -31,6 +31,42 @@ def test_none_within_the_radius(clouds):
     check(answer, *clouds)
 
 
+@pytest.mark.parametrize("order", ["index", "distance", "any"])
+def test_all_within_the_radius(clouds, order):
+    grid = points.NeighborGrid
+    check(lambda a, b: grid(a, device="cpu").radius_search(b, radius=0.4, order=order).distance, *clouds)
+    check(lambda b: grid(clouds[0], device="cpu").radius_search(b, radius=0.4, order=order).distance, clouds[1])
+    # A point finds itself, and that distance has no slope.
+    a = clouds[0].clone().requires_grad_()
+    found = grid(a, device="cpu").radius_search(radius=0.4, order=order)
+    plain = grid(clouds[0], device="cpu").radius_search(radius=0.4, order=order)
+    assert torch.equal(found.indices, plain.indices)
+    assert torch.equal(found.distance.detach(), plain.distance)
+    own = torch.zeros_like(found.distance)
+    own[found.distance == 0.0] = 1.0
+    (slope,) = torch.autograd.grad(found.distance, a, own)
+    assert (slope == 0.0).all()
+
+
+def test_images_within_the_radius(clouds):
+    cell = [[1.0, 0.0, 0.0], [0.2, 0.9, 0.0], [0.1, -0.2, 1.1]]
+
+    def made(a):
+        return points.NeighborGrid(a, 0.6, periodic=cell, device="cpu")
+
+    check(lambda a, b: made(a).neighbor_list(b).distance, *clouds)
+    check(lambda a: made(a).neighbor_list(exclude_self=True, order="distance").distance, clouds[0])
+    with pytest.raises(InputError, match=r"radius_search: distances to images .* use neighbor_list\(\)"):
+        made(clouds[0].requires_grad_()).radius_search().distance.sum().backward()
+
+
+def test_no_point_within_the_radius(clouds):
+    a = clouds[0].clone().requires_grad_()
+    found = points.NeighborGrid(a, device="cpu").radius_search(a.detach() + 10.0, radius=0.1)
+    found.distance.sum().backward()
+    assert (a.grad == 0.0).all()
+
+
 @pytest.mark.parametrize("part", ["distance", "squared"])
 def test_chamfer(clouds, part):
     check(lambda a, b: getattr(points.chamfer(a, b, device="cpu"), part), *clouds)

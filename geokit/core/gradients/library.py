@@ -23,6 +23,7 @@ class Library(NamedTuple):
             in its cache where the library can.
         wide, whole: A tensor in float64, in int64.
         rows: ``rows(condition)``: the numbers of the rows where a constant condition holds.
+        listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part.
         detach: A tensor as a constant.
         on_host: A constant tensor as a NumPy array.
         once: ``once(tensor, message, of)``: the tensor, whose derivative with respect to the tensors ``of`` is not
@@ -41,6 +42,7 @@ class Library(NamedTuple):
     wide: Callable[..., Any]
     whole: Callable[..., Any]
     rows: Callable[..., Any]
+    listed: Callable[..., Any]
     detach: Callable[..., Any]
     on_host: Callable[..., Any]
     once: Callable[..., Any]

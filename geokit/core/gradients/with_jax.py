@@ -220,6 +220,9 @@ LIBRARY = Library(
     wide=_wide,
     whole=lambda tensor: tensor.astype(jnp.result_type(int)),
     rows=lambda condition: jnp.nonzero(condition)[0],
+    listed=lambda offsets, total: jnp.repeat(
+        jnp.arange(len(offsets) - 1), jnp.diff(offsets), total_repeat_length=total
+    ),
     detach=jax.lax.stop_gradient,
     on_host=np.asarray,
     once=lambda tensor, message, of: _unknown(message, tensor, *of.values()),

@@ -278,6 +278,7 @@ LIBRARY = Library(
     wide=lambda array: array if isinstance(array, Followed) else array.astype(np.float64),
     whole=lambda array: plain(array).astype(np.int64),
     rows=np.flatnonzero,
+    listed=lambda offsets, total: np.repeat(np.arange(len(offsets) - 1), np.diff(offsets)),
     detach=plain,
     on_host=plain,
     # There are first derivatives only.

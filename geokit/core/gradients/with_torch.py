@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from typing import Any
 
 import torch
@@ -229,7 +230,8 @@ class _Add(torch.autograd.Function):
 
     @staticmethod
     def forward(rows: Any, index: Any, count: int) -> Any:
-        flat, places = rows.reshape(index.numel(), -1), index.reshape(-1)
+        flat = rows.reshape(index.numel(), math.prod(rows.shape[index.ndim :]))
+        places = index.reshape(-1)
         if rows.is_cuda:
             # index_add_ adds in any order there.
             order = torch.argsort(places, stable=True)
@@ -303,6 +305,7 @@ LIBRARY = Library(
     wide=lambda tensor: tensor.double(),
     whole=lambda tensor: tensor.long(),
     rows=lambda condition: condition.nonzero()[:, 0],
+    listed=lambda offsets, total: torch.repeat_interleave(offsets.diff(), output_size=total),
     detach=lambda tensor: tensor.detach(),
     on_host=lambda tensor: tensor.detach().cpu().numpy(),
     once=_once,

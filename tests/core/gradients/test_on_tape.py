@@ -80,6 +80,11 @@ def cloud(points: Any) -> gk.points.NeighborGrid:
     return gk.points.NeighborGrid(points, device="cpu")
 
 
+def periodic(points: Any) -> gk.points.NeighborGrid:
+    cell = [[1.0, 0.0, 0.0], [0.2, 0.9, 0.0], [0.1, -0.2, 1.1]]
+    return gk.points.NeighborGrid(points, 0.5, periodic=cell, device="cpu")
+
+
 # Queries of arrays with gradients, for each library alike; arrays that take time to make are functions.
 QUERIES: dict[str, tuple[Callable[..., Any], tuple[np.ndarray | Callable[[], np.ndarray], ...]]] = {
     "closest_point": (lambda v, p: surface(v).closest_point(p), (BODY.vertices, AROUND)),
@@ -110,6 +115,11 @@ QUERIES: dict[str, tuple[Callable[..., Any], tuple[np.ndarray | Callable[[], np.
     "knn": (lambda a, b: cloud(a).knn(b, k=3), (A, B)),
     "knn of the points": (lambda a: cloud(a).knn(k=3, exclude_self=True), (A,)),
     "hybrid": (lambda a, b: cloud(a).hybrid(b, k=3, radius=0.2), (A, B)),
+    "radius_search": (lambda a, b: cloud(a).radius_search(b, radius=0.4), (A, B)),
+    "radius_search of the points": (lambda a: cloud(a).radius_search(radius=0.4, order="any"), (A,)),
+    "radius_search by queries": (lambda b: cloud(A).radius_search(b, radius=0.3, order="distance"), (B,)),
+    "neighbor_list": (lambda a, b: periodic(a).neighbor_list(b, radius=0.7), (A, B)),
+    "neighbor_list of the points": (lambda a: periodic(a).neighbor_list(exclude_self=True), (A,)),
     "density": (lambda a, b: gk.points.density(a, radius=0.4, kernel="poly6", queries=b, device="cpu"), (A, B)),
     "density of the points": (lambda a: gk.points.density(a, radius=0.4, kernel="wendland_c2", device="cpu"), (A,)),
     "chamfer": (lambda a, b: gk.points.chamfer(a, b, device="cpu"), (A, B)),
@@ -491,10 +501,14 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("message", "ask"),
         [
-            ("queries: a wp.Tape is recording", lambda p: cloud(A).radius_search(p, radius=0.2)),
+            ("queries: a wp.Tape is recording", lambda p: cloud(A).count(p, radius=0.2)),
+            ("radius_search: distances to images .*; use neighbor_list", lambda p: periodic(p).radius_search()),
             ("points: a wp.Tape is recording", lambda p: surface(BODY.vertices).furthest_point(p)),
             ("points: a wp.Tape is recording", lambda p: surface(BODY.vertices).contains(p)),
-            ("points: a wp.Tape is recording, and radius_search has no", lambda p: cloud(p).radius_search(radius=0.2)),
+            (
+                "points: a wp.Tape is recording, and radius_search_blocks has no",
+                lambda p: cloud(p).radius_search_blocks(radius=0.2),
+            ),
             ("points: a wp.Tape is recording, and pairs has no", lambda p: cloud(p).pairs(radius=0.2)),
             ("vertices: a wp.Tape is recording, and sign_confidence", lambda p: surface(p, OPEN).sign_confidence(A)),
             ("vertices: a wp.Tape is recording, and raycast_all", lambda p: surface(p, OPEN).raycast_all(A, A)),
