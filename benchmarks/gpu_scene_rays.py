@@ -1,4 +1,4 @@
-"""Rays on scenes by kind, on a GPU beside raw warp: ``python -m benchmarks.gpu_scene_rays [--rays N] [--scenes NAME ...]``.
+"""Rays on scenes by kind, on a GPU beside raw warp: ``python -m benchmarks.gpu_scene_rays [--rays N] [--scenes NAME]``.
 
 First hits and any hits of camera rays, bounces and random rays, from arrays on the device. Raw warp is one launch over
 float32 arrays and the faster of two of its trees; geokit takes and gives float64.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from types import ModuleType
@@ -12,11 +11,10 @@ import pytest
 
 import geokit as gk
 from tests.support import reference
+from tests.support.page_blocks import blocks_of, run_block
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8")
-# Each block says in its first line, a comment, what it shows.
-BLOCKS = dict(re.findall(r"^```python\n# (\w+)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL))
+PAGE = ROOT / "docs" / "kernels.md"
 # Coordinates up to 1.5 in float32, through some ten operations each rounded at 6e-8.
 SINGLE = 2e-6
 # A gradient is a difference of such values over a voxel of 0.04.
@@ -26,24 +24,15 @@ SINGLE_INDEX = 1e-4
 
 
 def run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The block as a module of its own: warp reads the source of kernels from their file."""
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / f"block_{name}.py"
-    path.write_text(BLOCKS[name], encoding="utf-8")
-    spec = importlib.util.spec_from_file_location(f"kernels_page_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return run_block(PAGE, name, tmp_path, monkeypatch)
 
 
 def test_every_block_is_checked():
-    assert set(BLOCKS) == {"mesh", "volume", "grid", "moving", "team", "all"}
-    assert PAGE.count("```python") == len(BLOCKS)
+    assert set(blocks_of(PAGE)) == {"mesh", "volume", "grid", "moving", "team", "all"}
 
 
 def test_links_lead_somewhere():
-    for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
+    for target in re.findall(r"\]\(([^)#]+)\)", PAGE.read_text(encoding="utf-8")):
         assert (ROOT / "docs" / target).exists(), target
 
 
