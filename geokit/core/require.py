@@ -183,13 +183,18 @@ def require_mapping(value: Any, name: str, *, blank: bool = False) -> dict[str, 
     """Return a mapping from names to values as a dict.
 
     Raises:
-        InputError: ``value`` is not a mapping, or one of its keys is not a text, or is blank without ``blank``.
+        InputError: ``value`` is not a mapping, or one of its keys is not a text, is one that UTF-8 does not hold (half
+            of a surrogate pair), or is blank without ``blank``.
     """
     if not isinstance(value, Mapping):
         raise InputError(f"{name}: {described(value)} is not a mapping; give a dict with a value for each name")
     for key in value:
         if not isinstance(key, str) or not (blank or key.strip()):
             raise InputError(f"{name}: the name {described(key)} is not a text; give each value a name")
+        try:
+            key.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{name}: the name {described(key)} cannot be encoded; rename it") from None
     return dict(value)
 
 
