@@ -91,5 +91,12 @@ def _require_tensor(vertices: Any, remedy: str) -> None:
 
 
 def _mesh(vertices: Any, faces: Any) -> mesh.TriangleMesh:
-    plain = faces.detach().cpu().numpy() if isinstance(faces, torch.Tensor) else faces
-    return mesh.TriangleMesh(vertices.cpu().numpy(), plain)
+    plain = _on_host(faces, "faces") if isinstance(faces, torch.Tensor) else faces
+    return mesh.TriangleMesh(_on_host(vertices, "vertices"), plain)
+
+
+def _on_host(values: torch.Tensor, name: str) -> Any:
+    try:
+        return values.numpy(force=True)
+    except (RuntimeError, TypeError) as error:
+        raise InputError(f"{name}: the tensor cannot be read ({error}); give a dense one with memory") from error
