@@ -30,6 +30,7 @@ __all__ = [
     "require_instance",
     "require_items",
     "require_mapping",
+    "require_memory",
     "require_number",
     "require_path",
     "require_table",
@@ -273,8 +274,22 @@ def refuse_recording(name: str) -> InputError:
     )
 
 
+def require_memory(tensor: Any) -> None:
+    """Refuse a tensor of torch that has no memory of its own, of which others would read whatever lies at address 0.
+
+    Classes that wrap other tensors (masked, distributed and fake ones) have none, nor has one whose storage was freed.
+
+    Raises:
+        ValueError: It has none.
+    """
+    if not tensor.data_ptr() and tensor.numel():
+        raise ValueError("it has no memory of its own; give the plain tensor that holds its numbers")
+
+
 def _on_host(values: Any) -> Any:
     """What may lie on a GPU, as an array of the host: NumPy does not copy it by itself."""
+    if hasattr(values, "untyped_storage"):
+        require_memory(values)
     # The property itself raises errors for tensors of the host, or with gradients.
     if hasattr(type(values), "__cuda_array_interface__"):
         for name in ("cpu", "get", "copy_to_host", "numpy"):  # torch, CuPy, Numba, warp

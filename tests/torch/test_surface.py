@@ -104,6 +104,14 @@ def test_tensors_without_rows_in_memory_are_refused():
     with pytest.raises(gk.InputError, match="holds no numbers"):
         gk.volume.from_mesh(gk.mesh.box(), 0.3, device="cpu").sample(CORNERS.to("meta").requires_grad_())
     with pytest.warns(UserWarning, match="prototype"):
-        masked = torch.masked.masked_tensor(CORNERS, CORNERS > 0.0)
-    with pytest.raises(gk.InputError, match=r"points.*masked entries"):
-        surface.closest_point(masked)
+        masked = torch.masked.masked_tensor(CORNERS, CORNERS >= 0.0)
+    freed = CORNERS.clone()
+    freed.untyped_storage().resize_(0)
+    # Their numbers would be read at address 0.
+    for bare in (masked, freed):
+        for ask in (surface.closest_point, lambda rows: gk.points.NeighborGrid(rows, 0.3, device="cpu")):
+            with pytest.raises(gk.InputError, match=r"points.*no memory of its own"):
+                ask(bare)
+        for make in (gk.mesh.TriangleMesh, gk.torch.Surface):
+            with pytest.raises(gk.InputError, match=r"vertices.* cannot be read"):
+                make(bare, FACES)
