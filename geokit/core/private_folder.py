@@ -16,7 +16,9 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["private_folder"]
+from geokit.errors import FileAccessError
+
+__all__ = ["private_folder", "temporary_parent"]
 
 PREFIX = ".geokit-"
 LOCK = "lock"
@@ -55,6 +57,20 @@ def private_folder(parent: str | os.PathLike[str]) -> Iterator[Path]:
         except OSError:
             shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
+
+
+def temporary_parent() -> str:
+    """The system's folder for temporary files.
+
+    Raises:
+        FileAccessError: None can be written to.
+    """
+    try:
+        return tempfile.gettempdir()
+    except FileNotFoundError as error:
+        raise FileAccessError(
+            f"temporary files: {error.strerror}; free some room, or name a folder in the variable TMPDIR"
+        ) from None
 
 
 def _made(parent: Path) -> tuple[Path, int]:

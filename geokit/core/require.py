@@ -30,6 +30,7 @@ __all__ = [
     "require_instance",
     "require_items",
     "require_mapping",
+    "require_memory",
     "require_number",
     "require_path",
     "require_table",
@@ -183,13 +184,18 @@ def require_mapping(value: Any, name: str, *, blank: bool = False) -> dict[str, 
     """Return a mapping from names to values as a dict.
 
     Raises:
-        InputError: ``value`` is not a mapping, or one of its keys is not a text, or is blank without ``blank``.
+        InputError: ``value`` is not a mapping, or one of its keys is not a text, is one that UTF-8 does not hold (half
+            of a surrogate pair), or is blank without ``blank``.
     """
     if not isinstance(value, Mapping):
         raise InputError(f"{name}: {described(value)} is not a mapping; give a dict with a value for each name")
     for key in value:
         if not isinstance(key, str) or not (blank or key.strip()):
             raise InputError(f"{name}: the name {described(key)} is not a text; give each value a name")
+        try:
+            key.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{name}: the name {described(key)} cannot be encoded; rename it") from None
     return dict(value)
 
 
@@ -268,8 +274,22 @@ def refuse_recording(name: str) -> InputError:
     )
 
 
+def require_memory(tensor: Any) -> None:
+    """Refuse a tensor of torch that has no memory of its own, of which others would read whatever lies at address 0.
+
+    Classes that wrap other tensors (masked, distributed and fake ones) have none, nor has one whose storage was freed.
+
+    Raises:
+        ValueError: It has none.
+    """
+    if not tensor.data_ptr() and tensor.numel():
+        raise ValueError("it has no memory of its own; give the plain tensor that holds its numbers")
+
+
 def _on_host(values: Any) -> Any:
     """What may lie on a GPU, as an array of the host: NumPy does not copy it by itself."""
+    if hasattr(values, "untyped_storage"):
+        require_memory(values)
     # The property itself raises errors for tensors of the host, or with gradients.
     if hasattr(type(values), "__cuda_array_interface__"):
         for name in ("cpu", "get", "copy_to_host", "numpy"):  # torch, CuPy, Numba, warp

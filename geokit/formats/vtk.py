@@ -17,15 +17,20 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.core.forks import renew_after_fork
-from geokit.errors import FileFormatError
+from geokit.errors import FileFormatError, InputError
 from geokit.formats.body import Body
 from geokit.mesh._data import has_meaning
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "unit_of", "write_mesh", "write_points"]
+__all__ = [
+    "holds_name", "lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "unit_of", "write_mesh",
+    "write_points",
+]  # fmt: skip
 
+# Characters that XML does not hold, or turns into spaces.
+_NO_XML = re.compile("[\\x00-\\x1f\\ud800-\\udfff\\ufffe\\uffff]")
 # Names of the arrays that say what the numbers mean.
 _METERS, _UP = "meters_per_unit", "up_axis"
 # VTK's cell types of lines and points, which are left out if there are faces.
@@ -244,6 +249,11 @@ def _strip(corners: np.ndarray) -> np.ndarray:
     return triangles
 
 
+def holds_name(name: str, kind: str) -> bool:
+    """Whether an array's name can be written. VTK ends the process where one in a .vtk has braces."""
+    return not _NO_XML.search(name) and (kind != ".vtk" or not {*name} & {*"{}"})
+
+
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write poly data, .vtp (compressed) or legacy .vtk (binary), by VTK, and .vtu through meshio.
 
@@ -356,6 +366,8 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     vertices.SetData(numpy_to_vtkIdTypeArray(ids, deep=True), numpy_to_vtkIdTypeArray(ids[:-1], deep=True))
     result.SetVerts(vertices)
     for name, values in data.items():
+        if not holds_name(name, ".vtp"):
+            raise InputError(f"data: {name!r} cannot be an array's name in .vtp; rename it")
         plain = values.astype(np.uint8) if values.dtype.kind == "b" else values
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
         array.SetName(name)

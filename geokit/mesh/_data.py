@@ -112,14 +112,20 @@ def checked_materials(materials: Any, face_data: Data) -> tuple[Material, ...]:
     found = tuple(require_items(materials, "materials", Material))
     for row, material in enumerate(found):
         require_text(material.name, f"materials[{row}].name")
-        if material.color is not None and read_array(material.color, f"materials[{row}].color").shape != (4,):
-            raise InputError(f"materials[{row}].color: {material.color!r} is not red, green, blue and alpha; give four")
+        if material.color is not None:
+            color = read_array(material.color, f"materials[{row}].color")
+            if color.shape != (4,) or not np.isfinite(color).all():
+                raise InputError(
+                    f"materials[{row}].color: {material.color!r} is not red, green, blue and alpha; give four numbers"
+                )
         if material.texture is not None:
             texture = require_instance(material.texture, f"materials[{row}].texture", Texture, "give one, or None")
             require_text(texture.name, f"materials[{row}].texture.name")
             require_instance(texture.data, f"materials[{row}].texture.data", bytes, "give the bytes of the file")
         if material.alpha_cutoff is not None:
-            require_number(material.alpha_cutoff, f"materials[{row}].alpha_cutoff")
+            cutoff = require_number(material.alpha_cutoff, f"materials[{row}].alpha_cutoff")
+            if not np.isfinite(cutoff):
+                raise InputError(f"materials[{row}].alpha_cutoff: {cutoff} is no alpha; give one from 0 to 1")
     used = face_data.get("material")
     if used is not None and used.ndim == 1 and used.dtype.kind in "iu":
         bad = (used < -1) | (used >= len(found))

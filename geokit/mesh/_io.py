@@ -203,7 +203,7 @@ def save(
     if points or cells:
         mesh = with_data(mesh, vertex_data={**mesh.vertex_data, **points}, face_data={**mesh.face_data, **cells})
     module = module_of(kind)
-    mesh, lost = what_is_held(mesh, written, module)
+    mesh, lost = what_is_held(mesh, written, module, kind)
     if lost:
         warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
     target = require_path(path)

@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.private_folder import temporary_parent
 from geokit.errors import FileFormatError, WorkerError
 from geokit.native._metadata import raw
 
@@ -33,7 +33,7 @@ _MAX_THREADS = 8
 
 def spool_folders(file_size: int) -> list[str]:
     """Parent folders for the worker's results, best first: shared memory if it has room, then the temporary folder."""
-    folders = [tempfile.gettempdir()]
+    folders = [temporary_parent()]
     with contextlib.suppress(OSError):
         if shutil.disk_usage("/dev/shm").free > _EXPANSION * file_size and os.access("/dev/shm", os.W_OK):
             folders.insert(0, "/dev/shm")

@@ -9,7 +9,7 @@ import torch
 from geokit import mesh
 from geokit.core.gradients.rules import hold, split
 from geokit.core.gradients.with_torch import LIBRARY
-from geokit.core.require import require_instance
+from geokit.core.require import require_instance, require_memory
 from geokit.errors import InputError
 
 __all__ = ["Surface", "sample_surface"]
@@ -91,5 +91,13 @@ def _require_tensor(vertices: Any, remedy: str) -> None:
 
 
 def _mesh(vertices: Any, faces: Any) -> mesh.TriangleMesh:
-    plain = faces.detach().cpu().numpy() if isinstance(faces, torch.Tensor) else faces
-    return mesh.TriangleMesh(vertices.cpu().numpy(), plain)
+    plain = _on_host(faces, "faces") if isinstance(faces, torch.Tensor) else faces
+    return mesh.TriangleMesh(_on_host(vertices, "vertices"), plain)
+
+
+def _on_host(values: torch.Tensor, name: str) -> Any:
+    try:
+        require_memory(values)
+        return values.numpy(force=True)
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: the tensor cannot be read ({error}); give a dense one with memory") from error

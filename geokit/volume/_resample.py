@@ -149,6 +149,11 @@ def _band(volume: SparseVolume, transform: NDArray[np.float64]) -> _Band:
         # Distances beyond the band need cubes: those missing are computed on the target's voxels if these are cubes.
         widths = widths_of(volume, old)
         known = BandWidths(*(min(width, width * old / new) for width in widths))
+        if is_cubic(transform) and widths.widest > WIDEST_BAND:
+            raise InputError(
+                f"volume: its band is {widths.widest:.3g} voxels wide, of the mean size {old:.3g}, too much to be made "
+                "of cubes; give a transform with voxels of the same proportions"
+            )
         return _Band(volume, new, known, widths if is_cubic(transform) else known)
     old = require_level_set(volume, "volume")
     widths = widths_of(volume, old)

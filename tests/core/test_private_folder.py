@@ -9,13 +9,15 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 from pathlib import Path
 
 import pytest
 
 from geokit.core import private_folder as module
-from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder
+from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder, temporary_parent
+from geokit.errors import FileAccessError
 
 HOLDER = """
 import sys, time
@@ -133,3 +135,12 @@ def test_looking_takes_a_small_share_of_the_time(tmp_path, monkeypatch):
         with private_folder(tmp_path):
             pass
     assert looks.count(tmp_path) == 1
+
+
+def test_no_folder_for_temporary_files_is_named(monkeypatch):
+    def none():
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    with pytest.raises(FileAccessError, match=r"temporary files: No usable .*TMPDIR"):
+        temporary_parent()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -167,6 +168,28 @@ def test_names_that_columns_cannot_have(tmp_path):
     assert sorted(values[0] for values in again.vertex_data.values()) == [0, 1, 2, 3]
 
 
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("kind", "name"), [(".vtk", "{x}"), (".vtk", "a}"), (".vtk", "a\0b"), (".vtp", "a\x1b"), (".vtu", "a\nb")]
+)
+def test_names_that_vtk_cannot_write_are_left_out(tmp_path, kind, name):
+    # VTK ends the process for a brace in a .vtk, and cannot read the control characters that it writes.
+    data = {name: np.arange(30.0), "good {}"[: 4 if kind == ".vtk" else 7]: np.arange(30.0)}
+    with pytest.warns(UserWarning, match=f"{kind} does not hold vertex {re.escape(repr(name))}; left out"):
+        gk.mesh.save(tmp_path / f"a{kind}", TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=data))
+    assert len(gk.mesh.load(tmp_path / f"a{kind}").vertex_data) == 1
+
+
+def test_points_with_names_that_xml_cannot_hold(tmp_path):
+    with pytest.raises(gk.InputError, match=r"data: 'a\\x00b' cannot be an array's name in \.vtp"):
+        gk.points.save(tmp_path / "a.vtp", np.eye(3), data={"a\0b": np.arange(3)})
+
+
+def test_half_of_a_surrogate_pair_is_no_name():
+    with pytest.raises(gk.InputError, match=r"vertex_data: the name '\\ud800' cannot be encoded"):
+        TriangleMesh(np.eye(3), [[0, 1, 2]], vertex_data={"\ud800": np.arange(3)})
+
+
 # --- files of other programs -----------------------------------------------------------------------------------------
 
 
@@ -268,6 +291,24 @@ def test_damaged_references_of_an_obj_leave_the_geometry(tmp_path, change, messa
         mesh = gk.mesh.load(tmp_path / "a.obj")
     assert mesh.face_count == 6
     assert len(mesh.corner_data) == 1
+
+
+def test_colors_that_are_no_numbers(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl wood\nKd nan 0 0\nnewmtl my red\nKd 1 0 0\n")
+    (tmp_path / "a.obj").write_text(OBJ)
+    with pytest.warns(UserWarning, match="the color of material 'wood' is left out"):
+        first, second = gk.mesh.load(tmp_path / "a.obj").materials
+    assert (first.color, second.color) == (None, (1.0, 0.0, 0.0, 1.0))
+    # As JSON of glTF they would be no JSON.
+    for changed, named in ({"color": (np.nan, 0, 0, 1)}, r"\[0\].color"), ({"alpha_cutoff": np.inf}, "alpha_cutoff"):
+        with pytest.raises(gk.InputError, match=f"materials.*{named}"):
+            TriangleMesh(np.eye(3), [[0, 1, 2]], materials=[Material("m")._replace(**changed)])
+
+
+def test_a_library_whose_name_is_too_long_leaves_the_geometry(tmp_path):
+    (tmp_path / "a.obj").write_text(OBJ.replace("a.mtl", "x" * 5000))
+    with pytest.warns(UserWarning, match="materials have only their names"):
+        assert gk.mesh.load(tmp_path / "a.obj").face_count == 6
 
 
 def test_files_that_an_obj_lacks_are_named_and_none_outside_is_read(tmp_path):

@@ -55,10 +55,11 @@ def _background(value: float) -> Lie:
     return lie
 
 
-def _voxels(size: float) -> Lie:
+def _voxels(*size: float) -> Lie:
     def lie(header: Any, nodes: GridNodes) -> None:
         with np.errstate(over="ignore", under="ignore"):
-            header["matrix"], header["inverse"] = np.eye(3).ravel() * size, np.eye(3).ravel() / size
+            header["matrix"] = (np.eye(3) * size).ravel()
+            header["inverse"] = (np.eye(3) / np.array(size)).ravel()
             header["matrix_f"], header["inverse_f"] = header["matrix"], header["inverse"]
         header["voxel_size"] = size
 
@@ -190,6 +191,8 @@ HEADER_LIES: dict[str, Lie] = {
     "voxels 1e300": _voxels(1e300),
     "voxels 1e-30": _voxels(1e-30),
     "voxels 1e30": _voxels(1e30),
+    "voxels flat": _voxels(0.06, 1e-45, 0.06),
+    "voxels long": _voxels(0.06, 0.06, 1e30),
     "translation 1e300": _vector(1e300),
     "translation 1.7e308": _vector(1.7e308),
     "translation 1e18": _vector(1e18),

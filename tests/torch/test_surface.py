@@ -91,3 +91,27 @@ def test_a_graph_is_freed_once():
 def test_a_mesh_of_tensors_with_gradients_is_refused_by_name():
     with pytest.raises(gk.InputError, match=r"vertices: requires gradients, which are not recorded here"):
         gk.mesh.TriangleMesh(CORNERS.clone().requires_grad_(), FACES)
+
+
+def test_tensors_without_rows_in_memory_are_refused():
+    surface = gk.mesh.Surface(gk.mesh.box(), device="cpu")
+    for points in (CORNERS.to_sparse(), CORNERS.to_sparse().requires_grad_()):
+        with pytest.raises(gk.InputError, match="points"):
+            surface.closest_point(points)
+    for vertices, faces in ((CORNERS.to("meta"), FACES), (CORNERS, torch.tensor(FACES).bfloat16())):
+        with pytest.raises(gk.InputError, match="cannot be read"):
+            gk.torch.Surface(vertices, faces)
+    with pytest.raises(gk.InputError, match="holds no numbers"):
+        gk.volume.from_mesh(gk.mesh.box(), 0.3, device="cpu").sample(CORNERS.to("meta").requires_grad_())
+    with pytest.warns(UserWarning, match="prototype"):
+        masked = torch.masked.masked_tensor(CORNERS, CORNERS >= 0.0)
+    freed = CORNERS.clone()
+    freed.untyped_storage().resize_(0)
+    # Their numbers would be read at address 0.
+    for bare in (masked, freed):
+        for ask in (surface.closest_point, lambda rows: gk.points.NeighborGrid(rows, 0.3, device="cpu")):
+            with pytest.raises(gk.InputError, match=r"points.*no memory of its own"):
+                ask(bare)
+        for make in (gk.mesh.TriangleMesh, gk.torch.Surface):
+            with pytest.raises(gk.InputError, match=r"vertices.* cannot be read"):
+                make(bare, FACES)

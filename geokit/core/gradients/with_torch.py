@@ -34,6 +34,8 @@ def attach(call: Call) -> Any:
     for name, tensor in zip(call.names, tensors, strict=True):
         if tensor.dtype not in (torch.float32, torch.float64):
             raise InputError(f"{name}: {tensor.dtype} has no gradients; give float32 or float64")
+        if tensor.is_meta:
+            raise InputError(f"{name}: a tensor on the meta device holds no numbers; give one with memory")
     if _is_transformed():
         answer = _Query.apply(call, *tensors)
     else:

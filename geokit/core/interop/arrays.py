@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.require import require_unrecorded
+from geokit.core.require import require_memory, require_unrecorded
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def import_array(values: Any, name: str) -> "wp.array":
             resolve_device("cpu")  # starts warp, which sharing does not
             torch = sys.modules.get("torch")
             if torch is not None and isinstance(values, torch.Tensor):
+                require_memory(values)
                 device = wp.device_from_torch(values.device)
                 return wp.from_torch(values) if is_in_order(torch, device) else wp.from_dlpack(values)
             device, _ = values.__dlpack_device__()

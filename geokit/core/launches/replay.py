@@ -127,8 +127,10 @@ def _host_rows(torch: Any, given: Sequence[Any], rows: int) -> tuple[Any, ...] |
             arrays.append(tensor)
         elif tensor.is_cpu and tensor.dtype in (torch.float32, torch.float64) and not tensor.requires_grad:
             try:
+                if not tensor.data_ptr():  # empty, or freed, which is named where it is read
+                    return None
                 arrays.append(tensor.numpy())
-            except RuntimeError:  # of a tensor inside torch.func's transforms, which has no memory
+            except (RuntimeError, TypeError):  # inside torch.func's transforms it has no memory, a sparse one no rows
                 return None
         else:
             return None

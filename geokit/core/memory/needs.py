@@ -190,9 +190,11 @@ def is_out_of_memory(error: BaseException) -> bool:
         return False
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
         return True
-    return isinstance(error, (RuntimeError, SystemError, ImportError, OSError, ValueError)) and any(
-        t in str(error).lower() for t in TEXTS
-    )
+    if not isinstance(error, (RuntimeError, SystemError, ImportError, OSError, ValueError)):
+        return False
+    # Warp names a library that it cannot load, and the cause says why.
+    reason = error.__cause__
+    return any(t in str(error).lower() for t in TEXTS) or (reason is not None and is_out_of_memory(reason))
 
 
 def _restate(error: DeviceMemoryError, name: str, need: int) -> None:
@@ -203,7 +205,7 @@ def _restate(error: DeviceMemoryError, name: str, need: int) -> None:
 
 
 def _refusal(what: str, need: int, have: int) -> DeviceMemoryError:
-    needed = f"needs about {need / 2**20:.0f} MiB" if need else "needs more memory"
+    needed = f"needs about {need / 2**20:.0f} MiB" if need >= 1 << 20 else "needs more memory"
     return DeviceMemoryError(
         f"{what}: {needed}, of {have / 2**20:.0f} MiB free; give it less at a time, or free some memory", need=need
     )

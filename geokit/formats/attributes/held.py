@@ -17,7 +17,7 @@ from geokit.mesh.attributes.seams import split_seams
 __all__ = ["what_is_held"]
 
 
-def what_is_held(mesh: TriangleMesh, held: Format, module: Any) -> tuple[TriangleMesh, list[str]]:
+def what_is_held(mesh: TriangleMesh, held: Format, module: Any, kind: str = "") -> tuple[TriangleMesh, list[str]]:
     """The mesh with what a format holds, and the names of what it does not.
 
     Attributes of corners move to vertices where only these may have them; one that both have is that of the corners.
@@ -25,18 +25,23 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any) -> tuple[Triangl
     Args:
         mesh: The mesh.
         held: The line of the format.
-        module: The module of the format, which may define ``holds_type(values)`` and ``holds_texture(data)``, and
-            ``HOLDS_CUTOFFS = False`` if its materials have no alpha cutoff.
+        module: The module of the format, which may define ``holds_type(values)``, ``holds_name(name, kind)`` and
+            ``holds_texture(data)``, and ``HOLDS_CUTOFFS = False`` if its materials have no alpha cutoff.
+        kind: The extension, for ``holds_name``.
     """
     said = mesh.materials or mesh.meters_per_unit or mesh.up_axis
     if not (mesh.vertex_data or mesh.face_data or mesh.corner_data or said):
         return mesh, []
     holds_type = getattr(module, "holds_type", None)
+    holds_name = getattr(module, "holds_name", lambda *_: True)
     holds_texture = getattr(module, "holds_texture", None)
     materials = " material" * held.materials
     corner = _held(mesh.corner_data, held.corner or held.vertex, 2, holds_type)
     vertex = _held(mesh.vertex_data, held.vertex, 1, holds_type)
     face = _held(mesh.face_data, held.face + materials, 1, holds_type)
+    for data in (corner, vertex, face):
+        for name in [name for name in data if not holds_name(name, kind)]:
+            del data[name]
     lost = [f"vertex {name!r}" for name in mesh.vertex_data if name not in vertex]
     # Without materials, their numbers are not worth a word.
     lost += [f"face {name!r}" for name in mesh.face_data if name not in face and (name, materials) != ("material", "")]

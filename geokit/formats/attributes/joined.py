@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.formats.body import Body
+from geokit.formats.body import Body, FileMaterial
 from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
 from geokit.mesh.attributes.derived import turned_normals
 
@@ -62,10 +63,7 @@ class JoinedData:
         for at, kind in enumerate(_KINDS):
             pieces, counts = [data[at] for data in self._pieces], [count[at] for count in self._counts]
             found[kind] = self._concatenated(pieces, counts, axes=2 if kind == "corner_data" else 1)
-        found["materials"] = tuple(
-            Material(name, color, Texture(texture_name, texture) if texture else None, cutoff)  # type: ignore[arg-type]
-            for name, color, texture_name, texture, cutoff in self._first.materials
-        )
+        found["materials"] = tuple(map(self._material, self._first.materials))
         found["meters_per_unit"] = self._first.meters_per_unit
         found["up_axis"] = self._first.up_axis
         if self._notes:
@@ -73,6 +71,17 @@ class JoinedData:
             more = [f"and {len(self._notes) - MOST_NOTES} more"] if len(self._notes) > MOST_NOTES else []
             warnings.warn(f"{path}: {'; '.join([*said, *more])}", UserWarning, stacklevel=stacklevel)
         return {name: value for name, value in found.items() if value}
+
+    def _material(self, given: FileMaterial) -> Material:
+        color, cutoff = given.color, given.alpha_cutoff
+        if color is not None and not (len(color) == 4 and all(map(math.isfinite, color))):
+            self._notes[f"the color of material {given.name!r} is left out: it is not four numbers"] = None
+            color = None
+        if cutoff is not None and not math.isfinite(cutoff):
+            self._notes[f"the alpha cutoff of material {given.name!r} is left out: it is no number"] = None
+            cutoff = None
+        texture = Texture(given.texture_name, given.texture) if given.texture else None
+        return Material(given.name, color, texture, cutoff)
 
     def _read(self, data: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
         read: dict[str, NDArray[Any]] = {}

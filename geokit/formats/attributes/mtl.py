@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -36,7 +37,7 @@ def read_libraries(
     found: dict[str, FileMaterial] = {}
     for listed in names:
         # The names of several files are separated by spaces, which one name may contain as well.
-        for name in [listed] if (path.parent / listed).is_file() else listed.split():
+        for name in [listed] if os.path.isfile(path.parent / listed) else listed.split():
             content = _content(name, path.parent, path, folders, notes, "materials have only their names")
             if content is not None:
                 text, base = content[1].decode("utf-8", "replace"), content[0].parent

@@ -7,6 +7,9 @@ as in memory. Chunks are read a row at a time.
 from __future__ import annotations
 
 import itertools
+import math
+import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit.core.content_limit import require_content
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import (
@@ -29,6 +33,7 @@ from geokit.formats.images.image import (
     require_three,
 )
 from geokit.formats.images.stream import rows_at_a_time
+from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
 
@@ -49,24 +54,43 @@ CHUNK = 64
 def open_images(path: Path, limit: int) -> list[Image]:
     """Read the metadata."""
     zarr = require_package("zarr")
+    _require_files(path)
     with reading(path):
         node = zarr.open(str(path), mode="r")
         if not hasattr(node, "arrays"):
-            return _of_array(path, node, "", {}, {})
+            return _of_array(path, node, "", {}, {}, limit)
         facts = dict(node.attrs)
         scales = facts.get("multiscales", (facts.get("ome") or {}).get("multiscales"))
         if scales:
-            return _of_array(path, node[str(scales[0]["datasets"][0]["path"])], "", scales[0], facts)
-        found = [_of_array(path, array, name, {}, {}) for name, array in sorted(node.arrays())]
+            return _of_array(path, node[str(scales[0]["datasets"][0]["path"])], "", scales[0], facts, limit)
+        found = [_of_array(path, array, name, {}, {}, limit) for name, array in sorted(node.arrays())]
         if not found:
             raise FileFormatError(f"{path}: holds no arrays at its top; name the group or array that holds them")
     return list(itertools.chain.from_iterable(found))
 
 
-def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any) -> list[Image]:
+def _require_files(path: Path) -> None:
+    """Check that all in the folder are regular files in it; of FIFOs zarr would wait for ever.
+
+    Raises:
+        FileAccessError: One is not, or a link leads elsewhere.
+    """
+    folders = allowed_folders(None)
+    for folder, names, files in os.walk(path):
+        for entry in (Path(folder, name) for name in (*names, *files)):
+            status = entry.lstat().st_mode
+            if not (stat.S_ISREG(status) or stat.S_ISDIR(status)):
+                require_inside(str(entry.relative_to(path)), entry, path, folders)
+
+
+def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: int) -> list[Image]:
     sizes, dtype = [int(n) for n in array.shape], np.dtype(array.dtype)
     if dtype.kind not in "fiub":
         raise FileFormatError(f"{path}: holds {in_one_line(str(dtype))}; convert it to real numbers")
+    if min(array.chunks, default=0) < 1:
+        raise FileFormatError(f"{path}: has chunks of {array.chunks} voxels; the file is damaged, export it again")
+    # A whole chunk is decompressed, however little of it is part of the array.
+    require_content(path, math.prod(map(int, array.chunks)) * dtype.itemsize, limit)
     named = getattr(getattr(array, "metadata", None), "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
     axes = scale.get("axes") or [{"name": one} for one in named or ()]
     axes = [one if isinstance(one, dict) else {"name": one} for one in axes]

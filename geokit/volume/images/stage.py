@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path, extension
-from geokit.core.private_folder import private_folder
+from geokit.core.private_folder import private_folder, temporary_parent
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.images.image import METERS
 from geokit.formats.reader import process, trusted
@@ -106,7 +105,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
     metadata = {key: value for key, value in said.items() if value is not None}
     fields, packed = [], iter(arrays)
     with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(private_folder(tempfile.gettempdir())) if arrays else None
+        folder = stack.enter_context(private_folder(temporary_parent())) if arrays else None
         for number, field in enumerate(facts["fields"]):
             file = Path(field["file"])
             if folder is not None and not field["file"]:

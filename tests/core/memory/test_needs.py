@@ -58,6 +58,13 @@ def test_other_errors_pass(error) -> None:
     assert raised.value is error
 
 
+def test_a_library_without_room_is_named_by_the_cause() -> None:
+    error = RuntimeError("Failed to load the shared library 'warp.so'")
+    error.__cause__ = OSError("warp.so: failed to map segment from shared object")
+    with pytest.raises(DeviceMemoryError, match="work: needs more memory"):
+        failing(error)(1)
+
+
 def test_a_part_says_what_the_whole_needs() -> None:
     with pytest.raises(DeviceMemoryError, match=r"^part \(work needs about 3 MiB in all\)$") as raised:
         failing(DeviceMemoryError("part", need=MIB))(3 * MIB)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +159,36 @@ def test_a_zarr_of_nothing_but_claims_is_refused(tmp_path: Path) -> None:
     zarr.create_array(str(tmp_path / "a.zarr"), shape=(100_000, 2000, 2000), chunks=(64, 64, 64), dtype="f4")
     with pytest.raises(gk.DeviceMemoryError, match=r"a\.zarr: its content needs .* GiB"):
         gk.volume.load(tmp_path / "a.zarr")
+
+
+def _array(path: Path, **more: object) -> Path:
+    """An array of zarr 2 with one chunk of 4^3 floats, which is not there."""
+    path.mkdir(exist_ok=True)
+    facts = {"zarr_format": 2, "shape": [4, 4, 4], "chunks": [4, 4, 4], "dtype": "<f4", "compressor": None}
+    (path / ".zarray").write_text(json.dumps({**facts, "fill_value": 0, "order": "C", "filters": None, **more}))
+    return path
+
+
+def test_a_zarr_is_made_of_regular_files_in_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    path = _array(tmp_path / "here" / "a.zarr")
+    chunk = path / "0.0.0"
+    os.mkfifo(chunk)  # zarr would wait for someone who writes
+    with pytest.raises(gk.FileAccessError, match=r"a\.zarr: refers to '0\.0\.0', which is not a regular file"):
+        gk.volume.load(path)
+    chunk.unlink()
+    (tmp_path / "secret").write_bytes(np.arange(64, dtype="<f4").tobytes())
+    chunk.symlink_to(tmp_path / "secret")
+    with pytest.raises(gk.FileAccessError, match=r"'0\.0\.0' \(.*secret\), outside its own folder"):
+        gk.volume.inspect(path)
+    (tmp_path / "secret").rename(path / "inside")
+    chunk.unlink()
+    chunk.symlink_to("inside")
+    assert gk.volume.load(path).info.active_voxel_count == 63
+
+
+def test_chunks_of_zarr_are_held_to_the_limit(tmp_path: Path) -> None:
+    with pytest.raises(gk.DeviceMemoryError, match=r"its content needs 29.8 GiB of memory.*memory_limit"):
+        gk.volume.load(_array(tmp_path / "a.zarr", chunks=[2000] * 3))
+    with pytest.raises(gk.FileFormatError, match="chunks of"):
+        gk.volume.load(_array(tmp_path / "a.zarr", chunks=[0] * 3))

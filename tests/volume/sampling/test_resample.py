@@ -155,3 +155,10 @@ class TestRefusals:
         other = SparseVolume(source.nanovdb, dataclasses.replace(source.info, grid_type="int32"))
         with pytest.raises(UnsupportedGridError, match="type int32"):
             resample(other, voxel_size=1.0)
+
+
+def test_a_band_of_flat_voxels_that_cubes_cannot_hold_is_refused():
+    # The mean edge is 2e-16, so the band would be 1e15 cubes wide, and grow until the memory ended.
+    flat = level_set(BALL, transform=np.diag([1.0, 1e-45, 1.0, 1.0]))
+    with pytest.raises(InputError, match=r"its band is .* voxels wide.*same proportions"):
+        resample(flat, voxel_size=0.7)
