@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,18 @@ from geokit.mesh._data import has_meaning
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "unit_of", "write_mesh", "write_points"]
+__all__ = [
+    "lacks_faces",
+    "poly_data",
+    "prepare",
+    "read_mesh",
+    "read_points",
+    "reported",
+    "unit_of",
+    "write_mesh",
+    "write_points",
+    "xml_name",
+]
 
 # Names of the arrays that say what the numbers mean.
 _METERS, _UP = "meters_per_unit", "up_axis"
@@ -32,6 +44,12 @@ _METERS, _UP = "meters_per_unit", "up_axis"
 _LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 37, 69, 70, 76, 77)
+# VTK's writers note the largest norm of arrays with several numbers a row, and its readers refuse it as nan or inf. No
+# value depends on it.
+_REFUSED_NORM = re.compile(
+    r"ERROR: In \S+, line \d+\s+vtk\w+ \S+ Error reading InformationKey element for vtkDataArray::\S+ of type \S+"
+)
+_NORMS = re.compile(rb'\s*<InformationKey name="L2_NORM_RANGE".*?</InformationKey>', re.DOTALL)
 _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
 
 
@@ -92,7 +110,7 @@ def read_mesh(path: Path) -> list[Body]:
     with _reports() as said:
         data = _data_set(path)
     # VTK reports a damaged file only as text and returns what it has read so far.
-    message = " ".join(said.GetOutput().split())
+    message = reported(said)
     if "ERR" in message or "Error" in message or data is None:
         raise FileFormatError(
             f"{path}: cannot be read ({_without_pointers(message) or 'no data'}); the file is damaged, export it again"
@@ -141,6 +159,11 @@ def _arrays(data: Any, to_numpy: Any) -> dict[str, NDArray[Any]]:
             # Texture coordinates of volumes have a third number.
             found[name] = values[:, :2] if name == "uv" and values.ndim == 2 else values
     return found
+
+
+def reported(said: Any) -> str:
+    """What VTK reported, on one line; "" if nothing concerns the content of the file."""
+    return " ".join(_REFUSED_NORM.sub("", said.GetOutput()).split())
 
 
 def _without_pointers(message: str) -> str:
@@ -287,7 +310,15 @@ def poly_data(mesh: TriangleMesh) -> Any:
 
 
 def _write(writer: Any, data: Any, path: Path) -> None:
-    """Write through memory: on a full disk, VTK's own file writing ends the process, or reports no error."""
+    """Write through memory: on a full disk, VTK's own file writing ends the process, or reports no error.
+
+    Arrays of what becomes XML get names that can stand there.
+    """
+    is_xml = hasattr(writer, "SetDataModeToBinary")
+    for attributes in (data.GetPointData(), data.GetCellData()) if is_xml else ():
+        for at in range(attributes.GetNumberOfArrays()):
+            array = attributes.GetAbstractArray(at)
+            array.SetName(xml_name(array.GetName()))
     writer.SetInputData(data)
     writer.SetWriteToOutputString(True)
     with _reports() as said:
@@ -296,7 +327,13 @@ def _write(writer: Any, data: Any, path: Path) -> None:
         raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
     # The two writers call it differently, and it is text or bytes, depending on its content.
     whole = writer.GetOutputStdString() if hasattr(writer, "GetOutputStdString") else writer.GetOutputString()
-    path.write_bytes(whole if isinstance(whole, bytes) else whole.encode())
+    content = whole if isinstance(whole, bytes) else whole.encode()
+    path.write_bytes(_NORMS.sub(b"", content) if is_xml else content)
+
+
+def xml_name(name: str) -> str:
+    """A name as text of an XML attribute, which VTK and meshio do not make of it."""
+    return escape("".join(sign if sign.isprintable() else "_" for sign in name), {'"': "&quot;"})
 
 
 def lacks_faces(head: bytes) -> bool:
@@ -325,7 +362,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
     reader.SetFileName(name)
     with _reports() as said:
         reader.Update()
-    message = " ".join(said.GetOutput().split())
+    message = reported(said)
     found = reader.GetOutput()
     if reader.GetErrorCode() or "ERR" in message or "Error" in message or found is None:
         raise FileFormatError(
