@@ -324,6 +324,10 @@ def test_off_whose_lines_are_not_as_its_header_says(tmp_path):
     (tmp_path / "a.off").write_text("NOFF\n3 2 0\n0 0 0 1 0 0\n1 0 0\n0 1 0 1 0 0\n3 0 1 2 255 0 0\n3 0 2 1\n")
     with pytest.warns(UserWarning, match="the attributes of vertices are left out.*; the colors of faces are left out"):
         assert not gk.mesh.load(tmp_path / "a.off").vertex_data
+    # Colors, as many programs write them without a word in the header.
+    (tmp_path / "b.off").write_text("OFF\n3 1 0\n0 0 0 9 9 9\n1 0 0 9 9 9\n0 1 0 9 9 9\n3 0 1 2\n")
+    with pytest.warns(UserWarning, match="the attributes of vertices are left out: their lines are not as long as"):
+        assert not gk.mesh.load(tmp_path / "b.off").vertex_data
 
 
 def glb_parts(data: bytes) -> tuple[dict, bytes]:
@@ -453,7 +457,8 @@ def test_primvars_of_usd(tmp_path):
     primvars.CreatePrimvar("names", Sdf.ValueTypeNames.StringArray, "vertex").Set(["a", "b", "c", "d"])
     primvars.CreatePrimvar("short", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1])
     stage.GetRootLayer().Save()
-    mesh = gk.mesh.load(tmp_path / "a.usda")
+    with pytest.warns(UserWarning, match="the array 'short' of /square is left out: it has 1 rows for 4$"):
+        mesh = gk.mesh.load(tmp_path / "a.usda")
     assert mesh.faces.tolist() == [[2, 1, 0], [3, 2, 0]]
     assert mesh.corner_data["uv"].tolist() == [[[1, 1], [1, 0], [0, 0]], [[0, 0], [1, 1], [0, 0]]]
     assert mesh.corner_data["normal"].tolist() == [[[0, 0, 1]] * 3] * 2
