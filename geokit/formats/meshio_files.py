@@ -17,6 +17,7 @@ from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.vtk import xml_name
 from geokit.mesh._data import full_scale, has_meaning
 
 if TYPE_CHECKING:
@@ -197,10 +198,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write VTK .vtu, Gmsh .msh 4.1 (both binary), and .xdmf in one file, through meshio."""
     meshio = require_package("meshio")
     kind = path.suffix.lower()
-    vertex, face = (
-        {name: _storable(np.array(values), kind) for name, values in _split(_scaled(data, kind), kind).items()}
-        for data in (mesh.vertex_data, mesh.face_data)
-    )
+    vertex, face = (_named(_split(_scaled(data, kind), kind), kind) for data in (mesh.vertex_data, mesh.face_data))
     content = meshio.Mesh(
         np.array(mesh.vertices),
         [("triangle", np.array(mesh.faces))],
@@ -214,6 +212,17 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         meshio.write(path, content, file_format=file_format, **options)
+
+
+def _named(data: Data, kind: str) -> dict[str, NDArray[Any]]:
+    """Arrays as the format has them, with names that meshio's readers find again."""
+    found: dict[str, NDArray[Any]] = {}
+    for given, values in data.items():
+        name = "".join(sign if sign.isprintable() and (sign != '"' or kind == ".vtu") else "_" for sign in given)
+        while (label := xml_name(name) if kind == ".vtu" else name) in found:
+            name += "_"
+        found[label] = _storable(np.array(values), kind)
+    return found
 
 
 def _scaled(data: Data, kind: str) -> Data:

@@ -55,7 +55,8 @@ def read_mesh(path: Path) -> list[Body]:
         raise FileFormatError(f"{path}: vertex {row} has {len(rows[row])} coordinates, not three; the file is damaged")
     points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
     notes: list[str] = []
-    vertex = _vertex_data(whole, header, path, notes) if any(header.groups()) else {}
+    has_more = any(header.groups()) or any(len(row) > 3 for row in whole)
+    vertex = _vertex_data(whole, header, path, notes) if has_more else {}
     tokens: list[bytes] = []
     colors: list[list[bytes]] = []
     rest = iter(lines[1 + vertex_count :])

@@ -37,7 +37,8 @@ def prepare() -> None:
 def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     """Read each visible Mesh prim of the default or render purpose, and each instance of one, in world space.
 
-    Cube, Sphere, Cylinder, Cone and Capsule prims are read as polygons whose vertices lie on them.
+    Cube, Sphere, Cylinder, Cone, Capsule and Plane prims are read as polygons whose vertices lie on them. Other
+    geometry is left out, with a note.
 
     Positions are those of the default time, or of the first sample if there are only samples. Subdivision surfaces are
     read as their control cage. Normals and primvars come along, constant ones on each face; the first texture
@@ -64,9 +65,9 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     if bodies and UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         # UsdGeom.GetStageMetersPerUnit refuses the floats that some exporters write in place of doubles.
         bodies[0] = bodies[0]._replace(meters_per_unit=float(stage.GetMetadata(UsdGeom.Tokens.metersPerUnit)))
-    if bodies and any(prim.GetTypeName() == "Volume" for prim in visible(stage)):
-        bodies[0] = bodies[0]._replace(notes=("its volumes are left out; geokit.volume.load reads them",))
-    if not bodies:
+    if bodies:
+        bodies[0] = bodies[0]._replace(notes=(*bodies[0].notes, *_left_out(stage)))
+    else:
         others = sorted({str(prim.GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)})
         what = f"; it holds {', '.join(others)}" if others else ""
         if "Mesh" in others:
@@ -79,6 +80,16 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
             f"{path}: has no visible Mesh prim{what}; convert the geometry to meshes and export again"
         )
     return bodies
+
+
+def _left_out(stage: Any) -> list[str]:
+    """Notes on visible geometry that is no mesh."""
+    from pxr import UsdGeom
+
+    kinds = {str(prim.GetTypeName()) for prim in visible(stage) if prim.IsA(UsdGeom.Gprim)}
+    others = sorted(kinds - {"Mesh", "Volume", *SHAPES})
+    said = ["its volumes are left out; geokit.volume.load reads them"] if "Volume" in kinds else []
+    return [*said, f"its prims of type {', '.join(others)} are left out"] if others else said
 
 
 def open_stage(path: Path, folders: Sequence[Path]) -> Any:
@@ -253,7 +264,7 @@ def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
     if not points:
         return None
     counts, indices = memoryview(counts or array("i")), memoryview(indices or array("i"))
-    vertex, polygon, corner = _primvars(mesh, time, len(points), len(counts), len(indices))
+    vertex, polygon, corner, notes = _primvars(mesh, time, len(points), len(counts), len(indices))
     holes = mesh.GetHoleIndicesAttr().Get(time)
     if holes:
         counts, indices, polygon, corner = _without_holes(holes, counts, indices, polygon, corner)
@@ -267,6 +278,7 @@ def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
         vertex_data=vertex,
         polygon_data=polygon,
         corner_data=corner,
+        notes=notes,
     )
 
 
@@ -291,14 +303,15 @@ def _without_holes(
 
 def _primvars(
     mesh: Any, time: Any, vertex_count: int, polygon_count: int, corner_count: int
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Normals and primvars of vertices, polygons and corners."""
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], tuple[str, ...]]:
+    """Normals and primvars of vertices, polygons and corners, and notes on those that do not fit."""
     from pxr import UsdGeom
 
     found: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = {}, {}, {}
+    notes: list[str] = []
     normals, primvars = mesh.GetNormalsAttr().Get(time), UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithValues()
     if not normals and not primvars:
-        return found
+        return *found, ()
     import numpy as np
 
     from geokit.formats.attributes.columns import from_columns
@@ -319,6 +332,9 @@ def _primvars(
             }.get(interpolation, (found[0], vertex_count))
         if len(values) == count and count:
             into[name] = values
+        # What deforms a mesh is left out with its bones.
+        elif not name.startswith("skel:"):
+            notes.append(f"the array {name!r} of {mesh.GetPath()} is left out: it has {len(values)} rows for {count}")
 
     if normals:
         add("normal", mesh.GetNormalsInterpolation(), normals)
@@ -334,7 +350,7 @@ def _primvars(
         colors, opacity = data.get("color"), data.get("displayOpacity")
         if colors is not None and opacity is not None and colors.shape[1:] == (3,) and opacity.ndim == 1:
             data["color"] = np.column_stack([colors, data.pop("displayOpacity")])
-    return from_columns(found[0]), from_columns(found[1]), from_columns(found[2])
+    return from_columns(found[0]), from_columns(found[1]), from_columns(found[2]), tuple(notes)
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:

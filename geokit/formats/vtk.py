@@ -11,13 +11,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.core.forks import renew_after_fork
-from geokit.errors import FileFormatError, InputError
+from geokit.errors import FileFormatError
 from geokit.formats.body import Body
 from geokit.mesh._data import has_meaning
 
@@ -25,18 +26,31 @@ if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
 __all__ = [
-    "holds_name", "lacks_faces", "poly_data", "prepare", "read_mesh", "read_points", "unit_of", "write_mesh",
+    "holds_name",
+    "lacks_faces",
+    "poly_data",
+    "prepare",
+    "read_mesh",
+    "read_points",
+    "reported",
+    "unit_of",
+    "write_mesh",
     "write_points",
-]  # fmt: skip
+    "xml_name",
+]
 
-# Characters that XML does not hold, or turns into spaces.
-_NO_XML = re.compile("[\\x00-\\x1f\\ud800-\\udfff\\ufffe\\uffff]")
 # Names of the arrays that say what the numbers mean.
 _METERS, _UP = "meters_per_unit", "up_axis"
 # VTK's cell types of lines and points, which are left out if there are faces.
 _LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 37, 69, 70, 76, 77)
+# VTK's writers note the largest norm of arrays with several numbers a row, and its readers refuse it as nan or inf. No
+# value depends on it.
+_REFUSED_NORM = re.compile(
+    r"ERROR: In \S+, line \d+\s+vtk\w+ \S+ Error reading InformationKey element for vtkDataArray::\S+ of type \S+"
+)
+_NORMS = re.compile(rb'\s*<InformationKey name="L2_NORM_RANGE".*?</InformationKey>', re.DOTALL)
 _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
 
 
@@ -97,7 +111,7 @@ def read_mesh(path: Path) -> list[Body]:
     with _reports() as said:
         data = _data_set(path)
     # VTK reports a damaged file only as text and returns what it has read so far.
-    message = " ".join(said.GetOutput().split())
+    message = reported(said)
     if "ERR" in message or "Error" in message or data is None:
         raise FileFormatError(
             f"{path}: cannot be read ({_without_pointers(message) or 'no data'}); the file is damaged, export it again"
@@ -146,6 +160,11 @@ def _arrays(data: Any, to_numpy: Any) -> dict[str, NDArray[Any]]:
             # Texture coordinates of volumes have a third number.
             found[name] = values[:, :2] if name == "uv" and values.ndim == 2 else values
     return found
+
+
+def reported(said: Any) -> str:
+    """What VTK reported, on one line; "" if nothing concerns the content of the file."""
+    return " ".join(_REFUSED_NORM.sub("", said.GetOutput()).split())
 
 
 def _without_pointers(message: str) -> str:
@@ -251,7 +270,7 @@ def _strip(corners: np.ndarray) -> np.ndarray:
 
 def holds_name(name: str, kind: str) -> bool:
     """Whether an array's name can be written. VTK ends the process where one in a .vtk has braces."""
-    return not _NO_XML.search(name) and (kind != ".vtk" or not {*name} & {*"{}"})
+    return kind != ".vtk" or (name.isprintable() and not {*name} & {*"{}"})
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
@@ -297,7 +316,15 @@ def poly_data(mesh: TriangleMesh) -> Any:
 
 
 def _write(writer: Any, data: Any, path: Path) -> None:
-    """Write through memory: on a full disk, VTK's own file writing ends the process, or reports no error."""
+    """Write through memory: on a full disk, VTK's own file writing ends the process, or reports no error.
+
+    Arrays of what becomes XML get names that can stand there.
+    """
+    is_xml = hasattr(writer, "SetDataModeToBinary")
+    for attributes in (data.GetPointData(), data.GetCellData()) if is_xml else ():
+        for at in range(attributes.GetNumberOfArrays()):
+            array = attributes.GetAbstractArray(at)
+            array.SetName(xml_name(array.GetName()))
     writer.SetInputData(data)
     writer.SetWriteToOutputString(True)
     with _reports() as said:
@@ -306,7 +333,13 @@ def _write(writer: Any, data: Any, path: Path) -> None:
         raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
     # The two writers call it differently, and it is text or bytes, depending on its content.
     whole = writer.GetOutputStdString() if hasattr(writer, "GetOutputStdString") else writer.GetOutputString()
-    path.write_bytes(whole if isinstance(whole, bytes) else whole.encode())
+    content = whole if isinstance(whole, bytes) else whole.encode()
+    path.write_bytes(_NORMS.sub(b"", content) if is_xml else content)
+
+
+def xml_name(name: str) -> str:
+    """A name as text of an XML attribute, which VTK and meshio do not make of it."""
+    return escape("".join(sign if sign.isprintable() else "_" for sign in name), {'"': "&quot;"})
 
 
 def lacks_faces(head: bytes) -> bool:
@@ -335,7 +368,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
     reader.SetFileName(name)
     with _reports() as said:
         reader.Update()
-    message = " ".join(said.GetOutput().split())
+    message = reported(said)
     found = reader.GetOutput()
     if reader.GetErrorCode() or "ERR" in message or "Error" in message or found is None:
         raise FileFormatError(
@@ -366,8 +399,6 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     vertices.SetData(numpy_to_vtkIdTypeArray(ids, deep=True), numpy_to_vtkIdTypeArray(ids[:-1], deep=True))
     result.SetVerts(vertices)
     for name, values in data.items():
-        if not holds_name(name, ".vtp"):
-            raise InputError(f"data: {name!r} cannot be an array's name in .vtp; rename it")
         plain = values.astype(np.uint8) if values.dtype.kind == "b" else values
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
         array.SetName(name)

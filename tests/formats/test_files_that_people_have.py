@@ -119,6 +119,10 @@ def test_another_version_is_not_called_damaged(tmp_path: Path) -> None:
     with pytest.raises(gk.FileFormatError, match=r"is glTF 1\.0, and only 2 is read") as error:
         gk.mesh.load(path)
     assert "damaged" not in str(error.value)
+    # Its binary form has another header.
+    (tmp_path / "a.glb").write_bytes(b"glTF" + struct.pack("<4I", 1, 22, 2, 0) + b"{}")
+    with pytest.raises(gk.FileFormatError, match=r"is glTF 1, and only 2 is read; convert it"):
+        gk.mesh.load(tmp_path / "a.glb")
 
 
 def test_what_readers_warn_of_reaches_the_user(tmp_path: Path) -> None:
@@ -311,6 +315,41 @@ def test_the_cone_points_along_its_axis(tmp_path: Path) -> None:
     mesh = gk.mesh.load(_stage(tmp_path / "a.usda", lambda stage: UsdGeom.Cone.Define(stage, "/c").CreateAxisAttr("Y")))
     assert mesh.vertices[mesh.vertices[:, 1].argmax()].tolist() == [0.0, 1.0, 0.0]
     assert (mesh.vertices[:, 1] == 1.0).sum() == 1
+
+
+@pytest.mark.parametrize(("axis", "size"), [("X", [0, 4, 3]), ("Y", [3, 0, 4]), ("Z", [3, 4, 0])])
+def test_planes_of_usd(tmp_path: Path, axis: str, size: list[float]) -> None:
+    pytest.importorskip("pxr")
+    from pxr import UsdGeom
+
+    def define(stage: Any) -> None:
+        plane = UsdGeom.Plane.Define(stage, "/plane")
+        plane.CreateWidthAttr(3.0), plane.CreateLengthAttr(4.0), plane.CreateAxisAttr(axis)
+
+    mesh = gk.mesh.load(_stage(tmp_path / "a.usda", define))
+    assert np.diff(mesh.bounds, axis=0)[0].tolist() == size
+    assert mesh.face_normals[0].tolist() == [float(name == axis) for name in "XYZ"]
+
+
+def test_what_is_left_out_of_a_stage_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Sdf, UsdGeom
+
+    def define(stage: Any) -> None:
+        UsdGeom.BasisCurves.Define(stage, "/curves")
+        UsdGeom.Points.Define(stage, "/points")
+        mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+        mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        mesh.CreateFaceVertexCountsAttr([3]), mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+        for name, values in (("short", [1.0, 2.0]), ("skel:weights", [1.0, 2.0])):
+            kind = Sdf.ValueTypeNames.FloatArray
+            UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, kind, UsdGeom.Tokens.vertex).Set(values)
+
+    path = _stage(tmp_path / "a.usda", define)
+    with pytest.warns(UserWarning, match="left out") as said:
+        assert len(gk.mesh.load(path)) == 1
+    text = "the array 'short' of /mesh is left out: it has 2 rows for 3; its prims of type BasisCurves, Points are left"
+    assert [str(warning.message) for warning in said] == [f"{path}: {text} out"]
 
 
 def test_mesh_prims_without_points_are_named_as_such(tmp_path: Path) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from tests.support.attributed import PNG
 
+PNG_TEXT = base64.b64encode(PNG).decode()
 BOX = gk.mesh.box((1.0, 2.0, 3.0))
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -345,3 +347,28 @@ class TestCompressed:
         (tmp_path / "a.gltf").write_text(json.dumps(tree))
         with pytest.raises(gk.FileFormatError, match=r"compressed with 'EXT_meshopt_compression'"):
             gk.mesh.load(tmp_path / "a.gltf")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["f4", "u2"])
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("overrides", [True, False])
+def test_texture_coordinates_are_those_that_the_base_color_takes(scene, tmp_path, kind, number, overrides):
+    given = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    turned = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}
+    transform = {**turned, "texCoord": number} if overrides else turned
+    texture = {"index": 0, "texCoord": 1 - number if overrides else number}
+    material = {"baseColorTexture": {**texture, "extensions": {"KHR_texture_transform": transform}}}
+    scene.tree["materials"] = [{"pbrMetallicRoughness": material}]
+    scene.tree["textures"], scene.tree["images"] = [{"source": 0}], [{"uri": "data:;base64," + PNG_TEXT}]
+    other = scene.accessor(np.full((4, 2), 0.25))
+    uv = [other, other]
+    # Not normalized, as gltfpack writes them.
+    uv[number] = scene.accessor(given, kind)
+    attributes = {"POSITION": scene.accessor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])}
+    attributes |= {f"TEXCOORD_{at}": index for at, index in enumerate(uv)}
+    scene.mesh(attributes=attributes, indices=scene.accessor([0, 1, 2, 2, 1, 3], "u2"), material=0)
+    mesh = scene.load(tmp_path)
+    # The example of the specification: the lower left quarter of the image, turned clockwise.
+    np.testing.assert_allclose(mesh.vertex_data["uv"], [[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]], atol=1e-7)
+    np.testing.assert_allclose(mesh.vertex_data["TEXCOORD_1"], 0.25)

@@ -365,6 +365,10 @@ def test_off_whose_lines_are_not_as_its_header_says(tmp_path):
     (tmp_path / "a.off").write_text("NOFF\n3 2 0\n0 0 0 1 0 0\n1 0 0\n0 1 0 1 0 0\n3 0 1 2 255 0 0\n3 0 2 1\n")
     with pytest.warns(UserWarning, match="the attributes of vertices are left out.*; the colors of faces are left out"):
         assert not gk.mesh.load(tmp_path / "a.off").vertex_data
+    # Colors, as many programs write them without a word in the header.
+    (tmp_path / "b.off").write_text("OFF\n3 1 0\n0 0 0 9 9 9\n1 0 0 9 9 9\n0 1 0 9 9 9\n3 0 1 2\n")
+    with pytest.warns(UserWarning, match="the attributes of vertices are left out: their lines are not as long as"):
+        assert not gk.mesh.load(tmp_path / "b.off").vertex_data
 
 
 def glb_parts(data: bytes) -> tuple[dict, bytes]:
@@ -494,7 +498,8 @@ def test_primvars_of_usd(tmp_path):
     primvars.CreatePrimvar("names", Sdf.ValueTypeNames.StringArray, "vertex").Set(["a", "b", "c", "d"])
     primvars.CreatePrimvar("short", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1])
     stage.GetRootLayer().Save()
-    mesh = gk.mesh.load(tmp_path / "a.usda")
+    with pytest.warns(UserWarning, match="the array 'short' of /square is left out: it has 1 rows for 4$"):
+        mesh = gk.mesh.load(tmp_path / "a.usda")
     assert mesh.faces.tolist() == [[2, 1, 0], [3, 2, 0]]
     assert mesh.corner_data["uv"].tolist() == [[[1, 1], [1, 0], [0, 0]], [[0, 0], [1, 1], [0, 0]]]
     assert mesh.corner_data["normal"].tolist() == [[[0, 0, 1]] * 3] * 2
@@ -522,6 +527,41 @@ def test_vtk_marks_normals_and_texture_coordinates(tmp_path):
     np.testing.assert_array_equal(again.vertex_data["normal"], theirs.point_data["Normals"])
     np.testing.assert_array_equal(again.vertex_data["uv"], theirs.active_texture_coordinates)
     np.testing.assert_array_equal(again.face_data["rank"], np.arange(theirs.n_cells))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [".vtk", ".vtp", ".vtu"])
+@pytest.mark.parametrize("number", [np.inf, np.nan, 1e200, 2**60])
+def test_rows_whose_length_is_no_number(tmp_path, kind, number):
+    rows = np.full((TORUS.vertex_count, 3), number)
+    mesh = TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data={"v": rows})
+    again, said = saved(mesh, tmp_path / f"a{kind}")
+    assert not said
+    np.testing.assert_array_equal(again.vertex_data["v"], rows)
+    # As VTK itself writes them, with a note that its readers refuse.
+    pyvista = pytest.importorskip("pyvista")
+    surface = pyvista.PolyData.from_regular_faces(TORUS.vertices, TORUS.faces)
+    surface["v"] = rows
+    (surface.cast_to_unstructured_grid() if kind == ".vtu" else surface).save(tmp_path / f"b{kind}")
+    np.testing.assert_array_equal(gk.mesh.load(tmp_path / f"b{kind}").vertex_data["v"], rows)
+    if kind == ".vtp":
+        np.testing.assert_array_equal(gk.points.load(tmp_path / "b.vtp").data["v"], rows)
+        gk.points.save(tmp_path / "c.vtp", TORUS.vertices, data={"v": rows})
+        assert b"L2_NORM" not in (tmp_path / "c.vtp").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [".msh", ".vtp", ".vtu", ".xdmf"])
+def test_names_that_are_no_text_of_xml(tmp_path, kind):
+    names = ["a<b", "a>b", "a&b", 'a"b', "a\nb", "\x01", "ä€"]
+    data = {name: np.full(TORUS.vertex_count, float(at)) for at, name in enumerate(names)}
+    again, _ = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=data), tmp_path / f"a{kind}")
+    quote = "_" if kind in (".msh", ".xdmf") else '"'
+    expected = {"a<b": 0, "a>b": 1, "a&b": 2, f"a{quote}b": 3, "a_b_" if quote == "_" else "a_b": 4, "_": 5, "ä€": 6}
+    assert {name: values[0] for name, values in again.vertex_data.items()} == expected
+    if kind == ".vtp":
+        gk.points.save(tmp_path / "b.vtp", TORUS.vertices, data=data)
+        assert gk.points.load(tmp_path / "b.vtp").data.keys() == expected.keys()
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import refuse_empty
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import Image, fitting_codec, reading, require_three
 from geokit.formats.images.stream import rows_at_a_time
@@ -22,6 +23,7 @@ __all__ = ["is_volume", "open_images", "write_image"]
 
 def is_volume(path: Path) -> bool:
     """Whether the array of a file has three axes, and not the three coordinates of an image of points."""
+    refuse_empty(path)
     shape = _mapped(path).shape
     return len(shape) == 4 or (len(shape) == 3 and shape[2] != 3)
 

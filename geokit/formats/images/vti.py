@@ -26,7 +26,7 @@ from geokit.formats.images.image import (
     stored_type,
 )
 from geokit.formats.reader import process as reader_process
-from geokit.formats.vtk import _reports, _without_pointers
+from geokit.formats.vtk import _reports, _without_pointers, reported
 
 __all__ = ["open_images", "prepare", "read_grids", "write_image"]
 
@@ -62,7 +62,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         reader.SetFileName(os.fsencode(path))
         reader.Update()
         data = reader.GetOutput()
-    message = " ".join(said.GetOutput().split())
+    message = reported(said)
     if message or reader.GetErrorCode() or data is None:
         raise FileFormatError(
             f"{path}: cannot be read ({_without_pointers(message)}); the file is damaged, export it again"

@@ -31,6 +31,7 @@ _DECOMPRESS = "export it without compression, or decompress it with gltf-transfo
 _REMEDIES = dict.fromkeys(
     ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"), _DECOMPRESS
 )
+_OTHER_VERSION = "{}: is glTF {}, and only 2 is read; convert it with gltf-pipeline"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
@@ -45,6 +46,8 @@ def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
             meshes contradict themselves.
     """
     data = path.read_bytes()
+    if data.startswith(b"glTF") and len(data) >= 8 and data[4:8] != b"\2\0\0\0":
+        raise FileFormatError(_OTHER_VERSION.format(path, int.from_bytes(data[4:8], "little")))
     tree, binary = _opened(data)
     if not isinstance(tree, dict):
         return None  # trimesh says what is wrong
@@ -87,7 +90,7 @@ def _opened(data: bytes) -> tuple[Any, bytes]:
 def _require_understood(tree: dict[str, Any], path: Path) -> None:
     version = str(object_of(tree.get("asset")).get("version", "2.0"))
     if not version.startswith("2"):
-        raise FileFormatError(f"{path}: is glTF {version[:20]}, and only 2 is read; convert it with gltf-pipeline")
+        raise FileFormatError(_OTHER_VERSION.format(path, version[:20]))
     for name in objects(tree.get("extensionsRequired"), str):
         if name not in _WRITTEN_OUT and not name.startswith(_LOOKS):
             remedy = _REMEDIES.get(name, "export it without")

@@ -1,11 +1,13 @@
 """What gives a glTF mesh its shape beside plain triangles is written out as such: trimesh knows only these.
 
 Triangle fans, sparse and normalized positions, default weights of morph targets, skins in the pose of their nodes, and
-instances become triangles, float positions and nodes; hidden nodes lose their meshes.
+instances become triangles, float positions and nodes; hidden nodes lose their meshes. The first texture coordinates
+become those of the base color's texture, where a file has others there or transforms them.
 
 Source:
     Khronos, glTF 2.0 Specification, 3.6.2.3 (sparse), 3.7.2.1 (topology), 3.7.2.2 (morph targets), 3.7.3 (skins);
-    EXT_mesh_gpu_instancing; KHR_node_visibility.
+    EXT_mesh_gpu_instancing; KHR_node_visibility; KHR_texture_transform, whose rotation is that of its example: counter-
+    clockwise in an image whose rows go down.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ __all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "write_out"]
 
 INSTANCES = "EXT_mesh_gpu_instancing"
 VISIBILITY = "KHR_node_visibility"
+_TRANSFORM = "KHR_texture_transform"
 _FAN, _TRIANGLES = 6, 4
 _FLOAT = 5126
 _WEIGHT, _JOINT = "WEIGHTS_", "JOINTS_"
@@ -32,7 +35,7 @@ def needs_writing_out(tree: dict[str, Any]) -> bool:
     """Whether anything of a file must be written out."""
     nodes = objects(tree.get("nodes"))
     return (
-        any(_is_shaped(tree, primitive) for primitive in primitives_of(tree))
+        any(_is_shaped(tree, primitive) or _has_other_uv(tree, primitive) for primitive in primitives_of(tree))
         or any(INSTANCES in object_of(node.get("extensions")) or _is_skinned(node) for node in nodes)
         or any(map(_is_hidden, nodes))
         or any(_weights(tree, node) for node in nodes)
@@ -44,6 +47,8 @@ def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
     done: dict[tuple[str, int], int] = {}
     for primitive in primitives_of(tree):
         _plain(tree, primitive, accessors, done)
+        if _has_other_uv(tree, primitive):
+            _base_uv(tree, primitive, accessors, done)
     hidden = [number for number, node in enumerate(tree.get("nodes", ())) if _is_hidden(node)]
     for number in _reached(tree, hidden):
         tree["nodes"][number].pop("mesh", None)
@@ -108,6 +113,44 @@ def _plain(
         fan = np.stack([np.broadcast_to(corners[:1], rim[1:].shape), rim[:-1], rim[1:]], axis=1)
         primitive["indices"] = accessors.add(np.ascontiguousarray(fan).reshape(-1, 1))
         primitive["mode"] = _TRIANGLES
+
+
+def _uv_of(tree: dict[str, Any], primitive: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """The number of the coordinates that a primitive's base color takes, and their transform."""
+    surface = object_of(object_of(entry_of(tree, "materials", primitive.get("material"))).get("pbrMetallicRoughness"))
+    texture = object_of(surface.get("baseColorTexture"))
+    transform = object_of(object_of(texture.get("extensions")).get(_TRANSFORM))
+    return transform.get("texCoord", texture.get("texCoord", 0)), transform
+
+
+def _has_other_uv(tree: dict[str, Any], primitive: dict[str, Any]) -> bool:
+    """Whether its texture coordinates are other ones than the first as they are stored."""
+    number, transform = _uv_of(tree, primitive)
+    given = entry_of(tree, "accessors", object_of(primitive.get("attributes")).get(f"TEXCOORD_{number}"))
+    if given is None:
+        return False
+    plain = given.get("componentType") == _FLOAT or given.get("normalized") is True
+    return number != 0 or not plain or any(name in transform for name in ("offset", "rotation", "scale"))
+
+
+def _base_uv(
+    tree: dict[str, Any], primitive: dict[str, Any], accessors: Accessors, done: dict[tuple[str, int], int]
+) -> None:
+    """The coordinates of the base color's texture, transformed, as the first ones, which take the place of those."""
+    number, transform = _uv_of(tree, primitive)
+    attributes = primitive["attributes"]
+    index = attributes[f"TEXCOORD_{number}"]
+    key = f"uv {transform}", index
+    if key not in done:
+        scale, offset = (np.array(transform.get(name, [at, at]), float) for name, at in (("scale", 1), ("offset", 0)))
+        sine, cosine = np.sin(transform.get("rotation", 0.0)), np.cos(transform.get("rotation", 0.0))
+        u, v = (accessors.numbers(index) * scale).T
+        moved = np.stack([cosine * u + sine * v, cosine * v - sine * u], axis=1) + offset
+        done[key] = accessors.add(moved.astype("<f4"))
+    first = attributes.get("TEXCOORD_0")
+    if number and first is not None:
+        attributes[f"TEXCOORD_{number}"] = first
+    attributes["TEXCOORD_0"] = done[key]
 
 
 def _is_skinned(node: dict[str, Any]) -> bool:

@@ -21,7 +21,7 @@ Outline = list[tuple[float, float]]
 
 
 def shape_body(prim: Any, matrix: list[list[float]], time: Any) -> Body:
-    """Polygons of a Cube, Sphere, Cylinder, Cone or Capsule prim; its vertices lie on the shape.
+    """Polygons of a Cube, Sphere, Cylinder, Cone, Capsule or Plane prim; its vertices lie on the shape.
 
     Args:
         prim: The prim.
@@ -77,7 +77,16 @@ def _capsule(read: Callable[[str], Any]) -> Any:
     return _revolved([*lower, *_arc(radius, half, 0.0, 90.0)[0 if half > 0.0 else 1 :]])
 
 
-SHAPES = {"Cube": _cube, "Sphere": _sphere, "Cylinder": _cylinder, "Cone": _cone, "Capsule": _capsule}
+def _plane(read: Callable[[str], Any]) -> Any:
+    x, y = 0.5 * float(read("width")), 0.5 * float(read("length"))
+    # Its width is that along x, or along z if x is the axis.
+    x, y = (x, y) if str(read("axis")) == "Z" else (y, x)
+    return [(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)], [(0, 1, 2, 3)]
+
+
+SHAPES = {
+    "Cube": _cube, "Sphere": _sphere, "Cylinder": _cylinder, "Cone": _cone, "Capsule": _capsule, "Plane": _plane,
+}  # fmt: skip
 
 
 def _arc(radius: float, height: float, first: float, last: float) -> Outline:

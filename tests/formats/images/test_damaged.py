@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from geokit.formats.table import SPARSE, STAGES, extensions
+from geokit.formats.table import SPARSE, STAGES, extensions, image_module
 from tests.formats.images.needed import need
 from tests.formats.images.test_places import STRAIGHT, VALUES, volume_at
 
@@ -50,6 +50,12 @@ def test_what_is_empty_or_something_else_is_refused_by_name(tmp_path: Path, kind
             assert str(error.value).startswith(f"{path}: ")
     with pytest.raises(gk.FileAccessError, match="no such file"):
         gk.volume.load(tmp_path / f"none{kind}")
+
+
+def test_an_empty_array_is_neither_a_volume_nor_a_cloud(tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes(b"")
+    with pytest.raises(gk.FileFormatError, match="is empty; get a whole copy"):
+        image_module(".npy").is_volume(tmp_path / "a.npy")
 
 
 @pytest.mark.parametrize("kind", [".nrrd", ".mha", ".nii.gz"])
