@@ -304,7 +304,8 @@ def poly_data(mesh: TriangleMesh) -> Any:
     surface = pyvista.PolyData(np.array(mesh.vertices), padded)
     for into, data in ((surface.point_data, mesh.vertex_data), (surface.cell_data, mesh.face_data)):
         for name, values in data.items():
-            into[name] = np.array(values, np.float32 if values.dtype == np.float16 else values.dtype)
+            # VTK ends a name there.
+            into[name.replace("\0", "_")] = np.array(values, np.float32 if values.dtype == np.float16 else values.dtype)
         for name, mark in (("normal", "active_normals_name"), ("uv", "active_texture_coordinates_name")):
             if name in data and has_meaning(name, data[name]):
                 setattr(into, mark, name)
@@ -401,6 +402,6 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     for name, values in data.items():
         plain = values.astype(np.uint8) if values.dtype.kind == "b" else values
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
-        array.SetName(name)
+        array.SetName(name.replace("\0", "_"))
         result.GetPointData().AddArray(array)
     _write(vtkXMLPolyDataWriter(), result, path)
