@@ -134,5 +134,5 @@ class TestFiles:
 @pytest.mark.parametrize(("unit", "from_unit"), [(1e-320, 1.0), (1e308, 5e-324), ("mm", 1e308)])
 def test_ratios_beyond_float64_are_refused(unit, from_unit):
     # 0 would be a body at one point.
-    with pytest.raises(gk.InputError, match="unit: .* leaves the range of float64"):
+    with pytest.raises(gk.InputError, match=r"unit: .* leaves the range of float64"):
         gk.mesh.convert_unit(gk.mesh.box(), unit, from_unit=from_unit)
