@@ -104,6 +104,9 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
     if not binary.exists() and _is_full(binary.parent.parent):
         # LLVM ends the process when it cannot write an object.
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(binary))
+    for file in files:
+        if file.exists() and not file.is_file():  # of a FIFO, reading would wait for ever
+            raise OSError(errno.EIO, "no regular file", str(file))
     record = binary.with_name(binary.name + DIGEST_SUFFIX)
     known = record.read_text() if record.is_file() else None
     if known is not None and known != digest_of(binary, meta):

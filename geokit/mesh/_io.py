@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
@@ -209,11 +210,12 @@ def save(
         warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
     target = require_path(path)
     beside = module.companions(mesh, target.stem) if hasattr(module, "companions") else {}
-    for name, content in beside.items():
-        with atomic_path(target.parent / name) as part:
-            part.write_bytes(content)
     with atomic_path(path) as part:
         module.write_mesh(part, mesh, *([target.stem] if beside else []))
+        # None of the old files is replaced before all new ones are there.
+        with contextlib.ExitStack() as stack:
+            for name, content in beside.items():
+                stack.enter_context(atomic_path(target.parent / name)).write_bytes(content)
 
 
 def _require_float32(mesh: TriangleMesh, kind: str) -> None:

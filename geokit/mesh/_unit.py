@@ -73,7 +73,10 @@ def convert_unit(
             raise InputError("unit: the mesh does not say what its unit is now; give from_unit")
         new = meters_in(unit, "unit")
         # From a larger unit the ratio is a whole number more often than its inverse is.
-        matrix[:3, :3] *= meters / new if meters >= new else 1.0 / (new / meters)
+        ratio = meters / new if meters >= new else 1.0 / (new / meters)
+        if not 0.0 < ratio < np.inf:
+            raise InputError(f"unit: {meters:g} m in units of {new:g} m leaves the range of float64; give another unit")
+        matrix[:3, :3] *= ratio
         meters = new
     moved = mesh if np.array_equal(matrix, np.eye(4)) else transform(mesh, matrix)
     return with_data(moved, meters_per_unit=meters, up_axis=up)

@@ -125,10 +125,17 @@ def folder_instead(path: Path) -> None:
     path.mkdir()
 
 
+def fifo_instead(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
 @pytest.mark.parametrize(
     ("suffix", "damage"),
     [
         (".o", cut),
+        (".o", fifo_instead),
+        (".meta", fifo_instead),
         (".o", flipped),
         (".o", folder_instead),
         (".meta", emptied),

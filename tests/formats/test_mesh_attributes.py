@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -333,6 +334,31 @@ def test_files_that_an_obj_lacks_are_named_and_none_outside_is_read(tmp_path):
     os.mkfifo(folder / "a.mtl")
     with pytest.warns(UserWarning, match=r"a\.mtl', which is not a regular file"):
         gk.mesh.load(folder / "a.obj")
+
+
+def test_a_full_disk_keeps_the_library_and_the_images_of_an_obj(tmp_path, monkeypatch):
+    for name in ("a.obj", "a.mtl"):
+        (tmp_path / name).write_bytes(b"old")
+    mesh = TriangleMesh(
+        np.eye(3),
+        [[0, 1, 2]],
+        vertex_data={"uv": np.zeros((3, 2))},
+        face_data={"material": np.zeros(1, int)},
+        materials=[Material("wood", None, Texture("wood.png", PNG))],
+    )
+    write = type(tmp_path).write_bytes
+    library = b"# by geokit\nnewmtl wood\nmap_Kd a_wood.png\n"
+    for last, named in ((PNG, "a_wood.png"), (library, "a.mtl")):
+
+        def until(path, data, last=last):
+            if data == last:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(path, data)
+
+        monkeypatch.setattr(type(tmp_path), "write_bytes", until)
+        with pytest.raises(gk.FileAccessError, match=rf"{re.escape(named)}: writing failed"):
+            gk.mesh.save(tmp_path / "a.obj", mesh)
+        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"a.obj": b"old", "a.mtl": b"old"}
 
 
 def test_images_of_one_name_become_two_files(tmp_path):

@@ -129,3 +129,10 @@ class TestFiles:
             warnings.simplefilter("error")
             gk.mesh.save(tmp_path / "b.3mf", gk.mesh.convert_unit(loaded, "mm", up_axis="z"))
         assert gk.mesh.load(tmp_path / "b.3mf").bounds[1].tolist() == [5500.0, -5500.0, 7000.0]
+
+
+@pytest.mark.parametrize(("unit", "from_unit"), [(1e-320, 1.0), (1e308, 5e-324), ("mm", 1e308)])
+def test_ratios_beyond_float64_are_refused(unit, from_unit):
+    # 0 would be a body at one point.
+    with pytest.raises(gk.InputError, match=r"unit: .* leaves the range of float64"):
+        gk.mesh.convert_unit(gk.mesh.box(), unit, from_unit=from_unit)
