@@ -76,7 +76,7 @@ FOREIGN: dict[str, Foreign] = {
             "write a header .mhd beside it, or pass the array to volume.from_dense"),
     **_rows(".img .hdr", "a volume in two files", "convert it with: nib-convert FILE.hdr FILE.nii"),
     **_rows(".mgz .mgh", "a volume of FreeSurfer", "convert it with: mri_convert FILE FILE.nii.gz"),
-    **_rows(".czi .lif .nd2 .oib .oif .ims", "an image of a microscope", "export it from Fiji as .tif (OME)"),
+    **_rows(".czi .lif .nd2 .oib .ims", "an image of a microscope", "export it from Fiji as .tif (OME)"),
     **_rows(".binvox", "voxels of binvox", "load it with trimesh and pass its matrix to volume.from_dense"),
     **_rows(".vtr .vts .pvti", "a grid of VTK", "resample it to an image in ParaView and save .vti"),
     **_rows(".parquet .feather .arrow", "a table", "write it with pandas as .csv"),
