@@ -79,4 +79,7 @@ def plan(
         for f in fields
     ]
     print_table(COLUMNS, rows)
-    note("the first by from_mesh is what convert --tolerance makes; --order and --codec choose another")
+    note(
+        "least memory first, of equal memory (to 5 %) the fastest to read; the first by from_mesh is what convert "
+        "--tolerance makes; --order and --codec choose another"
+    )

@@ -18,6 +18,8 @@ AXES = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 # Names of the components of colors in other programs.
 COLORS = ("red", "green", "blue")
+# As PDAL and CloudCompare name them.
+_SPELLED = {name: (name, name.capitalize(), name[0], name[0].upper()) for name in COLORS}
 RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
 Columns = dict[str, NDArray[np.generic]]
@@ -57,7 +59,7 @@ def joined(columns: Columns, path: Path) -> tuple[NDArray[np.float64], Columns]:
         vector, parts = _vector(name)
         whole = name == parts[0] and vector not in columns and set(parts) <= columns.keys()
         # Components of different types do not form a color.
-        if whole and (vector != "rgb" or len({columns[part].dtype for part in parts}) == 1):
+        if whole and vector not in data and (vector != "rgb" or len({columns[part].dtype for part in parts}) == 1):
             data[vector] = np.stack([columns.pop(part) for part in parts], axis=1)
         elif name in columns:
             data[name] = columns.pop(name)
@@ -68,8 +70,9 @@ def _vector(name: str) -> tuple[str, tuple[str, ...]]:
     """The array of which the column ``name`` may be the first component, and the names of its three columns."""
     if name == "nx":
         return "normals", NORMALS
-    if name == "red":
-        return "rgb", COLORS
+    if name in _SPELLED["red"]:
+        at = _SPELLED["red"].index(name)
+        return "rgb", tuple(_SPELLED[color][at] for color in COLORS)
     vector = name[:-2]
     return vector, tuple(f"{vector}_{axis}" for axis in AXES) if vector else ("",)
 

@@ -33,7 +33,18 @@ def read_points(path: Path, columns: Sequence[str] | None = None) -> tuple[NDArr
         InputError: A name in ``columns`` is none of the file's.
     """
     table = _read_table(path)
-    return joined(_named_columns(table, _coordinates(table, columns, path), path), path)
+    points, data = joined(_named_columns(table, _coordinates(table, columns, path), path), path)
+    if "rgb" in data:
+        data["rgb"] = _colors(data["rgb"])
+    return points, data
+
+
+def _colors(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Whole numbers beyond 1 as the shortest type that has them, whose largest number is full brightness."""
+    largest = values.max(initial=0.0)
+    if not 1.0 < largest <= 65535.0 or values.min() < 0.0 or np.any(values != np.rint(values)):
+        return values
+    return values.astype(np.uint8 if largest <= 255.0 else np.uint16)
 
 
 def read_rays(path: Path, columns: Sequence[str] | None = None) -> NDArray[np.float64]:

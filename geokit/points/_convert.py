@@ -75,7 +75,7 @@ def to_open3d(points: PointCloud) -> Any:
         if name == "normals" and values.shape == cloud.points.shape:
             found.normals = vectors(np.array(values, np.float64))
         elif name == "rgb" and values.shape == cloud.points.shape:
-            found.colors = vectors(np.asarray(values, np.float64) / _WHITE.get(values.dtype.str[1:], 1.0))
+            found.colors = vectors(_shares(values))
         else:
             lost.append(name)
     _say(lost, "Open3D")
@@ -84,7 +84,7 @@ def to_open3d(points: PointCloud) -> Any:
 
 @needs(_bytes)
 def to_trimesh(points: PointCloud) -> Any:
-    """A ``trimesh.PointCloud`` of points, with the array ``rgb`` as colors where there is one.
+    """A ``trimesh.PointCloud`` of points, with the array ``rgb`` or ``rgba`` as colors of 8 bits where there is one.
 
     It has no place for other arrays; a UserWarning names them.
 
@@ -100,9 +100,18 @@ def to_trimesh(points: PointCloud) -> Any:
     cloud = _cloud(points)
     import trimesh
 
-    colors = cloud.data.get("rgb")
-    _say([name for name in cloud.data if name != "rgb"], "trimesh")
-    return trimesh.PointCloud(np.array(cloud.points), colors=None if colors is None else np.array(colors))
+    held = next((name for name in ("rgb", "rgba") if name in cloud.data), None)
+    _say([name for name in cloud.data if name != held], "trimesh")
+    colors = None if held is None else np.rint(255.0 * np.clip(_shares(cloud.data[held]), 0.0, 1.0)).astype(np.uint8)
+    return trimesh.PointCloud(np.array(cloud.points), colors=colors)
+
+
+def _shares(colors: Any) -> Any:
+    """Colors as shares of full brightness."""
+    white = _WHITE.get(colors.dtype.str[1:], 1.0)
+    # Many .las files hold bytes in numbers of 16 bits.
+    white = 255.0 if white > 255.0 and colors.max(initial=0) < 256 else white
+    return np.nan_to_num(np.asarray(colors, np.float64)) / white
 
 
 def _cloud(points: Any) -> PointCloud:

@@ -103,8 +103,9 @@ def load(
     ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices).
 
     Columns ``name_x, name_y, name_z`` become one array (N, 3), ``nx, ny, nz`` the array ``normals``, and
-    ``red, green, blue`` of one type the array ``rgb``; unnamed columns are called ``column_3``, ``column_4``, ... Text
-    is read as float64, each number rounded correctly.
+    ``red, green, blue`` of one type (also ``Red``, ``R`` or ``r`` and so on) the array ``rgb``; unnamed columns are
+    called ``column_3``, ``column_4``, ... Text is read as float64, each number rounded correctly, but ``rgb`` of whole
+    numbers above 1 as uint8 or uint16.
 
     In .csv, .xyz and .txt a first line without any number is a header. The coordinates are the columns called x, y and
     z, in either case and with a unit (``X [m]``); else those of the only position (``pos_x``, ``position.x``,

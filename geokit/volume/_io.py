@@ -20,6 +20,7 @@ from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_choice, require_flag, require_path, require_text
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import FileAccessError, InputError, UnsupportedGridError
+from geokit.formats.foreign import require_format
 from geokit.formats.images.image import Image
 from geokit.formats.table import SPARSE, STAGES, extensions, image_module, volume_kind, with_formats
 from geokit.volume._dense import native_of, to_dense
@@ -353,7 +354,7 @@ def _known(path: str | os.PathLike[str], trusted: bool = False) -> Path:
     path = require_path(path)
     if volume_kind(path) in extensions("volume", "r"):
         return path
-    kind = require_extension(path, extensions("volume", "r"), "volume")
+    kind = require_format(path, "volume", "r")
     if kind == ".zarr":
         raise FileAccessError(f"{path}: no such folder; check the path")
     return require_file(path)

@@ -18,12 +18,12 @@ def test_every_row_has_a_remedy_that_geokit_reads(kind, tmp_path):
     path = tmp_path / f"a{kind.upper()}"
     path.write_bytes(b"x")
     name, remedy = FOREIGN[kind]
-    named = FORMATS.keys() & set(re.findall(r"\.[a-z0-9]+", remedy))
+    named = FORMATS.keys() & set(re.findall(r"\.[a-z0-9.]+", remedy))
     # Arrays are passed, archives are unpacked.
     assert named or any(word in remedy for word in ("unpack", "pass"))
-    read = {*extensions("mesh", "r"), *extensions("points", "r")}
+    read = {*extensions("mesh", "r"), *extensions("points", "r"), *extensions("volume", "r")}
     assert read.issuperset(named)
-    for load in (gk.mesh.load, gk.points.load):
+    for load in (gk.mesh.load, gk.points.load, gk.volume.load):
         with pytest.raises(gk.InputError) as raised:
             load(path)
         assert str(raised.value) == f"{path}: '{kind}' is {name}, which geokit does not read; {remedy}"

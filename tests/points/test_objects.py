@@ -96,6 +96,15 @@ def test_out_to_trimesh() -> None:
     np.testing.assert_array_equal(found.colors[:, :3], CLOUD.data["rgb"])
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("rgba", np.uint8([200, 30, 0, 9])), ("rgb", np.uint16([51400, 7710, 0])), ("rgb", np.uint16([200, 30, 0]))],
+)
+def test_colors_of_trimesh_have_8_bits(name: str, values: np.ndarray) -> None:
+    found = gk.points.to_trimesh(gk.points.PointCloud(POINTS, {name: np.tile(values, (len(POINTS), 1))}))
+    assert found.colors[0].tolist() == [200, 30, 0, 9 if name == "rgba" else 255]
+
+
 def test_out_to_open3d() -> None:
     pytest.importorskip("open3d")
     more = gk.points.PointCloud(POINTS, {**CLOUD.data, "heat": np.arange(len(POINTS))})

@@ -297,3 +297,28 @@ def test_columns_of_rays_are_six_names(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="the words of its comment"):
         rays = gk.points.load_rays(write(tmp_path / "a.txt", "# a b c d e f g\n0 1 2 3 4 5 6\n"))
     assert rays.directions.tolist() == [[3, 4, 5]]
+
+
+@pytest.mark.parametrize("names", ["red,green,blue", "Red,Green,Blue", "R,G,B", "r,g,b"])
+@pytest.mark.parametrize("kind", ["csv", "xyz", "txt"])
+def test_colors_have_the_type_that_says_what_is_full(tmp_path: Path, names: str, kind: str) -> None:
+    cells = {
+        np.uint8: ["200,30,30", "0,0,255", "1,2,3"],
+        np.uint16: ["51400,30,30", "0,0,65535", "1,2,3"],
+        np.float64: ["0.25,1,0", "0,0,1", "0,1,1"],
+    }
+    for dtype, colors in cells.items():
+        text = table(f"x,y,z,{names}", behind(colors))
+        cloud = gk.points.load(write(tmp_path / f"a.{kind}", text.replace(",", " ") if kind == "xyz" else text))
+        assert list(cloud.data) == ["rgb"]
+        assert cloud.data["rgb"].dtype == dtype
+        np.testing.assert_array_equal(cloud.data["rgb"], [list(map(float, row.split(","))) for row in colors])
+    gk.points.save(tmp_path / f"b.{'xyz' if kind == 'txt' else kind}", POINTS, data={"rgb": np.eye(3, dtype="u1") * 9})
+    assert gk.points.load(tmp_path / f"b.{'xyz' if kind == 'txt' else kind}").data["rgb"].dtype == np.uint8
+
+
+def test_two_ways_to_write_colors_stay_apart(tmp_path: Path) -> None:
+    text = table("x,y,z,red,green,blue,R,G,B", behind(["9,8,7,1,2,3"] * 3))
+    data = gk.points.load(write(tmp_path / "a.csv", text)).data
+    assert data["rgb"].tolist() == [[9, 8, 7]] * 3
+    assert [data[name].tolist() for name in "RGB"] == [[1] * 3, [2] * 3, [3] * 3]
