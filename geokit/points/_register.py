@@ -38,6 +38,9 @@ STEP_ROUNDINGS = 16.0 * np.finfo(np.float64).eps
 RUN_GRAIN = 4
 # Normals that are uncertain by so many times the median, squared, are at edges and tips: nothing there tells the rank.
 MOST_TILT = 3.0
+# Squares of the angles between equal normals: roundings of unit vectors leave 1e-15, files with six digits 1e-12.
+# Without it a whole face whose normals round to another length would count as an edge.
+EXACT_TILT = 1e-11
 # A line is free to turn about itself, and to slide if its points are no samples of the same places.
 SLIDING_LINE_RANK = 4
 
@@ -227,7 +230,7 @@ class _Search:
             return SLIDING_LINE_RANK
         pairs, tilt = found
         paired = pairs.paired.numpy() == 1
-        most = MOST_TILT * float(np.median(tilt.numpy()[paired]))
+        most = max(MOST_TILT * float(np.median(tilt.numpy()[paired])), EXACT_TILT)
         device, count = self._target.device, len(self._moved)
         sides = [wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2)]
         kept = wp.empty(count, dtype=wp.int32, device=device)

@@ -94,7 +94,8 @@ class SignQueries(PointQueries):
         two) the earlier one counts alone, for every method; a component inside a solid is a contact or a core, and its
         faces cancel. Faces of open sheets, and of walls that meet others at edges of three faces, cancel too: a mesh of
         such faces alone has no inside. ``sign_reason`` says which faces are left out or cancel. Positions must be
-        exactly equal (:func:`geokit.mesh.merge_vertices`), and both sides have the same triangles.
+        exactly equal (:func:`geokit.mesh.merge_vertices`). The two sides of a polygon may have different triangles if
+        it is flat to 1e-3 radians and has the same corners on both.
 
         Distances are within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9
         sizes from the origin. Queries may be 1e150 away (error 4e-15 of the distance), and all points farther than 1e9

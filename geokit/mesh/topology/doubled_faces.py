@@ -1,13 +1,18 @@
-"""Finds faces that lie back to back: the same three positions, wound in opposite directions."""
+"""Finds faces that lie back to back: the same three positions, or one flat polygon, wound in opposite directions."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DoubledFaces", "back_to_back_pairs", "doubled_faces", "none_doubled"]
+from geokit.mesh.topology.connectivity import Topology, connected_components
+
+__all__ = ["DoubledFaces", "back_to_back_pairs", "doubled_faces", "none_doubled", "with_polygons"]
+
+# Sine of the angle within which faces lie in one plane: small quads with coordinates of six digits have it.
+FLAT = 1e-3
 
 
 class DoubledFaces(NamedTuple):
@@ -76,3 +81,67 @@ def doubled_faces(
     piece = piece_of[repeated]
     chosen = np.isin(repeated, first) & closed[piece]
     return DoubledFaces(repeats[chosen], piece[chosen], whole[piece[chosen]])
+
+
+def with_polygons(
+    triangles: NDArray[np.float64], topology: Topology, repeats: NDArray[np.int64], repeated: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Repeats, and the faces of flat polygons that are written twice, for each side, with different triangles.
+
+    Coplanar faces that edges join are such a polygon if as many run one way as the other along each edge: what faces
+    one way then covers what faces the other way.
+
+    Args:
+        triangles: Corners of the faces, (F, 3, 3).
+        topology: Edges of the faces.
+        repeats: Faces that repeat an earlier one, from ``repeated_triples``.
+        repeated: The earliest equal face of each.
+    Returns:
+        The same for faces and polygons; those of a polygon repeat its other side.
+    """
+    count = len(triangles)
+    edge, face = np.repeat(np.arange(topology.edge_count), topology.uses), topology.order // 3
+    # Polygons of the same triangles on both sides are found already.
+    plain = np.ones(count, bool)
+    plain[repeats], plain[repeated] = False, False
+    if not (plain[face] & (topology.uses[edge] > 3)).any():
+        return repeats, repeated
+    sides = triangles[:, 1:] - triangles[:, :1]
+    sides /= np.maximum(np.abs(sides).max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+
+    def flat(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:
+        return np.asarray(np.linalg.norm(np.cross(normal[one], normal[other]), axis=1) < FLAT)
+
+    links = []
+    for step in range(1, 4):
+        around = np.flatnonzero(edge[step:] == edge[:-step])
+        one, other = face[around], face[around + step]
+        coplanar = flat(one, other)
+        links.append((one[coplanar], other[coplanar]))
+    group = connected_components(count, *(np.concatenate(ends) for ends in zip(*links, strict=True)))
+    ahead = np.einsum("ij,ij->i", normal, normal[group]) > 0.0
+    size, front = np.bincount(group, minlength=count), np.bincount(group, ahead, minlength=count)
+    is_polygon = (size == 2 * front) & (front > 1)
+    is_polygon[group[~flat(np.arange(count), group)]] = False
+    # A boundary of nothing: on each edge the directions cancel,
+    key, forward = edge * count + group[face], topology.forward[topology.order]
+    _, first, number = np.unique(key, return_index=True, return_inverse=True)
+    left = np.bincount(number, np.where(forward, 1, -1))
+    is_polygon[group[face[first[left != 0]]]] = False
+    # and each side is one layer.
+    key, members = 2 * key[ahead[face]] + forward[ahead[face]], group[face[ahead[face]]]
+    _, number, layers = np.unique(key, return_inverse=True, return_counts=True)
+    is_polygon[members[layers[number] > 1]] = False
+    # A polygon ends at other faces; one whose two sides end at each other is a thin body.
+    one, other = (half // 3 for half in topology.pairs)
+    is_polygon[group[one[(group[one] == group[other]) & (ahead[one] != ahead[other])]]] = False
+    is_polygon &= np.bincount(group, plain, minlength=count) > 0
+    kept = ~is_polygon[group[repeats]]
+    rows = np.flatnonzero(is_polygon[group])
+    rows = rows[np.argsort(group[rows], kind="stable")]
+    back, front = rows[~ahead[rows]], rows[ahead[rows]]
+    repeats, repeated = np.concatenate([repeats[kept], back]), np.concatenate([repeated[kept], front])
+    order = np.argsort(repeats)
+    return repeats[order], repeated[order]

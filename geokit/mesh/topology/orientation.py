@@ -13,7 +13,7 @@ from geokit.core.equal_rows import repeated_triples
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
-from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled
+from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled, with_polygons
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ def orient_faces(
     else:
         # Copies of a face would cut its component off from the neighbors: they flip with the face that they repeat.
         repeats, repeated = repeated_triples(faces)
+        repeats, repeated = with_polygons(mesh.vertices[mesh.faces[kept]], whole, repeats, repeated)
         if len(repeats):
             topology = Topology(np.delete(faces, repeats, axis=0), position_count)
         first = np.delete(kept, repeats)

@@ -151,3 +151,59 @@ def test_fields_of_doubled_sheets_name_thickness():
     assert grid.info.metadata["geokit:lost_components"] == "0"
     thick = gk.volume.from_mesh(mesh, 0.1, thickness=0.3, device="cpu")
     np.testing.assert_allclose(thick.sample([[0, 0, 0]], device="cpu"), -0.15, atol=0.01)
+
+
+def of_polygons(polygons):
+    """Triangles of polygons as files of polygons are read: fans from the first corner."""
+    return [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
+
+
+BOX_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+BOX_CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+# Convex caps of seven corners, whose fans from both ends share some triangles.
+ROUND = 2 * np.pi * np.arange(7) / 7
+PRISM_CORNERS = np.array([[np.cos(t), np.sin(t), z] for z in (0.0, 1.0) for t in ROUND])
+PRISM = [tuple(range(6, -1, -1)), tuple(range(7, 14)), *((i, (i + 1) % 7, 7 + (i + 1) % 7, 7 + i) for i in range(7))]
+
+
+@pytest.mark.parametrize(
+    ("corners", "polygons"), [(BOX_CORNERS, BOX_QUADS), (PRISM_CORNERS, PRISM)], ids=["box", "prism"]
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_polygons_written_for_each_side_may_have_other_triangles(corners, polygons, seed):
+    random = np.random.default_rng(seed)
+    pose = np.linalg.qr(random.normal(size=(3, 3)))[0] if seed else np.eye(3)
+    # Coordinates as text files have them.
+    corners = np.round(corners @ pose.T, 6)
+    backs = [tuple(np.roll(p[::-1], random.integers(len(p)) if seed else 0)) for p in polygons]
+    plain = TriangleMesh(corners, of_polygons(polygons))
+    if np.linalg.det(pose) < 0:
+        plain = TriangleMesh(corners, plain.faces[:, ::-1])
+    mesh = TriangleMesh(
+        np.concatenate([corners, corners]), of_polygons(polygons + [tuple(i + len(corners) for i in p) for p in backs])
+    )
+    for given in (mesh, shuffled(mesh), mesh_catalog.soup(mesh)):
+        surface = require_inside_of(given, plain, signs=("auto", "winding", "pseudonormal"))
+        assert surface.is_closed
+        assert surface.sign_reason.startswith(f"{len(plain.faces)} faces back to back with others are left out")
+
+
+def test_flat_polygons_of_one_side_stay():
+    # Neither a body with coplanar faces around an edge of four nor the contact of two bodies has a side to leave out.
+    two = mesh_catalog.join(mesh_catalog.box(), mesh_catalog.moved(mesh_catalog.box(), (1, 1, 0)))
+    assert "left out" not in require_inside_of(two, two, signs=("auto", "winding")).sign_reason
+    rim = np.stack([np.cos(ROUND), np.sin(ROUND), np.zeros(7)], axis=1)
+    around = [(i, (i + 1) % 7) for i in range(7)]
+    lens = TriangleMesh(
+        np.concatenate([rim, [[0, 0, 4e-4], [0, 0, -4e-4]]]),
+        [(i, j, 7) for i, j in around] + [(j, i, 8) for i, j in around],
+    )
+    both = Surface(mesh_catalog.join(mesh_catalog.moved(lens, (5, 0, 0)), two), device="cpu")
+    assert both.contains([[5, 0, 1e-4], [5, 0, -1e-4]]).all()
+    assert "left out" not in both.sign_reason
+    other = [tuple(np.roll(q, 1)) for q in BOX_QUADS]
+    contact = TriangleMesh(
+        np.concatenate([BOX_CORNERS, BOX_CORNERS + np.array([1.0, 0.0, 0.0])]),
+        of_polygons(BOX_QUADS + [tuple(i + 8 for i in q) for q in other]),
+    )
+    assert "left out" not in require_inside_of(contact, contact, signs=("auto", "winding")).sign_reason

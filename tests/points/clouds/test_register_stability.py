@@ -129,3 +129,13 @@ def test_few_points_with_weak_features_count_as_noise():
 
     assert rank(nearly_round, 500, 0, 0.0, given=True) < 6
     assert rank(nearly_round, 6000, 0, 0.0, given=True) == 6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exact_normals_of_faces_in_any_pose(seed):
+    """Equal unit normals differ from 1 by roundings: no face is left out for that."""
+    random = np.random.default_rng(seed)
+    pose = Rotation.random(random_state=seed).as_matrix()
+    (source, _, _), (target, normal, _) = FULL["box"](random, 1500), FULL["box"](random, 1500)
+    found = register(source @ pose.T + 0.002, target @ pose.T, target_normals=normal @ pose.T, device="cpu")
+    assert found.rank == 6
