@@ -99,6 +99,8 @@ def with_polygons(
     Returns:
         The same for faces and polygons; those of a polygon repeat its other side.
     """
+    if not (topology.uses > 3).any():
+        return repeats, repeated
     count = len(triangles)
     edge, face = np.repeat(np.arange(topology.edge_count), topology.uses), topology.order // 3
     # Polygons of the same triangles on both sides are found already.
