@@ -56,6 +56,7 @@ def build_app() -> App:
         reference_folder: Annotated[list[Path] | None, Parameter(negative="")] = None,
         memory_limit: int | None = None,
         cad_tolerance: float | None = None,
+        time_step: int | None = None,
     ) -> Any:
         """Options for all commands.
 
@@ -67,23 +68,24 @@ def build_app() -> App:
                 times the file's size, at least 1 GiB, and at most half of the free memory.
             cad_tolerance: Largest distance in millimeters between a curved face of a .step or .iges and its triangles;
                 by default 1e-4 of the diagonal of its box.
+            time_step: Of an .xdmf with a time series: which one, from 0, or from -1 back from the last.
         """
         if tokens and tokens[0] == "help":
             tokens = (*tokens[1:], "--help")
-        if reference_folder is memory_limit is cad_tolerance is None:
+        if reference_folder is memory_limit is cad_tolerance is time_step is None:
             return app(tokens or ["--help"], exit_on_error=False, print_error=False)
         # NumPy comes with these, and most commands do not need it to print their help.
         from geokit.core.content_limit import content_limit, set_default_limit
+        from geokit.formats.reading_defaults import set_reading_defaults
         from geokit.formats.references import allowed_folders, set_default_folders
-        from geokit.formats.tessellation import set_default_tolerance
 
-        set_default_tolerance(cad_tolerance)
+        set_reading_defaults(cad_tolerance, time_step)
         set_default_limit(None if memory_limit is None else content_limit(0, memory_limit))
         set_default_folders(allowed_folders(reference_folder or ()))
         try:
             return app(tokens, exit_on_error=False, print_error=False)
         finally:
-            set_default_tolerance(None)
+            set_reading_defaults()
             set_default_limit(None)
             set_default_folders(())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -16,6 +17,7 @@ __all__ = ["run", "show_warning", "usage_message"]
 FAILURE, USAGE, INTERRUPTED = 1, 2, 130
 # The exit code that a shell reports for a command killed by SIGPIPE.
 BROKEN_PIPE = 141
+_STEPS = re.compile(r"with step=(\d+) to step=(\d+)$")
 
 
 def run(arguments: list[str]) -> int:
@@ -40,7 +42,8 @@ def run(arguments: list[str]) -> int:
     except CycloptsError as error:
         return _fail(usage_message(error), USAGE, hint=" (see geokit --help)")
     except GeokitError as error:
-        return _fail(str(error), FAILURE)
+        # The library's message names its parameter; the user knows the option.
+        return _fail(_STEPS.sub(r"with --time-step \1 to \2", str(error)), FAILURE)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0] or str(error)
         return _fail(f"the Python package {package} is not installed; pip install geokit brings it along", FAILURE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,18 +44,18 @@ def prepare() -> None:
         import h5py  # noqa: F401
 
 
-def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
+def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> list[Body]:
     """Read the triangles, quads and polygons of the file; points, lines and inner volume cells are left out.
 
     Arrays of points and cells come along, and the physical groups of .msh as ``physical``. Arrays of an .xdmf in other
-    files are read from the file's own folder and from ``folders``.
+    files are read from the file's own folder and from ``folders``. ``step`` is the number of one grid of a time series.
     """
     meshio = require_package("meshio")
     # Not meshio.read, which prints the reason and exits.
     if path.suffix.lower() == ".xdmf":
-        _require_one_grid(path)
+        root = _one_grid(path, step)
         _check_arrays(path, folders)
-        mesh = _xdmf_reader()(path).read()
+        mesh = _xdmf_reader()(path).read_root(root)
     else:
         with open(path, "rb") as file:
             is_gmsh = file.read(64).lstrip().startswith(b"$")
@@ -99,6 +100,10 @@ def named(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     )
 
 
+# Grid[@Name="mesh"], Grid[1], Grid.
+_POINTED = re.compile(r"""Grid(?:\[@Name=["']([^"']*)["']\])?(?:\[(\d+)\])?""")
+
+
 def _xdmf_reader() -> Any:
     from meshio.xdmf.main import XdmfReader
 
@@ -110,33 +115,54 @@ def _xdmf_reader() -> Any:
                 item.text = str(self.filename.parent / (item.text or "").strip())
             return super()._read_data_item(item, root)
 
+        def read_root(self, root: Any) -> Any:
+            """What ``read`` makes of a file with this content."""
+            if root.tag != "Xdmf":
+                raise FileFormatError(f"{self.filename}: its outermost element is {root.tag[:40]}, not Xdmf")
+            version = root.get("Version", "3")
+            if version.split(".")[0] not in ("2", "3"):
+                raise FileFormatError(f"{self.filename}: is of version {version[:20]} of XDMF; export version 2 or 3")
+            return (self.read_xdmf2 if version.startswith("2") else self.read_xdmf3)(root)
+
     return Reader
 
 
-def _require_one_grid(path: Path) -> None:
-    """Check that an .xdmf holds one grid, which is what meshio reads.
+def _one_grid(path: Path, step: int | None) -> Any:
+    """The content of an .xdmf with one grid, which is what meshio reads; of a time series that of a step.
 
     Raises:
-        FileFormatError: It holds a series of times, several grids, or a geometry of separate arrays for each axis.
+        FileFormatError: It holds a series of times and no step is given, or not that one; several grids; or a geometry
+            of separate arrays for each axis.
     """
     from xml.etree import ElementTree
 
-    domain = next((item for item in ElementTree.parse(path).getroot().iter() if item.tag == "Domain"), None)
+    root = ElementTree.parse(path).getroot()
+    domain = next((item for item in root.iter() if item.tag == "Domain"), None)
+    series = [] if domain is None else [grid for grid in domain.findall("Grid") if _is_series(grid)]
+    if step is not None and domain is not None:
+        if len(series) != 1:
+            raise FileFormatError(f"{path}: holds {len(series)} time series, and step= chooses from one; leave it out")
+        chosen = _step_of(path, root, series[0], step)
+        # Other grids of the domain are what the steps refer to.
+        for grid in domain.findall("Grid"):
+            domain.remove(grid)
+        domain.append(chosen)
     grids = [] if domain is None else domain.findall("Grid")
     for grid in grids:
         kind = grid.get("GridType", "Uniform").lower()
         steps = len(grid.findall("Grid")) or len(grid.findall("{*}include"))
-        if kind == "collection" and grid.get("CollectionType", "").lower() == "temporal":
+        if _is_series(grid):
             raise FileFormatError(
-                f"{path}: holds a time series of {steps} {'step' if steps == 1 else 'steps'}, and geokit reads one "
-                "mesh; save one step as a file of its own (meshio.xdmf.TimeSeriesReader reads them, ParaView exports "
-                "one)"
+                f"{path}: holds a time series of {steps} {'step' if steps == 1 else 'steps'}; choose one with step=0 "
+                f"to step={max(steps - 1, 0)}"
             )
         if kind in ("collection", "tree"):
             raise FileFormatError(
                 f"{path}: holds a collection of {steps} grids, and geokit reads one; save each as a file of its own, "
                 "or join them first"
             )
+        for time in grid.findall("Time"):
+            grid.remove(time)  # meshio knows no such element
         geometry = grid.find("Geometry")
         told = "" if geometry is None else geometry.get("GeometryType", geometry.get("Type", "XYZ")).upper()
         if told not in ("", "XYZ", "XY"):
@@ -149,6 +175,55 @@ def _require_one_grid(path: Path) -> None:
             f"{path}: holds {len(grids)} grids, and geokit reads one; save each as a file of its own, or join them "
             "first"
         )
+    return root
+
+
+def _is_series(grid: Any) -> bool:
+    kind = grid.get("GridType", "Uniform").lower()
+    return kind == "collection" and grid.get("CollectionType", "").lower() == "temporal"
+
+
+def _step_of(path: Path, root: Any, series: Any, step: int) -> Any:
+    """A grid of a time series, with the topology and the geometry that it refers to.
+
+    Raises:
+        FileFormatError: There is none of this number, or it refers to what is not there.
+    """
+    grids = series.findall("Grid")
+    if not -len(grids) <= step < len(grids):
+        raise FileFormatError(
+            f"{path}: has no step {step}; its time series has {len(grids)}; choose one with step=0 "
+            f"to step={max(len(grids) - 1, 0)}"
+        )
+    grid = grids[step]
+    for include in grid.findall("{*}include"):
+        pointer = include.get("xpointer", "")
+        found = _pointed_at(root, pointer) if not include.get("href") else None
+        # Steps that keep their mesh refer to that of a grid beside the series, or of its first step.
+        if found is not None and _is_series(found):
+            found = found.find("Grid")
+        parts = [] if found is None else [found.find(tag) for tag in ("Topology", "Geometry") if tag in pointer]
+        if not parts or any(part is None for part in parts):
+            raise FileFormatError(
+                f"{path}: step {step} refers to {pointer[:100]!r}, which is not there; export it again"
+            )
+        grid.remove(include)
+        grid.extend(part for part in parts if grid.find(part.tag) is None)
+    return grid
+
+
+def _pointed_at(root: Any, pointer: str) -> Any:
+    """The grid that a pointer of XInclude names: by the names and numbers of grids from outside to inside."""
+    found = root
+    for name, number in _POINTED.findall(pointer):
+        below = [grid for grid in (found.iter("Grid") if found is root else found.findall("Grid")) if grid is not found]
+        if name:
+            below = [grid for grid in below if grid.get("Name") == name]
+        at = int(number or 1) - 1
+        if at >= len(below):
+            return None
+        found = below[at]
+    return None if found is root else found
 
 
 def _check_arrays(path: Path, folders: Sequence[Path]) -> None:

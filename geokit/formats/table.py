@@ -88,6 +88,7 @@ class Format(NamedTuple):
         limited: Whether point clouds hold only some arrays, or rounded coordinates: such files hold no query's answers.
         arrays: Names of the only arrays that point clouds hold; empty if they hold any.
         curved: Whether meshes have curved faces in the file, for which ``read_mesh`` takes a ``tolerance``.
+        series: Whether meshes may have time steps, of which ``read_mesh`` takes the number of one as ``step``.
         up: The axis that points up in most files, "y" or "z"; pictures are drawn so unless told otherwise.
     """
 
@@ -112,6 +113,7 @@ class Format(NamedTuple):
     limited: bool = False
     arrays: tuple[str, ...] = ()
     curved: bool = False
+    series: bool = False
     up: Literal["y", "z"] = "y"
 
     @property
@@ -150,7 +152,7 @@ FORMATS: dict[str, Format] = {
     ".vtu": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
     # meshio
     ".msh": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),
-    ".xdmf": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),
+    ".xdmf": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, series=True, **_Z),
     # pycollada
     ".dae": Format("exchange.collada", mesh="r", process=True, references=True, extra="dae"),
     # ufbx

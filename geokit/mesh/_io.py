@@ -15,20 +15,22 @@ from numpy.typing import ArrayLike
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
 from geokit.core.memory.needs import file_size, needs
-from geokit.core.require import require_flag, require_path, require_text
+from geokit.core.require import require_count, require_flag, require_path, require_text
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.formats.attributes.held import what_is_held
 from geokit.formats.foreign import require_format
+from geokit.formats.reading_defaults import default_step, default_tolerance
 from geokit.formats.references import allowed_folders
 from geokit.formats.table import FORMATS, extensions, module_of, with_formats
-from geokit.formats.tessellation import default_tolerance
 from geokit.mesh._data import checked_data
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import with_data
 
 __all__ = ["load", "save"]
+
+MOST_STEPS = 1 << 31
 
 # VTK writes these into memory first, and ends the process where it gets none. Its libraries are mapped at first use.
 VTK_FORMATS, VTK_BYTES, VTK_MORE = (".vtp", ".vtu", ".vtk"), 220 << 20, 50 << 20
@@ -47,6 +49,7 @@ def load(
     *,
     name: str | None = None,
     tolerance: float | None = None,
+    step: int | None = None,
     reference_folders: Sequence[str | os.PathLike[str]] | None = None,
     trusted: bool = False,
     memory_limit: int | None = None,
@@ -78,6 +81,8 @@ def load(
         name: The mesh's name; None is the file's name without its extension.
         tolerance: Of .step and .iges: largest distance between a curved face and its triangles [mm], by Open CASCADE's
             estimate; None for 1e-4 of the diagonal of the file's box.
+        step: Of an .xdmf with a time series: which one, from 0, or from -1 back from the last; None reads files of one
+            mesh only.
         reference_folders: Further folders in which files may lie that this one refers to.
         trusted: Whether a file for another library is known to be sound. It is then read in this process (all but
             .fbx), which saves a copy; a crash of the library is one of this process, and no limit on time and memory
@@ -87,10 +92,12 @@ def load(
     Returns:
         TriangleMesh with at least one face.
     Raises:
-        InputError: The extension is none of these, or tolerance is not positive, or given for another format.
+        InputError: The extension is none of these, tolerance is not positive, or tolerance or step is given for another
+            format.
         FileAccessError: The file is missing or not readable, or refers to a file outside the folders.
         FileFormatError: The file is truncated or damaged, has no faces, has an index out of range or a coordinate that
-            is not finite, its content does not match its extension, or reading it takes too much memory or time.
+            is not finite, its content does not match its extension, it has no such step, or reading it takes too much
+            memory or time.
         DeviceMemoryError: The content is larger than memory_limit.
         MissingDependencyError: A USD file without usd-core installed.
         WorkerError: The separate process did not start, or was killed from outside.
@@ -113,6 +120,13 @@ def load(
             raise InputError(f"tolerance: {kind} has no curved faces; leave it out, or simplify what was loaded")
     elif FORMATS[kind].curved:
         tolerance = default_tolerance()
+    if step is not None:
+        step = require_count(step, "step", -MOST_STEPS, MOST_STEPS)
+        if not FORMATS[kind].series:
+            raise InputError(f"step: {kind} holds no time series; leave it out")
+    elif FORMATS[kind].series:
+        step = default_step()
+    options = {name: value for name, value in (("tolerance", tolerance), ("step", step)) if value is not None}
     path = require_file(path)
     refuse_empty(path)
     folders = allowed_folders(reference_folders)
@@ -127,11 +141,11 @@ def load(
         elif trusted and getattr(module, "IN_PROCESS", True):
             from geokit.formats.reader import trusted as in_process
 
-            bodies = in_process.read_mesh(path, module, taken, tolerance)
+            bodies = in_process.read_mesh(path, module, taken, options)
         else:
             from geokit.formats.reader import process as reader_process
 
-            bodies = reader_process.read_mesh(path, module.__name__, limit, taken, tolerance)
+            bodies = reader_process.read_mesh(path, module.__name__, limit, taken, options)
         return join(bodies, path, path.stem if name is None else name)
 
 

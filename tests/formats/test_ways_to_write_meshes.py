@@ -141,7 +141,7 @@ _ONE = _GRID.format(name="g", kind="XYZ")
         (f'<Grid GridType="Collection" CollectionType="Temporal">{_ONE * 12}</Grid>', "a time series of 12 steps"),
         (
             f'<Grid GridType="Collection" CollectionType="Temporal">{_ONE}</Grid>',
-            r"a time series of 1 step,.*TimeSeries",
+            r"a time series of 1 step; choose one with step=0",
         ),
         (f'<Grid GridType="Collection" CollectionType="Spatial">{_ONE * 2}</Grid>', "a collection of 2 grids"),
         (f'<Grid GridType="Tree">{_ONE * 3}</Grid>', "a collection of 3 grids"),
@@ -157,6 +157,77 @@ def test_xdmf_of_more_than_a_mesh_is_called_what_it_is(tmp_path: Path, body: str
     assert "damaged" not in str(caught.value)
     path.write_text(f'<?xml version="1.0"?><Xdmf Version="3.0"><Domain>{_ONE}</Domain></Xdmf>')
     assert gk.mesh.audit(gk.mesh.load(path)).area == 1.0
+
+
+_STEP = '<Grid Name="s{at}" GridType="Uniform">{mesh}<Time Value="{at}"/>{data}</Grid>'
+_DATA = (
+    '<Attribute Name="height" AttributeType="Scalar" Center="Node"><DataItem Dimensions="4" Format="XML">'
+    "{at} {at} {at} {at}</DataItem></Attribute>"
+)
+_SERIES = '<Grid Name="all" GridType="Collection" CollectionType="Temporal">{steps}</Grid>'
+_WHOLE = _ONE[_ONE.index("<Geometry") : -len("</Grid>")]
+_INCLUDE = "<xi:include xpointer='xpointer({where}/*[self::Topology or self::Geometry])'/>"
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+@pytest.mark.parametrize(
+    ("first", "later", "beside"),
+    [
+        (_WHOLE, _WHOLE, ""),
+        # As DOLFIN writes a mesh that stays, and as meshio does.
+        (_WHOLE, _INCLUDE.format(where='//Grid[@Name="all"]/Grid[1]'), ""),
+        (_INCLUDE.format(where='//Grid[@Name="g"]'), _INCLUDE.format(where='//Grid[@Name="g"]'), _ONE),
+    ],
+)
+def test_a_step_of_a_time_series(tmp_path: Path, first: str, later: str, beside: str, trusted: bool) -> None:
+    path = tmp_path / "a.xdmf"
+    steps = [_STEP.format(at=at, mesh=later if at else first, data=_DATA.format(at=at)) for at in range(3)]
+    head = '<Xdmf Version="3.0" xmlns:xi="http://www.w3.org/2001/XInclude">'
+    path.write_text(f"{head}<Domain>{beside}{_SERIES.format(steps=''.join(steps))}</Domain></Xdmf>")
+    for step, height in ((0, 0.0), (1, 1.0), (2, 2.0), (-1, 2.0), (-3, 0.0)):
+        mesh = gk.mesh.load(path, step=step, trusted=trusted)
+        assert gk.mesh.audit(mesh).area == 1.0
+        assert mesh.vertex_data["height"].tolist() == [height] * 4
+    for step in (3, -4):
+        with pytest.raises(gk.FileFormatError, match=f"has no step {step}; its time series has 3"):
+            gk.mesh.load(path, step=step)
+    with pytest.raises(gk.FileFormatError, match="a time series of 3 steps; choose one with step=0 to step=2"):
+        gk.mesh.load(path)
+    for step in (1.5, "last", True):
+        with pytest.raises(gk.InputError, match=r"^step: .* is not a whole number"):
+            gk.mesh.load(path, step=step)
+
+
+def test_steps_that_are_not_there(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdmf"
+    lost = _STEP.format(at=0, mesh=_INCLUDE.format(where='//Grid[@Name="other"]'), data="")
+    path.write_text(f'<Xdmf Version="3.0"><Domain>{_ONE}</Domain></Xdmf>')
+    with pytest.raises(gk.FileFormatError, match="holds 0 time series"):
+        gk.mesh.load(path, step=0)
+    head = '<Xdmf Version="3.0" xmlns:xi="http://www.w3.org/2001/XInclude">'
+    path.write_text(f"{head}<Domain>{_SERIES.format(steps=lost)}</Domain></Xdmf>")
+    with pytest.raises(gk.FileFormatError, match=r"step 0 refers to .*other.*, which is not there"):
+        gk.mesh.load(path, step=0)
+    with pytest.raises(gk.InputError, match=r"step: \.obj holds no time series; leave it out"):
+        gk.mesh.load(tmp_path / "a.obj", step=0)
+
+
+def test_the_time_of_a_single_mesh_is_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdmf"
+    timed = _ONE.replace("<Geometry ", '<Time Value="2"/><Geometry ', 1)
+    path.write_text(f'<Xdmf Version="3.0"><Domain>{timed}</Domain></Xdmf>')
+    assert gk.mesh.audit(gk.mesh.load(path)).area == 1.0
+
+
+def test_the_command_line_takes_a_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from geokit.cli import main
+
+    path = tmp_path / "a.xdmf"
+    steps = "".join(_STEP.format(at=at, mesh=_WHOLE, data="") for at in range(2))
+    path.write_text(f'<Xdmf Version="3.0"><Domain>{_SERIES.format(steps=steps)}</Domain></Xdmf>')
+    assert main(["info", str(path)]) == 1
+    assert "--time-step" in capsys.readouterr().err
+    assert main(["info", str(path), "--time-step", "1"]) == 0
 
 
 # --- USD --------------------------------------------------------------------------------------------------------------

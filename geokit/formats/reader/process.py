@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import signal
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ Named = list[tuple[str, NDArray[Any]]]
 
 
 def read_mesh(
-    path: Path, module: str, limit: int, folders: Sequence[Path] | None, tolerance: float | None = None
+    path: Path, module: str, limit: int, folders: Sequence[Path] | None, options: Mapping[str, float] | None = None
 ) -> list[Body]:
     """Run ``read_mesh(path)`` of a module in a new process and return its bodies.
 
@@ -54,7 +54,7 @@ def read_mesh(
         module: Full name of the module that reads it.
         limit: Largest size of the content in bytes.
         folders: Folders of referenced files besides the file's own; None if the module takes none.
-        tolerance: Of curved faces; None if none is given.
+        options: ``tolerance`` of curved faces, number of the time ``step``; those that are given.
     Raises:
         FileAccessError: The file refers to one outside these folders.
         FileFormatError: The reader rejected the file, crashed, or exceeded its time or memory limit.
@@ -62,7 +62,7 @@ def read_mesh(
         WorkerError: The process did not start, or was killed from outside.
     """
     request = _request(path, "mesh", limit, None if folders is None else [str(folder) for folder in folders])
-    request["tolerance"] = tolerance
+    request["options"] = dict(options or {})
     facts, arrays = ask(path, module, request, reading_seconds(path), "export it again")
     bodies, rest = [], iter(arrays)
     for fact in facts:

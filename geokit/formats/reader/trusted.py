@@ -5,7 +5,7 @@ The twin of process.py, with the same answers and errors for whatever raises an 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,7 +20,7 @@ __all__ = ["read_mesh", "read_points"]
 
 
 def read_mesh(
-    path: Path, module: ModuleType, folders: Sequence[Path] | None, tolerance: float | None = None
+    path: Path, module: ModuleType, folders: Sequence[Path] | None, options: Mapping[str, float] | None = None
 ) -> list[Body]:
     """Run ``read_mesh`` of a module.
 
@@ -28,15 +28,14 @@ def read_mesh(
         path: The file.
         module: The module that reads it.
         folders: Folders of referenced files besides the file's own; None if the module takes none.
-        tolerance: Of curved faces; None if none is given.
+        options: As for :func:`geokit.formats.reader.process.read_mesh`.
     Raises:
         FileAccessError: The file refers to one outside these folders.
         FileFormatError: The reader rejected the file.
         MissingDependencyError: The reader's library is not installed.
     """
     allowed = () if folders is None else (folders,)
-    options = {} if tolerance is None else {"tolerance": tolerance}
-    bodies = _read(path, lambda real: module.read_mesh(real, *allowed, **options))
+    bodies = _read(path, lambda real: module.read_mesh(real, *allowed, **(options or {})))
     return [
         body._replace(
             points=np.asarray(body.points).reshape(-1, 3),

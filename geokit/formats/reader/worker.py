@@ -52,7 +52,7 @@ class Request(TypedDict):
         content: "mesh", "points" or "grids".
         path: The file.
         names: Of a mesh: folders of referenced files, or None if the module takes no such folders. Names of grids.
-        tolerance: Of curved faces of a mesh; None or missing if none is given.
+        options: Of a mesh: ``tolerance`` of curved faces, number of the time ``step``; those that are given.
         limit: Largest size of the answer's arrays in bytes.
         memory: Limit of address space in bytes.
         seconds: Time that reading may take.
@@ -62,7 +62,7 @@ class Request(TypedDict):
     content: str
     path: str
     names: list[str] | None
-    tolerance: float | None
+    options: dict[str, float]
     limit: int
     memory: int
     seconds: float
@@ -246,9 +246,7 @@ def _read(request: Request, reader: ModuleType) -> tuple[dict[str, Any], list[An
             if request["content"] == "mesh":
                 names = request["names"]
                 allowed = () if names is None else ([Path(folder) for folder in names],)
-                tolerance = request.get("tolerance")
-                options = {} if tolerance is None else {"tolerance": tolerance}
-                facts, arrays = _mesh(reader.read_mesh(path, *allowed, **options))
+                facts, arrays = _mesh(reader.read_mesh(path, *allowed, **request.get("options", {})))
             elif request["content"] == "grids":
                 facts, arrays = reader.read_grids(path, request["names"])
             else:
