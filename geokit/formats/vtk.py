@@ -368,7 +368,8 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     for name, values in data.items():
         if not holds_name(name, ".vtp"):
             raise InputError(f"data: {name!r} cannot be an array's name in .vtp; rename it")
-        plain = values.astype(np.uint8) if values.dtype.kind == "b" else values
+        changed = {"?": np.uint8, "e": np.float32}.get(values.dtype.char)
+        plain = values if changed is None else values.astype(changed)
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
         array.SetName(name)
         result.GetPointData().AddArray(array)
