@@ -148,6 +148,9 @@ def resolve_device(device: Any = None) -> "wp.Device":
         gpus = wp.get_cuda_devices()
         device = gpus[0] if gpus else "cpu"
     try:
+        # Asked for the current GPU where there is none, warp's native code prints what the driver says.
+        if isinstance(device, str) and device == "cuda" and not wp.get_cuda_devices():
+            raise LookupError("no GPU")
         found = wp.get_device(device)
     except Exception as error:  # of warp, or of the caller's own type
         names = ", ".join(["cpu", *cuda_devices()])

@@ -394,7 +394,8 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     vertices.SetData(numpy_to_vtkIdTypeArray(ids, deep=True), numpy_to_vtkIdTypeArray(ids[:-1], deep=True))
     result.SetVerts(vertices)
     for name, values in data.items():
-        plain = values.astype(np.uint8) if values.dtype.kind == "b" else values
+        changed = {"?": np.uint8, "e": np.float32}.get(values.dtype.char)
+        plain = values if changed is None else values.astype(changed)
         array = numpy_to_vtk(np.ascontiguousarray(plain), deep=True)
         array.SetName(name.replace("\0", "_"))
         result.GetPointData().AddArray(array)

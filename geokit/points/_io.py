@@ -378,5 +378,7 @@ def _data(values: ArrayLike, name: str, count: int) -> NDArray[np.generic]:
     array = np.array(read_array(values, f"data['{name}']", kinds="fiub"))
     if array.ndim not in (1, 2) or len(array) != count:
         raise InputError(f"data: '{name}' has shape {array.shape}; give one row for each of the {count} points")
+    if array.dtype.kind == "f" and array.dtype.itemsize > 8:  # no file holds them, and text would hold their repr
+        array = array.astype(np.float64)
     array.flags.writeable = False
     return array

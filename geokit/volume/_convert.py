@@ -42,7 +42,8 @@ def to_pyvista(volume: SparseVolume, *, bounds: Any = None, device: Any = None) 
     Returns:
         pyvista.ImageData; the array has the grid's name, or "value".
     Raises:
-        InputError: bounds is no box of voxels, there are none, or the voxels are sheared, which images cannot be.
+        InputError: bounds is no box of voxels, there are none, or the voxels are sheared, or their squared edges leave
+            float64.
         UnsupportedGridError: The grid stores no values of its own.
         DeviceMemoryError: The array does not fit into memory.
         MissingDependencyError: PyVista is not installed.
@@ -51,7 +52,10 @@ def to_pyvista(volume: SparseVolume, *, bounds: Any = None, device: Any = None) 
     """
     dense = _dense(volume, bounds, device)
     linear = dense.transform[:3, :3]
-    spacing = np.linalg.norm(linear, axis=0)
+    with np.errstate(over="ignore", under="ignore"):
+        spacing = np.linalg.norm(linear, axis=0)
+    if not (spacing > 0.0).all() or not np.isfinite(spacing).all():
+        raise InputError("volume: edges of its voxels leave the range of images; use volume.resample")
     direction = linear / spacing
     if np.abs(direction.T @ direction - np.eye(3)).max() > LARGEST_COSINE:
         raise InputError("volume: its voxels are sheared, and images have right angles; use volume.resample")

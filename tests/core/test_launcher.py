@@ -266,3 +266,10 @@ def test_groups_answer_every_query_once(cpu, count, group):
     points = np.random.default_rng(3).random((count, 3))
     assert sorted(ask(points, cpu, group=group)) == list(range(count))
     np.testing.assert_array_equal(ask(points, cpu, group=group), ask(points, cpu))
+
+
+@pytest.mark.skipif(bool(launcher.cuda_devices()), reason="there is a GPU")
+def test_the_current_gpu_where_there_is_none_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(gk.InputError, match="'cuda' is not on this machine"):
+        launcher.resolve_device("cuda")
+    assert capfd.readouterr() == ("", "")

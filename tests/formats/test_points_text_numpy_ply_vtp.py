@@ -40,6 +40,14 @@ def test_round_trip_keeps_every_bit(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", WRITABLE)
+@pytest.mark.parametrize("dtype", [np.float16, np.longdouble])
+def test_floats_that_files_do_not_hold_become_others(kind, dtype, tmp_path):
+    path = tmp_path / f"a.{kind}"
+    gk.points.save(path, np.eye(3), data={"v": np.array([0.5, 1.25, -2.0], dtype)})
+    assert gk.points.load(path).data["v"].tolist() == [0.5, 1.25, -2.0]
+
+
+@pytest.mark.parametrize("kind", WRITABLE)
 def test_no_points(kind, tmp_path):
     path = tmp_path / f"cloud.{kind}"
     gk.points.save(path, np.zeros((0, 3)))

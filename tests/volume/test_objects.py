@@ -125,3 +125,10 @@ class TestLabeled:
 
 def test_the_default_voxel_is_one() -> None:
     assert gk.volume.from_dense(VALUES).info.voxel_size.tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e300])
+def test_voxels_that_images_cannot_have(size: float) -> None:
+    volume = gk.volume.from_dense(np.ones((2, 2, 2), np.float32), voxel_size=size)
+    with pytest.raises(gk.InputError, match="leave the range of images"):
+        gk.volume.to_pyvista(volume)
