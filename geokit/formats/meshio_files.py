@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.attributes.columns import as_columns, from_columns
+from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
-from geokit.formats.vtk import xml_name
 from geokit.mesh._data import full_scale, has_meaning
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.forks import renew_after_fork
 from geokit.errors import FileFormatError
+from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body
 from geokit.mesh._data import has_meaning
 
@@ -35,7 +35,6 @@ __all__ = [
     "unit_of",
     "write_mesh",
     "write_points",
-    "xml_name",
 ]
 
 # Names of the arrays that say what the numbers mean.
@@ -329,11 +328,6 @@ def _write(writer: Any, data: Any, path: Path) -> None:
     whole = writer.GetOutputStdString() if hasattr(writer, "GetOutputStdString") else writer.GetOutputString()
     content = whole if isinstance(whole, bytes) else whole.encode()
     path.write_bytes(_NORMS.sub(b"", content) if is_xml else content)
-
-
-def xml_name(name: str) -> str:
-    """A name as text of an XML attribute, which VTK and meshio do not make of it."""
-    return escape("".join(sign if sign.isprintable() else "_" for sign in name), {'"': "&quot;"})
 
 
 def lacks_faces(head: bytes) -> bool:
