@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.attributes.columns import as_columns, from_columns
-from geokit.formats.attributes.xml_names import xml_name
+from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
 from geokit.mesh._data import full_scale, has_meaning

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.forks import renew_after_fork
 from geokit.errors import FileFormatError
-from geokit.formats.attributes.xml_names import xml_name
+from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body
 from geokit.mesh._data import has_meaning
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_columns", "free_name", "from_columns"]
+__all__ = ["as_columns", "free_name", "from_columns", "xml_name"]
 
 # Names of the columns of arrays with a meaning: the first are written.
 _NAMES = {
@@ -64,6 +65,11 @@ def free_name(name: str, taken: Container[str]) -> str:
     while free in taken:
         free += "_"
     return free
+
+
+def xml_name(name: str) -> str:
+    """A name as text of an XML attribute, which VTK and meshio do not make of it."""
+    return escape("".join(sign if sign.isprintable() else "_" for sign in name), {'"': "&quot;"})
 
 
 def _column_names(name: str, width: int) -> tuple[str, ...]:

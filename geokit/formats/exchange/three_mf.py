@@ -30,6 +30,8 @@ __all__ = ["content_bytes", "read_mesh", "write_mesh"]
 
 # Meters in the units that a file can name.
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
+# Resources that say how triangles look.
+_COLORS = ("basematerials", "colorgroup", "texture2dgroup", "compositematerials")
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/"
 _MODEL_RELATION = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _USUAL = "3D/3dmodel.model"
@@ -57,7 +59,8 @@ def content_bytes(path: Path) -> int:
 def read_mesh(path: Path) -> list[Body]:
     """Read what the build of the file names: each mesh at each of its places. Ids belong to the file they stand in.
 
-    Supports and objects of type "other" (cutters and modifiers of slicers) are left out, with a note.
+    Supports and objects of type "other" (cutters and modifiers of slicers) are left out, and so are colors and
+    materials, with a note.
     """
     archive = _Archive(path)
     start = archive.start()
@@ -72,6 +75,8 @@ def read_mesh(path: Path) -> list[Body]:
     notes = []
     if found.aside:
         notes.append(f"{found.aside} supports, cutters or modifiers are left out")
+    if any(model.colored for model in archive.models.values()):
+        notes.append("its colors and materials are left out")
     others = {model.unit for model in archive.models.values() if model.unit} - {root.unit or "millimeter"}
     if others:
         notes.append(f"parts in {', '.join(sorted(others))} are taken as the file's {root.unit or 'millimeter'}")
@@ -100,6 +105,7 @@ class _Object:
 @dataclass
 class _Model:
     unit: str = ""
+    colored: bool = False
     objects: dict[str, _Object] = field(default_factory=dict)
     items: list[_Place] = field(default_factory=list)
 
@@ -207,6 +213,7 @@ def _read_model(data: bytes, where: str) -> _Model:
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         space, _, local = name.rpartition(" ")
+        model.colored |= local in _COLORS
         if space and not space.startswith(_CORE):
             return
         if local == "vertex":

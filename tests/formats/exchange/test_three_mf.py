@@ -198,3 +198,15 @@ def test_what_is_written_is_what_trimesh_reads(tmp_path):
     np.testing.assert_array_equal(ours.vertices, mesh.vertices)
     text = zipfile.ZipFile(tmp_path / "a.3mf").read("3D/3dmodel.model").decode()
     assert "&lt;a &amp; 'b'&gt; " in text
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        '<basematerials id="9"><base name="red" displaycolor="#FF0000"/></basematerials>',
+        '<m:colorgroup xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02" id="9"/>',
+    ],
+)
+def test_colors_that_are_left_out_are_said(load, look):
+    with pytest.warns(UserWarning, match="its colors and materials are left out$"):
+        assert load(model(look + body(1), item(1)), quiet=False).face_count == 12
