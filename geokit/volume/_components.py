@@ -73,10 +73,11 @@ def segment(volume: SparseVolume, *, device: Any = None) -> list[SparseVolume]:
     Voxels are connected over faces. Level sets of real values are split by their inside: a hollow body is one
     component. Each component is the distance field of that body alone, in a band of the same widths. A voxel outside
     keeps its value in the component that is nearest. Where bands meet, the other components get their own distance,
-    right to 0.1 voxel next to smooth surfaces, whatever the gap. Next to sharp edges it is right to 0.4 voxel where the
-    gap is 3 voxels or more, and to 1 voxel in smaller gaps. Bodies that touch within a voxel are one component if
-    voxels inside them share a face. Components whose bands do not meet keep all values. Other grids are split by their
-    active voxels; the voxels of other components become inactive background. Needs no OpenVDB.
+    right to 0.1 voxel next to balls, tubes and rings of a radius of 4 voxels or more, whatever the gap. Next to edges
+    that are rounded by 3 or 4 voxels, and tubes as thin, it is right to 0.1 voxel where the gap is 3 voxels or more,
+    and to 0.5 in smaller gaps; next to sharp edges to 0.5 and 1 voxel. Bodies that touch within a voxel are one
+    component if voxels inside them share a face. Components whose bands do not meet keep all values. Other grids are
+    split by their active voxels; the voxels of other components become inactive background. Needs no OpenVDB.
 
     Every volume takes 0.3 MB or more, so for many components see :func:`connected_components`.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from geokit import native
+from geokit.mesh import Surface, TriangleMesh
 from geokit.volume._morphology import closing, dilate, erode, opening
 from tests.support.analytic_volumes import active_voxels, level_set
 from tests.support.edged_bodies import cuboid, extruded, outline, polygon, revolved, turned
@@ -76,3 +78,32 @@ def test_closing_of_boxes(distance, pose):
 def test_dilation_within_the_band():
     box = turned(cuboid(np.array([12.0, 10.5, 9.3])), *ODD)
     assert found(dilate(level_set(box), 1.0), lambda p: box(p) - 1.0).max() < 0.3
+
+
+def polyhedron(seed):
+    """Fourteen random planes and six of a turned cube; erosion moves them all."""
+    rng = np.random.default_rng(seed)
+    turn, normal = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=(14, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normals, center = np.concatenate([normal, turn, -turn]), rng.uniform(-0.5, 0.5, 3)
+    away = np.concatenate([np.full(14, 10.0), np.full(6, 11.0)]) + normals @ center
+
+    def eroded(distance):
+        corners = HalfspaceIntersection(np.c_[normals, distance - away], center).intersections
+        surface = Surface(TriangleMesh(corners, ConvexHull(corners).simplices), device="cpu")
+        return lambda points: surface.signed_distance(points).distance
+
+    return eroded, rng.uniform(0.5, 4.5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_polyhedra_of_many_faces(seed):
+    eroded, distance = polyhedron(seed)
+    body, core = level_set(eroded(0.0)), eroded(distance)
+    errors = [
+        found(erode(body, distance), core),
+        found(opening(body, distance), lambda p: core(p) - distance),
+        found(closing(body, distance), eroded(0.0)),
+    ]
+    assert max(e.max() for e in errors) < 3.0
+    assert max(np.mean(e > 0.3) for e in errors) < 0.001
