@@ -28,8 +28,6 @@ LOOKING_SHARE = 20
 # On a shared file system, locks of other machines may be invisible. Their folders count as abandoned after this time.
 FOREIGN_SECONDS = 24 * 3600.0
 
-REMOVALS = 100
-
 # When to look again, by parent folder.
 _next_look: dict[str, float] = {}
 _REMEMBERED = 1000
@@ -57,12 +55,7 @@ def private_folder(parent: str | os.PathLike[str]) -> Iterator[Path]:
             os.unlink(folder / LOCK)
             os.rmdir(folder)
         except OSError:
-            # After an error, threads of a library may still be at work there.
-            for _ in range(REMOVALS):
-                shutil.rmtree(folder, ignore_errors=True)
-                if not folder.exists():
-                    break
-                time.sleep(0.01)
+            shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 
 

@@ -144,19 +144,3 @@ def test_no_folder_for_temporary_files_is_named(monkeypatch):
     monkeypatch.setattr(tempfile, "gettempdir", none)
     with pytest.raises(FileAccessError, match=r"temporary files: No usable .*TMPDIR"):
         temporary_parent()
-
-
-def test_what_a_thread_still_writes_is_removed_too(tmp_path, monkeypatch):
-    remove, removed = module.shutil.rmtree, []
-
-    def beside_a_thread(folder, **options):
-        remove(folder, **options)
-        removed.append(folder)
-        if len(removed) < 3:
-            Path(folder, "late").mkdir(parents=True)
-
-    monkeypatch.setattr(module.shutil, "rmtree", beside_a_thread)
-    with private_folder(tmp_path) as folder:
-        (folder / "file").touch()
-    assert len(removed) == 3
-    assert not folder.exists()

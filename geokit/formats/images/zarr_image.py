@@ -6,6 +6,7 @@ as in memory. Chunks are read a row at a time.
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import math
 import os
@@ -165,6 +166,24 @@ def _transforms(scale: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np
 def write_image(path: Path, image: Image, codec: str | None) -> None:
     """Write an OME-NGFF 0.4 image with one level; the folder must not exist."""
     zarr = require_package("zarr")
+    try:
+        _write(zarr, path, image, codec)
+    except Exception:
+        _wait_for_writers()
+        raise
+
+
+def _wait_for_writers() -> None:
+    """Wait until zarr's threads have ended: after an error in one chunk they write the others, into a new folder."""
+    from zarr.core.sync import sync
+
+    async def others() -> None:
+        await asyncio.gather(*asyncio.all_tasks() - {asyncio.current_task()}, return_exceptions=True)
+
+    sync(others())
+
+
+def _write(zarr: Any, path: Path, image: Image, codec: str | None) -> None:
     fitting_codec(path, codec, ("zip",))
     spacing = require_straight(path, image.transform, turned=False, remedy="use .nrrd or .nii")
     vectors = image.components > 1
