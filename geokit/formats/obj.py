@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -47,9 +48,12 @@ class _Lines(NamedTuple):
     materials: list[tuple[str, int]]
     libraries: list[str]
     unknown: list[bytes]
+    others: Counter[bytes]
 
 
-# Words that begin lines of which nothing is read: elements without faces, shading, free-form curves and surfaces.
+# Elements without faces, and what they are called.
+_OTHERS = {b"l": "lines", b"p": "points", b"curv": "free-form curves", b"surf": "free-form surfaces"}
+# Words that begin lines of which nothing is read: such elements, shading, parts of free-form curves and surfaces.
 _LEFT_OUT = frozenset(
     b"p l s mg vp cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con bevel c_interp d_interp lod "
     b"maplib usemap shadow_obj trace_obj ctech stech call csh bsp bzp cdc cdp res".split()
@@ -72,6 +76,7 @@ def _lines(data: bytes) -> _Lines:
     materials: list[tuple[str, int]] = []
     libraries: list[str] = []
     unknown: list[bytes] = []
+    others: Counter[bytes] = Counter()
     # splitlines also splits at form feeds and other bytes that text may contain; OBJ lines end at newlines only.
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
@@ -90,12 +95,14 @@ def _lines(data: bytes) -> _Lines:
             materials.append((rest.strip().decode("utf-8", "replace"), len(faces)))
         elif kind == b"mtllib":
             libraries.append(rest.strip().decode("utf-8", "replace"))
+        elif kind in _OTHERS:
+            others[kind] += 1
         elif kind and kind not in _LEFT_OUT and not kind.startswith(b"#"):
             if kind.lower() in _READ:
                 return _lines(_KEYWORD.sub(lambda word: word[0].lower(), data))
             if kind.lower() not in _LEFT_OUT:
                 unknown.append(line)
-    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown)
+    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown, others)
 
 
 def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
@@ -182,11 +189,14 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
 
     Texture coordinates and normals are on corners, NaN where a corner has none. Colors behind the positions are on
     vertices. Materials come from the libraries and images that the file names, if they lie in its folder or in
-    ``folders``. Lines are left out; free-form curves and surfaces have no polygons.
+    ``folders``. Lines, points, and free-form curves and surfaces are left out, with a note.
     """
     data = plain_text(path.read_bytes(), path)
     lines = _lines(data)
     faces, notes = lines.faces, _unknown(lines.unknown, data, path)
+    if faces and lines.others:
+        listed = ", ".join(f"{name} ({lines.others[kind]})" for kind, name in _OTHERS.items() if lines.others[kind])
+        notes.append(f"its {listed} are left out")
     try:
         coordinates, colors = _vertices(lines.vertices, path)
     except FileFormatError:

@@ -32,7 +32,8 @@ _FACET_WORDS += [b"vertex", None, None, None] * 3 + [b"endloop", b"endfacet"]
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Read an .stl file; the solids of an ASCII file become groups. Normals, colors and attributes are left out.
+    """Read an .stl file; the solids of an ASCII file become groups. Normals and attributes are left out, colors
+    with a note.
 
     A warning names bytes behind the last triangle of a binary file, and a solid whose end is missing.
     """
@@ -41,6 +42,8 @@ def read_mesh(path: Path) -> list[Body]:
     if count is not None:
         records = np.frombuffer(data, RECORD, count, HEADER_BYTES)
         notes = left_behind(len(data), count)
+        if _has_colors(records["attribute"], data[:80]):
+            notes += ("the colors of its faces are left out",)
         return [_weld(records["corners"].astype(np.float64).reshape(-1, 3), (), notes)]
     text = plain_text(data, path)
     if text.lstrip()[:5].lower() == b"solid":
@@ -65,6 +68,13 @@ def binary_count(head: bytes, size: int) -> int | None:
     if declared < 0 or behind < 0:
         return None
     return declared if behind == 0 or (declared and behind % RECORD.itemsize) else None
+
+
+def _has_colors(attributes: NDArray[np.uint16], header: bytes) -> bool:
+    """Whether the two bytes behind triangles are colors, as VisCAM (with the highest bit) or Magics (by the header) has
+    them.
+    """
+    return bool((attributes >> 15).any() or (b"COLOR=" in header and attributes.any()))
 
 
 def left_behind(size: int, count: int) -> tuple[str, ...]:

@@ -40,8 +40,7 @@ __all__ = [
 
 # Names of the arrays that say what the numbers mean.
 _METERS, _UP = "meters_per_unit", "up_axis"
-# VTK's cell types of lines and points, which are left out if there are faces.
-_LOWER = (0, 1, 2, 3, 4, 21, 35, 68, 75)
+# VTK's cell types. Lines and points are left out if there are faces.
 _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD = 5, 6, 7, 8, 9
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 37, 69, 70, 76, 77)
 # VTK's writers note the largest norm of arrays with several numbers a row, and its readers refuse it as nan or inf. No

@@ -62,6 +62,8 @@ def union(mesh: TriangleMesh, *others: TriangleMesh) -> TriangleMesh:
     from geokit.mesh._surface import Surface
     from geokit.mesh.solids.boundary import boundary_of
 
+    if isinstance(mesh, (list, tuple)) and mesh and all(isinstance(one, TriangleMesh) for one in mesh):
+        raise InputError(f"mesh: a {type(mesh).__name__} of meshes; give each of them: union(*meshes)")
     meshes = [require_mesh(mesh, "mesh")]
     meshes += [require_mesh(other, f"others[{number}]") for number, other in enumerate(others)]
     joined = _joined(meshes)

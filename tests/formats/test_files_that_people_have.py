@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import warnings
@@ -431,3 +432,20 @@ def test_materials_that_nobody_would_see(tmp_path: Path) -> None:
     )
     colors = [material.color for material in gk.mesh.load(tmp_path / "a.obj").materials]
     assert colors == [(1.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0, 0.25)]
+
+
+def test_what_is_no_face_is_left_out_with_a_word(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nl 1 2\nl 2 3\np 3\ncurv 0 1 1 2\nend\n")
+    with pytest.warns(UserWarning, match=r"a.obj: its lines \(2\), points \(1\), free-form curves \(1\) are left out$"):
+        assert gk.mesh.load(tmp_path / "a.obj").face_count == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "attribute", "said"),
+    [(b"", 0, False), (b"", 17, False), (b"", 0x8000 | 31 << 10, True), (b"COLOR=\xff\x00\x00\xff", 31, True)],
+)
+def test_colors_of_binary_stl_are_left_out_with_a_word(tmp_path, header, attribute, said):
+    corners = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, attribute)
+    (tmp_path / "a.stl").write_bytes(header.ljust(80, b" ") + struct.pack("<I", 1) + corners)
+    with pytest.warns(UserWarning, match="the colors of its faces are left out") if said else contextlib.nullcontext():
+        assert gk.mesh.load(tmp_path / "a.stl").face_count == 1

@@ -152,6 +152,12 @@ def test_units_that_differ_are_refused() -> None:
         union(meters, 3)  # type: ignore[arg-type]
 
 
+def test_a_list_of_meshes_is_refused_with_the_way_out() -> None:
+    for meshes in ([box(), box()], (box(),)):
+        with pytest.raises(InputError, match=r"^mesh: a (list|tuple) of meshes; give each of them: union\(\*meshes\)"):
+            union(meshes)
+
+
 def test_without_manifold3d_its_name_and_command_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
     with pytest.raises(MissingDependencyError, match="a union of solids needs the package manifold3d"):
