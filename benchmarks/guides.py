@@ -21,7 +21,7 @@ from geokit.cli.guide import as_program
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "guides"
 # What a page asks for beside its own code.
-EXAMPLES = {"ocean": ["examples/ocean.py", "--out", "ocean.gif"]}
+EXAMPLES = {"ocean": ["examples/ocean.py", "--out", "ocean"]}
 RUNS = 2
 LONGEST = 600.0
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -265,54 +263,3 @@ def test_list_and_unknown_guides(capsys: pytest.CaptureFixture[str]) -> None:
 def test_commands_become_comments() -> None:
     page = "# A\n\nText.\n\n```sh\ngo --far\n```\n\n```python\nx = 1\n```\n\n![a](b.png)\n"
     assert as_program(page) == "# A\n\n# Text.\n\n#     go --far\n\nx = 1\n"
-
-
-def test_ocean_is_short() -> None:
-    assert len((ROOT / "examples/ocean.py").read_text(encoding="utf-8").splitlines()) < 200
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
-def test_ocean_against_archimedes() -> None:
-    """On calm water a body displaces its own weight; two that overlap are pushed apart, and none leaves the basin."""
-    ocean = module(ROOT / "examples/ocean.py")
-    flat = ocean.Body(gk.mesh.box((1.6, 1.0, 0.7)), 0.45, [0.0, 0.0, 0.3], "cpu")
-    ball = ocean.Body(gk.mesh.sphere(0.6, segments=32), 0.5, [2.2, 0.0, 0.2], "cpu")
-    calm = ocean.Ocean([flat, ball], waves=(), device="cpu")
-    for _ in range(1000):
-        calm.step()
-    assert flat.position[2] == pytest.approx(0.35 - 0.45 * 0.7, abs=2e-3)
-    assert ball.position[2] == pytest.approx(0.0, abs=0.02)
-    assert np.abs(flat.turn - np.eye(3)).max() < 1e-6
-    ball.position = flat.position + np.array([1.3, 0.0, 0.0])
-    assert calm.gap() == 0.0
-    for _ in range(300):
-        calm.step()
-    assert calm.gap() > 0.0
-    ball.position[0] = 3.6
-    for _ in range(300):
-        calm.step()
-    assert ball.position[0] + 0.6 < 4.01
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
-def test_ocean_is_drawn(tmp_path: Path) -> None:
-    from PIL import Image
-
-    command = [
-        sys.executable,
-        str(ROOT / "examples/ocean.py"),
-        "--frames",
-        "2",
-        "--device",
-        "cpu",
-        "--out",
-        "ocean.gif",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "2 frames" in done.stdout
-    with Image.open(tmp_path / "ocean.gif") as movie:
-        assert movie.n_frames == 2
-        assert np.asarray(movie.convert("RGB")).std() > 20
