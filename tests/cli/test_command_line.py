@@ -32,8 +32,8 @@ def test_no_arguments_is_help(geokit) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-def test_each_verb_has_help(geokit, verb: str) -> None:
-    done = geokit(verb, "--help")
+def test_each_verb_has_help(geokit_process, verb: str) -> None:
+    done = geokit_process(verb, "--help")
     assert done.returncode == 0
     assert f"geokit {verb}" in done.stdout
     assert f"\nExamples:\n  geokit {verb}" in done.stdout

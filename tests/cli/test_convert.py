@@ -30,7 +30,7 @@ def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_mesh_to_volume_block_after_block(geokit, cube: Path, tmp_path: Path) -> None:
+def test_mesh_to_volume_block_after_block(geokit, cube: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plain, target = tmp_path / "cube.stl", tmp_path / "cube.nvdb"
     assert geokit("convert", cube, plain).returncode == 0
     limit = ("--stream", "--memory-limit", "300000000")
@@ -42,7 +42,9 @@ def test_mesh_to_volume_block_after_block(geokit, cube: Path, tmp_path: Path) ->
         (("--voxel-size", "0.1", "--codec", "zip"), "--codec: has no"),
         (("--voxel-size", "0.1", "--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers there"),
     ):
-        done = geokit("convert", plain, target, *limit, *more, "--force")
+        with monkeypatch.context() as patch:
+            patch.setattr("geokit.distributed._cluster.PATIENCE", 0.2)
+            done = geokit("convert", plain, target, *limit, *more, "--force")
         assert done.returncode != 0
         assert text in done.stderr
     done = geokit("convert", plain, target, "--force", "--scheduler", "local")

@@ -28,11 +28,11 @@ def test_a_page_of_several_files(geokit, cube: Path, cube_sdf: Path, tmp_path: P
     assert '"colormap": "gray"' in text
 
 
-def test_without_an_output_it_is_opened(geokit, cube: Path, tmp_path: Path) -> None:
+def test_without_an_output_it_is_opened(geokit_process, cube: Path, tmp_path: Path) -> None:
     opener = tmp_path / "opener"
     opener.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/opened\n')
     opener.chmod(0o755)
-    done = geokit("view", cube, BROWSER=str(opener), TMPDIR=str(tmp_path))
+    done = geokit_process("view", cube, BROWSER=str(opener), TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     page = Path(done.stdout.partition(": ")[0])
     assert page.read_text().startswith("<!DOCTYPE html>")

@@ -20,7 +20,7 @@ from typing import Any
 
 from tests.fuzz.originals import Target
 
-__all__ = ["SLOWEST_SECONDS", "Tally", "is_fault", "run"]
+__all__ = ["SLOWEST_SECONDS", "Tally", "Worker", "is_fault", "run"]
 
 ROOT = Path(__file__).resolve().parents[2]
 # Of CPU time, because the machine may be busy; a mutant that only waits is ended after PATIENCE times as long.
@@ -69,7 +69,40 @@ def is_fault(end: str) -> bool:
     return end != "same" and not end.startswith(("refused by ", "differs in "))
 
 
-def run(target: Target, seeds: range, *, workers: int = 1, keep: Path | None = None) -> Tally:
+class Worker:
+    """A process that makes and loads mutants, of one target after the other."""
+
+    def __init__(self) -> None:
+        self.folder = tempfile.TemporaryDirectory(dir=MEMORY_FOLDER if MEMORY_FOLDER.is_dir() else None)
+        self.process = subprocess.Popen(
+            [sys.executable, "-W", "always", "-m", "tests.fuzz.worker", self.folder.name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            cwd=ROOT,
+            env={**os.environ, "GEOKIT_THREADS": "1"},
+            start_new_session=True,
+        )
+
+    def prepare(self, target: Target) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.write(f"{target.content} {target.kind}\n".encode())
+        if not _line(self.process, START_SECONDS):
+            raise RuntimeError(f"the worker of {target} did not start")
+
+    def close(self) -> None:
+        # Readers of other libraries that it waits for end with it.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        with self.process:  # closes its pipes
+            pass
+        self.folder.cleanup()
+
+
+def run(
+    target: Target, seeds: range, *, workers: int = 1, keep: Path | None = None, idle: list[Worker] | None = None
+) -> Tally:
     """Run the mutants of some seeds.
 
     Args:
@@ -77,56 +110,40 @@ def run(target: Target, seeds: range, *, workers: int = 1, keep: Path | None = N
         seeds: One for each mutant.
         workers: Number of processes.
         keep: Folder that gets the files of mutants that are faults; None for none.
+        idle: Processes that are taken from here, and left here for the next target; None to end them.
     """
-    tally = Tally()
+    tally, own = Tally(), list[Worker]()
 
-    def share(own: range) -> list[dict[str, Any]]:
-        return list(_ends(target, own, keep))
+    def share(seeds: range) -> list[dict[str, Any]]:
+        return list(_ends(target, seeds, keep, own if idle is None else idle))
 
-    with ThreadPoolExecutor(workers) as pool:
-        for ends in pool.map(share, [seeds[i::workers] for i in range(workers)]):
-            for told in ends:
-                tally.add(told)
+    try:
+        with ThreadPoolExecutor(workers) as pool:
+            for ends in pool.map(share, [seeds[i::workers] for i in range(workers)]):
+                for told in ends:
+                    tally.add(told)
+    finally:
+        for worker in own:
+            worker.close()
     return tally
 
 
-def _ends(target: Target, seeds: range, keep: Path | None) -> Iterator[dict[str, Any]]:
+def _ends(target: Target, seeds: range, keep: Path | None, idle: list[Worker]) -> Iterator[dict[str, Any]]:
     waiting = list(seeds)[::-1]
-    with tempfile.TemporaryDirectory(dir=MEMORY_FOLDER if MEMORY_FOLDER.is_dir() else None) as name:
-        folder = Path(name)
-        while waiting:
-            with _worker(target, folder) as process:
-                dead = False
-                while waiting and not dead:
-                    seed = waiting.pop()
-                    told = _told(process, seed)
-                    dead = "variant" not in told
-                    if is_fault(told["end"]) and keep is not None:
-                        _keep(target, folder, told, keep)
-                    yield told
-
-
-@contextlib.contextmanager
-def _worker(target: Target, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    command = [sys.executable, "-W", "always", "-m", "tests.fuzz.worker", *target, str(folder)]
-    environment = {**os.environ, "GEOKIT_THREADS": "1"}
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        bufsize=0,
-        cwd=ROOT,
-        env=environment,
-        start_new_session=True,
-    ) as process:
+    while waiting:
+        worker, dead = idle.pop() if idle else Worker(), True
         try:
-            if not _line(process, START_SECONDS):
-                raise RuntimeError(f"the worker of {target} did not start")
-            yield process
+            worker.prepare(target)
+            dead = False
+            while waiting and not dead:
+                seed = waiting.pop()
+                told = _told(worker.process, seed)
+                dead = "variant" not in told
+                if is_fault(told["end"]) and keep is not None:
+                    _keep(target, Path(worker.folder.name), told, keep)
+                yield told
         finally:
-            # Readers of other libraries that it waits for end with it.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            worker.close() if dead else idle.append(worker)
 
 
 def _told(process: subprocess.Popen[bytes], seed: int) -> dict[str, Any]:

@@ -6,13 +6,14 @@ Not one ends the process, prints, hangs for 20 s of CPU time, takes 2 GiB or rai
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 
 import pytest
 
 from geokit import native
 from geokit.formats.table import FORMATS
 from tests.formats.images.needed import need
-from tests.fuzz.campaign import run
+from tests.fuzz.campaign import Worker, run
 from tests.fuzz.originals import TARGETS, Target
 from tests.support.effort import of_all
 
@@ -21,8 +22,17 @@ MUTANTS = of_all(30, 200)
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(scope="module")
+def idle() -> Iterator[list[Worker]]:
+    """Processes of one target go on with the next: each would import the same libraries and load the same kernels."""
+    workers: list[Worker] = []
+    yield workers
+    for worker in workers:
+        worker.close()
+
+
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: f"{target.content}{target.kind}")
-def test_every_mutant_ends_well(target: Target) -> None:
+def test_every_mutant_ends_well(target: Target, idle: list[Worker]) -> None:
     if target.kind == ".vdb" and not native.available():
         pytest.skip("geokit was built without OpenVDB")
     if target.kind in (".las", ".laz") and not importlib.util.find_spec("laspy"):
@@ -30,7 +40,7 @@ def test_every_mutant_ends_well(target: Target) -> None:
     if FORMATS[target.kind].extra == "cad" and not importlib.util.find_spec("OCP"):
         pytest.skip("needs cadquery-ocp-novtk")
     need(target.kind)
-    tally = run(target, range(MUTANTS))
+    tally = run(target, range(MUTANTS), idle=idle)
     assert not tally.faults
     refused = sum(count for end, count in tally.ends.items() if end.startswith("refused"))
     # The mutants would prove nothing if they were all whole, or all no files of their format.

@@ -1,6 +1,7 @@
-"""Runs mutants in this process: ``python -m tests.fuzz.worker CONTENT KIND FOLDER``, then a line "SEED\\n" for each.
+"""Runs mutants in this process: ``python -m tests.fuzz.worker FOLDER``, then lines "CONTENT KIND\\n" and "SEED\\n".
 
-Prints a line of JSON once it is ready and for each mutant. If a mutant ends the process, its line is missing.
+Prints a line of JSON once it is ready for a target and for each mutant. If a mutant ends the process, its line is
+missing.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -23,21 +25,28 @@ MEMORY_BYTES = 2 << 30
 
 
 def main() -> None:
-    target, folder = Target(*sys.argv[1:3]), Path(sys.argv[3])
+    folder = Path(sys.argv[1])
     answers = os.fdopen(os.dup(1), "w")
     # Nothing may be printed. What is goes to a file whose size tells.
     printed = os.open(folder / "printed", os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
-    with contextlib.redirect_stderr(io.StringIO()):  # meshio warns of what it writes
-        sources = originals(target)
-    sound = sound_facts(target, sources, folder)
     os.dup2(printed, 1)
     os.dup2(printed, 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (mapped + MEMORY_BYTES,) * 2)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(json.dumps({"ready": len(sources)}), file=answers, flush=True)
     for text in sys.stdin:
+        if " " in text:
+            resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY,) * 2)
+            for path in folder.iterdir():
+                if path.name != "printed":
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            target = Target(*text.split())
+            with contextlib.redirect_stderr(io.StringIO()):  # meshio warns of what it writes
+                sources = originals(target)
+            sound = sound_facts(target, sources, folder)
+            mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            resource.setrlimit(resource.RLIMIT_AS, (mapped + MEMORY_BYTES, resource.RLIM_INFINITY))
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            print(json.dumps({"ready": len(sources)}), file=answers, flush=True)
+            continue
         seed = int(text)
         mutant = mutate(target, sources, seed)
         path = write(folder, target.kind, mutant.data, mutant.beside)

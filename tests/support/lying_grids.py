@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -17,15 +18,17 @@ from geokit.volume.nanovdb.layout import layout_of
 from geokit.volume.nanovdb.nodes import GridNodes, bits_of, grid_nodes, slot_places
 from geokit.volume.tree.typed_tree import RootTiles, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
+from tests.support.effort import of_all
 
 __all__ = ["LIES", "OPERATIONS", "SOURCES", "lying"]
 
 Lie = Callable[[Any, GridNodes], None]
 
 
+@functools.cache
 def level_set() -> SparseVolume:
     """A float level set of a torus, with leaves in several upper nodes."""
-    return gk.volume.from_mesh(torus(), voxel_size=0.06, device="cpu")
+    return gk.volume.from_mesh(torus(), voxel_size=of_all(0.12, 0.06), device="cpu")
 
 
 def int64_grid() -> SparseVolume:

@@ -85,11 +85,11 @@ def test_workers_that_differ_are_named(corners, recipe, tmp_path, capfd) -> None
 
 
 def test_no_scheduler_and_no_workers(corners, recipe, tmp_path, capfd, monkeypatch) -> None:
-    started = time.monotonic()
+    monkeypatch.setattr("geokit.distributed._cluster.PATIENCE", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://a:b"):
         assert _batch(address, recipe, corners(1), tmp_path / "out") == 1
         assert f"{address}: no Dask scheduler answers there" in capfd.readouterr().err
-    assert time.monotonic() - started < 60.0
+    monkeypatch.undo()
     monkeypatch.setattr("geokit.distributed._cluster.WORKER_PATIENCE", 0.5)
     with cluster(0) as client:
         assert _batch(client, recipe, corners(1), tmp_path / "out") == 1
