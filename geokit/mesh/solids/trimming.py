@@ -26,7 +26,11 @@ __all__ = ["trimmed"]
 # Pieces at most, with their pairs: more are needed where a large part of the surface lies in one plane with another
 # part, or where it is crumpled.
 MOST_PIECES = 1 << 22
-BYTES_PER_PIECE = 1000
+BYTES_PER_PIECE = 400
+# Of what is left: whether it is boundary, the mesh, and the tree over it.
+BYTES_PER_FACE = 300
+# Pairs at a time: what is found on the way takes 1 kB each, and stays in the caches.
+BLOCK = 1 << 12
 # Where it is looked at whether a short piece is boundary, as weights of its corners.
 PLACES = np.concatenate([INNER_POINT[None], 0.2 * INNER_POINT + 0.8 * np.eye(3)])
 # Shortest pieces, in units of how far from a face its sides are looked at.
@@ -55,6 +59,7 @@ def trimmed(surface: Surface, length: float) -> tuple[TriangleMesh, NDArray[np.i
     if found is None:
         return None
     calm, corners, source, is_short = found
+    require_free(BYTES_PER_FACE * (len(calm) + len(corners)), "what is left of crossing faces")
     whole = calm[_is_boundary(surface, mesh.vertices[mesh.faces[calm]], INNER_POINT[None], off)]
     kept = np.zeros(len(corners), bool)
     for some, places in ((~is_short, INNER_POINT[None]), (is_short, PLACES)):
@@ -111,7 +116,9 @@ def _pieces(
     corners, source, done = faces, crossing.astype(np.int64), []
     while len(corners):
         require_free(BYTES_PER_PIECE * (len(corners) + len(piece)), "pieces of crossing faces")
-        crosses = _crosses(corners[piece], faces[other], off)
+        blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(piece), BLOCK)]
+        found = [_crosses(corners[piece[block]], faces[other[block]], off) for block in blocks]
+        crosses = np.concatenate([np.zeros(0, bool), *found])
         piece, other = piece[crosses], other[crosses]
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         is_free = np.bincount(piece, minlength=len(corners)) == 0
