@@ -61,7 +61,11 @@ def _from_mesh_bytes(
     method: str = "geokit",
     **_: Any,
 ) -> float:
-    """Of the surface, and of the leaves that a band covers, by the area."""
+    """Of the surface, and of the leaves that a band covers, by the area.
+
+    Where a body crosses itself, mesh/solids/trimming.py checks what it needs more: nobody knows before how many
+    pieces there are. That is up to as much again.
+    """
     if voxel_size is None:
         return 0.0
     leaf = BYTES_PER_OPENVDB_LEAF if method == "openvdb" else BYTES_PER_LEAF

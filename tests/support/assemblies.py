@@ -19,6 +19,7 @@ __all__ = [
     "star",
     "star_outline",
     "subdivided",
+    "tube",
     "turned",
 ]
 
@@ -84,6 +85,33 @@ def star_outline(points: int = 5, turns: int = 2) -> NDArray[np.float64]:
     angles = np.pi * np.arange(2 * points) / points
     inner = np.cos(np.pi * turns / points) / np.cos(np.pi * (turns - 1) / points)
     return np.where(np.arange(2 * points) % 2, inner, 1.0)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def tube(seed: int, segments: int = 60, sides: int = 20, radius: float = 0.15) -> TriangleMesh:
+    """One closed body: a tube around a random closed curve in a cube of two units, which mostly crosses itself."""
+    wave = np.arange(1, 4)
+    phases = np.outer(2.0 * np.pi * np.arange(segments) / segments, wave)
+    amplitudes = np.random.default_rng(seed).normal(size=(6, 3)) / np.tile(wave, 2)[:, None]
+    middle = np.concatenate([np.cos(phases), np.sin(phases)], axis=1) @ amplitudes
+    middle /= np.abs(middle).max()
+    along = np.roll(middle, -1, axis=0) - np.roll(middle, 1, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    # Turned no more than the curve bends; the turn that is left after a round is shared among all rings.
+    first = [np.cross(along[0], [0.3, 0.5, 0.8])]
+    for axis in [*along, along[0]]:
+        normal = first[-1] - (first[-1] @ axis) * axis
+        first.append(normal / np.linalg.norm(normal))
+    rest = np.arctan2(first[-1] @ np.cross(along[0], first[1]), first[-1] @ first[1])
+    normals = np.array(first[1:-1])
+    angles = 2.0 * np.pi * np.arange(sides) / sides - rest * np.arange(segments)[:, None] / segments
+    ring = np.cos(angles)[..., None] * normals[:, None] + np.sin(angles)[..., None] * np.cross(along, normals)[:, None]
+    rows = np.arange(segments * sides).reshape(segments, sides)
+    ahead, beside = np.roll(rows, -1, axis=0), np.roll(rows, -1, axis=1)
+    both = np.roll(ahead, -1, axis=1)
+    faces = np.concatenate(
+        [np.stack(part, axis=2).reshape(-1, 3) for part in ((rows, beside, both), (rows, both, ahead))]
+    )
+    return TriangleMesh((middle[:, None] + radius * ring).reshape(-1, 3), faces)
 
 
 def prism_distance(outline: NDArray[np.float64], height: float, places: NDArray[np.float64]) -> NDArray[np.float64]:

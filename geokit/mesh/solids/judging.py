@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.solids.union import Pieces
-from geokit.mesh.topology.normals import face_normals
+from geokit.mesh.topology.normals import cross
 
 __all__ = [
     "CONTACT",
@@ -74,14 +74,15 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
     if (rows is None and not judge._orientation.closed) or judge._sign_choice.method == "pseudonormal":
         return ""
     # Points on all of it: a large face may lie inside in part.
-    given = mesh if rows is None else TriangleMesh(mesh.vertices, mesh.faces[rows])
-    area = areas_of(given.vertices, given.faces)
-    if not area.any():
+    corners = mesh.vertices[mesh.faces if rows is None else mesh.faces[rows]]
+    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice_area = np.linalg.norm(normals, axis=1)
+    if not twice_area.any():
         return ""
     rng = np.random.default_rng(0)
-    faces = rng.choice(len(area), SAMPLES, p=area / area.sum())
-    points = np.einsum("sk,skj->sj", rng.dirichlet((1.0, 1.0, 1.0), SAMPLES), given.vertices[given.faces[faces]])
-    step = off * face_normals(given)[faces]
+    faces = rng.choice(len(corners), SAMPLES, p=twice_area / twice_area.sum())
+    points = np.einsum("sk,skj->sj", rng.dirichlet((1.0, 1.0, 1.0), SAMPLES), corners[faces])
+    step = off * normals[faces] / twice_area[faces, None]
     # Whichever way the faces are wound.
     inside = (judge.winding_number(points + step) > 0.5) & (judge.winding_number(points - step) > 0.5)
     share = np.count_nonzero(inside) / SAMPLES
@@ -100,7 +101,7 @@ def checkable(
         faces = faces[np.random.default_rng(0).choice(len(faces), most, replace=False)]
     corners = vertices[faces]
     sides = np.roll(corners, -1, axis=1) - corners
-    normals = np.cross(sides[:, 0], sides[:, 1])
+    normals = cross(sides[:, 0], sides[:, 1])
     twice_area = np.linalg.norm(normals, axis=1)
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     # The middle is a third of the height away from each edge.
@@ -110,4 +111,4 @@ def checkable(
 
 def areas_of(vertices: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.float64]:
     corners = vertices[faces]
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return 0.5 * np.linalg.norm(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -16,6 +16,7 @@ from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.solids.judging import CONTACT, INNER_POINT
 from geokit.mesh.topology.connectivity import position_corners
+from geokit.mesh.topology.normals import cross, unit
 
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
@@ -25,7 +26,11 @@ __all__ = ["trimmed"]
 # Pieces at most, with their pairs: more are needed where a large part of the surface lies in one plane with another
 # part, or where it is crumpled.
 MOST_PIECES = 1 << 22
-BYTES_PER_PIECE = 1000
+BYTES_PER_PIECE = 400
+# Of what is left: whether it is boundary, the mesh, and the tree over it.
+BYTES_PER_FACE = 300
+# Pairs at a time: what is found on the way takes 1 kB each, and stays in the caches.
+BLOCK = 1 << 12
 # Where it is looked at whether a short piece is boundary, as weights of its corners.
 PLACES = np.concatenate([INNER_POINT[None], 0.2 * INNER_POINT + 0.8 * np.eye(3)])
 # Shortest pieces, in units of how far from a face its sides are looked at.
@@ -54,6 +59,7 @@ def trimmed(surface: Surface, length: float) -> tuple[TriangleMesh, NDArray[np.i
     if found is None:
         return None
     calm, corners, source, is_short = found
+    require_free(BYTES_PER_FACE * (len(calm) + len(corners)), "what is left of crossing faces")
     whole = calm[_is_boundary(surface, mesh.vertices[mesh.faces[calm]], INNER_POINT[None], off)]
     kept = np.zeros(len(corners), bool)
     for some, places in ((~is_short, INNER_POINT[None]), (is_short, PLACES)):
@@ -87,8 +93,7 @@ def _is_boundary(
     surface: Surface, corners: NDArray[np.float64], places: NDArray[np.float64], off: float
 ) -> NDArray[np.bool_]:
     """Whether triangles (F, 3, 3) have the solid on one side only at one of some places: weights of their corners."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = unit(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     found = np.zeros(len(corners), bool)
     for place in places:
         in_front, behind = (surface.winding_number(place @ corners + side * normals) > 0.5 for side in (off, -off))
@@ -111,7 +116,9 @@ def _pieces(
     corners, source, done = faces, crossing.astype(np.int64), []
     while len(corners):
         require_free(BYTES_PER_PIECE * (len(corners) + len(piece)), "pieces of crossing faces")
-        crosses = _crosses(corners[piece], faces[other], off)
+        blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(piece), BLOCK)]
+        found = [_crosses(corners[piece[block]], faces[other[block]], off) for block in blocks]
+        crosses = np.concatenate([np.zeros(0, bool), *found])
         piece, other = piece[crosses], other[crosses]
         sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         is_free = np.bincount(piece, minlength=len(corners)) == 0
@@ -147,27 +154,21 @@ def _crosses(a: NDArray[np.float64], b: NDArray[np.float64], off: float) -> NDAr
     """
     a, b = a - a[:, :1], b - a[:, :1]
     edges_a, edges_b = np.roll(a, -1, axis=1) - a, np.roll(b, -1, axis=1) - b
-    normal_a, normal_b = _unit(np.cross(edges_a[:, 0], edges_a[:, 1])), _unit(np.cross(edges_b[:, 0], edges_b[:, 1]))
+    normal_a, normal_b = unit(cross(edges_a[:, 0], edges_a[:, 1])), unit(cross(edges_b[:, 0], edges_b[:, 1]))
     axes = [normal_a, normal_b]
     axes += [
-        np.cross(normal, edges[:, k]) for normal, edges in ((normal_a, edges_a), (normal_b, edges_b)) for k in range(3)
+        cross(normal, edges[:, k]) for normal, edges in ((normal_a, edges_a), (normal_b, edges_b)) for k in range(3)
     ]
-    axes += [np.cross(edges_a[:, j], edges_b[:, k]) for j in range(3) for k in range(3)]
+    axes += [cross(edges_a[:, j], edges_b[:, k]) for j in range(3) for k in range(3)]
     meets = np.ones(len(a), bool)
     for axis in axes:
-        # Parallel edges have no axis: of zero length, it separates nothing.
-        axis = _unit(axis)
+        # Of parallel edges rounding is left, which is an axis too; zero separates nothing.
+        apart = off * np.linalg.norm(axis, axis=1)
         on_a, on_b = (np.einsum("pij,pj->pi", corners, axis) for corners in (a, b))
-        meets &= (on_a.min(axis=1) <= on_b.max(axis=1) + off) & (on_b.min(axis=1) <= on_a.max(axis=1) + off)
+        meets &= (on_a.min(axis=1) <= on_b.max(axis=1) + apart) & (on_b.min(axis=1) <= on_a.max(axis=1) + apart)
     height = np.einsum("pij,pj->pi", a - b[:, :1], normal_b)
     covered = (np.abs(height) <= off).all(axis=1)
     for k in range(3):
-        inward = _unit(np.cross(normal_b, edges_b[:, k]))
+        inward = unit(cross(normal_b, edges_b[:, k]))
         covered &= (np.einsum("pij,pj->pi", a - b[:, k : k + 1], inward) >= -off).all(axis=1)
     return np.asarray(meets & ~covered)
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    # Of edges that are parallel but for rounding nothing is left.
-    return np.where(length > 1e-12 * length.max(initial=0.0), vectors / np.maximum(length, np.finfo(float).tiny), 0.0)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.topology.connectivity import position_corners
 
-__all__ = ["face_normals", "vertex_normals"]
+__all__ = ["cross", "face_normals", "unit", "vertex_normals"]
 
 
 def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
     """Unit normals of the triangles, (F, 3); zero without area."""
     _, ab, ac = _edges(mesh)
-    return _unit(_cross(ab, ac))
+    return unit(cross(ab, ac))
 
 
 def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
@@ -28,11 +28,11 @@ def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
         Thürmer and Wüthrich, "Computing vertex normals from polygonal facets" (1998).
     """
     bc, ab, ac = _edges(mesh)
-    normals = _unit(_cross(ab, ac))
+    normals = unit(cross(ab, ac))
     corners, count = position_corners(mesh)
     # The angle at each corner between the two edges that leave it.
     leaving = ((ab, ac), (bc, -ab), (-ac, -bc))
-    angles = [np.arctan2(np.linalg.norm(_cross(p, q), axis=1), np.einsum("ij,ij->i", p, q)) for p, q in leaving]
+    angles = [np.arctan2(np.linalg.norm(cross(p, q), axis=1), np.einsum("ij,ij->i", p, q)) for p, q in leaving]
     weighted = (np.stack(angles, axis=1)[..., None] * normals[:, None]).reshape(-1, 3)
     at = corners.ravel()
     sums = np.zeros((count, 3))
@@ -41,7 +41,7 @@ def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
     position = np.zeros(mesh.vertex_count, np.int64)
     used = np.zeros(mesh.vertex_count, bool)
     position[mesh.faces.ravel()], used[mesh.faces.ravel()] = at, True
-    return np.where(used[:, None], _unit(sums)[position] if count else 0.0, 0.0)
+    return np.where(used[:, None], unit(sums)[position] if count else 0.0, 0.0)
 
 
 def _edges(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -52,13 +52,15 @@ def _edges(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return c - b, b - a, c - a
 
 
-def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products of rows, (N, 3)."""
     # Column by column: numpy.cross over rows of three is many times slower.
     (a, b, c), (x, y, z) = u.T, v.T
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (N, 3) of length 1; zero where they are zero."""
     # Scaled by the largest component first, which neither overflows nor underflows.
     largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
     scaled = np.divide(vectors, largest, out=np.zeros_like(vectors), where=largest > 0.0)

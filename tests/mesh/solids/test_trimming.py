@@ -67,6 +67,17 @@ def test_nothing_is_lost_where_nothing_crosses() -> None:
     assert np.array_equal(source, np.arange(mesh.face_count))
 
 
+def test_pairs_are_looked_at_block_after_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface = Surface(star(), device="cpu")
+    expected, sizes, crosses = trimmed(surface, 0.1), [], trimming._crosses
+    monkeypatch.setattr(trimming, "BLOCK", 7)
+    monkeypatch.setattr(trimming, "_crosses", lambda a, *others: sizes.append(len(a)) or crosses(a, *others))
+    made = trimmed(surface, 0.1)
+    assert max(sizes) == 7
+    assert np.array_equal(made[0].vertices, expected[0].vertices)
+    assert np.array_equal(made[1], expected[1])
+
+
 def test_what_cannot_be_trimmed(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = star()
     assert trimmed(Surface(TriangleMesh(mesh.vertices, mesh.faces[:-1]), device="cpu"), LENGTH) is None

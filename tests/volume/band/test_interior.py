@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 import geokit as gk
 from geokit.mesh import TriangleMesh, box, drop_degenerate, merge_vertices, torus
 from geokit.mesh.solids import trimming
-from tests.support.assemblies import concatenated, in_float32, prism_distance, sheet, star, star_outline, turned
+from geokit.mesh.topology.normals import face_normals
+from tests.support.assemblies import concatenated, in_float32, prism_distance, sheet, star, star_outline, tube, turned
 
 LOW, HIGH = box(center=(0.5, 0.5, 0.5)), box(center=(0.5, 0.5, 1.5))
 TWO = concatenated(LOW, HIGH)
@@ -140,6 +141,28 @@ def test_a_body_that_crosses_itself(points: int, voxel_size: float) -> None:
     assert inner.component_count == 1
     kept = gk.volume.from_mesh(star(points), voxel_size, interior="keep", device="cpu")
     assert gk.mesh.audit(gk.mesh.from_volume(gk.volume.offset(kept, -0.05), device="cpu")).component_count > 1
+
+
+@pytest.mark.parametrize("seed", [2, 6, 10])
+def test_a_random_tube_that_crosses_itself(seed: int) -> None:
+    """Against samples of its boundary, a tenth of a voxel apart."""
+    voxel_size, mesh = 0.05, tube(seed)
+    surface = gk.mesh.Surface(mesh, device="cpu")
+    samples = gk.mesh.sample_surface(mesh, 200_000, seed=0)
+    off = 1e-5 * face_normals(mesh)[samples.triangle_id]
+    in_front, behind = (surface.winding_number(samples.points + side * off) > 0.5 for side in (1.0, -1.0))
+    assert 0.02 < np.mean(in_front == behind) < 0.3
+    boundary = gk.points.NeighborGrid(samples.points[in_front != behind], radius=voxel_size, device="cpu")
+    too_near = {}
+    for interior in ("remove", "keep"):
+        field = gk.volume.from_mesh(mesh, voxel_size, interior=interior, device="cpu")
+        values = np.asarray(gk.volume.active_voxels(field).values)
+        assert np.array_equal(values < 0.0, surface.winding_number(places(field)) > 0.5)
+        depth = boundary.knn(places(field), 1).distance[:, 0] - np.abs(values)
+        assert depth.min() > -1e-6
+        too_near[interior] = depth.max() / voxel_size
+    assert too_near["remove"] < 0.35
+    assert too_near["keep"] > 2.0
 
 
 def test_all_makers_of_fields_leave_out_what_a_body_has_inside_of_itself() -> None:
