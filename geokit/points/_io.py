@@ -316,7 +316,7 @@ def save(
     are 8-byte floats, or 4-byte floats if points is a float32 array, the only ones that PCL and Open3D read. .pts holds
     only ``intensity`` and ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` unchanged
     (LAS expects 16 bits), and all others in extra dimensions. ``rgb`` of floats from 0 to 1 is rounded to 16 bits in
-    .las and .laz, and to 8 bits in .pts.
+    .las and .laz, and to 8 bits in .pcd and .pts.
 
     Args:
         path: {formats}.
