@@ -21,6 +21,8 @@ NORMALS = ("nx", "ny", "nz")
 COLORS = ("red", "green", "blue")
 # As PDAL and CloudCompare name them.
 _SPELLED = {name: (name, name.capitalize(), name[0], name[0].upper()) for name in COLORS}
+# Interpolated colors leave their range by rounding.
+ROUNDED = 1e-6
 RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
 Columns = dict[str, NDArray[np.generic]]
@@ -115,6 +117,6 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
 
 def integer_colors(values: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
     """Colors of floats from 0 to 1, as Open3D has them, rounded to integers; others as they are."""
-    if values.dtype.kind != "f" or not np.all((values >= 0.0) & (values <= 1.0)):
+    if values.dtype.kind != "f" or not np.all((values >= -ROUNDED) & (values <= 1.0 + ROUNDED)):
         return values
-    return np.rint(values * float(np.iinfo(kind).max)).astype(kind)
+    return np.rint(np.clip(values, 0.0, 1.0) * float(np.iinfo(kind).max)).astype(kind)
