@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 
-__all__ = ["AXES", "Columns", "by_place", "first_rays", "joined", "split"]
+__all__ = ["AXES", "Columns", "by_place", "first_rays", "integer_colors", "joined", "split"]
 
 AXES = ("x", "y", "z")
 # Names of the components of normals in other programs.
@@ -20,6 +21,8 @@ NORMALS = ("nx", "ny", "nz")
 COLORS = ("red", "green", "blue")
 # As PDAL and CloudCompare name them.
 _SPELLED = {name: (name, name.capitalize(), name[0], name[0].upper()) for name in COLORS}
+# Interpolated colors leave their range by rounding.
+ROUNDED = 1e-6
 RAY_COLUMNS = ("ox", "oy", "oz", "dx", "dy", "dz")
 
 Columns = dict[str, NDArray[np.generic]]
@@ -110,3 +113,10 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
                 raise InputError(f"data: '{part}' is taken or cannot be a column's name in {kind}; rename '{name}'")
             columns[part] = column
     return columns
+
+
+def integer_colors(values: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
+    """Colors of floats from 0 to 1, as Open3D has them, rounded to integers; others as they are."""
+    if values.dtype.kind != "f" or not np.all((values >= -ROUNDED) & (values <= 1.0 + ROUNDED)):
+        return values
+    return np.rint(np.clip(values, 0.0, 1.0) * float(np.iinfo(kind).max)).astype(kind)

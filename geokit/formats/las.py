@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geokit._packages import remedy, require_package
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, GeokitError, InputError, MissingDependencyError
-from geokit.formats.columns import Columns
+from geokit.formats.columns import Columns, integer_colors
 
 __all__ = ["PointWriter", "content_bytes", "prepare", "read_blocks", "read_points", "table_shape", "write_points"]
 
@@ -277,9 +277,10 @@ def _extra(laspy: Any, name: str, values: NDArray[np.generic]) -> Any:
 
 def _fill(cloud: Any, name: str, values: NDArray[np.generic], *, exact: bool) -> None:
     if name == "rgb":
+        values = integer_colors(values, np.uint16)
         if values.shape[1:] != (3,) or values.dtype not in (np.uint8, np.uint16):
             raise InputError(
-                f"data: 'rgb' is {values.dtype} of shape {values.shape}; .las holds (N, 3) uint8 or uint16"
+                f"data: 'rgb' is {values.dtype} of shape {values.shape}; .las holds (N, 3) of uint8, uint16 or shares"
             )
         for at, color in enumerate(_COLORS):
             cloud[color] = values[:, at].astype(np.uint16)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import Columns, joined
+from geokit.formats.columns import Columns, integer_colors, joined
 from geokit.formats.text_files.plain import plain_text, without_mark
 from geokit.formats.text_files.rows import read_rows
 
@@ -330,6 +330,9 @@ def write_points(
 
 def _storable(name: str, values: NDArray[np.generic]) -> NDArray[np.generic]:
     channels = 1 if values.ndim == 1 else values.shape[1]
+    if name in _COLORS and channels == len(name):
+        # PCL and Open3D take any field of this name for packed bytes.
+        values = integer_colors(values, np.uint8)
     if name in _COLORS and values.dtype == np.uint8 and channels == len(name):
         packed = np.zeros((len(values), 4), np.uint8)
         packed[:, [2, 1, 0, 3][:channels]] = values

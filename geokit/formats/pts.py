@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.columns import Columns, joined
+from geokit.formats.columns import Columns, integer_colors, joined
 from geokit.formats.text import row_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import read_rows
@@ -71,6 +71,8 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         InputError: Data other than ``intensity`` (N,) and ``rgb`` (N, 3) uint8.
     """
     columns: list[NDArray[np.generic]] = list(points.T)
+    if "rgb" in data:
+        data = {**data, "rgb": integer_colors(data["rgb"], np.uint8)}
     for name, values in data.items():
         if name == "intensity" and values.ndim == 1:
             continue

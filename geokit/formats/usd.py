@@ -18,6 +18,7 @@ from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
 
 if TYPE_CHECKING:
+    from geokit.formats.scene_content.usd_materials import Bound, Materials
     from geokit.mesh._model import TriangleMesh
 
 __all__ = ["export", "open_stage", "prepare", "read_mesh", "transform_time", "visible", "write_mesh"]
@@ -25,9 +26,9 @@ __all__ = ["export", "open_stage", "prepare", "read_mesh", "transform_time", "vi
 
 def prepare() -> None:
     """Import usd-core and have it look for its plugins and schemas, without starting threads."""
-    from pxr import Ar, Sdf, Tf, Usd, UsdGeom, Work  # noqa: F401
+    from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, Work  # noqa: F401
 
-    from geokit.formats.attributes import columns  # noqa: F401
+    from geokit.formats.scene_content import usd_materials  # noqa: F401
 
     Work.SetConcurrencyLimit(1)
     stage = Usd.Stage.CreateInMemory()
@@ -41,22 +42,29 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     geometry is left out, with a note.
 
     Positions are those of the default time, or of the first sample if there are only samples. Subdivision surfaces are
-    read as their control cage. Normals and primvars come along, constant ones on each face; the first texture
-    coordinates are ``uv``, and materials are left out. Layers (sublayers, references, payloads and clips) are opened
-    from the file's own folder, which needs to be the working folder, and from ``folders``.
+    read as their control cage. Normals and primvars come along, constant ones on each face. Materials
+    (UsdPreviewSurface) have a name, a base color and its texture; ``uv`` are the coordinates that the texture names,
+    else the first ones. Where a material has a color, that of the mesh is called ``displayColor``. Layers (sublayers,
+    references, payloads and clips) and images are opened from the file's own folder, which needs to be the working
+    folder, and from ``folders``.
     """
     require_package("pxr")
     from pxr import Usd, UsdGeom
 
+    from geokit.formats.scene_content.usd_materials import Materials
+
     stage = open_stage(path, folders)
     transforms = UsdGeom.XformCache(transform_time(stage))
+    materials = Materials(path, folders)
     bodies = []
     for prim, matrix in _placed(stage.GetPseudoRoot(), transforms, None, path):
         is_shape = str(prim.GetTypeName()) in SHAPES
         # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
         columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
         body = (
-            shape_body(prim, columns, Usd.TimeCode.EarliestTime()) if is_shape else _body(UsdGeom.Mesh(prim), columns)
+            _shape(prim, columns, Usd.TimeCode.EarliestTime(), materials)
+            if is_shape
+            else _body(UsdGeom.Mesh(prim), columns, materials)
         )
         if body is not None:
             bodies.append(body)
@@ -66,7 +74,8 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         # UsdGeom.GetStageMetersPerUnit refuses the floats that some exporters write in place of doubles.
         bodies[0] = bodies[0]._replace(meters_per_unit=float(stage.GetMetadata(UsdGeom.Tokens.metersPerUnit)))
     if bodies:
-        bodies[0] = bodies[0]._replace(notes=(*bodies[0].notes, *_left_out(stage)))
+        notes = (*bodies[0].notes, *_left_out(stage), *materials.notes)
+        bodies[0] = bodies[0]._replace(materials=tuple(materials.found), notes=notes)
     else:
         others = sorted({str(prim.GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)})
         what = f"; it holds {', '.join(others)}" if others else ""
@@ -251,7 +260,14 @@ def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterat
         yield from _placed(prototype, transforms, above * placement * world, path)
 
 
-def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
+def _shape(prim: Any, matrix: list[list[float]], time: Any, materials: Materials) -> Body:
+    body = shape_body(prim, matrix, time)
+    bound = materials.of_faces(prim, len(body.counts))
+    _, polygon, _, notes = _primvars(prim, time, (0, len(body.counts), 0), bound)
+    return body._replace(polygon_data=polygon, notes=notes)
+
+
+def _body(mesh: Any, matrix: list[list[float]], materials: Materials) -> Body | None:
     from pxr import Usd, UsdGeom
 
     points = mesh.GetPointsAttr().Get()
@@ -264,7 +280,9 @@ def _body(mesh: Any, matrix: list[list[float]]) -> Body | None:
     if not points:
         return None
     counts, indices = memoryview(counts or array("i")), memoryview(indices or array("i"))
-    vertex, polygon, corner, notes = _primvars(mesh, time, len(points), len(counts), len(indices))
+    bound = materials.of_faces(mesh.GetPrim(), len(counts))
+    sizes = len(points), len(counts), len(indices)
+    vertex, polygon, corner, notes = _primvars(mesh.GetPrim(), time, sizes, bound)
     holes = mesh.GetHoleIndicesAttr().Get(time)
     if holes:
         counts, indices, polygon, corner = _without_holes(holes, counts, indices, polygon, corner)
@@ -296,22 +314,33 @@ def _without_holes(
     if len(corners) != len(indices):
         # Damaged, which the caller of the reader reports.
         return counts, indices, polygon, corner
-    polygon = {name: values[kept] for name, values in polygon.items()}
+    polygon = {name: np.asarray(values)[kept] for name, values in polygon.items()}
     corner = {name: values[corners] for name, values in corner.items()}
     return sizes[kept], np.asarray(indices)[corners], polygon, corner
 
 
 def _primvars(
-    mesh: Any, time: Any, vertex_count: int, polygon_count: int, corner_count: int
+    prim: Any, time: Any, sizes: tuple[int, int, int], bound: Bound
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], tuple[str, ...]]:
-    """Normals and primvars of vertices, polygons and corners, and notes on those that do not fit."""
+    """Normals, primvars and materials of vertices, polygons and corners, and notes on those that do not fit.
+
+    Args:
+        prim: A mesh or a shape.
+        time: When it is read.
+        sizes: Numbers of vertices, polygons and corners.
+        bound: Its materials.
+    """
     from pxr import UsdGeom
 
+    vertex_count, polygon_count, corner_count = sizes
     found: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = {}, {}, {}
+    rows = {} if bound.rows is None else {"material": bound.rows}
     notes: list[str] = []
-    normals, primvars = mesh.GetNormalsAttr().Get(time), UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithValues()
+    mesh = UsdGeom.Mesh(prim)
+    normals = mesh.GetNormalsAttr().Get(time) if mesh else None
+    primvars = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
     if not normals and not primvars:
-        return *found, ()
+        return {}, rows, {}, ()
     import numpy as np
 
     from geokit.formats.attributes.columns import from_columns
@@ -334,15 +363,18 @@ def _primvars(
             into[name] = values
         # What deforms a mesh is left out with its bones.
         elif not name.startswith("skel:"):
-            notes.append(f"the array {name!r} of {mesh.GetPath()} is left out: it has {len(values)} rows for {count}")
+            notes.append(f"the array {name!r} of {prim.GetPath()} is left out: it has {len(values)} rows for {count}")
 
     if normals:
         add("normal", mesh.GetNormalsInterpolation(), normals)
-    textured = False
+    pairs = [each for each in primvars if str(each.GetTypeName()).startswith(("texCoord2", "float2", "double2"))]
+    mapped = [each for each in pairs if each.GetPrimvarName() == bound.mapped_by]
+    mapped += [each for each in pairs if str(each.GetTypeName()).startswith("texCoord2")]
     for primvar in primvars:
-        name = _NAMES.get(primvar.GetPrimvarName(), primvar.GetPrimvarName())
-        if str(primvar.GetTypeName()).startswith("texCoord2") and not textured:
-            name, textured = "uv", True
+        label = str(primvar.GetPrimvarName())
+        # Colors of geokit's meshes are multiplied with those of materials; these are replaced by them.
+        name = label if label == "displayColor" and bound.colored else _NAMES.get(label, label)
+        name = "uv" if mapped and label == mapped[0].GetPrimvarName() else name
         values = primvar.ComputeFlattened(time)
         if values is not None:
             add(name, primvar.GetInterpolation(), values)
@@ -350,7 +382,8 @@ def _primvars(
         colors, opacity = data.get("color"), data.get("displayOpacity")
         if colors is not None and opacity is not None and colors.shape[1:] == (3,) and opacity.ndim == 1:
             data["color"] = np.column_stack([colors, data.pop("displayOpacity")])
-    return from_columns(found[0]), from_columns(found[1]), from_columns(found[2]), tuple(notes)
+    vertex, polygon, corner = map(from_columns, found)
+    return vertex, {**polygon, **rows}, corner, tuple(notes)
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:

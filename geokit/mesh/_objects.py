@@ -68,7 +68,9 @@ def require_mesh(mesh: Any, name: str, *, images: bool = True) -> TriangleMesh:
             remedy = "give its surface, mesh.extract_surface()"
         kind = type(mesh).__module__.partition(".")[0]
         whose = "" if kind in ("builtins", "geokit", "numpy") else f"{kind}'s "
-        raise InputError(f"{name}: {whose}{type(mesh).__name__} is not a TriangleMesh; {remedy}")
+        # Open3D's tensor meshes have no positions while they are empty.
+        what = "is not a TriangleMesh" if type(mesh).__name__ != "TriangleMesh" else "has no vertices and faces"
+        raise InputError(f"{name}: {whose}{type(mesh).__name__} {what}; {remedy}")
     try:
         vertices = _vertices(found.points, name)
         faces, polygon = found.faces, None

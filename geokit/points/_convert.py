@@ -47,7 +47,7 @@ def to_pyvista(points: PointCloud) -> Any:
 
 @needs(_bytes)
 def to_open3d(points: PointCloud) -> Any:
-    """An ``open3d.geometry.PointCloud`` of points, with the arrays ``normals`` and ``rgb`` where there are any.
+    """An ``open3d.geometry.PointCloud`` of points, with ``normals`` and ``rgb`` or ``rgba`` if it has them.
 
     Open3D's colors are shares of 1. Other arrays have no place there and are left out, which a UserWarning says; the
     tensor cloud (``open3d.t.geometry.PointCloud``) has room for them.
@@ -74,8 +74,10 @@ def to_open3d(points: PointCloud) -> Any:
     for name, values in cloud.data.items():
         if name == "normals" and values.shape == cloud.points.shape:
             found.normals = vectors(np.array(values, np.float64))
-        elif name == "rgb" and values.shape == cloud.points.shape:
-            found.colors = vectors(_shares(values))
+        elif name in ("rgb", "rgba") and values.shape == (len(cloud), len(name)) and not len(found.colors):
+            shares = _shares(values)
+            found.colors = vectors(np.ascontiguousarray(shares[:, :3]))
+            lost += ["the alpha of rgba"] if np.any(shares[:, 3:] != 1.0) else []
         else:
             lost.append(name)
     _say(lost, "Open3D")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
-from geokit.core.interop.arrays import import_array, is_exporter
 from geokit.core.interop.notebook import repr_html, show
-from geokit.core.interop.objects import points_of
+from geokit.core.interop.objects import arrays_of, host, points_of
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
 from geokit.errors import FileFormatError, InputError
@@ -40,8 +40,9 @@ class PointCloud:
     """Points with named data arrays, validated on construction.
 
     Args:
-        points: Positions [world], shape (N, 3); stored as read-only float64.
-        data: Numeric arrays with N rows by name, shape (N,) or (N, K); their types are kept.
+        points: Positions [world], shape (N, 3), or a cloud of another library; stored as read-only float64.
+        data: Numeric arrays with N rows by name, shape (N,) or (N, K); their types are kept. None takes those that a
+            cloud of another library carries, colors as ``rgb`` or ``rgba``; a UserWarning names what is left out.
     Raises:
         InputError: points is not (N, 3) or not finite, or an array of data is not numeric or does not have N rows.
     """
@@ -52,7 +53,13 @@ class PointCloud:
     @needs()
     def __init__(self, points: ArrayLike, data: Mapping[str, ArrayLike] | None = None) -> None:
         table = _points(points)
-        given = {} if data is None else require_mapping(data, "data", blank=True)
+        if data is None:
+            given, lost = arrays_of(points, len(table), "points")
+            if lost:
+                held = ", ".join(map(repr, lost))
+                warnings.warn(f"points: {held} of {type(points).__name__} are left out", UserWarning, stacklevel=4)
+        else:
+            given = require_mapping(data, "data", blank=True)
         arrays = {name: _data(values, name, len(table)) for name, values in given.items()}
         object.__setattr__(self, "points", table)
         object.__setattr__(self, "data", MappingProxyType(arrays))
@@ -308,12 +315,13 @@ def save(
     normal_x, normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as in PCL. .pcd coordinates
     are 8-byte floats, or 4-byte floats if points is a float32 array, the only ones that PCL and Open3D read. .pts holds
     only ``intensity`` and ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` unchanged
-    (LAS expects 16 bits), and all others in extra dimensions.
+    (LAS expects 16 bits), and all others in extra dimensions. ``rgb`` of floats from 0 to 1 is rounded to 16 bits in
+    .las and .laz, and to 8 bits in .pcd and .pts.
 
     Args:
         path: {formats}.
-        points: Positions [world], shape (N, 3).
-        data: Numeric arrays with N rows by name, shape (N,) or (N, K).
+        points: Positions [world], shape (N, 3), or a cloud of another library.
+        data: Numeric arrays with N rows by name, shape (N,) or (N, K); None takes those of a cloud.
         encoding: Encoding of a .pcd file: "binary", "ascii" or "binary_compressed"; None for "binary".
     Raises:
         InputError: The extension is not one of these, points or data is invalid, the format does not allow a name, or
@@ -353,15 +361,8 @@ def _is_single(points: ArrayLike) -> bool:
     return getattr(points, "dtype", None) == np.float32
 
 
-def _host(values: Any) -> NDArray[Any]:
-    """Points of any library in host memory."""
-    if not isinstance(values, np.ndarray) and is_exporter(values):
-        values = import_array(values, "points").numpy()
-    return read_array(values, "points")
-
-
 def _points(values: ArrayLike) -> NDArray[np.float64]:
-    table = np.array(_host(points_of(values, "points")), dtype=np.float64)
+    table = np.array(host(points_of(values, "points"), "points"), dtype=np.float64)
     if table.size == 0 and table.ndim <= 2:
         table = table.reshape(0, 3)
     if table.ndim != 2 or table.shape[1] != 3:

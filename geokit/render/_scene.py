@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
-from geokit.core.interop.objects import points_of
 from geokit.core.memory.needs import needs
-from geokit.core.require import read_array, require_choice, require_flag, require_instance
+from geokit.core.require import require_choice, require_flag, require_instance
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, MissingDependencyError
+from geokit.points._io import PointCloud
 from geokit.render._backend import pyvista
 from geokit.render._camera import UP, View, camera_of, up_of, up_of_points, view_of
 from geokit.render._checks import (
@@ -189,10 +189,12 @@ def figure(
         mesh = require_mesh(mesh, "mesh")
     if volume is not None:
         require_instance(volume, "volume", SparseVolume, "load or make one first")
+    if points is not None:
+        points = _cloud(points)
     if up is None and mesh is not None:
         view = view._replace(up=up_of(mesh))
     elif up is None and points is not None and volume is None:
-        view = view._replace(up=up_of_points(_positions(points)))
+        view = view._replace(up=up_of_points(points.points))
     if shadow and volume is not None and not _is_surface(volume, isovalue):
         raise InputError("shadow: fog throws none here; give an isovalue, or look='smoke', which shades itself")
     if look == "smoke":
@@ -386,8 +388,8 @@ def _image_data(pv: Any, field: Any) -> Any:
     return grid
 
 
-def _add_points(pv: Any, plotter: Any, points: Any, color: Any, point_size: float | None, look: _Look) -> None:
-    table = _positions(points)
+def _add_points(pv: Any, plotter: Any, points: PointCloud, color: Any, point_size: float | None, look: _Look) -> None:
+    table = points.points
     # Many points are drawn small, few large. Super-sampling halves the size that VTK is given.
     size = 2.0 * (point_size or float(np.clip(0.45 * look.height / np.sqrt(len(table)), 1.0, look.height / 80)))
     shape = {"point_size": size, "render_points_as_spheres": True, "ambient": 0.25}
@@ -405,17 +407,12 @@ def _add_points(pv: Any, plotter: Any, points: Any, color: Any, point_size: floa
     plotter.add_mesh(cloud, style="points", **look.colored(values), **shape)
 
 
-def _positions(points: Any) -> NDArray[np.float64]:
-    table: NDArray[np.float64] = read_array(points_of(points, "points"), "points", np.float64)
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise InputError(f"points: shape {table.shape} is not (N, 3)")
-    if len(table) == 0:
+def _cloud(points: Any) -> PointCloud:
+    cloud = points if isinstance(points, PointCloud) else PointCloud(points)
+    if len(cloud) == 0:
         raise InputError("points: empty: there is nothing to draw")
-    if not np.isfinite(table).all():
-        row = int(np.argmin(np.isfinite(table).all(axis=1)))
-        raise InputError(f"points: row {row} is not finite ({table[row].tolist()}); remove or replace such rows")
-    require_drawable(table, "points")
-    return table
+    require_drawable(cloud.points, "points")
+    return cloud
 
 
 def _named_color(pv: Any, color: str | None, default: str) -> Any:

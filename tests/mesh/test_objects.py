@@ -200,3 +200,11 @@ def test_vertices_that_require_gradients_are_refused() -> None:
     for call in (gk.mesh.as_mesh, gk.mesh.audit, lambda mesh: gk.mesh.sample_surface(mesh, 10)):
         with pytest.raises(InputError, match=r"vertices: require gradients.*geokit\.torch.*detach\(\)"):
             call(pair)
+
+
+def test_an_empty_mesh_of_tensors_is_called_so() -> None:
+    class TriangleMesh:
+        """As Open3D's, whose tensors are missing while it is empty."""
+
+    with pytest.raises(InputError, match="TriangleMesh has no vertices and faces"):
+        gk.mesh.as_mesh(TriangleMesh())

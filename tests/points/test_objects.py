@@ -39,6 +39,78 @@ SAME: dict[str, Callable[[], Any]] = {
 }
 
 
+COLORS, NORMALS, HEAT = POINTS[::-1], POINTS + 1.0, np.arange(60.0)
+
+
+def _painted_open3d() -> Any:
+    o3d, found = pytest.importorskip("open3d"), _open3d()
+    found.colors, found.normals = (o3d.utility.Vector3dVector(values) for values in (COLORS, NORMALS))
+    return found
+
+
+def _painted_tensors() -> Any:
+    o3d, found = pytest.importorskip("open3d"), _open3d_tensors()
+    for name, values in {"colors": COLORS, "normals": NORMALS, "heat": HEAT[:, None]}.items():
+        found.point[name] = o3d.core.Tensor(values)
+    return found
+
+
+def _painted_pyvista() -> Any:
+    found = pyvista.PolyData(POINTS)
+    found.point_data.update({"rgb": COLORS, "Normals": NORMALS, "heat": HEAT})
+    found.point_data.active_normals_name = "Normals"
+    return found
+
+
+PAINTED: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
+    "open3d": (_painted_open3d, {"rgb": COLORS, "normals": NORMALS}),
+    "open3d tensors": (_painted_tensors, {"rgb": COLORS, "normals": NORMALS, "heat": HEAT}),
+    "like open3d": (
+        lambda: SimpleNamespace(points=POINTS, colors=COLORS, normals=np.empty((0, 3))),
+        {"rgb": COLORS},
+    ),
+    "like open3d tensors": (
+        lambda: SimpleNamespace(point=SimpleNamespace(positions=POINTS, colors=COLORS, heat=HEAT[:, None])),
+        {"rgb": COLORS, "heat": HEAT},
+    ),
+    "pyvista": (_painted_pyvista, {"rgb": COLORS, "normals": NORMALS, "heat": HEAT}),
+    "meshio": (lambda: meshio.Mesh(POINTS, [], {"heat": HEAT}), {"heat": HEAT}),
+    "trimesh": (lambda: trimesh.PointCloud(POINTS, [[1, 2, 3, 4]] * 60), {"rgba": np.array([[1, 2, 3, 4]] * 60)}),
+    "geokit": (lambda: CLOUD, dict(CLOUD.data)),
+}
+
+
+@pytest.mark.parametrize("kind", PAINTED)
+def test_clouds_come_with_their_arrays(kind: str, tmp_path: Any) -> None:
+    make, expected = PAINTED[kind]
+    found = gk.points.PointCloud(make())
+    gk.points.save(tmp_path / "a.npz", make())
+    for cloud in (found, gk.points.load(tmp_path / "a.npz")):
+        assert set(cloud.data) == set(expected)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(cloud.data[name], values)
+    assert not gk.points.PointCloud(make(), {}).data
+
+
+def test_arrays_that_do_not_fit_are_named() -> None:
+    given = SimpleNamespace(point=SimpleNamespace(positions=POINTS, words=np.array(["a"] * 60), short=HEAT[:3]))
+    with pytest.warns(UserWarning, match="points: 'words', 'short' of SimpleNamespace are left out"):
+        assert not gk.points.PointCloud(given).data
+
+
+@pytest.mark.parametrize(("kind", "full"), [(".las", 65535), (".pts", 255), (".pcd", 255)])
+def test_shares_of_colors_are_rounded_where_files_hold_integers(kind: str, full: int, tmp_path: Any) -> None:
+    if kind == ".las":
+        pytest.importorskip("laspy")
+    gk.points.save(tmp_path / f"a{kind}", POINTS, data={"rgb": np.where(COLORS > 0.9, 1.0 + 1e-15, COLORS)})
+    expected = np.rint(np.where(COLORS > 0.9, 1.0, COLORS) * full)
+    np.testing.assert_array_equal(gk.points.load(tmp_path / f"a{kind}").data["rgb"], expected)
+    if kind == ".pcd":  # what is no share stays as it is
+        return
+    with pytest.raises(gk.errors.InputError, match="uint8"):
+        gk.points.save(tmp_path / f"b{kind}", POINTS, data={"rgb": COLORS + 0.5})
+
+
 @pytest.mark.parametrize("kind", SAME)
 def test_the_same_cloud_from_each_library(kind: str) -> None:
     given = SAME[kind]()

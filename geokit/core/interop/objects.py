@@ -6,6 +6,7 @@ comes of them is checked where geokit's own objects are made.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ __all__ = [
     "POLYGON_CELLS",
     "Image",
     "Polygons",
+    "arrays_of",
     "attribute",
     "getattr_or_none",
     "has_faces",
@@ -84,6 +86,47 @@ def points_of(values: Any, name: str) -> Any:
             f"{name}: {_kind(values)} is a mesh; give its vertices, or points on its surface (mesh.sample_surface)"
         )
     return vertices
+
+
+def arrays_of(values: Any, count: int, name: str) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """The arrays with a row for each point that a cloud carries, by geokit's names, and the names of those left out.
+
+    Colors and normals of Open3D, all its tensors, the point data of pyvista and meshio, colors of trimesh's PointCloud.
+
+    Args:
+        values: What :func:`points_of` takes.
+        count: Number of its points.
+        name: The argument's name for error messages.
+    """
+    if isinstance(values, (np.ndarray, list, tuple, int, float, str)) or _is_array(values):
+        return {}, []
+    given = attribute(values, "data")
+    visual = attribute(values, "visual")
+    if not isinstance(given, Mapping):
+        given = attribute(values, "point_data")
+    if given is None:
+        given = attribute(values, "point")
+    if visual is not None:
+        given = {"rgba": visual.vertex_colors} if attribute(visual, "kind") == "vertex" else {}
+    elif given is None:
+        given = {label: attribute(values, label) for label in ("normals", "colors")}
+    normals = {} if (mark := attribute(given, "active_normals_name")) is None else {mark: "normals"}
+    items = given.items() if callable(getattr_or_none(given, "items")) else vars(given).items()
+    found, lost = dict[str, NDArray[Any]](), list[str]()
+    for theirs, rows in items:
+        if rows is None or theirs == "positions":
+            continue
+        try:
+            array = host(rows, name)
+        except InputError:  # text
+            array = np.asarray(rows)
+        label = normals.get(theirs, "rgb" if theirs == "colors" else str(theirs))
+        array = array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+        if array.dtype.kind in "fiub" and array.ndim in (1, 2) and len(array) == count:
+            found[label] = array
+        elif len(array):  # empty ones of Open3D are none
+            lost.append(label)
+    return found, lost
 
 
 def polygons_of(value: Any, name: str) -> Polygons | None:

@@ -26,6 +26,7 @@ __all__ = [
     "attributes_of",
     "glb_of",
     "gltf_of",
+    "has_alpha",
     "holds_texture",
     "holds_type",
     "materials_of",
@@ -146,7 +147,7 @@ def materials_of(
                 notes[f"the texture of material {number} is left out: its entry in the header is damaged"] = None
         color = color and tuple(map(float, color))
         cutoff = None
-        if number in clear or _has_alpha(color, data):
+        if number in clear or has_alpha(color, data):
             mode = material.get("alphaMode")
             cutoff = None if mode == "BLEND" else float(material.get("alphaCutoff", 0.5)) if mode == "MASK" else 0.0
         found.append(FileMaterial(str(material.get("name", "")), color, name, data, cutoff))
@@ -275,11 +276,11 @@ def _alpha_entries(material: Material, is_clear: bool) -> dict[str, Any]:
         mask = {"alphaMode": "MASK", "alphaCutoff": float(material.alpha_cutoff)}
         return mask if material.alpha_cutoff > 0.0 else {}
     # What is opaque is not declared to blend: viewers sort that by its distance, and wrongly so.
-    has_alpha = is_clear or _has_alpha(material.color, material.texture.data if material.texture else b"")
-    return {"alphaMode": "BLEND"} if has_alpha else {}
+    blends = is_clear or has_alpha(material.color, material.texture.data if material.texture else b"")
+    return {"alphaMode": "BLEND"} if blends else {}
 
 
-def _has_alpha(color: tuple[float, ...] | None, image: bytes) -> bool:
+def has_alpha(color: tuple[float, ...] | None, image: bytes) -> bool:
     """Whether a material is not opaque all over, as far as the head of its image tells."""
     is_png = image.startswith(b"\x89PNG")
     in_image = image[25:26] in _ALPHA_TYPES or b"tRNS" in image[:_PNG_HEAD] if is_png else image.startswith(b"RIFF")

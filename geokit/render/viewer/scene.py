@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.core.interop.objects import points_of, polygons_of
-from geokit.core.require import read_array
 from geokit.errors import InputError
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
@@ -65,13 +64,10 @@ def read_thing(thing: Any, where: str) -> TriangleMesh | PointCloud | SparseVolu
         raise InputError(
             f"{where}: {type(thing).__name__} cannot be drawn; give a mesh, a volume, a cloud, or points (N, 3)"
         )
-    table = read_array(points, where, np.float64)
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise InputError(f"{where}: shape {table.shape} is not (N, 3); give a row of x, y, z for each point")
     try:
-        return PointCloud(table)
+        return PointCloud(thing)
     except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {str(error).removeprefix('points: ')}") from error
 
 
 def _bounds(thing: TriangleMesh | PointCloud | SparseVolume, where: str) -> NDArray[np.float64]:
