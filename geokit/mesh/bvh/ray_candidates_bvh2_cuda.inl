@@ -1,12 +1,14 @@
 // Candidates of a ray on CUDA: a float32 traversal that collects the few triangles that the ray may hit first.
 //
 // A triangle that the ray hits well inside ends the search behind it. One that it hits within the margin of an edge
-// does not, and is decided in float64 together with the other candidates.
+// does not, and is decided in float64 together with the other candidates. With ANY_HIT a triangle that the ray hits
+// well inside, and well within its length, ends the whole search; the widest triangles are tested before the tree.
 //
 // Expects load_node_bvh2.inl; tree, start, direction, t_min, t_max; CANDIDATES, IS_SLIVER, NO_CANDIDATE, UNDECIDED,
-// NEAR_START, PLANE_MARGIN, ENDLESS, LEAST_COMPONENT, SLOT_WORDS, SLIVER. Defines found: the candidates' slots, with
-// the bit IS_SLIVER, up to NO_CANDIDATE; found[0] is UNDECIDED where they do not fit or the ray starts too far away for
-// float32. Also defines search and Four.
+// NEAR_START, PLANE_MARGIN, ENDLESS, LEAST_COMPONENT, SLOT_WORDS, SLIVER; with ANY_HIT also wide (slots) and SURE.
+// Defines found: the candidates' slots, with the bit IS_SLIVER, up to NO_CANDIDATE; found[0] is UNDECIDED where they do
+// not fit or the ray starts too far away for float32, and SURE where the ray hits something. Also defines search and
+// Four.
 #if !defined(__CUDA_ARCH__)
 // Warp's CPU compiler has these only as built-ins; tests run this search on a CPU.
 auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
@@ -69,9 +71,13 @@ auto search = [&]() {
         return in <= out ? in : (float)INFINITY;
     };
     int slot_of[CANDIDATES];
-    float nearest_of[CANDIDATES];
     int count = 0;
     bool full = false;
+    #if defined(ANY_HIT)
+    const float end = (last - PLANE_MARGIN) * 0.999998f - PLANE_MARGIN;
+    bool sure = false;
+    #else
+    float nearest_of[CANDIDATES];
     auto prune = [&]() {
         int kept = 0;
         for (int i = 0; i < count; ++i)
@@ -81,6 +87,7 @@ auto search = [&]() {
             }
         count = kept;
     };
+    #endif
     // Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
     auto test = [&](int slot) {
         const Four* row = (const Four*)(tree.leaves.data + SLOT_WORDS * slot);
@@ -95,16 +102,33 @@ auto search = [&]() {
         const float longest = r3.x, cx = r3.y, cy = r3.z, margin = PLANE_MARGIN * longest;
         const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
         if (!(y >= -PLANE_MARGIN && ca >= -margin && bc >= -margin)) return;
+        const bool inside = y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN;
+        #if defined(ANY_HIT)
+        sure = inside && depth + PLANE_MARGIN < end * down;
+        if (sure) return;
+        #else
         const float farthest = (depth + PLANE_MARGIN) / down * 1.000001f;
-        if (y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN && farthest < last) last = farthest;
+        if (inside && farthest < last) last = farthest;
         if (count == CANDIDATES) prune();
+        #endif
         if (count == CANDIDATES) {
             full = true;
             return;
         }
-        slot_of[count] = cy < SLIVER * longest ? slot | IS_SLIVER : slot;
-        nearest_of[count++] = (depth - PLANE_MARGIN) / down * 0.999999f;
+        slot_of[count++] = cy < SLIVER * longest ? slot | IS_SLIVER : slot;
+        #if !defined(ANY_HIT)
+        nearest_of[count - 1] = (depth - PLANE_MARGIN) / down * 0.999999f;
+        #endif
     };
+    #if defined(ANY_HIT)
+    for (int k = 0; k < wide.shape[0] && !sure; ++k) test(wide.data[k]);
+    if (sure) {
+        found[0] = SURE;
+        return;
+    }
+    count = 0;  // the walk meets them again
+    full = false;
+    #endif
     int stack[64], height = 0, node = tree.ray_children.data[0];
     while (true) {
         bool in_box = true;
@@ -119,12 +143,22 @@ auto search = [&]() {
             in_box = (left_first ? tl : tr) < INFINITY;
         }
         if (in_box) {
+            #if defined(ANY_HIT)
+            for (int slot = first_slot(node); slot < end_slot(node) && !sure; ++slot) test(slot);
+            if (sure) {
+                found[0] = SURE;
+                return;
+            }
+            #else
             for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
+            #endif
         }
         if (height == 0) break;
         node = stack[--height];
     }
+    #if !defined(ANY_HIT)
     prune();
+    #endif
     if (full) {
         found[0] = UNDECIDED;
         return;

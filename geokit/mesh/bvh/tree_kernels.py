@@ -13,6 +13,8 @@ BOX_PADDING = 2.0e-7
 # First entry of a ray's candidate list: no candidate; and: the complete traversal must decide.
 NO_CANDIDATE = wp.constant(-1)
 UNDECIDED = wp.constant(-2)
+# In place of a bool: the same.
+LEFT_OVER = wp.constant(2)
 
 
 @wp.struct

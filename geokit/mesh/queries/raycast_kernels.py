@@ -5,7 +5,7 @@
 import warp as wp
 
 from geokit.mesh.bvh.ray_walk_kernels import ray_walk
-from geokit.mesh.bvh.tree_kernels import UNDECIDED, SurfaceTree
+from geokit.mesh.bvh.tree_kernels import LEFT_OVER, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,8 +28,7 @@ def cast_rays(
 ): ...
 
 
-# A CPU has just read which triangles are slivers; a GPU would need another load for it.
-@wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU", "UNORDERED"))
+@wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU", "REFINE_ON_CUDA", "UNORDERED"))
 def test_rays(
     begin: int,
     end: int,
@@ -120,3 +119,25 @@ def raycast_undecided_kernel(
             out_barycentric,
             out_bad,
         )
+
+
+@wp.func_native("return ((const unsigned char*)answers.data)[ray] == left_over;")
+def is_left_over(answers: wp.array(dtype=wp.bool), ray: int, left_over: int) -> bool: ...
+
+
+@wp.kernel
+def occluded_left_over_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    wide: wp.array(dtype=int),
+    out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
+):
+    """The same for any hits."""
+    k = first + wp.tid()
+    if is_left_over(out_occluded, k, LEFT_OVER):
+        test_rays(k, k + 1, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)

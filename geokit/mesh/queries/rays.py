@@ -39,6 +39,10 @@ GROUPS_PER_THREAD = 8
 FEWEST_IN_PASSES = 1 << 14
 
 
+# A kernel, its number of items, and its inputs.
+_Launch = tuple[Any, int, list[Any]]
+
+
 class RayHits(NamedTuple):
     """t (N,) in units of the ray's direction, triangle_id (N,), barycentric (N, 3).
 
@@ -257,10 +261,7 @@ class RayQueries:
     ) -> Any:
         """True for rays that hit the surface; faster than :meth:`raycast`, because any hit ends the search.
 
-        On a CPU the answer always agrees with :meth:`raycast`. On a GPU ``t_min`` and ``max_distance`` are compared
-        with the unrefined t of a sliver, which loses as many digits as its longest edge exceeds its height: 4e-4 of the
-        edge at an aspect ratio of 1e12 (docs/design/exact-queries.md). A hit that near to a limit may count on either
-        side of it.
+        The answer always agrees with :meth:`raycast`.
 
         Args:
             origins: Starts of the rays [world], shape (N, 3).
@@ -334,24 +335,40 @@ class RayQueries:
         bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
         shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
-        in_passes = kernel.key == "raycast_kernel" and self._tree.mesh and count >= FEWEST_IN_PASSES
-        if in_passes:
-            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
-
-            launcher.launch(first_hit_kernel, count, shared, [*outputs, bad], self._device)
-        else:
-            group = group_size(count) if self._device.is_cpu else 1
-            launcher.launch(kernel, -(-count // group), [group, *shared], [*outputs, bad], self._device, grain=1)
+        group = group_size(count) if self._device.is_cpu else 1
+        whole = kernel, -(-count // group), [group, *shared]
+        in_passes = self._tree.mesh and count >= FEWEST_IN_PASSES
+        first, again = self._passes(whole, count, shared) if in_passes else (whole, None)
+        launcher.launch(*first, [*outputs, bad], self._device, grain=1)
 
         def finish() -> None:
-            if in_passes and bad.numpy()[1]:
-                from geokit.mesh.queries.raycast_kernels import raycast_undecided_kernel
-
-                launcher.launch(raycast_undecided_kernel, count, shared, [*outputs, bad], self._device)
+            if again is not None and bad.numpy()[1]:
+                launcher.launch(*again, [*outputs, bad], self._device)
             # Waits for the launches, so that the answer is whole.
             refuse_rays(bad, rays, heading)
 
         return finish
+
+    def _passes(self, whole: _Launch, count: int, shared: list[Any]) -> tuple[_Launch, _Launch | None]:
+        """The launch that is faster than the whole one, and the one for what it leaves undecided."""
+        from geokit.mesh.queries import raycast_kernels
+
+        if whole[0] is raycast_kernels.raycast_kernel:
+            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
+
+            return (first_hit_kernel, count, shared), (raycast_kernels.raycast_undecided_kernel, count, shared)
+        if whole[0] is raycast_kernels.occluded_kernel:
+            from geokit.mesh.bvh.bvh2_any_hit_cuda_kernels import any_hit_kernel
+
+            shared = [*shared, self._wide_slots]
+            return (any_hit_kernel, count, shared), (raycast_kernels.occluded_left_over_kernel, count, shared)
+        return whole, None
+
+    @cached_property
+    def _wide_slots(self) -> "wp.array":
+        from geokit.mesh.bvh.bvh2_packed import wide_slots
+
+        return wide_slots(self._tree.corners)
 
 
 def checked_limits(

@@ -1,0 +1,104 @@
+"""Any hits on CUDA: a float32 traversal that most hits end by themselves, then float64 tests of what is doubtful."""
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+from geokit.core.cpp import cpp
+from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import IS_SLIVER
+from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS, SHORTEST_DIRECTION, is_usable, length_in_t
+from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
+
+wp.set_module_options({"enable_backward": False})
+
+# Doubtful triangles of a ray: those around an edge or a vertex that it aims at.
+CANDIDATES = 16
+# Register limit of a GPU thread; see docs/design/launches-and-memory.md.
+REGISTERS = 64
+# First entry of a ray's candidate list: it hits something.
+SURE = wp.constant(-3)
+
+
+@wp.func_native(
+    cpp(
+        "mesh/bvh/load_node_bvh2.inl",
+        "mesh/bvh/ray_candidates_bvh2_cuda.inl",
+        "mesh/bvh/exact_arithmetic.inl",
+        "mesh/bvh/ray_triangle.inl",
+        "mesh/bvh/refine_sliver.inl",
+        "mesh/bvh/decide_any_hit_cuda.inl",
+        defines={"ANY_HIT": "1"},
+        **RAY_CONSTANTS,
+        CANDIDATES=CANDIDATES,
+        IS_SLIVER=IS_SLIVER,
+        NO_CANDIDATE=NO_CANDIDATE,
+        UNDECIDED=UNDECIDED,
+        SURE=SURE,
+        LEFT_OVER=LEFT_OVER,
+    )
+)
+def any_hit(
+    tree: SurfaceTree,
+    wide: wp.array(dtype=int),
+    start: wp.vec3d,
+    direction: wp.vec3d,
+    t_min: wp.float64,
+    t_max: wp.float64,
+    ray: int,
+    out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
+): ...
+
+
+@wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
+def any_hit_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    wide: wp.array(dtype=int),
+    out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
+):
+    """Whether rays hit anything; those with too many candidates, or from too far away for float32, are LEFT_OVER."""
+    ray = first + wp.tid()
+    start = origins[ray]
+    direction = directions[ray]
+    largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
+    if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
+        any_hit(tree, wide, start, direction, t_min, length_in_t(max_distance, direction), ray, out_occluded, out_bad)
+    else:
+        out_bad[0] = 1  # the host rejects the whole batch and names the row
+
+
+@wp.kernel
+def area_kernel(first: int, corners: wp.array(dtype=wp.vec3d), out_area: wp.array(dtype=wp.float64)):
+    """Twice the area of the triangle in each slot [world^2]."""
+    slot = first + wp.tid()
+    a = corners[3 * slot]
+    out_area[slot] = wp.length(wp.cross(corners[3 * slot + 1] - a, corners[3 * slot + 2] - a))
+
+
+@wp.kernel
+def mark_wide_kernel(first: int, area: wp.array(dtype=wp.float64), least: wp.float64, out_is_wide: wp.array(dtype=int)):
+    """1 for slots whose triangle has at least so much area, else 0."""
+    slot = first + wp.tid()
+    out_is_wide[slot] = wp.where(area[slot] >= least, 1, 0)
+
+
+@wp.kernel
+def list_wide_kernel(
+    first: int,
+    area: wp.array(dtype=wp.float64),
+    is_wide: wp.array(dtype=int),
+    place: wp.array(dtype=int),
+    out_slot: wp.array(dtype=int),
+    out_area: wp.array(dtype=wp.float64),
+):
+    """The marked slots and their areas, at their places (counted from one)."""
+    slot = first + wp.tid()
+    if is_wide[slot] != 0:
+        out_slot[place[slot] - 1] = slot
+        out_area[place[slot] - 1] = area[slot]
