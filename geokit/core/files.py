@@ -255,7 +255,8 @@ def named_damage(path: Path) -> Iterator[None]:
     Args:
         path: The file.
     Raises:
-        FileFormatError: The code inside raises anything else than a GeokitError or a MemoryError.
+        FileFormatError: The code inside raises anything else than a GeokitError, a MemoryError, or a warning that
+            the caller has made an error.
     """
     import numpy as np
 
@@ -263,7 +264,7 @@ def named_damage(path: Path) -> Iterator[None]:
         # Casts of signaling NaN warn; what is not finite is found and named after reading.
         with np.errstate(invalid="ignore", over="ignore"):
             yield
-    except (GeokitError, MemoryError):
+    except (GeokitError, MemoryError, Warning):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {in_one_line(str(error))}"
