@@ -10,7 +10,7 @@ import numpy as np
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
-from geokit.cli._console import announce_compiling, note, print_json, step
+from geokit.cli._console import announce_compiling, note, print_json, say, step
 from geokit.cli._kinds import FiniteOnly, Kind, kind_of_input, kind_of_output, load_cloud, may_write, refuse_unused
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._storage import Storage
@@ -175,7 +175,7 @@ def convert(
     if json:
         print_json(summary)
     else:
-        print(_described(summary))
+        say(_described(summary))
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, step
+from geokit.cli._console import announce_compiling, say, step
 from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
 from geokit.core.files import extension
 from geokit.errors import InputError
@@ -116,7 +116,7 @@ def render(
             chosen = _array_or_color(cloud, cloud.points, None if own else color)
             scene["up"] = up or up_of_points(cloud.points, usual)
             drawing.figure(output, points=cloud, **chosen, **scene)
-    print(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
+    say(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
 
 
 def _parse_size(text: str) -> tuple[int, int]:

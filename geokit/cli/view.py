@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, note, step
+from geokit.cli._console import announce_compiling, note, say, step
 from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
 from geokit.core.files import extension
 from geokit.formats.table import FORMATS
@@ -81,6 +81,6 @@ def view(
             options["up"] = up_of_points(things[0].points, usual)
         options["names"] = [source.name.encode("utf-8", "replace").decode() for source in sources]
         page = drawing.view(*things, path=output or drawing.temporary_path(), **options)
-    print(f"{page.path}: {len(page.html)} bytes")
+    say(f"{page.path}: {len(page.html)} bytes")
     if output is None and not drawing.open_in_browser(page):
         note("no browser opens here; copy the file to where there is one")

@@ -10,6 +10,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from geokit.core.printable import printable
 from geokit.core.private_folder import private_folder
 from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
@@ -281,4 +282,4 @@ def in_one_line(text: str, most: int = 300) -> str:
         most: Number of characters after which it is cut.
     """
     shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
-    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in shown)
+    return printable(shown)
