@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from geokit.cli._console import note, print_json
+from geokit.cli._console import note, print_json, say
 from geokit.core.files import extension
 from geokit.core.require import require_count
 from geokit.errors import FileAccessError, GeokitError, InputError
@@ -61,7 +61,7 @@ def run_batch(
         elif json:
             summaries.append(outcome)
         else:
-            print(describe(outcome), flush=True)
+            say(describe(outcome))
     if json:
         print_json(summaries)
     if failed:

@@ -12,12 +12,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-__all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_table", "step"]
+from geokit.core.printable import printable
+
+__all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_table", "say", "step"]
+
+
+def say(message: str) -> None:
+    """Print a line on stdout. Names of files, and names in files, may hold what a terminal obeys: it is escaped."""
+    print(printable(message), flush=True)
 
 
 def note(message: str) -> None:
     """Print a notice on stderr."""
-    print(f"geokit: {message}", file=sys.stderr, flush=True)
+    print(f"geokit: {printable(message)}", file=sys.stderr, flush=True)
 
 
 def announce_compiling() -> None:
@@ -64,7 +71,7 @@ def print_facts(facts: dict[str, Any], *, indent: str = "") -> None:
     """Print names and values in two columns."""
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
-        print(f"{indent}{name:<{width}}  {_shown(value)}")
+        say(f"{indent}{name:<{width}}  {_shown(value)}")
 
 
 def _shown(value: Any) -> str:
@@ -78,7 +85,7 @@ def _shown(value: Any) -> str:
         return _shown(value.tolist())
     if isinstance(value, (list, tuple)):
         return "(" + ", ".join(_shown(item) for item in value) + ")"
-    return "none" if value is None else str(value)
+    return "none" if value is None else printable(str(value))
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:
@@ -88,7 +95,9 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    table = Table(
+        title=escape(printable(title)) or None, title_justify="left", box=None, pad_edge=False, header_style="bold"
+    )
     for index, column in enumerate(columns):
         numeric = all(isinstance(row[index], (int, float)) or row[index] in ("", "-") for row in rows)
         table.add_column(column, justify="right" if numeric and rows else "left", no_wrap=True)
@@ -139,14 +148,17 @@ def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[St
         quiet: Show nothing.
         lines: Print a plain line at the end even if stderr is not a terminal.
     """
-    current = Step(title)
+    current = Step(printable(title))
     if quiet:
         yield current
         return
     if sys.stderr.isatty():
         from rich.console import Console
+        from rich.text import Text
 
-        with Console(stderr=True).status(f"{title} ...") as status, _ticking(current, status.update):
+        # As text: a name in brackets is no style.
+        status = Console(stderr=True).status(Text(f"{current.title} ..."))
+        with status, _ticking(current, lambda said: status.update(Text(said))):
             yield current
     else:
         with _ticking(current, note):
@@ -154,8 +166,8 @@ def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[St
     seconds = time.perf_counter() - current.started
     if not (lines or sys.stderr.isatty()):
         return
-    tail = f": {current.result}" if current.result else ""
-    print(f"{title}{tail}  [{seconds:.2f} s]", file=sys.stderr, flush=True)
+    tail = f": {printable(current.result)}" if current.result else ""
+    print(f"{current.title}{tail}  [{seconds:.2f} s]", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

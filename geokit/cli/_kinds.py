@@ -32,6 +32,7 @@ __all__ = [
     "load_grid",
     "load_rays",
     "may_write",
+    "refuse_unused",
 ]
 
 Kind = Literal["mesh", "volume", "cloud"]
@@ -138,6 +139,13 @@ def may_write(path: Path, *, force: bool) -> None:
     """
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; add --force to replace it")
+
+
+def refuse_unused(where: str, **options: Any) -> None:
+    """Refuse the first of the options that is given: it has no effect there, as in "on a mesh"."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"--{name}: has no effect {where}; leave it out")
 
 
 def load_cloud(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, print_json, step
+from geokit.cli._console import announce_compiling, print_json, say, step
 from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_write
 from geokit.errors import InputError
 
@@ -111,7 +111,7 @@ def _report(name: str, sources: tuple[Path, ...], target: Path, made: list[Spars
         return
     size = " x ".join(f"{edge:.6g}" for edge in summary["voxel_size"])
     counts = " + ".join(str(count) for count in summary["active_voxels"])
-    print(f"{target}: {summary['grid_type']}, {counts} active voxels of {size}, {summary['byte_count']} bytes")
+    say(f"{target}: {summary['grid_type']}, {counts} active voxels of {size}, {summary['byte_count']} bytes")
 
 
 def require_volume_file(path: Path) -> None:

@@ -10,6 +10,7 @@ import traceback
 import warnings
 
 from geokit._packages import require_package
+from geokit.core.printable import printable
 from geokit.errors import GeokitError
 
 __all__ = ["run", "show_warning", "usage_message"]
@@ -44,6 +45,8 @@ def run(arguments: list[str]) -> int:
     except GeokitError as error:
         # The library's message names its parameter; the user knows the option.
         return _fail(_STEPS.sub(r"with --time-step \1 to \2", str(error)), FAILURE)
+    except Warning as error:  # python -W error
+        return _fail(f"warning: {error}", FAILURE)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0] or str(error)
         return _fail(f"the Python package {package} is not installed; pip install geokit brings it along", FAILURE)
@@ -73,7 +76,7 @@ def _discard_output() -> None:
 
 def show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print a warning like other notices, without the place in the library that raised it."""
-    print(f"geokit: warning: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
+    print(f"geokit: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr, flush=True)
 
 
 def usage_message(error: BaseException) -> str:
@@ -92,7 +95,7 @@ def usage_message(error: BaseException) -> str:
 def _fail(message: str, code: int, *, hint: str = "") -> int:
     if _debugging() and code not in (USAGE, INTERRUPTED):
         traceback.print_exc()
-    line = " ".join(message.split())
+    line = printable(" ".join(message.split()))
     print(f"geokit: {line}{hint}", file=sys.stderr)
     return code
 

@@ -16,7 +16,7 @@ from geokit.cli._batches.report import totals, write_report
 from geokit.cli._batches.schedule import local_workers, remote_workers, run_all
 from geokit.cli._batches.task import key_of
 from geokit.cli._batches.worker import versions
-from geokit.cli._console import note, print_json, step
+from geokit.cli._console import note, print_json, say, step
 from geokit.cli._kinds import may_write
 from geokit.core.files import require_file
 from geokit.core.require import require_count
@@ -113,7 +113,7 @@ def _finished(records: dict[str, dict[str, Any]], recipe: str, folder: Path, suf
     if json:
         print_json({**totals(records), "failures": str(failures), "report": str(page)})
     else:
-        print(f"{page}: {len(records) - failed} files done, {failed} failed" + (f" ({failures})" if failed else ""))
+        say(f"{page}: {len(records) - failed} files done, {failed} failed" + (f" ({failures})" if failed else ""))
     return 1 if failed else 0
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from geokit.cli._console import announce_compiling, note, print_json, print_table
+from geokit.cli._console import announce_compiling, note, print_json, print_table, say
 from geokit.cli._kinds import kind_of_input, load_cloud, load_grid
 from geokit.errors import InputError
 
@@ -71,7 +71,7 @@ def bench(
         print_json([_facts(row) for row in results])
     else:
         _print_fronts(results)
-        print(f"{len(results)} rows, {len(results.failures)} failures: {page}")
+        say(f"{len(results)} rows, {len(results.failures)} failures: {page}")
     note(f"done in {time.perf_counter() - started:.1f} s")
     # A page with failures only does not count as success.
     return 0 if results else 1
@@ -83,7 +83,7 @@ def _stability(out: Path, device: str | None, figures: str, *, force: bool) -> N
 
     check_page(out, force=force)
     announce_compiling()
-    print(write_stability(out, force=force, device=device, progress=note, figure_format=figures))
+    say(str(write_stability(out, force=force, device=device, progress=note, figure_format=figures)))
 
 
 def _subject(source: Path, grid: str | None, columns: str | None) -> "Subject":

@@ -10,8 +10,8 @@ import numpy as np
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
-from geokit.cli._console import announce_compiling, note, print_json, step
-from geokit.cli._kinds import FiniteOnly, Kind, kind_of_input, kind_of_output, load_cloud, may_write
+from geokit.cli._console import announce_compiling, note, print_json, say, step
+from geokit.cli._kinds import FiniteOnly, Kind, kind_of_input, kind_of_output, load_cloud, may_write, refuse_unused
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
@@ -175,7 +175,7 @@ def convert(
     if json:
         print_json(summary)
     else:
-        print(_described(summary))
+        say(_described(summary))
     return 0
 
 
@@ -298,8 +298,8 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
     if kinds not in _USES:
         raise InputError(f"{target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
     for name, value in options.items():
-        if value is not None and name not in ("kind", *_USES[kinds]):
-            raise InputError(f"--{name}: has no effect on {kinds[0]} to {kinds[1]}; leave it out")
+        if name not in ("kind", *_USES[kinds]):
+            refuse_unused(f"on {kinds[0]} to {kinds[1]}", **{name: value})
         if name == "scheduler" and value is not None and not options["stream"]:
             raise InputError("--scheduler: goes with --stream; give it too")
         if (
@@ -401,9 +401,8 @@ def _streamed(
     from geokit.distributed._cluster import connected
     from geokit.volume import from_mesh_file
 
-    for name in ("interior", "method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS):
-        if options[name] is not None:
-            raise InputError(f"--{name}: has no effect with --stream; leave it out")
+    unused = ("interior", "method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS)
+    refuse_unused("with --stream", **{name: options[name] for name in unused})
     if options["voxel-size"] is None:
         raise InputError("--voxel-size: is missing; --stream does not choose one")
     how = {name.replace("-", "_"): options[name] for name in ("half-width", "sign", "thickness")}
@@ -430,9 +429,7 @@ def _streamed_cloud(
     from geokit.distributed._cluster import connected
     from geokit.points import process_file
 
-    for name in ("grid", "columns"):
-        if options[name] is not None:
-            raise InputError(f"--{name}: has no effect with --stream; leave it out")
+    refuse_unused("with --stream", grid=options["grid"], columns=options["columns"])
     how = {
         "voxel_size": options["voxel-size"],
         "normals": None if options["normals"] is None else {"k": options["normals"]},

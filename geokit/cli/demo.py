@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from geokit.cli._console import announce_compiling, note, print_json, print_table
+from geokit.cli._console import announce_compiling, note, print_json, print_table, say
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def demo(
     print_table(COLUMNS, [entry.cells() for entry in log.entries])
     print()
     written = [name for name in outputs if (out / name).exists()]
-    print(f"{len(written)} files in {out}: {', '.join(written)}")
+    say(f"{len(written)} files in {out}: {', '.join(written)}")
     note(f"done in {time.perf_counter() - started:.1f} s")
 
 

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from geokit.cli._console import print_facts, print_json, step
-from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud
+from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, refuse_unused
 from geokit.core.files import size_of
-from geokit.errors import InputError
 
 __all__ = ["info"]
 
@@ -38,10 +37,8 @@ def info(
         json: Print JSON.
     """
     kind = kind_of_input(file)
-    if stream and kind != "mesh":
-        raise InputError(f"--stream: has no effect on a {kind}; leave it out")
-    if columns is not None and kind != "cloud":
-        raise InputError(f"--columns: has no effect on a {kind}; leave it out")
+    refuse_unused(f"on a {kind}", stream=None if kind == "mesh" else stream or None)
+    refuse_unused(f"on a {kind}", columns=None if kind == "cloud" else columns)
     with step(f"reading {file}", quiet=json) as reading:
         if stream:
             description = _describe_mesh_file(file, reading.progress)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from geokit.cli._console import announce_compiling, print_json, step
+from geokit.cli._console import announce_compiling, print_json, say, step
 from geokit.cli._kinds import may_write
 from geokit.errors import InputError
 
@@ -35,7 +35,7 @@ def _deliver(made: TriangleMesh, target: Path, *, force: bool, json: bool) -> No
     if json:
         print_json(summary)
     else:
-        print(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
+        say(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
 
 
 @app.command
@@ -223,7 +223,7 @@ def split(
         print_json({"source": str(source), "pieces": rows})
     else:
         for row in rows:
-            print(f"{row['target']}: name {row['name']}, faces {row['faces']}")
+            say(f"{row['target']}: name {row['name']}, faces {row['faces']}")
 
 
 @app.command

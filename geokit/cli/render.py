@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, step
-from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write
+from geokit.cli._console import announce_compiling, say, step
+from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
 from geokit.core.files import extension
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS
@@ -84,8 +84,8 @@ def render(
     named = grid is not None and extension(source) != ".vdb"  # which may hold points
     if kind != "volume" and (named or isovalue is not None or slice is not None):
         raise InputError(f"--grid, --isovalue and --slice are for volumes, and {source} is a {kind}; leave them out")
-    if columns is not None and kind != "cloud":
-        raise InputError(f"--columns: has no effect on a {kind}; leave it out")
+    if kind != "cloud":
+        refuse_unused(f"on a {kind}", columns=columns)
     camera: dict[str, Any] = {"azimuth": azimuth, "elevation": elevation, "distance": distance, "zoom": zoom}
     camera |= {"edges": edges, "shadow": shadow, "look": look}
     if slice is not None and camera != _DEFAULTS:
@@ -116,7 +116,7 @@ def render(
             chosen = _array_or_color(cloud, cloud.points, None if own else color)
             scene["up"] = up or up_of_points(cloud.points, usual)
             drawing.figure(output, points=cloud, **chosen, **scene)
-    print(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
+    say(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
 
 
 def _parse_size(text: str) -> tuple[int, int]:

@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, note, step
-from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write
+from geokit.cli._console import announce_compiling, note, say, step
+from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
 from geokit.core.files import extension
-from geokit.errors import InputError
 from geokit.formats.table import FORMATS
 
 __all__ = ["view"]
@@ -54,8 +53,8 @@ def view(
     if output is not None:
         may_write(output, force=force)
     kinds = [kind_of_input(source, grid) for source in sources]
-    if columns is not None and "cloud" not in kinds:
-        raise InputError("--columns: has no effect without a table of points; leave it out")
+    if "cloud" not in kinds:
+        refuse_unused("without a table of points", columns=columns)
     announce_compiling()
     from geokit.render import _view as drawing
     from geokit.render._camera import up_of, up_of_points
@@ -82,6 +81,6 @@ def view(
             options["up"] = up_of_points(things[0].points, usual)
         options["names"] = [source.name.encode("utf-8", "replace").decode() for source in sources]
         page = drawing.view(*things, path=output or drawing.temporary_path(), **options)
-    print(f"{page.path}: {len(page.html)} bytes")
+    say(f"{page.path}: {len(page.html)} bytes")
     if output is None and not drawing.open_in_browser(page):
         note("no browser opens here; copy the file to where there is one")

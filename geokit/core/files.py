@@ -10,6 +10,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from geokit.core.printable import printable
 from geokit.core.private_folder import private_folder
 from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
@@ -255,7 +256,8 @@ def named_damage(path: Path) -> Iterator[None]:
     Args:
         path: The file.
     Raises:
-        FileFormatError: The code inside raises anything else than a GeokitError or a MemoryError.
+        FileFormatError: The code inside raises anything else than a GeokitError, a MemoryError, or a warning that
+            the caller has made an error.
     """
     import numpy as np
 
@@ -263,7 +265,7 @@ def named_damage(path: Path) -> Iterator[None]:
         # Casts of signaling NaN warn; what is not finite is found and named after reading.
         with np.errstate(invalid="ignore", over="ignore"):
             yield
-    except (GeokitError, MemoryError):
+    except (GeokitError, MemoryError, Warning):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {in_one_line(str(error))}"
@@ -280,4 +282,4 @@ def in_one_line(text: str, most: int = 300) -> str:
         most: Number of characters after which it is cut.
     """
     shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
-    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in shown)
+    return printable(shown)

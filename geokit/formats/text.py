@@ -62,21 +62,7 @@ def read_rays(path: Path, columns: Sequence[str] | None = None) -> NDArray[np.fl
             return np.empty((0, 6))
         cells.refuse(places, path)
         return cells.values[:, places]
-    listed = in_one_line(", ".join(map(repr, names)))
-    if named == "header":
-        if len(names) < 6:
-            raise FileFormatError(f"{path}: has {len(names)} columns; rays need {', '.join(RAY_COLUMNS)}")
-        raise FileFormatError(
-            f"{path}: its columns are not named as those of rays, {', '.join(RAY_COLUMNS)}: {listed}; choose six with "
-            f"columns=({', '.join(map(repr, names[:6]))})"
-        )
-    if named == "comment" and len(names) > 6:
-        warnings.warn(
-            f"{path}: the words of its comment ({listed}) are no names of rays; the first six columns are taken, and "
-            "columns=(...) chooses others",
-            UserWarning,
-            stacklevel=2,
-        )
+    _take_first(table, "rays", RAY_COLUMNS, path)
     cells.refuse(range(cells.values.shape[1]), path)
     return first_rays(cells.values, path)
 
@@ -203,21 +189,7 @@ def _coordinates(table: _Table, columns: Sequence[str] | None, path: Path) -> tu
     if table.named == "header" and not len(cells.values):
         raise FileFormatError(f"{path}: has a header ({listed}) and no rows; get a whole copy")
     width = len(names) if names else 3
-    if width < 3:
-        raise FileFormatError(f"{path}: has {width} columns; points need x, y and z")
-    if table.named == "header":
-        a, b, c = names[:3]
-        raise FileFormatError(
-            f"{path}: none of its columns are named as coordinates: {listed}; choose three with "
-            f"columns=({a!r}, {b!r}, {c!r})"
-        )
-    if table.named == "comment" and width > 3:
-        warnings.warn(
-            f"{path}: the words of its comment ({listed}) are no names of coordinates; the first three columns are "
-            "taken as x, y and z, and columns=(...) chooses others",
-            UserWarning,
-            stacklevel=2,
-        )
+    _take_first(table, "points", AXES, path)
     if not cells.lines:
         return 0, 1, 2
     labels = np.atleast_1d(cells.text.any(axis=0) & (cells.text | cells.empty).all(axis=0))
@@ -225,6 +197,30 @@ def _coordinates(table: _Table, columns: Sequence[str] | None, path: Path) -> tu
     if first is None or not labels[:first].all():
         raise not_numbers(cells, int(np.argmax(cells.text.any(axis=1))), path)
     return first, first + 1, first + 2
+
+
+def _take_first(table: _Table, what: str, needed: Sequence[str], path: Path) -> None:
+    """Refuse a table that has too few columns, or whose header does not name them; of words in a comment it is said.
+
+    Raises:
+        FileFormatError: The columns cannot be the first ones.
+    """
+    names, count, usual = table.names, len(needed), ", ".join(needed)
+    listed = in_one_line(", ".join(map(repr, names)))
+    if names and len(names) < count:
+        raise FileFormatError(f"{path}: has {len(names)} columns; {what} need {usual}")
+    if table.named == "header":
+        raise FileFormatError(
+            f"{path}: its columns are not named as those of {what}, {usual}: {listed}; choose {count} with "
+            f"columns=({', '.join(map(repr, names[:count]))})"
+        )
+    if table.named == "comment" and len(names) > count:
+        warnings.warn(
+            f"{path}: the words of its comment ({listed}) are no names of {what}; the first {count} columns are taken "
+            f"as {usual}, and columns=(...) chooses others",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _places_of(columns: Sequence[str], names: list[str], path: Path) -> list[int]:

@@ -416,6 +416,8 @@ def _read_in_worker(
             if "error" not in result:
                 buffers = [_worker.map_file(grid["path"], grid["size"]) for grid in result["grids"]]
                 return result["grids"], buffers
+            if result["error"]["kind"] == "memory":
+                _worker.refuse_small_files(path, memory_limit)
             if result["error"]["kind"] != "spool":
                 raise_failure(result["error"], str(path))
     raise FileAccessError(

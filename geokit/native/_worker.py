@@ -6,6 +6,7 @@ import contextlib
 import json
 import mmap
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -17,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.private_folder import temporary_parent
-from geokit.errors import FileFormatError, WorkerError
+from geokit.errors import FileAccessError, FileFormatError, WorkerError
 from geokit.native._metadata import raw
 
-__all__ = ["map_file", "run_worker", "spool_folders"]
+__all__ = ["map_file", "refuse_small_files", "run_worker", "spool_folders"]
 
 # A compressed .vdb becomes a NanoVDB buffer several times its size. If shared memory has less than this times the file
 # size free, the buffers go through a folder on disk from the start.
@@ -44,6 +45,20 @@ def map_file(path: str, size: int) -> NDArray[np.uint8]:
     """Map a file into memory without a copy; the bytes stay valid when the file is deleted."""
     with open(path, "r+b") as file:
         return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.uint8)
+
+
+def refuse_small_files(path: Path, memory_limit: int) -> None:
+    """Refuse a file whose voxels did not fit into a file, if the worker may write no larger ones.
+
+    Raises:
+        FileAccessError: The system's limit on the size of files is below the worker's own.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if hard != resource.RLIM_INFINITY and hard < memory_limit:
+        raise FileAccessError(
+            f"{path}: its voxels go through a file, which may have no more than {soft} bytes here (ulimit -f); raise "
+            "that limit, or pass trusted=True for a file you trust"
+        )
 
 
 def run_worker(

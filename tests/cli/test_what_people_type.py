@@ -319,3 +319,32 @@ def _inputs() -> None:
     for at, name in enumerate(("a.vdb", "b.vdb", "c.vdb", "body.vdb", "tool.vdb", "in.vdb", "other.nvdb")):
         moved = gk.mesh.TriangleMesh(ring.vertices + np.array([0.1 * at, 0.0, 0.0]), ring.faces)
         gk.volume.save(name, gk.volume.from_mesh(moved, 0.05, device="cpu"))
+
+
+class TestNamesThatATerminalObeys:
+    """What files and their content are called is printed as escapes, as in "\\x1b[31m"."""
+
+    EVIL = "e\x1b[31mvil\x07\n\u202e\x9b31m[red]"
+
+    @pytest.mark.filterwarnings("always::UserWarning")
+    def test_nothing_is_printed_raw(self, run: Callable[..., Done], tmp_path: Path) -> None:
+        mesh, cloud, volume, told = (tmp_path / f"{self.EVIL}{end}" for end in (".obj", ".npz", ".nvdb", ".xyz"))
+        mesh.write_text(
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\no a\x1b[31m\nusemtl m\x1b[32m\nf 1 2 3\no b\nwhat\x1b[33m\nf 3 2 1\n"
+        )
+        np.savez(cloud, points=np.zeros((1, 3)), **{"a\x1b[34m": np.zeros(1)})
+        made = gk.volume.from_mesh(gk.mesh.box(), 0.2, name="g\x1b[35m", device="cpu")
+        gk.volume.save(volume, made)
+        told.write_text("# a b c d\x1b[36m\n1 2 3 4\n")
+        for arguments, code in [
+            *((("info", path), 0) for path in (mesh, cloud, volume, told)),
+            (("convert", told, tmp_path / f"{self.EVIL}.ply"), 0),
+            (("convert", mesh, tmp_path / f"{self.EVIL}.stl"), 0),
+            (("info", tmp_path / self.EVIL), 1),
+            (("info", mesh, f"--{self.EVIL}"), 2),
+        ]:
+            done = run(*arguments)
+            assert done.code == code
+            printed = done.out + done.err
+            assert "\\x1b[31mvil\\x07" in printed, arguments
+            assert all(line.isprintable() for line in printed.split("\n")), (arguments, printed)

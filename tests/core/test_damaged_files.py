@@ -21,7 +21,7 @@ def test_any_error_is_named():
         {}["x\x1b"]
 
 
-@pytest.mark.parametrize("error", [InputError("as it is"), MemoryError(), KeyboardInterrupt()])
+@pytest.mark.parametrize("error", [InputError("as it is"), MemoryError(), KeyboardInterrupt(), UserWarning("left out")])
 def test_errors_that_are_not_the_file_s(error):
     with pytest.raises(type(error)) as caught, named_damage(PATH):
         raise error

@@ -17,7 +17,7 @@ from benchmarks.catalog import mesh_catalog
 from tests.support.attributed import painted
 
 # Attributes that damage makes unusable are left out with a warning.
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:.*test_damaged_meshes.*")
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 MESH = mesh_catalog.l_profile()
 # A hang, not a time: a good run takes milliseconds, also on a busy machine far less than this.

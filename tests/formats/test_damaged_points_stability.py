@@ -18,6 +18,9 @@ import pytest
 import geokit as gk
 from geokit.points._io import load, save
 
+# Lines of an .obj that damage makes unknown are left out with a warning.
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
 RANDOM = np.random.default_rng(3)
 POINTS = RANDOM.normal(size=(40, 3))
 RGB = RANDOM.integers(0, 256, (40, 3)).astype(np.uint8)

@@ -893,3 +893,21 @@ def test_small_files_of_a_batch_are_read_alike(tmp_path: Path, monkeypatch: pyte
             assert np.array_equal(one.nanovdb, other.nanovdb)
             assert one.nanovdb.ctypes.data % 32 == 0
             assert repr(one.metadata) == repr(other.metadata)
+
+
+@pytest.mark.process
+def test_a_limit_on_file_sizes_is_no_damage(tmp_path: Path) -> None:
+    native.write_vdb(tmp_path / "a.vdb", [VdbGrid(make_buffer("float"), {})])
+    code = (
+        "import resource, sys; from geokit import native; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try: native.read_vdb(sys.argv[1])\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+        "print(len(native.read_vdb(sys.argv[1], trusted=True)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.vdb"], capture_output=True, text=True, timeout=600)
+    told, count = done.stdout.splitlines()
+    assert told.startswith(
+        f"FileAccessError {tmp_path / 'a.vdb'}: its voxels go through a file, which may have no more"
+    )
+    assert "than 1000 bytes here (ulimit -f)" in told
+    assert count == "1"

@@ -73,18 +73,23 @@ def parts(target: Path) -> list[Path]:
     return [target / ".zgroup"] if target.suffix == ".zarr" else [target]
 
 
+def _content(part: Path, content: bytes) -> bytes:
+    """An .mhd names the file with its voxels, which would be another's otherwise."""
+    return content + f"\nElementDataFile = {part.stem}.raw\n".encode() if part.suffix == ".mhd" else content
+
+
 def place(target: Path, content: bytes) -> None:
     """Put a file, or what stands for one, where a writer will write."""
     shutil.rmtree(target, ignore_errors=True)
     for part in parts(target):
         part.parent.mkdir(exist_ok=True)
-        part.write_bytes(content)
+        part.write_bytes(_content(part, content))
 
 
 def holds(target: Path, content: bytes) -> bool:
     """Whether that is there still, and nothing more."""
     more = [path for path in target.rglob("*") if path.name != ".zgroup"] if target.is_dir() else []
-    return not more and all(part.is_file() and part.read_bytes() == content for part in parts(target))
+    return not more and all(part.is_file() and part.read_bytes() == _content(part, content) for part in parts(target))
 
 
 def _report(name: str, target: Path, limit: int | None, known: set[str], write: Callable[[Path], object]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.files import atomic_path
-from geokit.errors import FileFormatError
+from geokit.core.files import atomic_path, is_there
+from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.images.image import (
     Image,
     affine,
@@ -37,6 +38,7 @@ __all__ = ["open_images", "write_image"]
 HEAD_BYTES = 1 << 16
 TYPES = {"CHAR": "i1", "UCHAR": "u1", "SHORT": "i2", "USHORT": "u2", "INT": "i4", "UINT": "u4", "LONG": "i4",
          "ULONG": "u4", "LONG_LONG": "i8", "ULONG_LONG": "u8", "FLOAT": "f4", "DOUBLE": "f8"}  # fmt: skip
+_DATA_FILE = re.compile(rb"^\s*ElementDataFile\s*=\s*(.*?)\s*$", re.IGNORECASE | re.MULTILINE)
 NAMES = {kind: name for name, kind in reversed(TYPES.items())}
 STORED = {"b1": "<u1", "f2": "<f4"} | {kind: f"<{kind}" for kind in NAMES}
 
@@ -138,6 +140,19 @@ def _data(found: dict[str, str], path: Path, at: int, size: int, zipped: bool) -
     return data, offset + max(0, header)
 
 
+def _require_own(data: Path, header: Path) -> None:
+    """Refuse to replace a file with voxels that the header beside it does not name, packed or not."""
+    if not is_there(data):
+        return
+    found = None
+    with contextlib.suppress(OSError), open(header, "rb") as file:
+        found = _DATA_FILE.search(file.read(HEAD_BYTES))
+    if found is None or os.fsdecode(found[1]) not in (data.with_suffix(end).name for end in (".raw", ".zraw")):
+        raise FileAccessError(
+            f"{data}: is there, and the voxels of {header.name} would replace it; move it away, or choose another name"
+        )
+
+
 def write_image(path: Path, image: Image, codec: str | None, *, stem: Path | None = None) -> None:
     """Write voxels and place; an .mhd gets a .raw (.zraw) file beside it.
 
@@ -146,6 +161,9 @@ def write_image(path: Path, image: Image, codec: str | None, *, stem: Path | Non
         image: The volume.
         codec: "none" or "zip".
         stem: The target without its extension, after which the .raw file is called.
+
+    Raises:
+        FileAccessError: A .raw file is there that is not the one of the .mhd that is replaced.
     """
     zipped = fitting_codec(path, codec, ("none", "zip")) == "zip"
     dtype = stored_type(path, image.dtype, STORED, "use .nrrd")
@@ -154,6 +172,8 @@ def write_image(path: Path, image: Image, codec: str | None, *, stem: Path | Non
     axes = (matrix[:3, :3] / spacing).T
     stem = path.with_suffix("") if stem is None else stem
     beside = stem.with_name(f"{stem.name}.{'zraw' if zipped else 'raw'}") if path.suffix.lower() == ".mhd" else None
+    if beside is not None:
+        _require_own(beside, stem.with_name(stem.name + path.suffix))
     facts = {**image.note, "space": "LPS" if image.space else "", "unit": image.unit}
 
     def text(values: Any) -> str:

@@ -62,7 +62,7 @@ def _read(path: Path, read: Callable[[Path], Any]) -> Any:
         raise type(error)(f"{path}: {str(error).removeprefix(f'{real}: ')}") from None
     except ImportError as error:
         raise MissingDependencyError(str(error)) from None
-    except MemoryError:
+    except (MemoryError, Warning):
         raise
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]

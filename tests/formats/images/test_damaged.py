@@ -114,6 +114,23 @@ def test_a_packed_nifti_is_not_read_for_its_description(tmp_path: Path) -> None:
         gk.volume.load(path)
 
 
+def test_another_file_s_voxels_are_not_replaced(tmp_path: Path) -> None:
+    volume, beside = gk.volume.from_dense(VALUES, transform=STRAIGHT), tmp_path / "a.b.raw"
+    beside.write_bytes(b"a camera's")
+    for header in (None, b"ElementDataFile = other.raw\n", b"notes"):
+        if header is not None:
+            (tmp_path / "a.b.mhd").write_bytes(header)
+        with pytest.raises(gk.FileAccessError, match=r"a\.b\.raw: is there, and the voxels of a\.b\.mhd would"):
+            gk.volume.save(tmp_path / "a.b.mhd", volume)
+        assert beside.read_bytes() == b"a camera's"
+        assert header is None or (tmp_path / "a.b.mhd").read_bytes() == header
+    beside.unlink()
+    # Its own are, packed or not.
+    for codec in ("none", "none", "zip", "zip", "none"):
+        gk.volume.save(tmp_path / "a.b.mhd", volume, codec=codec)
+        assert gk.volume.load(tmp_path / "a.b.mhd").info.active_voxel_count == volume.info.active_voxel_count
+
+
 @pytest.mark.parametrize("kind", WRITTEN)
 def test_names_types_and_backgrounds_come_back(tmp_path: Path, kind: str) -> None:
     """Of what the format itself does not hold, a note of geokit does."""

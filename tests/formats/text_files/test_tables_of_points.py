@@ -104,10 +104,10 @@ def test_columns_of_labels_are_left_out_and_said(tmp_path: Path) -> None:
         ("1,5 2,5 3,5\n4,5 5,5 6,5\n", "decimal commas"),
         ("a,b,c\n", r"has a header \('a', 'b', 'c'\) and no rows"),
         ("time,temperature,pressure,x\n1,2,3,4\n", "'time', 'temperature', 'pressure', 'x'.*columns="),
-        ("a.x,a.y,a.z,b\n1,2,3,4\n", "none of its columns are named as coordinates"),
-        ("start_pos_x,start_pos_y,start_pos_z,end_pos_x,end_pos_y,end_pos_z\n1,2,3,4,5,6\n", "none of its columns"),
-        ("easting,northing,elevation,height\n1,2,3,4\n", "none of its columns"),
-        ("X [m],X [ft],y,z\n1,2,3,4\n", "none of its columns"),
+        ("a.x,a.y,a.z,b\n1,2,3,4\n", "its columns are not named as those of points, x, y, z: "),
+        ("start_pos_x,start_pos_y,start_pos_z,end_pos_x,end_pos_y,end_pos_z\n1,2,3,4,5,6\n", "are not named"),
+        ("easting,northing,elevation,height\n1,2,3,4\n", "are not named"),
+        ("X [m],X [ft],y,z\n1,2,3,4\n", "are not named"),
         ("lon,lat,height\n1,2,3\n", "longitudes and latitudes, which are angles"),
         ("Latitude (deg),Longitude (deg),Elevation\n1,2,3\n", "which are angles"),
     ],
@@ -192,7 +192,7 @@ def test_a_comment_is_no_header(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert gk.points.load(path).points.tolist() == [[1, 2, 3]]
-    with pytest.warns(UserWarning, match="first three columns are taken"):
+    with pytest.warns(UserWarning, match="first 3 columns are taken as x, y, z"):
         assert gk.points.load(write(path, "# time a b c\n1 2 3 4\n")).points.tolist() == [[1, 2, 3]]
 
 
@@ -278,7 +278,7 @@ def test_rays_are_found_by_their_names(tmp_path: Path, names: str, order: list[i
 def test_other_names_are_no_rays(tmp_path: Path, names: str) -> None:
     path = write(tmp_path / "a.csv", f"{names}\n0,1,2,3,4,5,6\n")
     listed = ", ".join(map(repr, names.split(",")))
-    with pytest.raises(gk.FileFormatError, match=f"are not named as those of rays.*{listed}; choose six"):
+    with pytest.raises(gk.FileFormatError, match=f"are not named as those of rays.*{listed}; choose 6"):
         gk.points.load_rays(path)
     origins, directions = gk.points.load_rays(path, columns=names.split(",")[:0:-1])
     assert origins.tolist() == [[6, 5, 4]]

@@ -1,0 +1,10 @@
+"""Text that every terminal prints as it stands; imports nothing, for the command line starts with it."""
+
+from __future__ import annotations
+
+__all__ = ["printable"]
+
+
+def printable(text: str) -> str:
+    """Text with everything that does not print, line ends among it, as an escape sequence of Python."""
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
