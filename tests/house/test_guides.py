@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -17,6 +15,7 @@ import geokit as gk
 from geokit import native
 from geokit.cli.guide import as_program, guide
 from tests.house.test_site import DOCS, GUIDES, ROOT, SAME_PICTURE, blocks, text_of
+from tests.support.scripts import run_script
 
 FIGURES = DOCS / "figures" / "guides"
 LARGEST_FIGURE = 150_000
@@ -300,19 +299,8 @@ def test_ocean_against_archimedes() -> None:
 def test_ocean_is_drawn(tmp_path: Path) -> None:
     from PIL import Image
 
-    command = [
-        sys.executable,
-        str(ROOT / "examples/ocean.py"),
-        "--frames",
-        "2",
-        "--device",
-        "cpu",
-        "--out",
-        "ocean.gif",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "2 frames" in done.stdout
+    options = ["--frames", 2, "--device", "cpu", "--out", "ocean.gif"]
+    assert "2 frames" in run_script(ROOT / "examples/ocean.py", *options, folder=tmp_path)
     with Image.open(tmp_path / "ocean.gif") as movie:
         assert movie.n_frames == 2
         assert np.asarray(movie.convert("RGB")).std() > 20

@@ -35,7 +35,7 @@ def check(checker: str, code: str, folder: Path, cache: Path) -> subprocess.Comp
     file = folder / "user.py"
     file.write_text(code)
     command = {
-        "mypy": [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(cache)],
+        "mypy": [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent", "--cache-dir", str(cache)],
         "pyright": [sys.executable, "-m", "pyright", "--pythonpath", sys.executable],
     }[checker]
     # Outside the checkout, as a user's: its settings must not help.
