@@ -18,6 +18,8 @@ import pytest
 
 # More failures than these are no chance.
 MOST_BY_CHANCE = 12
+# Files with tests that depend on the machine: to collect all others takes longer than half of these tests.
+PROCESS = [str(path) for path in sorted(Path("tests").rglob("test_*.py")) if "mark.process" in path.read_text("utf-8")]
 PASSED = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
 
 
@@ -36,7 +38,7 @@ def main(expression: str = "") -> int:
         codes = [run(["-n", "logical", "--dist", "worksteal", "-m", f"not process{both}"], failed)]
         # An interrupt, or a worker that died while it collected, is no test that failed.
         if codes[0] in (*PASSED, pytest.ExitCode.TESTS_FAILED):
-            codes.append(run(["-m", f"process{both}"], failed))
+            codes.append(run(["-m", f"process{both}", *PROCESS], failed))
         bad = [code for code in codes if code not in PASSED]
         if not bad:
             return 0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.process
+pytestmark = pytest.mark.slow
 
 KERNEL = """
 import warp as wp
@@ -219,6 +219,7 @@ def full_disk(tmp_path):
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("room", [0, 4096, 8192])
 def test_full_disk(tmp_path, full_disk, room):
     (full_disk / "filler").write_bytes(bytes(65536 - room))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -89,34 +91,53 @@ def _sizes(target):
     return [(str(file.relative_to(target)), file.stat().st_size) for file in files]
 
 
+# A forked process for each path, which writes it again and again; how it ended. Nothing has written before the fork.
 _KILLED = """
-import sys
+import os, sys
 from pathlib import Path
 from tests.support.all_writers import writers
-write = writers()[sys.argv[2]]
-while True:
-    print(flush=True)
-    write(Path(sys.argv[1], sys.argv[2]))
+made = writers()
+for line in sys.stdin:
+    target = Path(line.rstrip("\\n"))
+    process = os.fork()
+    while not process:
+        print(os.getpid(), flush=True)
+        made[target.name](target)
+    print("ended", os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
 """
+
+
+@pytest.fixture(scope="module")
+def killed():
+    """Kills a process some time after its third save of a path has begun."""
+    with subprocess.Popen(
+        [sys.executable, "-c", _KILLED], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL, text=True,
+    ) as process:  # fmt: skip
+
+        def kill(target, seconds):
+            print(target, file=process.stdin, flush=True)
+            number, again, _ = (process.stdout.readline() for _ in range(3))
+            assert number == again
+            time.sleep(seconds)
+            os.kill(int(number), signal.SIGKILL)
+            while not (line := process.stdout.readline()).startswith("ended"):
+                assert line == number
+            assert line == f"ended {-signal.SIGKILL}\n"
+
+        yield kill
+        process.stdin.close()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mesh.vtp", "mesh.usdc", "volume_zip.vdb", "volume_zip.nvdb", "volume_zip.zarr"])
-def test_killed_writers_leave_a_whole_file_and_the_next_save_removes_their_rest(tmp_path, name):
+def test_killed_writers_leave_a_whole_file_and_the_next_save_removes_their_rest(tmp_path, killed, name):
     target = tmp_path / name
     write = writers()[name]
     write(target)
     whole = _sizes(target)
     for round_ in range(6):
-        process = subprocess.Popen(
-            [sys.executable, "-c", _KILLED, tmp_path, name], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
-        with process:
-            process.stdout.read(3)
-            # Not before a later save has begun, and then at any moment of it.
-            with pytest.raises(subprocess.TimeoutExpired):
-                process.wait(0.004 * round_)
-            process.kill()
+        killed(target, 0.004 * round_)
         assert _sizes(target) == whole
         write(target)
         assert os.listdir(tmp_path) == [name]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from tests.support.scripts import run_script
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -17,12 +17,7 @@ pytestmark = pytest.mark.slow
 
 def run(script: str, *arguments: object, cwd: Path) -> str:
     pytest.importorskip("torch")
-    path = ROOT / "examples" / "gradients" / script
-    done = subprocess.run(
-        [sys.executable, path, *map(str, arguments)], capture_output=True, text=True, timeout=900, cwd=cwd
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return run_script(ROOT / "examples" / "gradients" / script, *arguments, folder=cwd)
 
 
 def numbers(said: str, word: str) -> list[float]:

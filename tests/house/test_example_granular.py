@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from tests.support.scripts import run_script
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # Forces are float32: 24 bits of positions of 0.1 m leave 1e-8 m, which is 1e-2 of the overlaps at rest of soft grains
@@ -279,11 +279,9 @@ def test_script(tmp_path):
     from PIL import Image
 
     arguments = ["--grains", "150", "--seconds", "0.1", "--frames", "3", "--device", "cpu", "--out", "bowl"]
-    done = subprocess.run([sys.executable, EXAMPLES / "granular.py", *arguments], capture_output=True, text=True,
-                          timeout=300, cwd=tmp_path)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "150 grains" in done.stdout
-    assert "contacts each" in done.stdout
+    said = run_script(EXAMPLES / "granular.py", *arguments, folder=tmp_path)
+    assert "150 grains" in said
+    assert "contacts each" in said
     with Image.open(tmp_path / "bowl.png") as still:
         assert np.asarray(still.convert("RGB"), dtype=float).std() > 20.0
     with Image.open(tmp_path / "bowl.gif") as moving:
@@ -293,10 +291,8 @@ def test_script(tmp_path):
 @pytest.mark.slow
 def test_script_without_pictures(tmp_path):
     arguments = ["--grains", "20", "--seconds", "0.05", "--frames", "0", "--device", "cpu", "--step", "5e-5"]
-    done = subprocess.run([sys.executable, EXAMPLES / "granular.py", *arguments], capture_output=True, text=True,
-                          timeout=300, cwd=tmp_path)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "of 334 steps" in done.stdout
+    said = run_script(EXAMPLES / "granular.py", *arguments, folder=tmp_path)
+    assert "of 334 steps" in said
     assert not list(tmp_path.iterdir())
 
 

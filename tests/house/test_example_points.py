@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import geokit as gk
+from tests.support.scripts import run_script
 
 pytestmark = pytest.mark.slow
 
@@ -18,10 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(name: str, *arguments: object, cwd: Path) -> str:
-    command = [sys.executable, str(ROOT / "examples" / name), *map(str, arguments), "--device", "cpu"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return run_script(ROOT / "examples" / name, *arguments, "--device", "cpu", folder=cwd)
 
 
 def number(said: str, label: str, column: int = 0) -> float:

@@ -11,6 +11,7 @@ import pytest
 from geokit import native
 from tests.house.test_guides import module
 from tests.house.test_site import DOCS, ROOT, blocks, text_of
+from tests.support.effort import of_all
 
 MADE = module(DOCS / "notebooks.py")
 LARGEST = 20_000
@@ -39,7 +40,8 @@ def test_there_are_no_others_and_the_site_names_them() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-@pytest.mark.parametrize("name", MADE.NAMES)
+# Their code is that of the guides, which run too.
+@pytest.mark.parametrize("name", of_all(["compare-scans"], MADE.NAMES))
 def test_a_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")

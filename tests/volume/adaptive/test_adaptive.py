@@ -451,7 +451,9 @@ def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
 def test_a_tolerance_out_of_reach_is_refused():
     # Beside the border of an open mesh the sign jumps: twice the distance is more than the tolerance there.
     with pytest.raises(InputError, match=r"tolerance: 0.05 is out of reach: .* use at least that, a smaller within"):
-        adaptive_from_mesh(mesh_catalog.half_shell(mesh_catalog.icosphere()), 0.05, within=0.1, device="cpu")
+        adaptive_from_mesh(
+            mesh_catalog.half_shell(mesh_catalog.icosphere()), 0.05, within=0.1, order=1, codec="float", device="cpu"
+        )
 
 
 def test_too_many_cells_are_refused(monkeypatch):
