@@ -269,8 +269,9 @@ def named_damage(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {in_one_line(str(error))}"
+        kind = f" as {path.suffix.lower()}" if path.suffix else ""  # folders and slices of DICOM have none
         raise FileFormatError(
-            f"{path}: cannot be read as {path.suffix.lower()} ({reason}); the file is damaged, export it again"
+            f"{path}: cannot be read{kind} ({reason}); the file is damaged, export it again"
         ) from error
 
 

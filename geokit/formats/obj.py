@@ -365,9 +365,9 @@ def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, 
     return tuple(groups) if len(groups) > 1 else ()
 
 
-def companions(mesh: TriangleMesh, stem: str) -> dict[str, bytes]:
-    """The material library and the images beside a file with this name without its extension."""
-    return mtl.write_library(mesh.materials, stem)
+def companions(mesh: TriangleMesh, path: Path) -> dict[str, bytes]:
+    """The material library and the images beside a file."""
+    return mtl.write_library(mesh.materials, path.stem)
 
 
 def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:

@@ -7,8 +7,8 @@ A module defines the functions that its line declares:
   ``holds_texture(data)`` are true where the module defines these, and alpha cutoffs unless it says
   ``HOLDS_CUTOFFS = False``; ``read_mesh`` also takes ``folders`` if files of the format may refer to other files: these
   are opened only in the file's own folder and in ``folders`` (references.py);
-- ``companions(mesh, stem) -> {name: bytes}``, if a mesh may become several files: those that lie beside ``stem.kind``.
-  Where there are any, ``write_mesh`` also takes ``stem``;
+- ``companions(mesh, path) -> {name: bytes}``, if a mesh may become several files: those that lie beside ``path``.
+  Where there are any, ``write_mesh`` also takes the ``stem`` of ``path``;
 - ``read_points(path) -> (points (N, 3) float64, data by name)`` and ``write_points(path, points, data)``, with the
   further argument ``encoding`` if there are several encodings;
 - ``read_rays(path)``, a table (N, 6) of origins and directions;
@@ -132,7 +132,15 @@ _GLTF: Any = {
     "mesh": "rw", "vertex": "*", "materials": True, "fixed_up": "y", "float32": True, "process": True,
     "references": True,
 }  # fmt: skip
-_USD: Any = {"corner": "*", "unit": True, "float32": True, "process": True, "references": True, "extra": "usd"}
+_USD: Any = {
+    "corner": "*",
+    "materials": True,
+    "unit": True,
+    "float32": True,
+    "process": True,
+    "references": True,
+    "extra": "usd",
+}
 
 FORMATS: dict[str, Format] = {
     # geokit's own readers and writers.

@@ -21,7 +21,17 @@ if TYPE_CHECKING:
     from geokit.formats.scene_content.usd_materials import Bound, Materials
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["export", "open_stage", "prepare", "read_mesh", "transform_time", "visible", "write_mesh"]
+__all__ = [
+    "companions",
+    "export",
+    "holds_texture",
+    "open_stage",
+    "prepare",
+    "read_mesh",
+    "transform_time",
+    "visible",
+    "write_mesh",
+]
 
 
 def prepare() -> None:
@@ -386,11 +396,28 @@ def _primvars(
     return vertex, {**polygon, **rows}, corner, tuple(notes)
 
 
-def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+def companions(mesh: TriangleMesh, path: Path) -> dict[str, bytes]:
+    """The images of materials beside a file; a .usdz has them inside."""
+    from geokit.formats.attributes.mtl import image_files
+
+    return {} if path.suffix.lower() == ".usdz" else image_files(mesh.materials, path.stem)[1]
+
+
+def holds_texture(data: bytes) -> bool:
+    """Whether an image is one of those that each reader of USD knows."""
+    return data.startswith((b"\x89PNG", b"\xff\xd8\xff"))
+
+
+def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
     """Write one Mesh prim below a default root, through usd-core; arrays become primvars, colors of integers floats.
 
-    A .usdz holds it as its only layer.
+    Materials are bound to the mesh, or to subsets of its faces. Where there are some, ``color`` is a primvar of this
+    name, for viewers show ``displayColor`` only without. A .usdz holds all as one layer and the images.
 
+    Args:
+        path: The file to write.
+        mesh: The mesh.
+        stem: The file's final name without its extension, for the names of images.
     Raises:
         MissingDependencyError: usd-core is not installed.
     """
@@ -398,10 +425,12 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     import numpy as np
     from pxr import Tf, Usd, UsdGeom, Vt
 
+    from geokit.formats.attributes.mtl import image_files
+
     stage = Usd.Stage.CreateInMemory()
     root = UsdGeom.Xform.Define(stage, "/root")
     stage.SetDefaultPrim(root.GetPrim())
-    prim = UsdGeom.Mesh.Define(stage, f"/World/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
+    prim = UsdGeom.Mesh.Define(stage, f"/root/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
     points = np.ascontiguousarray(mesh.vertices, np.float32)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces).reshape(-1)))
@@ -414,15 +443,28 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         stage.SetMetadata(UsdGeom.Tokens.upAxis, mesh.up_axis.upper())
     if mesh.meters_per_unit is not None:
         UsdGeom.SetStageMetersPerUnit(stage, mesh.meters_per_unit)
-    for data, interpolation in (
-        (mesh.vertex_data, UsdGeom.Tokens.vertex),
-        (mesh.face_data, UsdGeom.Tokens.uniform),
-        (mesh.corner_data, UsdGeom.Tokens.faceVarying),
-    ):
-        for name, values in data.items():
-            flat = values.reshape(-1, *values.shape[2:]) if interpolation == UsdGeom.Tokens.faceVarying else values
-            _write_array(prim, name, flat, interpolation)
-    export(stage, path, "mesh.usdc", {})
+    # Without materials it is an array as any other.
+    rows = mesh.face_data.get("material") if mesh.materials else None
+    tokens = UsdGeom.Tokens
+    arrays = [(name, values, tokens.vertex) for name, values in mesh.vertex_data.items()]
+    arrays += [(name, values, tokens.uniform) for name, values in mesh.face_data.items() if values is not rows]
+    arrays += [
+        (name, values.reshape(-1, *values.shape[2:]), tokens.faceVarying) for name, values in mesh.corner_data.items()
+    ]
+    # Textures have the coordinates of corners before those of vertices; no other array takes the name of these.
+    arrays.sort(key=lambda each: (each[0] != "uv", each[0] == "uv" and each[2] != tokens.faceVarying))
+    for name, values, interpolation in arrays:
+        _write_array(prim, name, values, interpolation, is_tint=rows is not None)
+    packed = path.suffix.lower() == ".usdz"
+    names, files = image_files(mesh.materials, "image" if packed else stem)
+    if rows is not None:
+        from geokit.formats.scene_content.usd_materials import write_materials
+
+        write_materials(prim, mesh.materials, rows, names)
+    inside = {name: path.parent / f"image_{at}" for at, name in enumerate(files)} if packed else {}
+    for name, place in inside.items():
+        place.write_bytes(files[name])
+    export(stage, path, "mesh.usdc", inside)
 
 
 def export(stage: Any, path: Path, inner: str, beside: Mapping[str, Path]) -> None:
@@ -468,8 +510,8 @@ def _is_whole(path: Path) -> bool:
         return False
 
 
-def _write_array(prim: Any, name: str, values: Any, interpolation: str) -> None:
-    """Write an array as normals, or as one primvar or more."""
+def _write_array(prim: Any, name: str, values: Any, interpolation: str, *, is_tint: bool) -> None:
+    """Write an array as normals, or as one primvar or more; ``is_tint`` says that colors are those beside materials."""
     import numpy as np
     from pxr import Sdf, UsdGeom, Vt
 
@@ -494,11 +536,18 @@ def _write_array(prim: Any, name: str, values: Any, interpolation: str) -> None:
         add("st", *kind, values if wide else values.astype(np.float32))
     elif has_meaning(name, values) and name == "color":
         colors = (values / full_scale(values.dtype)).astype(np.float32)
+        if is_tint:
+            kinds = (types.Color3fArray, Vt.Vec3fArray) if colors.shape[1] == 3 else (types.Color4fArray, Vt.Vec4fArray)
+            add("color", *kinds, colors)
+            return
         add("displayColor", types.Color3fArray, Vt.Vec3fArray, colors[:, :3])
         if colors.shape[1] == 4:
             add("displayOpacity", types.FloatArray, Vt.FloatArray, colors[:, 3])
     else:
         columns = values.shape[1] if values.ndim == 2 else 1
+        if name == "displayColor" and values.dtype.kind == "f" and columns == 3:
+            add(name, types.Color3fArray, Vt.Vec3fArray, values.astype(np.float32))
+            return
         if values.dtype.kind == "f" and columns in (2, 3, 4):
             letter = "d" if wide else "f"
             kind = getattr(types, f"Double{columns}Array" if wide else f"Float{columns}Array")

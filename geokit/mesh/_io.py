@@ -179,8 +179,8 @@ def save(
 
     - {arrays} hold any arrays, .glb and .gltf on vertices only, .obj and .off normals, texture coordinates and
       colors.
-    - .obj, .glb and .gltf hold materials. An .obj with materials is written with an .mtl and the images beside it,
-      which are called after it and replace files of the same names.
+    - .obj, .glb, .gltf and USD hold materials. An .obj with materials is written with an .mtl beside it. Images lie
+      beside an .obj, .usd, .usda or .usdc; they are called after it and replace files of the same names.
     - Where a format has no attributes of corners, a vertex is written once for each set of values of its corners.
     - Types change only where a format lacks them: .obj, .msh, .xdmf and USD write colors of integers as floats up to 1,
       .glb and .gltf numbers of 64 bits as float32, .msh all as float64.
@@ -223,7 +223,7 @@ def save(
     if lost:
         warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
     target = require_path(path)
-    beside = module.companions(mesh, target.stem) if hasattr(module, "companions") else {}
+    beside = module.companions(mesh, target) if hasattr(module, "companions") else {}
     with atomic_path(path) as part:
         module.write_mesh(part, mesh, *([target.stem] if beside else []))
         # None of the old files is replaced before all new ones are there.

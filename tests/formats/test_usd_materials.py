@@ -245,3 +245,85 @@ def test_images_are_not_opened_outside(tmp_path):
     mesh, said = scene.load(reference_folders=[tmp_path])
     assert not said
     assert mesh.materials[0].texture.data == PNG
+
+
+def written(path: Path, mesh, **options):
+    """The mesh as it comes back from a file."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gk.mesh.save(path, mesh)
+        return gk.mesh.load(path, **options)
+
+
+@pytest.mark.parametrize("kind", ["usda", "usdc", "usdz"])
+def test_materials_come_back(tmp_path, kind):
+    random = np.random.default_rng(8)
+    torus = gk.mesh.torus(1.0, 0.4, segments=12, tube_segments=8)
+    clear = PNG[:25] + b"\x06" + PNG[26:]
+    material, texture = gk.mesh.Material, gk.mesh.Texture
+    materials = (
+        material("my red!", (1.0, 0.25, 0.0, 1.0)),
+        material("glass", (0.5, 0.5, 1.0, 0.5)),
+        material("wood", (0.5, 1.0, 0.75, 1.0), texture("wood.png", PNG)),
+        material("leaf", None, texture("leaf.png", clear), 0.5),
+        material("leaf", None, texture("leaf.png", clear + b"0"), 0.0),
+        material("veil", None, texture("leaf.png", clear)),
+        material("plain"),
+    )
+    mesh = gk.mesh.TriangleMesh(
+        torus.vertices,
+        torus.faces,
+        vertex_data={"st": random.random((torus.vertex_count, 2)), "color": random.random((torus.vertex_count, 4))},
+        face_data={"material": random.integers(-1, len(materials), torus.face_count).astype(np.int32)},
+        corner_data={"uv": random.random((torus.face_count, 3, 2)).astype(np.float32)},
+        materials=materials,
+    )
+    again = written(tmp_path / f"my file.{kind}", mesh)
+    np.testing.assert_array_equal(again.face_data["material"], mesh.face_data["material"])
+    np.testing.assert_array_equal(again.corner_data["uv"], mesh.corner_data["uv"])
+    np.testing.assert_array_equal(again.vertex_data["color"], mesh.vertex_data["color"].astype(np.float32))
+    np.testing.assert_array_equal(again.vertex_data["st_vertex"], mesh.vertex_data["st"])
+    for found, expected in zip(again.materials, materials, strict=True):
+        assert (found.name, found.color, found.alpha_cutoff) == (expected.name, expected.color, expected.alpha_cutoff)
+        assert (found.texture and found.texture.data) == (expected.texture and expected.texture.data)
+    images = ["image_leaf.png", "image_leaf_2.png", "image_wood.png"]
+    if kind == "usdz":
+        assert sorted(zipfile.ZipFile(tmp_path / "my file.usdz").namelist())[:3] == images
+    else:
+        beside = sorted(path.name for path in tmp_path.glob("*.png"))
+        assert beside == [name.replace("image", "my_file") for name in images]
+
+
+def test_one_material_for_all_is_bound_to_the_mesh(tmp_path):
+    from pxr import Usd, UsdShade
+
+    box = gk.mesh.box()
+    mesh = gk.mesh.TriangleMesh(
+        box.vertices,
+        box.faces,
+        name="materials",
+        face_data={"material": np.ones(box.face_count, np.int32)},
+        materials=[gk.mesh.Material("unused"), gk.mesh.Material("red", (1.0, 0.0, 0.0, 1.0))],
+    )
+    again = written(tmp_path / "a.usda", mesh)
+    assert [each.name for each in again.materials] == ["red"]
+    assert (again.face_data["material"] == 0).all()
+    # Whoever refers to the file gets its default prim.
+    stage = Usd.Stage.CreateInMemory()
+    stage.DefinePrim("/there").GetReferences().AddReference(str(tmp_path / "a.usda"))
+    prim = stage.GetPrimAtPath("/there/materials")
+    assert len(prim.GetAttribute("points").Get()) == box.vertex_count
+    assert UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].GetPrim().GetDisplayName() == "red"
+
+
+def test_images_that_not_every_reader_knows_are_left_out_with_a_word(tmp_path):
+    box = gk.mesh.box()
+    mesh = gk.mesh.TriangleMesh(
+        box.vertices,
+        box.faces,
+        face_data={"material": np.zeros(box.face_count, np.int32)},
+        materials=[gk.mesh.Material("m", None, gk.mesh.Texture("a.tga", b"tga"))],
+    )
+    with pytest.warns(UserWarning, match=r"a\.usda: \.usda does not hold the texture 'a\.tga'; left out"):
+        gk.mesh.save(tmp_path / "a.usda", mesh)
+    assert gk.mesh.load(tmp_path / "a.usda").materials == (("m", None, None, None),)

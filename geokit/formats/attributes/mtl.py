@@ -11,7 +11,7 @@ from geokit.formats.body import FileMaterial
 from geokit.formats.references import LONGEST, require_inside
 from geokit.mesh._data import Material
 
-__all__ = ["image_content", "library_name", "plain_names", "read_libraries", "write_library"]
+__all__ = ["image_content", "image_files", "library_name", "plain_names", "read_libraries", "write_library"]
 
 # Larger files are no material libraries and no images, and memory must not end for a name in a file.
 LARGEST_FILE = 1 << 30
@@ -142,22 +142,32 @@ def write_library(materials: Sequence[Material], stem: str) -> dict[str, bytes]:
 
     Images are called after the .obj file, so that they replace none of another.
     """
-    files: dict[str, bytes] = {}
+    names, files = image_files(materials, stem)
     lines = ["# by geokit"]
-    for name, material in zip(plain_names(materials), materials, strict=True):
+    for name, material, image in zip(plain_names(materials), materials, names, strict=True):
         lines.append(f"newmtl {name}")
         if material.color is not None:
             red, green, blue, alpha = (repr(float(channel)) for channel in material.color)
             alpha = "1.0" if material.alpha_cutoff == 0.0 else alpha
             lines += [f"Kd {red} {green} {blue}", f"d {alpha}"]
+        if image:
+            lines.append(f"map_Kd {image}")
+    return {**files, library_name(stem): ("\n".join(lines) + "\n").encode()} if materials else {}
+
+
+def image_files(materials: Sequence[Material], stem: str) -> tuple[list[str], dict[str, bytes]]:
+    """The image of each material by its file's name, "" if it has none, and the files by name."""
+    names: list[str] = []
+    files: dict[str, bytes] = {}
+    for material in materials:
+        names.append("")
         if material.texture is not None:
             image = _word(PurePosixPath(material.texture.name.replace("\\", "/")).name) or "texture"
             image = image if image.startswith(_word(stem)) else f"{_word(stem)}_{image}"
             same = [known for known, content in files.items() if known == image and content == material.texture.data]
-            image = same[0] if same else _free(image, files)
-            files[image] = material.texture.data
-            lines.append(f"map_Kd {image}")
-    return {**files, library_name(stem): ("\n".join(lines) + "\n").encode()} if materials else {}
+            names[-1] = same[0] if same else _free(image, files)
+            files[names[-1]] = material.texture.data
+    return names, files
 
 
 def _word(text: str) -> str:

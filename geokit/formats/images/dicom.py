@@ -59,16 +59,16 @@ def open_images(path: Path, limit: int) -> list[Image]:
     logging.getLogger("pydicom").addHandler(logging.NullHandler())
     series: dict[str, list[_Slice]] = defaultdict(list)
     names: dict[str, str] = {}
-    with reading(path):
-        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            if not file.is_file() or file.name.upper() == "DICOMDIR":
-                continue
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if not file.is_file() or file.name.upper() == "DICOMDIR":
+            continue
+        with reading(file):
             try:
                 header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS)
             except pydicom.errors.InvalidDicomError:
                 continue  # other files lie in such folders too
             syntax = header.file_meta.TransferSyntaxUID
-            if syntax.is_encapsulated:
+            if syntax.is_encapsulated or syntax.is_deflated:
                 remedy = "decompress it first, for example with gdcmconv --raw"
                 raise FileFormatError(f"{path}: {file.name} is compressed ({in_one_line(str(syntax.name))}); {remedy}")
             if "Rows" not in header:
@@ -165,7 +165,7 @@ def _grids(slices: list[_Slice], name: str, path: Path, pydicom: Any) -> list[Im
     def slabs(grid: int) -> Iterator[NDArray[Any]]:
         for row in table[:, grid]:
             one = slices[row]
-            with reading(path):
+            with reading(one.file):
                 pixels = np.asarray(pydicom.pixels.pixel_array(one.file, index=one.frame))
                 if pixels.size != np.prod(one.size) or pixels.dtype.kind not in "iu":
                     raise FileFormatError(f"{path}: {one.file.name} holds {pixels.shape} pixels, not {one.size[1::-1]}")

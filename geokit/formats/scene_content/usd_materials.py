@@ -7,7 +7,7 @@ import zlib
 from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.errors import FileAccessError
 from geokit.formats.attributes.gltf import has_alpha
@@ -15,7 +15,10 @@ from geokit.formats.attributes.mtl import LARGEST_FILE, image_content
 from geokit.formats.body import FileMaterial
 from geokit.formats.references import LONGEST, require_inside
 
-__all__ = ["Bound", "Materials"]
+if TYPE_CHECKING:
+    from geokit.mesh._data import Material
+
+__all__ = ["Bound", "Materials", "write_materials"]
 
 _OTHER_TEXTURES = "of its textures only those of the base color are read"
 
@@ -83,14 +86,14 @@ class Materials:
             try:
                 read, mapped_by = self._read(material)
             except (TypeError, ValueError, RuntimeError) as error:  # values of other types than the names promise
-                read, mapped_by = FileMaterial(str(prim.GetName())), ""
+                read, mapped_by = FileMaterial(_name(prim)), ""
                 self.notes[f"the look of material {prim.GetName()!r} is left out ({type(error).__name__})"] = None
             self.found.append(read)
             self._coordinates.append(mapped_by)
         return self._rows[path]
 
     def _read(self, material: Any) -> tuple[FileMaterial, str]:
-        name = str(material.GetPrim().GetName())
+        name = _name(material.GetPrim())
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             self.notes["of materials other than UsdPreviewSurface only the names are read"] = None
@@ -133,12 +136,12 @@ class Materials:
         return FileMaterial(name, color, image_name, content, cutoff), mapped_by
 
     def _scale(self, texture: Any, name: str) -> tuple[float, ...] | None:
-        """What the colors of a texture are multiplied by; None if by nothing."""
+        """What the colors of a texture are multiplied by; None if the file does not say."""
         values = {str(given.GetBaseName()): _value(given) for given in texture.GetInputs()}
         if any(values.get("bias") or ()):
             self.notes[f"what is added to the texture of material {name!r} is left out"] = None
         scale = values.get("scale")
-        return None if scale is None or all(part == 1.0 for part in scale) else tuple(map(float, scale))
+        return None if scale is None else tuple(map(float, scale))
 
     def _mapped_by(self, texture: Any, name: str) -> str:
         """The primvar whose coordinates a texture has; "" if the file does not say."""
@@ -192,6 +195,10 @@ class Materials:
         return plain, content
 
 
+def _name(prim: Any) -> str:
+    return str(prim.GetDisplayName() or prim.GetName())
+
+
 def _shaders(given: Any) -> Iterator[Any]:
     """The shaders whose outputs an input has, through the inputs of materials and of groups of nodes."""
     from pxr import UsdShade
@@ -222,3 +229,65 @@ def _value(given: Any) -> Any:
             value = attribute.Get()
             return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
     return None
+
+
+def write_materials(mesh: Any, materials: Sequence[Material], rows: Any, images: Sequence[str]) -> None:
+    """Write materials as UsdPreviewSurface, and bind them to a mesh or to subsets of its faces.
+
+    Args:
+        mesh: The prim.
+        materials: The materials.
+        rows: That of each face, or -1.
+        images: The file of each one's texture, "" for none.
+    """
+    import numpy as np
+    from pxr import Sdf, Tf, UsdGeom, UsdShade, Vt
+
+    stage, types = mesh.GetPrim().GetStage(), Sdf.ValueTypeNames
+    used = np.unique(rows).tolist()
+    mapped = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").HasAuthoredValue()
+    for row, (given, image) in enumerate(zip(materials, images, strict=True)):
+        if row not in used:
+            continue
+        # Names may be equal, and those of prims are letters and digits.
+        place = f"{mesh.GetPath()}_materials/{Tf.MakeValidIdentifier(given.name or 'material')}_{row}"
+        material = UsdShade.Material.Define(stage, place)
+        material.GetPrim().SetDisplayName(given.name or "material")
+        surface = UsdShade.Shader.Define(stage, f"{place}/surface")
+        surface.CreateIdAttr("UsdPreviewSurface")
+        material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        clear = given.alpha_cutoff != 0.0
+        if given.alpha_cutoff:
+            surface.CreateInput("opacityThreshold", types.Float).Set(float(given.alpha_cutoff))
+        if image:
+            texture = UsdShade.Shader.Define(stage, f"{place}/image")
+            texture.CreateIdAttr("UsdUVTexture")
+            texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"./{image}"))
+            for side in ("wrapS", "wrapT"):
+                texture.CreateInput(side, types.Token).Set("repeat")
+            if given.color is not None:
+                texture.CreateInput("scale", types.Float4).Set(tuple(map(float, given.color)))
+            if mapped:
+                reader = UsdShade.Shader.Define(stage, f"{place}/reader")
+                reader.CreateIdAttr("UsdPrimvarReader_float2")
+                reader.CreateInput("varname", types.String).Set("st")
+                reader.CreateOutput("result", types.Float2)
+                texture.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+            outputs = {"diffuseColor": "rgb"}
+            if clear and given.texture is not None and has_alpha(given.color, given.texture.data):
+                outputs["opacity"] = "a"
+            for label, channels in outputs.items():
+                kind = types.Color3f if channels == "rgb" else types.Float
+                texture.CreateOutput(channels, types.Float3 if channels == "rgb" else types.Float)
+                surface.CreateInput(label, kind).ConnectToSource(texture.ConnectableAPI(), channels)
+        elif given.color is not None:
+            surface.CreateInput("diffuseColor", types.Color3f).Set(tuple(map(float, given.color[:3])))
+            if clear and given.color[3] != 1.0:
+                surface.CreateInput("opacity", types.Float).Set(float(given.color[3]))
+        bound = mesh.GetPrim()
+        if len(used) > 1:
+            faces = Vt.IntArray.FromNumpy(np.flatnonzero(rows == row).astype(np.int32))
+            family = UsdShade.Tokens.materialBind
+            bound = UsdGeom.Subset.CreateGeomSubset(mesh, f"material_{row}", "face", faces, family).GetPrim()
+            UsdGeom.Subset.SetFamilyType(mesh, family, UsdGeom.Tokens.nonOverlapping)
+        UsdShade.MaterialBindingAPI.Apply(bound).Bind(material)

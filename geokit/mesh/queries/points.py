@@ -146,7 +146,8 @@ class PointQueries:
             max_distance: Search radius [world]; farther points are misses.
             names: The attributes; None for all.
         Returns:
-            NumPy arrays by name, (N,) or (N, k). Misses are NaN, 0 in integers, and -1 in ``material``.
+            NumPy arrays by name, (N,) or (N, k), without the first axis for one point (3,). Misses are NaN, 0 in
+            integers, and -1 in ``material``.
         Raises:
             InputError: As for :meth:`closest_point`, or the mesh has no attribute of a name.
         Example:
@@ -163,7 +164,9 @@ class PointQueries:
             points = points.astype(np.float64)  # answers would be float32, weights too
         found = self.closest_point(points, max_distance=max_distance)
         triangle_id, barycentric = _on_host(found.triangle_id), _on_host(found.barycentric)
-        return interpolated(self.mesh, triangle_id, barycentric.astype(np.float64), asked)
+        table = barycentric.reshape(-1, 3).astype(np.float64)
+        values = interpolated(self.mesh, triangle_id.reshape(-1), table, asked)
+        return values if barycentric.ndim == 2 else {name: rows[0] for name, rows in values.items()}
 
     @placed("points", moved=("points",))
     @undifferentiable
@@ -234,6 +237,8 @@ class PointQueries:
 def _on_host(values: Any) -> NDArray[Any]:
     if isinstance(values, np.ndarray):
         return values
+    if len(values.shape) == 0:  # of one point; warp knows no such arrays
+        return np.array(int(values))
     held = values if hasattr(values, "numpy") and hasattr(values, "ptr") else import_array(values, "points")
     return np.asarray(held.numpy())
 

@@ -104,9 +104,20 @@ def test_what_is_no_series_is_refused_by_name(tmp_path: Path) -> None:
     data.save_as(path)
     with pytest.raises(gk.FileFormatError, match=r"s0\.dcm is compressed \(JPEG 2000.*decompress it first"):
         gk.volume.load(tmp_path / "ct")
-    path.write_bytes((tmp_path / "ct" / "s1.dcm").read_bytes()[:-40])
-    with pytest.raises(gk.FileFormatError, match="ct: "):
+    whole = pydicom.dcmread(tmp_path / "ct" / "s1.dcm")
+    whole.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
+    whole.save_as(path)
+    with pytest.raises(gk.FileFormatError, match=r"s0\.dcm is compressed \(Deflated.*decompress it first"):
         gk.volume.load(tmp_path / "ct")
+    write_series(tmp_path / "again", STRAIGHT)
+    torn = (tmp_path / "again" / "s0.dcm").read_bytes()[:-40]
+    (tmp_path / "again" / "s0.dcm").unlink()
+    for name, kind in (("s0.dcm", r" as \.dcm"), ("IM0", "")):  # the slice is named, with an extension or without
+        path = tmp_path / "again" / name
+        path.write_bytes(torn)
+        with pytest.raises(gk.FileFormatError, match=rf"again/{name}: cannot be read{kind} \(ValueError"):
+            gk.volume.load(tmp_path / "again")
+        path.unlink()
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -39,6 +39,20 @@ def closest_by_hand(mesh, points):
     return np.array([number for number, _ in found]), np.array([weights for _, weights in found])
 
 
+@pytest.mark.parametrize("kind", [np.asarray, list, lambda point: pytest.importorskip("torch").tensor(point)])
+def test_one_point_has_one_answer(kind):
+    values = RANDOM.normal(size=(TORUS.vertex_count, 2))
+    data = {"values": values, "heat": values[:, 0]}
+    mesh = gk.mesh.TriangleMesh(
+        TORUS.vertices, TORUS.faces, vertex_data=data, face_data={"id": range(len(TORUS.faces))}
+    )
+    surface, point = gk.mesh.Surface(mesh, device="cpu"), RANDOM.normal(size=3)
+    found, expected = surface.sample_attributes(kind(point)), surface.sample_attributes(point[None])
+    assert {name: np.shape(value) for name, value in found.items()} == {"values": (2,), "heat": (), "id": ()}
+    for name, rows in expected.items():
+        np.testing.assert_array_equal(found[name], rows[0])
+
+
 @pytest.mark.parametrize("kind", [np.asarray, lambda points: points.astype(np.float32)])
 def test_samples_are_those_of_the_reference(kind):
     mesh = mesh_catalog.torus(10, 6)
