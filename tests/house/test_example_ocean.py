@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 import geokit as gk
 from geokit import native
+from tests.support.scripts import run_script
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CUBE, BALL = 1.1, 0.6
@@ -218,11 +218,8 @@ def test_kernels_compile_for_sm_90(ocean, tmp_path):
 def test_script(tmp_path):
     from PIL import Image
 
-    arguments = ["--bodies", "12", "--seconds", "0.2", "--every", "6", "--device", "cpu", "--out", "sea"]
-    done = subprocess.run([sys.executable, EXAMPLES / "ocean.py", *arguments], capture_output=True, text=True,
-                          timeout=600, cwd=tmp_path)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "12 bodies" in done.stdout
+    options = ["--bodies", 12, "--seconds", 0.2, "--every", 6, "--device", "cpu", "--out", "sea"]
+    assert "12 bodies" in run_script(EXAMPLES / "ocean.py", *options, folder=tmp_path)
     with Image.open(tmp_path / "sea.png") as still:
         assert np.asarray(still.convert("RGB"), dtype=float).std() > 20.0
     with Image.open(tmp_path / "sea.gif") as moving:
