@@ -717,6 +717,10 @@ def test_binary_of_wrong_length(tmp_path, kind, change):
     gk.mesh.save(tmp_path / f"a{kind}", MESH)
     data = (tmp_path / f"a{kind}").read_bytes()
     damaged = data[:change] if change < 0 else data + b"x" * change
+    if kind == ".stl" and change > 0:
+        with pytest.warns(UserWarning, match="1 bytes behind the last of its 20 triangles are left out"):
+            assert gk.mesh.load(write(tmp_path / f"b{kind}", damaged)).face_count == MESH.face_count
+        return
     with pytest.raises(gk.FileFormatError, match=r"truncated|damaged"):
         gk.mesh.load(write(tmp_path / f"b{kind}", damaged))
 
