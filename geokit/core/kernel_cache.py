@@ -1,7 +1,8 @@
 """Loads compiled kernels: those that came with the package, else those in warp's folder of compiled kernels.
 
 What is damaged in the folder is compiled again, and an unusable folder is replaced. Warp loads whatever it finds. A
-flipped bit in an object crashes the process, so a digest beside each object is compared first.
+flipped bit in an object crashes the process, so a digest beside each object is compared first, and an object without
+one is not loaded.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +38,8 @@ LOAD_BYTES, COMPILE_BYTES = 20 << 20, 300 << 20
 # Digest of a module's object and metadata.
 DIGEST_SUFFIX = ".blake2"
 MOST_CURES = 2
+# Another process that has compiled the module writes the digest when it has loaded it: within this time [s].
+PATIENCE = 3.0
 
 _log = logging.getLogger("geokit")
 
@@ -108,9 +112,14 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
         if file.exists() and not file.is_file():  # of a FIFO, reading would wait for ever
             raise OSError(errno.EIO, "no regular file", str(file))
     record = binary.with_name(binary.name + DIGEST_SUFFIX)
+    until = time.monotonic() + PATIENCE
+    while binary.exists() and not record.is_file() and time.monotonic() < until:
+        time.sleep(PATIENCE / 50)
     known = record.read_text() if record.is_file() else None
     if known is not None and known != digest_of(binary, meta):
         raise OSError(errno.EIO, "the digest differs", str(binary))
+    if known is None and binary.exists():
+        raise OSError(errno.EIO, "the digest is missing", str(binary))
     if announce and not (binary.exists() and meta.exists()):
         announce(module.name)
     warp_private.load_module(module, device, block_dim)
@@ -123,7 +132,7 @@ def _keep(record: Path, text: str) -> None:
     try:
         draft.write_text(text)
         draft.replace(record)
-    except OSError:  # read-only or full: the module is loaded, and unchecked the next time
+    except OSError:  # read-only or full: the module is loaded, and compiled again the next time
         draft.unlink(missing_ok=True)
 
 

@@ -120,6 +120,12 @@ def flipped(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
+def flipped_once(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+
+
 def folder_instead(path: Path) -> None:
     path.unlink()
     path.mkdir()
@@ -153,7 +159,7 @@ def test_damaged_files_are_compiled_again(cache, damage, suffix):
     assert cache.run()[1] == ""
 
 
-@pytest.mark.parametrize("damage", [emptied, random_bytes])
+@pytest.mark.parametrize("damage", [emptied, random_bytes, flipped, flipped_once])
 def test_damage_before_the_first_digest(cache, damage):
     for file in cache.files(".blake2"):
         file.unlink()
