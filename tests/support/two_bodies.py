@@ -16,7 +16,10 @@ def cuboid(half: Any, center: Any) -> Field:
 
     def distance(points: NDArray[np.float64]) -> NDArray[np.float64]:
         beyond = np.abs(points - np.array(center)) - np.array(half)
-        return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
+        # By columns: NumPy reduces rows of three ten times as slowly.
+        x, y, z = np.ascontiguousarray(beyond.T)
+        outside = np.sqrt(sum(np.maximum(side, 0.0) ** 2 for side in (x, y, z)))
+        return outside + np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
 
     return distance
 

@@ -13,6 +13,7 @@ from geokit.volume._resample import resampled
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of
+from geokit.volume.nanovdb.nodes import grid_nodes
 from geokit.volume.tree.grid_head import checked_head
 from geokit.volume.tree.leaves import build_real_grid
 from geokit.volume.tree.typed_tree import tree_of
@@ -62,13 +63,15 @@ def test_offsets_of_a_ball(grid_type, distance):
 @pytest.mark.slow
 def test_empty_lower_nodes_inside_a_double_level_set():
     # The middle of this ball is a whole lower node of 128 voxels without a leaf: a tile of an upper node.
-    made = gk.volume.from_function(ball(230.0, (64.0, 64.0, 64.0)), [[-168.0] * 3, [296.0] * 3], 1.0)
-    dense = made.to_dense(bounds=[[-171, 60, 60], [299, 67, 67]])
-    assert dense.values[235, 4, 4] < 0.0
+    made = gk.volume.from_function(ball(120.0, (64.0, 64.0, 64.0)), [[-58.0] * 3, [186.0] * 3], 1.0)
+    dense = made.to_dense(bounds=[[-61, 60, 60], [189, 67, 67]])
+    assert dense.values[125, 4, 4] < 0.0
+    lower = grid_nodes(made.nanovdb).lower
+    assert [0, 0, 0] not in np.atleast_2d(lower.column("<i4", 0, 3)).tolist()
     tree = gk.volume.resample(made, transform=cubes(1.0), order=0, device="cpu")
     result = sound(resampled(made, cubes(1.0), order=1, dtype=np.float64, device="cpu"))
     assert result.info.grid_type == "double"
-    voxels = np.random.default_rng(5).integers(-180, 310, (20_000, 3)).astype(float)
+    voxels = np.random.default_rng(5).integers(-70, 200, (20_000, 3)).astype(float)
     expected = made.sample(voxels, order=0, space="index", device="cpu")
     for volume in (tree, result):
         np.testing.assert_array_equal(volume.sample(voxels, order=0, space="index", device="cpu"), expected)

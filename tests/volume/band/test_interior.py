@@ -31,6 +31,7 @@ COLUMNS = {
 
 # Without a search for the best storage, which is not what is asked here.
 PLAIN: dict[str, Any] = {"order": 1, "codec": "float", "device": "cpu"}
+SMALL: dict[str, Any] = {"order": 3, "codec": "fp16", "device": "cpu"}
 
 
 def places(field: gk.volume.SparseVolume) -> NDArray[np.float64]:
@@ -173,8 +174,8 @@ def test_all_makers_of_fields_leave_out_what_a_body_has_inside_of_itself() -> No
     place = [[0.0, 0.309, 0.0]]
     depth = float(-prism_distance(star_outline(), 1.0, np.array(place))[0])
     makers: dict[str, Any] = {
-        "tolerance": lambda **options: gk.volume.from_mesh(star(), tolerance=0.02, within=0.4, **PLAIN, **options),
-        "levels": lambda **options: gk.volume.adaptive_from_mesh(star(), 0.02, within=0.4, **PLAIN, **options),
+        "tolerance": lambda **options: gk.volume.from_mesh(star(), tolerance=0.02, within=0.2, **SMALL, **options),
+        "levels": lambda **options: gk.volume.adaptive_from_mesh(star(), 0.02, within=0.2, **SMALL, **options),
         "triangles": lambda **options: (
             gk.volume.from_mesh_with_triangles(star(), 0.1, half_width=6.0, device="cpu", **options).distance
         ),
