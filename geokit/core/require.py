@@ -250,6 +250,8 @@ def read_array(values: Any, name: str, dtype: Any = None, *, kinds: str = "fiu")
         if getattr(values, "requires_grad", False) is True:
             raise InputError(f"{name}: requires gradients, which are not recorded here; detach() it") from error
         raise InputError(f"{name}: cannot be read as an array of numbers ({_reason(error)}); give one") from error
+    if array.dtype == object and not array.ndim:
+        raise InputError(f"{name}: {type(values).__name__} is no array of numbers; give one")
     raise InputError(f"{name}: dtype {array.dtype} is not a real number type; convert it to float64")
 
 

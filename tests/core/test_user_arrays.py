@@ -301,7 +301,8 @@ def test_huge_values_are_finite(cpu):
         (np.array([["1", "2", "3"]]), "dtype <U1"),
         ([[1, 2, 3], [4, 5]], "cannot be read|not a real number"),
         ([[1, 2, None]], "not a real number|cannot be read"),
-        (None, "not a real number|cannot be read"),
+        (None, "NoneType is no array of numbers"),
+        (types.SimpleNamespace(rows=3), "SimpleNamespace is no array of numbers"),
         ("points.ply", "not a real number|cannot be read"),
     ],
 )

@@ -30,7 +30,7 @@ LARGEST_JITTER = 0.02
 _TAGS = [
     "SeriesInstanceUID", "SeriesDescription", "InstanceNumber", "Rows", "Columns", "SamplesPerPixel", "BitsAllocated",
     "BitsStored", "PixelRepresentation", "NumberOfFrames", "PixelSpacing", "ImageOrientationPatient",
-    "ImagePositionPatient", "RescaleSlope", "RescaleIntercept", "PixelPaddingValue",
+    "ImagePositionPatient", "SliceThickness", "RescaleSlope", "RescaleIntercept", "PixelPaddingValue",
     "PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence",
 ]  # fmt: skip
 
@@ -44,6 +44,7 @@ class _Slice(NamedTuple):
     position: NDArray[np.float64]
     axes: NDArray[np.float64]
     spacing: NDArray[np.float64]
+    thickness: float
     slope: float
     shift: float
     size: tuple[int, int, int]
@@ -110,6 +111,7 @@ def _slices(header: Any, file: Path, path: Path) -> Iterator[_Slice]:
             or (frames is None and int(header.get("NumberOfFrames") or 1) > 1)
         ):
             raise FileFormatError(f"{path}: {file.name} does not say where its slices lie (ImagePositionPatient)")
+        thickness = group(frame, shared, "PixelMeasuresSequence", "SliceThickness")
         slope = group(frame, shared, "PixelValueTransformationSequence", "RescaleSlope")
         shift = group(frame, shared, "PixelValueTransformationSequence", "RescaleIntercept")
         padding = header.get("PixelPaddingValue")
@@ -120,6 +122,7 @@ def _slices(header: Any, file: Path, path: Path) -> Iterator[_Slice]:
             np.array(position, np.float64),
             np.array(axes, np.float64).reshape(2, 3),
             np.array(spacing, np.float64),
+            float(thickness) if thickness is not None and float(thickness) > 0.0 else 1.0,
             1.0 if slope is None else float(slope),
             0.0 if shift is None else float(shift),
             (int(header.Columns), int(header.Rows), int(header.get("SamplesPerPixel", 1))),
@@ -146,7 +149,7 @@ def _grids(slices: list[_Slice], name: str, path: Path, pydicom: Any) -> list[Im
         )
     table = np.array(order).reshape(-1, count)
     places = np.array([slices[row[0]].position for row in table])
-    step = normal if len(places) == 1 else (places[-1] - places[0]) / (len(places) - 1)
+    step = normal * first.thickness if len(places) == 1 else (places[-1] - places[0]) / (len(places) - 1)
     away = np.abs(places - (places[0] + np.arange(len(places))[:, None] * step)).max()
     if away > LARGEST_JITTER * np.linalg.norm(step):
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)

@@ -84,6 +84,16 @@ def test_several_series_are_grids_and_other_files_do_not_matter(tmp_path: Path) 
         gk.volume.load(tmp_path / "ct")
 
 
+@pytest.mark.parametrize(("thickness", "expected"), [("2.5", 2.5), ("0", 1.0), (None, 1.0)])
+def test_one_slice_is_as_thick_as_it_says(tmp_path: Path, thickness: str | None, expected: float) -> None:
+    write_series(tmp_path / "ct", STRAIGHT, SliceThickness=thickness)
+    one = gk.volume.load(tmp_path / "ct" / "s0.dcm").info
+    np.testing.assert_allclose(one.voxel_size, [*np.linalg.norm(STRAIGHT[:3, :2], axis=0), expected], rtol=1e-6)
+    # That of several is their distance.
+    several = gk.volume.load(tmp_path / "ct").info.voxel_size
+    np.testing.assert_allclose(several, np.linalg.norm(STRAIGHT[:3, :3], axis=0), rtol=1e-6)
+
+
 def test_a_missing_slice_is_named(tmp_path: Path) -> None:
     write_series(tmp_path / "ct", STRAIGHT)
     (tmp_path / "ct" / "s5.dcm").unlink()
