@@ -63,11 +63,11 @@ class ForestSigns:
         if forest is not None:
             self._find_simple()
         others = np.flatnonzero(~self.simple)
-        # Meshes with faces that are left out where signs are decided; see left_out.py.
+        # Meshes with faces that are left out where signs are decided; see left_out.py and inner_sheets.py.
         self.apart = np.zeros(count, bool)
         for mesh in others:
             found = surface(int(mesh))
-            self.apart[mesh] = found._single_faced is not None
+            self.apart[mesh] = found._signs is not found
             self._closed[mesh] = found.is_closed
         self._kept: dict[str, tuple[NDArray[np.bool_], NDArray[Any]]] = {}
         # Rows of tables are addresses, and this object keeps what is there: threads must not make a table twice.

@@ -97,6 +97,10 @@ class SignQueries(PointQueries):
         exactly equal (:func:`geokit.mesh.merge_vertices`). The two sides of a polygon may have different triangles if
         it is flat to 1e-3 radians and has the same corners on both.
 
+        Open sheets that lie inside of closed bodies as a whole (decks, ribs, partitions), up to 1e-6 of the mesh's
+        size, are left out where signs are decided: the bodies alone say what is inside. Distances are to them too.
+        Sheets that reach out of a body count, and their winding numbers add up.
+
         Distances are within 1e-6 of the mesh's size, and signs right for points 1e-5 sizes from the surface, up to 1e9
         sizes from the origin. Queries may be 1e150 away (error 4e-15 of the distance), and all points farther than 1e9
         sizes from a closed mesh are outside. The two sides of a wall as thin as 1e-14 of the size, on a GPU 1e-11, get
@@ -179,7 +183,7 @@ class SignQueries(PointQueries):
 
         from geokit.mesh.sign.parity_kernels import is_negative_kernel
 
-        if self._single_faced:
+        if self._signs is not self:
             return self._signs.contains(points, sign=sign, progress=progress)
         method, device = self._method(sign), self._device
         by_closest = method == "pseudonormal"
@@ -218,7 +222,8 @@ class SignQueries(PointQueries):
         """Generalized winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
         This is the number of the mesh wound as by :func:`geokit.mesh.orient` (``orientation`` says whether that flips
-        faces), with doubled faces counted once (see :meth:`signed_distance`), because signs are decided by it.
+        faces), with doubled faces counted once and without open sheets inside of closed bodies (see
+        :meth:`signed_distance`), because signs are decided by it.
         ``as_given=True`` takes all faces with the winding that they have in ``mesh``: -1 inside a closed mesh that
         is inside out, and 0 for faces that lie back to back.
 
@@ -264,8 +269,7 @@ class SignQueries(PointQueries):
 
         1/2 or more where the winding number is a whole one; near 0 in the holes of an open mesh, where either sign may
         be right. It measures how open the mesh is as seen from a point, not whether the sign is right: single open
-        sheets inside of a solid (decks, partitions) add up, and a wrong sign beside them may have a margin of 0.4.
-        :func:`geokit.mesh.union` removes such sheets.
+        sheets that are not inside of a closed body add up, and a wrong sign beside them may have a margin of 0.4.
 
         Args:
             points: Query points [world], shape (N, 3).
@@ -309,28 +313,55 @@ class SignQueries(PointQueries):
     def _sign_choice(self) -> Any:
         from geokit.mesh.sign.choice import choose_sign
 
-        if not self._single_faced:
-            return choose_sign(self)  # type: ignore[arg-type]
-        count = self.mesh.face_count - self._signs.mesh.face_count
-        choice = self._signs._sign_choice
-        return choice._replace(reason=f"{count} faces back to back with others are left out; {choice.reason}")
+        if self._signs is self:
+            return choose_sign(self)
+        counted, choice = self._counted, self._signs._sign_choice
+        for more, fewer, what in (
+            (counted, self._signs, "faces of open sheets inside of bodies"),
+            (self, counted, "faces back to back with others"),
+        ):
+            if count := more.mesh.face_count - fewer.mesh.face_count:
+                choice = choice._replace(reason=f"{count} {what} are left out; {choice.reason}")
+        return choice
+
+    @property
+    def _counted(self) -> Any:
+        """The surface whose faces count once each: this one, or that without faces back to back with others."""
+        return self._single_faced or self
 
     @property
     def _signs(self) -> Any:
-        """The surface that decides signs: this one, or that of the mesh without faces back to back with others."""
-        return self._single_faced or self
+        """The surface that decides signs: that whose faces count, without open sheets inside of its bodies."""
+        counted = self._counted
+        return counted._without_sheets or counted
 
     @cached_property
     def _single_faced(self) -> Any:
         """The surface of the mesh without faces back to back with others; None if there are none to leave out."""
-        from geokit.mesh._model import TriangleMesh
         from geokit.mesh.sign.left_out import left_out_faces
 
         left_out = left_out_faces(self)  # type: ignore[arg-type]
         if not len(left_out):
             return None
-        faces = np.delete(self.mesh.faces, left_out, axis=0)
+        return self._without(left_out)
+
+    @cached_property
+    def _without_sheets(self) -> Any:
+        """The surface of the mesh without open sheets inside of closed bodies; None if there are none."""
+        from geokit.mesh.sign.inner_sheets import inner_sheets
+
+        rows = inner_sheets(self)  # type: ignore[arg-type]
+        if not len(rows):
+            return None
+        found = self._without(rows)
+        found.__dict__["_without_sheets"] = None  # what is left lies outside
+        return found
+
+    def _without(self, rows: NDArray[np.int64]) -> Any:
+        from geokit.mesh._model import TriangleMesh
+
         surface: Any = type(self)
+        faces = np.delete(self.mesh.faces, rows, axis=0)
         return surface(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
 
     @property
@@ -342,7 +373,7 @@ class SignQueries(PointQueries):
         far away. Closed meshes are watertight (:func:`geokit.mesh.audit`), but may have non-manifold vertices and
         self-intersections.
         """
-        return bool(self._signs._orientation.closed)
+        return bool(self._counted._orientation.closed)
 
     @property
     def orientation(self) -> int:
@@ -352,7 +383,7 @@ class SignQueries(PointQueries):
         Signs and winding numbers are those of the mesh that :func:`geokit.mesh.orient` returns; rays ignore the
         winding.
         """
-        flipped: NDArray[np.bool_] = self._signs._orientation.flipped
+        flipped: NDArray[np.bool_] = self._counted._orientation.flipped
         if not flipped.any():
             return 1
         return -1 if flipped.all() else 0
@@ -392,7 +423,7 @@ class SignQueries(PointQueries):
         from geokit.mesh.sign.left_out import by_other_surface
         from geokit.mesh.sign.pseudonormals import by_pseudonormal
 
-        if self._single_faced:
+        if self._signs is not self:
             by_other_surface(self._signs, method, points, closest.distance, reach)
             return
         if method == "pseudonormal":

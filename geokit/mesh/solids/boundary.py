@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import derived, with_data
-from geokit.mesh.solids.judging import CONTACT, areas_of, self_overlap, verdict_of
+from geokit.mesh.sign.inner_sheets import CONTACT, EXTREME_SIZE
+from geokit.mesh.solids.judging import areas_of, self_overlap, verdict_of
 from geokit.mesh.solids.reading import Reading, read_solids
 from geokit.mesh.solids.union import Pieces, boxes_that_meet, inflated, united
 from geokit.mesh.topology.audit import face_parts
@@ -32,8 +33,6 @@ __all__ = ["Boundary", "boundary_of"]
 GROWTHS = (1e-9, 1e-7)
 # Smallest contact that is looked for, as a share of the bodies' area.
 LEAST_CONTACT = 1e-6
-# Beyond, winding numbers are refused: products of lengths leave the range of float64.
-EXTREME_SIZE = 1e70
 
 
 class Boundary(NamedTuple):
@@ -58,7 +57,7 @@ def boundary_of(surface: Surface) -> Boundary:
     """
     from geokit.mesh.sign.left_out import left_out_faces
 
-    given: Any = surface._signs
+    given: Any = surface._counted
     mesh: TriangleMesh = given.mesh
     unchanged = Boundary(surface.mesh, None, "")
     size = float((mesh.bounds[1] - mesh.bounds[0]).max())

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
+from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
 from geokit.mesh.solids.union import Pieces
 from geokit.mesh.topology.normals import cross
 
 __all__ = [
-    "CONTACT",
     "FACES_FOR_A_SHARE",
-    "INNER_POINT",
     "OVERLAP_SHARE",
     "areas_of",
     "checkable",
@@ -22,8 +21,6 @@ __all__ = [
     "verdict_of",
 ]
 
-# Sides of a face are looked at this far from it, as a share of the mesh's size; nearer surfaces touch.
-CONTACT = 1e-6
 # Faces that are held against winding numbers at most, and the share of their area that may be found wrong: beside
 # an edge where others cross, a face's side cannot be told from theirs.
 CHECKED_FACES = 100_000
@@ -35,9 +32,6 @@ FACES_FOR_A_SHARE = 10_000
 SAMPLES = 10_000
 # Faces with less than this many times CONTACT between their middle and their edges cannot be checked.
 ROOM = 10.0
-# A point inside of a triangle that lies on no line of symmetry, as weights of its corners: bodies often have edges and
-# planes through the middle of each other's faces.
-INNER_POINT = np.array([0.2957, 0.3731, 0.3312])
 
 
 def verdict_of(

@@ -10,22 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
-from geokit.mesh.solids.judging import (
-    CONTACT,
-    FACES_FOR_A_SHARE,
-    INNER_POINT,
-    OVERLAP_SHARE,
-    checkable,
-)
-from geokit.mesh.topology.audit import face_parts
+from geokit.mesh.sign.inner_sheets import CONTACT, is_inside, sheets_inside
+from geokit.mesh.solids.judging import FACES_FOR_A_SHARE, OVERLAP_SHARE, checkable
 from geokit.mesh.topology.bodies import Bodies, closed_bodies
-from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.orientation import enclosing_pairs
 
 __all__ = ["Reading", "read_solids"]
-
-# From a sheet's middle to its corners, where it is looked at whether it lies inside: a sheet may touch the walls.
-TOWARD_CORNER = 0.999
 
 
 class Reading(NamedTuple):
@@ -96,32 +86,12 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
 def _inner_sheets(
     mesh: TriangleMesh, sheets: NDArray[np.int64], judge: Any, off: float
 ) -> tuple[NDArray[np.int64], bool]:
-    """Rows of those sheets all of whose faces have the solid on both sides, and whether others have some such faces."""
+    """Rows of those sheets that lie inside of solids, and whether others do so in part."""
     if judge is None or not len(sheets):
         return sheets[:0], False
-    _, sheet = np.unique(face_parts(TriangleMesh(mesh.vertices, mesh.faces[sheets])), return_inverse=True)
-    # The first face of each rules most of them out.
-    _, first = np.unique(sheet, return_index=True)
-    begins = _is_inside(mesh.vertices[mesh.faces[sheets[first]]], judge, off)
-    hidden = begins[sheet]
-    hidden[hidden] = _is_inside(mesh.vertices[mesh.faces[sheets[hidden]]], judge, off)
-    whole = np.bincount(sheet, ~hidden) == 0
-    inner, outer = sheets[whole[sheet]], sheets[~whole[sheet]]
+    inner, outer = sheets_inside(mesh, sheets, judge, off)
     if not len(outer):
         return inner, False
     corners, area, _ = checkable(mesh.vertices, mesh.faces[outer], off, most=FACES_FOR_A_SHARE)
-    share = area[_is_inside(corners, judge, off)].sum() / max(area.sum(), np.finfo(float).tiny)
+    share = area[is_inside(corners, judge, off)].sum() / max(area.sum(), np.finfo(float).tiny)
     return inner, bool(share > OVERLAP_SHARE)
-
-
-def _is_inside(corners: NDArray[np.float64], judge: Any, off: float) -> NDArray[np.bool_]:
-    """Whether triangles (F, 3, 3) have the solid on both sides, or lie on its boundary."""
-    middle = (INNER_POINT @ corners)[:, None]
-    places = np.concatenate([middle, middle + TOWARD_CORNER * (corners - middle)], axis=1)
-    triangles = TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
-    step = off * face_normals(triangles)[:, None]
-    inside = np.ones(places.shape[:2], bool)
-    for side in (step, -step):
-        inside &= judge.winding_number((places + side).reshape(-1, 3)).reshape(inside.shape) > 0.5
-    inside[~inside] = judge.closest_point(places[~inside]).distance <= off
-    return np.asarray(inside.all(axis=1))
