@@ -51,9 +51,19 @@ def inner_sheets(surface: Surface) -> NDArray[np.int64]:
         if len(solid) and len(sheets):
             judge = type(surface)(TriangleMesh(oriented.vertices, oriented.faces[solid]), device=surface._device)
             found, outer = sheets_inside(oriented, sheets, judge, CONTACT * size)
+            found = np.sort(found[_leave_boundary(oriented, found, judge, CONTACT * size)])
             if not len(outer):
                 break
-    return np.sort(found)
+    return found
+
+
+def _leave_boundary(mesh: TriangleMesh, sheets: NDArray[np.int64], judge: Any, off: float) -> NDArray[np.bool_]:
+    """Whether the sheet of each face has faces that do not lie on the bodies: others are copies of their faces."""
+    if not len(sheets):
+        return np.zeros(0, bool)
+    _, sheet = np.unique(face_parts(TriangleMesh(mesh.vertices, mesh.faces[sheets])), return_inverse=True)
+    apart = judge.closest_point(INNER_POINT @ mesh.vertices[mesh.faces[sheets]]).distance > off
+    return np.asarray(np.bincount(sheet, apart)[sheet] > 0)
 
 
 def _may_have_sheets(edges: Topology) -> bool:
