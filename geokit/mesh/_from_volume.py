@@ -51,8 +51,9 @@ def from_volume(
     The surface is that of the interpolant of ``volume.sample`` at order 1: voxels below the isovalue are inside, and
     tiles count with their value. It ends where no voxel is active: a crossing between two inactive voxels gives no
     face. Elsewhere the mesh is watertight, oriented, and manifold at edges and vertices, for every field. Normals point
-    outward: toward increasing values, as in a signed distance field, but toward decreasing values in a fog volume. A
-    field that does not cross the isovalue gives a mesh without faces.
+    outward: toward increasing values, as in a signed distance field, but toward decreasing values in a fog volume, and
+    in a grid of class "unknown" whose background is below the isovalue, as of a mask or an image: what has no end is
+    outside. A field that does not cross the isovalue gives a mesh without faces.
 
     - "surface_nets": one vertex for each sheet of the surface in a cell, at the mean of the crossings on the cell's
       edges; quads are split along their shorter diagonal. Triangles are evenly shaped. The error falls with the square
@@ -137,7 +138,7 @@ def from_volume(
         return _by_openvdb(volume, isovalue, adaptivity)
     transform = volume.info.transform
     is_mirrored = bool(np.linalg.slogdet(transform[:3, :3])[0] < 0.0)
-    turned = is_mirrored != (volume.info.grid_class == "fog volume")
+    turned = is_mirrored != _encloses_large_values(volume, isovalue)
     if method == "marching_cubes":
         from geokit.volume.isosurface.marching_cubes import marching_cubes
 
@@ -205,6 +206,11 @@ def from_volume_with_deviation(
     return within_tolerance(mesh, tolerance, launcher.resolve_device(device), progress)
 
 
+def _encloses_large_values(volume: SparseVolume, isovalue: float) -> bool:
+    grid_class, background = volume.info.grid_class, volume.info.background
+    return grid_class == "fog volume" or (grid_class == "unknown" and bool(background < isovalue))
+
+
 def _require_real(volume: SparseVolume) -> None:
     grid_type = require_volume(volume, "volume").info.grid_type
     if isinstance(volume.info.background, tuple) or "index" in grid_type:
@@ -237,7 +243,7 @@ def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> Tri
     topology_of(volume).large.require_countable(isovalue)
     surface = native.volume_to_mesh(_as_level_set(volume), isovalue=isovalue, adaptivity=adaptivity)
     faces = np.concatenate([surface.triangles, _split_quads(surface.points, surface.quads)])
-    if volume.info.grid_class == "fog volume":
+    if _encloses_large_values(volume, isovalue):
         faces = faces[:, ::-1]
     return TriangleMesh(surface.points, faces, name=volume.info.name)
 

@@ -548,3 +548,18 @@ def test_a_mask_without_an_isosurface_names_the_class_that_has_one(dtype: type) 
         gk.mesh.from_volume(gk.volume.from_dense(mask, voxel_size=1.0), isovalue=0.5)
     fog = gk.volume.from_dense(mask, voxel_size=1.0, grid_class="fog volume")
     assert gk.mesh.audit(gk.mesh.from_volume(fog, isovalue=0.5)).signed_volume > 0.0
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("method", ["surface_nets", "marching_cubes", "dual_contouring", "openvdb"])
+def test_what_has_no_end_is_outside_of_an_unknown_grid(method, mirrored):
+    if method == "openvdb" and not native.available():
+        pytest.skip("geokit was built without OpenVDB")
+    transform = np.diag([-0.5 if mirrored else 0.5, 0.5, 0.5, 1.0])
+    mask = np.zeros((12, 12, 12), np.float32)
+    mask[2:9, 3:10, 1:7] = 1.0
+    for values, background, isovalue in ((mask, 0.0, 0.5), (1.0 - mask, 1.0, 0.5), (200.0 * mask - 100.0, -100.0, 0.0)):
+        grid = gk.volume.from_dense(values, transform=transform, background=background, grid_class="unknown")
+        found = audit(from_volume(grid, isovalue=isovalue, method=method))
+        assert found.watertight
+        assert found.signed_volume == pytest.approx(7 * 7 * 6 / 8, rel=0.15)
