@@ -8,6 +8,7 @@ Held by: tests/core/blocks/test_several_devices.py
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import functools
 import inspect
@@ -28,6 +29,7 @@ from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
+    from numpy.typing import NDArray
 
 __all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares"]
 
@@ -35,6 +37,10 @@ __all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares"]
 # between GPUs take a millisecond or two, so there have to be more.
 LEAST_ROWS = 1 << 15
 LEAST_ROWS_ON_GPUS = 1 << 20
+# Rows on the host are dealt in blocks, to whichever device is ready: so many to each at a time, so that one is copied
+# while another is answered, and each of at most so many rows.
+BLOCKS_AT_A_TIME = 2
+MOST_ROWS = 1 << 21
 
 _Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
@@ -192,26 +198,74 @@ def _answer(
     count = min(len(queries), total // (least if total and _is_on_gpu(values[0]) else LEAST_ROWS))
     if count < 2:
         return queries[0](*given, **options)
-    ends = [total * k // count for k in range(count + 1)]
     each = {name for name, value in options.items() if name == "radius" and np.ndim(value) == 1}
+    on_host = isinstance(values[0], np.ndarray)
+    size = total / count
+    if on_host:
+        size = max(LEAST_ROWS, min(MOST_ROWS, -(-total // (2 * BLOCKS_AT_A_TIME * count))))
+    blocks = -(-total // size) if on_host else count
+    ends = [min(round(size * k), total) for k in range(int(blocks) + 1)]
     progress = options.get("progress")
-    done = _Progress(progress, total, count) if callable(progress) else None
-    calls = []
-    for k, (first, stop) in enumerate(itertools.pairwise(ends)):
-        # Copies between GPUs are enqueued by this thread, whose stream has made the rows.
-        moved = [_part(value, first, stop, devices[k]) for value in values]
-        own = {name: value[first:stop] if name in each else value for name, value in options.items()}
+    done = _Progress(progress, total, len(ends) - 1) if callable(progress) else None
+    whole = _Whole(total)
+
+    def ask(k: int, device: int, values: Sequence[Any]) -> None:
+        own = {name: value[ends[k] : ends[k + 1]] if name in each else value for name, value in options.items()}
         if done is not None:
             own["progress"] = functools.partial(done, k)
-        calls.append(functools.partial(queries[k], *moved, *given[rows:], **own))
-    with ThreadPoolExecutor(count - 1) as pool:
-        others = [pool.submit(call) for call in calls[1:]]
+        whole.put(k, ends[k], queries[device](*values, *given[rows:], **own))
+
+    if on_host:
+        waiting = iter(range(len(ends) - 1))
+
+        def work(device: int) -> None:
+            for k in waiting:  # the threads share it; the GIL makes taking the next one safe
+                ask(k, device, [value[ends[k] : ends[k + 1]] for value in values])
+
+        calls = [functools.partial(work, device) for device in range(count) for _ in range(BLOCKS_AT_A_TIME)]
+    else:
+        waiting = iter(())
+        # Copies between GPUs are enqueued by this thread, whose stream has made the rows.
+        moved = [[_part(value, ends[k], ends[k + 1], devices[k]) for value in values] for k in range(count)]
+        calls = [functools.partial(ask, k, k, moved[k]) for k in range(count)]
+    with ThreadPoolExecutor(len(calls)) as pool:
         try:
-            answers = [calls[0](), *(other.result() for other in others)]
+            for job in [pool.submit(call) for call in calls]:
+                job.result()
         except InputError:
             # Of a row, whose number is that in its part: asked again it is named as the caller counts.
             return queries[0](*given, **options)
-    return _joined(answers, values[0])
+        finally:
+            collections.deque(waiting, maxlen=0)  # after an error nobody takes another block
+    return whole.answer(values[0])
+
+
+class _Whole:
+    """Collects the answers of parts; arrays on the host with a row for each row are filled in place."""
+
+    def __init__(self, total: int) -> None:
+        self._total, self._parts = total, dict[int, Any]()
+        self._arrays: list[NDArray[Any]] | None = None
+        self._kind: Any = None
+        self._lock = threading.Lock()
+
+    def put(self, k: int, first: int, answer: Any) -> None:
+        arrays = answer if isinstance(answer, tuple) else (answer,)
+        lists = "offsets" in getattr(answer, "_fields", ())
+        if lists or not all(isinstance(array, np.ndarray) for array in arrays):
+            self._parts[k] = answer
+            return
+        with self._lock:
+            if self._arrays is None:
+                self._kind = type(answer) if isinstance(answer, tuple) else None
+                self._arrays = [np.empty((self._total, *array.shape[1:]), array.dtype) for array in arrays]
+        for target, array in zip(self._arrays, arrays, strict=True):
+            target[first : first + len(array)] = array
+
+    def answer(self, like: Any) -> Any:
+        if self._arrays is None:
+            return _joined([self._parts[k] for k in sorted(self._parts)], like)
+        return self._arrays[0] if self._kind is None else tuple.__new__(self._kind, self._arrays)
 
 
 class _Progress:

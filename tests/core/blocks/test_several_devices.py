@@ -32,15 +32,23 @@ def few_rows_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def parts_asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Numbers of parts of the calls so far."""
+    """Numbers of parts of the calls so far: a part for each device, of rows on the host blocks of 100."""
     asked: list[int] = []
-    joined = several_devices._joined
 
-    def noted(answers: list[Any], like: Any) -> Any:
-        asked.append(len(answers))
-        return joined(answers, like)
+    class Noted(several_devices._Whole):
+        def __init__(self, total: int) -> None:
+            super().__init__(total)
+            self.count = 0
 
-    monkeypatch.setattr(several_devices, "_joined", noted)
+        def put(self, k: int, first: int, answer: Any) -> None:
+            self.count += 1
+            super().put(k, first, answer)
+
+        def answer(self, like: Any) -> Any:
+            asked.append(self.count)
+            return super().answer(like)
+
+    monkeypatch.setattr(several_devices, "_Whole", Noted)
     return asked
 
 
@@ -77,10 +85,10 @@ def test_surfaces(name: str, moved: bool, parts_asked: list[int]) -> None:
     one, several = gk.mesh.Surface(gk.mesh.torus(), device=ONE), gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
     given = [POINTS, DIRECTIONS][:rows]
     require_same(getattr(several, name)(*given, **options), getattr(one, name)(*given, **options))
-    assert parts_asked == [3]
+    assert parts_asked == [10]
     few = [array[:150] for array in given]
     require_same(getattr(several, name)(*few, **options), getattr(one, name)(*few, **options))
-    assert parts_asked == [3]
+    assert parts_asked == [10]
 
 
 GRID = {
@@ -97,7 +105,7 @@ def test_neighbors(name: str, parts_asked: list[int]) -> None:
     one, several = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (ONE, SHARED))
     require_same(getattr(several, name)(POINTS, **GRID[name]), getattr(one, name)(POINTS, **GRID[name]))
     require_same(getattr(several, name)(queries=POINTS, **GRID[name]), getattr(one, name)(POINTS, **GRID[name]))
-    assert parts_asked == [3, 3]
+    assert parts_asked == [10, 10]
     # About the points themselves the first device answers.
     require_same(getattr(several, name)(**GRID[name]), getattr(one, name)(**GRID[name]))
     assert len(parts_asked) == 2
@@ -109,7 +117,7 @@ def test_a_radius_for_each_query(parts_asked: list[int]) -> None:
     one, several = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (ONE, SHARED))
     require_same(several.count(POINTS, radius=radii), one.count(POINTS, radius=radii))
     require_same(several.radius_search(POINTS, radius=radii), one.radius_search(POINTS, radius=radii))
-    assert parts_asked == [3, 3]
+    assert parts_asked == [10, 10]
 
 
 def test_a_periodic_grid(parts_asked: list[int]) -> None:
@@ -118,7 +126,7 @@ def test_a_periodic_grid(parts_asked: list[int]) -> None:
         gk.points.NeighborGrid(cloud, 0.2, periodic=[1.0, 1.0, 1.0], device=device) for device in (ONE, SHARED)
     )
     require_same(several.neighbor_list(POINTS), one.neighbor_list(POINTS))
-    assert parts_asked == [3]
+    assert parts_asked == [10]
 
 
 VOLUME = {
@@ -139,7 +147,7 @@ def test_volumes(name: str, parts_asked: list[int]) -> None:
     query = getattr(volume, name)
     require_same(query(*given, **options, device=SHARED), query(*given, **options, device=ONE))
     require_same(query(*given, **options, device=tuple(SHARED)), query(*given, **options, device=ONE))
-    assert parts_asked == [3, 3]
+    assert parts_asked == [10, 10]
 
 
 @pytest.mark.parametrize(
@@ -171,7 +179,7 @@ def test_rows_on_a_gpu_are_shared_if_there_are_very_many(
     surface.contains(many)
     surface.raycast(many, many + 1.0)
     grid.count(many[:, :3] + 9.0)
-    assert parts_asked == [2]
+    assert parts_asked == [8]
 
 
 @pytest.fixture
@@ -196,7 +204,7 @@ def test_all_gpus(parts_asked: list[int]) -> None:
     require_same(volume.hessian(POINTS, device="cuda:*"), volume.hessian(POINTS, device=ONE))
     require_same(volume.hessian(POINTS, device=["cuda:*"]), volume.hessian(POINTS, device=ONE))
     require_same(volume.hessian(POINTS, device=[ONE, "cuda:*"]), volume.hessian(POINTS, device=ONE))
-    assert parts_asked == [3, 3, 3, 3, 4]
+    assert parts_asked == [10] * 5
 
 
 def test_all_gpus_of_a_machine_without_one_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,7 +293,8 @@ def test_containers(container: str, parts_asked: list[int]) -> None:
     ours, other = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (SHARED, ONE))
     require_equal_containers(ours.radius_search(points), other.radius_search(points))
     # Two-dimensional arrays of warp have one dimension.
-    assert parts_asked == ([] if container == "warp" and points.ndim != 2 else [3, 3])
+    parts = 10 if container == "float32" else 3
+    assert parts_asked == ([] if container == "warp" and points.ndim != 2 else [parts] * 2)
 
 
 def require_equal_containers(found: Any, expected: Any) -> None:
@@ -353,3 +362,25 @@ def test_gradients_stay_on_the_first_device(parts_asked: list[int]) -> None:
     gk.mesh.Surface(gk.mesh.torus(), device=ONE).closest_point(plain).distance.sum().backward()
     np.testing.assert_array_equal(points.grad.numpy(), plain.grad.numpy())
     assert parts_asked == []
+
+
+def test_an_error_or_an_interrupt_ends_the_other_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks that nobody has begun are not asked any more."""
+    asked: list[int] = []
+    surface = gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
+    put = several_devices._Whole.put
+
+    def stopped(whole: Any, k: int, first: int, answer: Any) -> None:
+        asked.append(k)
+        if k == 0:
+            raise KeyboardInterrupt
+        put(whole, k, first, answer)
+
+    monkeypatch.setattr(several_devices._Whole, "put", stopped)
+    many = np.tile(POINTS, (100, 1))
+    monkeypatch.setattr(several_devices, "MOST_ROWS", 500)
+    with pytest.raises(KeyboardInterrupt):
+        surface.closest_point(many)
+    assert len(asked) < 200
+    monkeypatch.undo()
+    require_same(surface.closest_point(POINTS), gk.mesh.Surface(gk.mesh.torus(), device=ONE).closest_point(POINTS))
