@@ -14,9 +14,9 @@ __all__ = ["allocating", "sort_pairs"]
 
 # What several small allocations are rounded up to, together.
 ROUNDING = 1 << 20
-# Warp's sorts, and its trees and hash grids, which sort, have scratch memory for each stream, and threads share a stream.
-# If two enqueue the kernels of their sorts in turn, the one spoils the scratch of the other, whose kernels may then
-# wait for each other for ever.
+# Warp's sorts, and its trees and hash grids, which sort, have scratch memory for each stream, which threads share. If
+# two enqueue the kernels of their sorts in turn, the one spoils the scratch of the other, whose kernels may then wait
+# for each other for ever.
 _one_at_a_time = threading.RLock()
 
 
