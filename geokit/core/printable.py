@@ -9,9 +9,14 @@ __all__ = ["printable"]
 _BYTES = range(0xDCA0, 0xDD00)
 
 
-def printable(text: str) -> str:
-    """Text with everything that does not print, line ends among it, as an escape sequence of Python."""
+def printable(text: str, *, keep_bytes: bool = False) -> str:
+    """Text with everything that does not print, line ends among it, as an escape sequence of Python.
+
+    Args:
+        text: The text.
+        keep_bytes: Leave bytes that are no UTF-8 as they are (surrogates), for output that writes them as they came.
+    """
+    kept = _BYTES if keep_bytes else ()
     return "".join(
-        character if character.isprintable() or ord(character) in _BYTES else repr(character)[1:-1]
-        for character in text
+        character if character.isprintable() or ord(character) in kept else repr(character)[1:-1] for character in text
     )
