@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import resource
 import shutil
 import stat
 import tempfile
@@ -23,6 +24,7 @@ from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
+from geokit.errors import DeviceMemoryError
 
 if TYPE_CHECKING:
     import warp as wp
@@ -35,6 +37,9 @@ UNUSABLE = {errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR
 LEAST_FREE = 1 << 22
 # Memory for loading a compiled module, and for compiling one.
 LOAD_BYTES, COMPILE_BYTES = 20 << 20, 300 << 20
+# Stack of a thread: each of warp's kernels for CPUs takes 256 kB for tiles, and the neighbor search 341 kB of its own.
+# Where there is less, the process ends.
+LEAST_STACK = 1 << 20
 # Digest of a module's object and metadata.
 DIGEST_SUFFIX = ".blake2"
 MOST_CURES = 2
@@ -65,8 +70,10 @@ def load(module: Any, device: "wp.Device", block_dim: int, announce: Callable[[s
         block_dim: Threads of a block.
         announce: Called with the module's name before it is compiled.
     Raises:
-        DeviceMemoryError: There is too little memory to load or compile it.
+        DeviceMemoryError: There is too little memory to load or compile it, or too little stack to run it.
     """
+    if device.is_cpu:
+        _require_stack(module)
     cpu_level.choose(module)
     found = shipped.find(module, device, block_dim)
     # LLVM ends the process where it gets no memory.
@@ -84,6 +91,16 @@ def load(module: Any, device: "wp.Device", block_dim: int, announce: Callable[[s
                 raise
             _cure(module, block_dim, error)
     return _load_checked(module, device, block_dim, announce)
+
+
+def _require_stack(module: Any) -> None:
+    soft, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    if soft != resource.RLIM_INFINITY and soft < LEAST_STACK:
+        raise DeviceMemoryError(
+            f"kernels of {module.name}: need {LEAST_STACK >> 10} kB of stack, and the limit is {soft >> 10} kB "
+            "(ulimit -s); raise it, as in ulimit -s 8192",
+            need=LEAST_STACK,
+        )
 
 
 def _load_shipped(module: Any, device: "wp.Device", block_dim: int, found: Shipped) -> bool:

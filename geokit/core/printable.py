@@ -5,6 +5,18 @@ from __future__ import annotations
 __all__ = ["printable"]
 
 
-def printable(text: str) -> str:
-    """Text with everything that does not print, line ends among it, as an escape sequence of Python."""
-    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
+# Bytes of names that are no UTF-8, but for the control characters among them.
+_BYTES = range(0xDCA0, 0xDD00)
+
+
+def printable(text: str, *, keep_bytes: bool = False) -> str:
+    """Text with everything that does not print, line ends among it, as an escape sequence of Python.
+
+    Args:
+        text: The text.
+        keep_bytes: Leave bytes that are no UTF-8 as they are (surrogates), for output that writes them as they came.
+    """
+    kept = _BYTES if keep_bytes else ()
+    return "".join(
+        character if character.isprintable() or ord(character) in kept else repr(character)[1:-1] for character in text
+    )

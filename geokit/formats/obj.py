@@ -384,7 +384,8 @@ def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
     for row, material in _material_lines(mesh):
         above[row] = above.get(row, "") + f"usemtl {material}\n"
     tables = {kind: _table(mesh, name) for kind, name in (("vt", "uv"), ("vn", "normal"))}
-    with open(path, "w", encoding="utf-8", newline="\n") as file:
+    # Names of files that are no UTF-8 become names of meshes.
+    with open(path, "w", encoding="utf-8", errors="replace", newline="\n") as file:
         if mesh.materials:
             file.write(f"mtllib {mtl.library_name(stem)}\n")
         if not names:

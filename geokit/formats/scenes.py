@@ -17,6 +17,7 @@ from geokit._packages import require_package
 from geokit.core.files import refuse_pointer
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import gltf
+from geokit.formats.attributes.columns import utf8
 from geokit.formats.body import Body, FileMaterial
 from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.gltf import understood
@@ -145,7 +146,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     require_package("trimesh")
     import trimesh
 
-    name = mesh.name or "mesh"
+    name = utf8(mesh.name) or "mesh"
     content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
     scene = trimesh.Scene()
     scene.add_geometry(content, node_name=name, geom_name=name)

@@ -425,12 +425,13 @@ def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
     import numpy as np
     from pxr import Tf, Usd, UsdGeom, Vt
 
+    from geokit.formats.attributes.columns import utf8
     from geokit.formats.attributes.mtl import image_files
 
     stage = Usd.Stage.CreateInMemory()
     root = UsdGeom.Xform.Define(stage, "/root")
     stage.SetDefaultPrim(root.GetPrim())
-    prim = UsdGeom.Mesh.Define(stage, f"/root/{Tf.MakeValidIdentifier(mesh.name or 'mesh')}")
+    prim = UsdGeom.Mesh.Define(stage, f"/root/{Tf.MakeValidIdentifier(utf8(mesh.name) or 'mesh')}")
     points = np.ascontiguousarray(mesh.vertices, np.float32)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces).reshape(-1)))
@@ -456,11 +457,11 @@ def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
     for name, values, interpolation in arrays:
         _write_array(prim, name, values, interpolation, is_tint=rows is not None)
     packed = path.suffix.lower() == ".usdz"
-    names, files = image_files(mesh.materials, "image" if packed else stem)
+    images, files = image_files(mesh.materials, "image" if packed else stem)
     if rows is not None:
         from geokit.formats.scene_content.usd_materials import write_materials
 
-        write_materials(prim, mesh.materials, rows, names)
+        write_materials(prim, mesh.materials, rows, images)
     inside = {name: path.parent / f"image_{at}" for at, name in enumerate(files)} if packed else {}
     for name, place in inside.items():
         place.write_bytes(files[name])

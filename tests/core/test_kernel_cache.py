@@ -49,11 +49,11 @@ class Cache:
         self.code.mkdir()
         (self.code / "square_kernels.py").write_text(KERNEL)
 
-    def start(self, **environment: str) -> subprocess.Popen[str]:
+    def start(self, before: str = "", **environment: str) -> subprocess.Popen[str]:
         path = os.pathsep.join([str(self.code), *filter(None, [os.environ.get("PYTHONPATH")])])
         given = {"WARP_CACHE_PATH": str(self.root), "TMPDIR": str(self.temporary), "PYTHONPATH": path, **environment}
         return subprocess.Popen(
-            [sys.executable, "-c", SCRIPT],
+            [sys.executable, "-c", before + SCRIPT],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -175,6 +175,16 @@ def test_missing_files_are_made_again(cache):
             file.unlink()
         cache.run()
         assert cache.files(suffix)
+
+
+def test_too_little_stack_is_named(cache):
+    started = cache.start(before="import resource; resource.setrlimit(resource.RLIMIT_STACK, (1 << 18, 1 << 18))")
+    _, err = started.communicate(timeout=120)
+    assert started.returncode == 1
+    assert (
+        "DeviceMemoryError: kernels of square_kernels: need 1024 kB of stack, and the limit is 256 kB (ulimit -s)"
+        in err
+    )
 
 
 @pytest.mark.parametrize("home", ["/proc/nowhere", "/dev/null/home"])

@@ -197,6 +197,34 @@ def test_holes_and_instances_keep_materials(tmp_path):
     assert mesh.face_data["material"].tolist() == [0] * 4
 
 
+def test_purposes_collections_and_first_samples(tmp_path):
+    from pxr import Usd, UsdGeom, UsdShade
+
+    scene = Scene(tmp_path / "a.usda")
+    group = UsdGeom.Xform.Define(scene.stage, "/group")
+    squares = [scene.square(f"/group/s{number}") for number in range(4)]
+    red, blue, green = (
+        scene.material(name, diffuseColor=color)[0]
+        for name, color in (("red", (1, 0, 0)), ("blue", (0, 0, 1)), ("green", (0, 1, 0)))
+    )
+    collected = Usd.CollectionAPI.Apply(group.GetPrim(), "some")
+    collected.IncludePath("/group/s1")
+    UsdShade.MaterialBindingAPI.Apply(group.GetPrim()).Bind(collected, red)
+    full = UsdShade.MaterialBindingAPI.Apply(squares[2].GetPrim())
+    full.Bind(blue, materialPurpose="full")
+    both = UsdShade.MaterialBindingAPI.Apply(squares[3].GetPrim())
+    both.Bind(blue, materialPurpose="full")
+    both.Bind(green, materialPurpose="preview")
+    moving = scene.stage.GetPrimAtPath("/looks/green/surface").GetAttribute("inputs:diffuseColor")
+    moving.Clear()
+    moving.Set((0, 0.5, 0), 3.0)
+    mesh, said = scene.load()
+    assert not said
+    names = [mesh.materials[row].name if row >= 0 else "" for row in mesh.face_data["material"][::4]]
+    assert names == ["", "red", "blue", "green"]
+    assert mesh.materials[-1].color == (0, 0.5, 0, 1)
+
+
 def test_what_is_left_out_is_said(tmp_path):
     scene = Scene(tmp_path / "a.usda")
     square = scene.square("/square")

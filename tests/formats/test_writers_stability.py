@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -154,6 +155,28 @@ def test_meshes_under_names_in_no_encoding(tmp_path, kind):
             mesh.load(target)
     else:
         assert len(mesh.load(target).faces) == 1
+
+
+@pytest.mark.parametrize("kind", [kind for kind, row in FORMATS.items() if "w" in row.mesh])
+def test_meshes_that_have_their_names_from_such_files(tmp_path, kind):
+    image = mesh.Texture("a.png", b"\x89PNG")
+    named = mesh.TriangleMesh(
+        TRIANGLE.vertices,
+        TRIANGLE.faces,
+        name="mod\udce8le",
+        face_data={"material": [0]},
+        materials=[mesh.Material("m", None, image)],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # some hold no materials
+        mesh.save(os.fsencode(tmp_path / f"mod\udce8le{kind}"), named)
+        mesh.save(tmp_path / f"a{kind}", named)
+    mesh.save(tmp_path / f"b{kind}", mesh.TriangleMesh(named.vertices, named.faces, name=named.name))
+    assert len(mesh.load(tmp_path / f"b{kind}").faces) == 1
+    again = mesh.load(tmp_path / f"a{kind}")
+    assert len(again.faces) == 1
+    if FORMATS[kind].materials:
+        assert again.materials[0].texture.data == image.data
 
 
 @pytest.mark.parametrize("kind", [kind for kind, row in FORMATS.items() if "w" in row.points])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
 from geokit.volume.tree.typed_writer import rebuilt
 
 # Voxels of the box that the dense arrays cover: it holds everything but inactive background, with room to grow.
-LOW, HIGH = -48, 64
+LOW, HIGH = -40, 56
 METADATA = MappingProxyType({"author": "tests", "seed": 7})
 TRANSFORM = np.array([[0.5, 0.1, 0.0, 3.0], [0.0, 0.4, 0.0, -2.0], [0.0, 0.0, 0.3, 1.0], [0.0, 0.0, 0.0, 1.0]])
 
@@ -57,7 +58,7 @@ def random_grid(grid_type: str, seed: int, *, tiles: bool = True, speckles: bool
     is_mask = grid_type == "mask"
     background = np.zeros(kind.shape, kind.base) if is_mask else random_values(grid_type, rng, ())
     background = np.asarray(background, kind.base)
-    steps = np.arange(LOW + 24, HIGH - 24, 8)
+    steps = np.arange(LOW + 16, HIGH - 16, 8)
     places = np.stack(np.meshgrid(*3 * [steps], indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int32)
     places = places[rng.permutation(len(places))]
     count, extra = len(places) // 4, 12 if tiles else 0
@@ -117,10 +118,15 @@ def random_grid(grid_type: str, seed: int, *, tiles: bool = True, speckles: bool
 def dense_of(volume: SparseVolume) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Values and states of the voxels from LOW to HIGH - 1, as geokit's kernels read them."""
     values = volume.to_dense(bounds=[[LOW] * 3, [HIGH - 1] * 3], device="cpu").values
-    steps = np.arange(LOW, HIGH)
-    voxels = np.stack(np.meshgrid(*3 * [steps], indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
-    active = np.asarray(volume.active_at(voxels, space="index", device="cpu"))
-    return values, active.reshape(3 * (len(steps),))
+    active = np.asarray(volume.active_at(_voxels(), space="index", device="cpu"))
+    return values, active.reshape(3 * (HIGH - LOW,))
+
+
+@functools.cache
+def _voxels() -> NDArray[np.float64]:
+    found = np.moveaxis(np.indices(3 * (HIGH - LOW,), float), 0, -1).reshape(-1, 3) + LOW
+    found.flags.writeable = False
+    return found
 
 
 __all__ = ["HIGH", "LOW", "METADATA", "TRANSFORM", "RandomGrid", "bits_of", "dense_of", "random_grid", "random_values"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 from geokit.core.launches.warp_private import last_noted_error
@@ -13,6 +14,10 @@ __all__ = ["allocating", "sort_pairs"]
 
 # What several small allocations are rounded up to, together.
 ROUNDING = 1 << 20
+# Warp's sorts, and its trees and hash grids, which sort, have scratch memory for each stream, which threads share. If
+# two enqueue the kernels of their sorts in turn, the one spoils the scratch of the other, whose kernels may then wait
+# for each other for ever.
+_one_at_a_time = threading.RLock()
 
 
 class allocating:
@@ -21,6 +26,7 @@ class allocating:
     Without memory warp's sort leaves its keys as they are, and its trees are written to the address 0, after which the
     GPU is lost for the process. Warp notes the error of an allocation, but never forgets it. So the note tells what
     happened in this call only if there was none before; else the memory is asked for, and given back, before the call.
+    One thread at a time makes such calls on GPUs.
 
     Args:
         device: Where warp allocates. On a CPU nothing is done.
@@ -37,16 +43,27 @@ class allocating:
 
     def __enter__(self) -> None:
         self._had_error = False
-        if self._device.is_cuda:
+        if not self._device.is_cuda:
+            return
+        _one_at_a_time.acquire()
+        try:
             self._had_error = bool(last_noted_error())
             if self._fatal or self._had_error:
                 import warp as wp
 
                 wp.empty(self._size, dtype=wp.uint8, device=self._device)
+        except BaseException:
+            _one_at_a_time.release()
+            raise
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None and self._device.is_cuda and not self._had_error and last_noted_error():
-            raise RuntimeError(f"Failed to allocate {self._size} bytes on device '{self._device}'")
+        if not self._device.is_cuda:
+            return
+        try:
+            if kind is None and not self._had_error and last_noted_error():
+                raise RuntimeError(f"Failed to allocate {self._size} bytes on device '{self._device}'")
+        finally:
+            _one_at_a_time.release()
 
 
 def sort_pairs(keys: "wp.array", values: "wp.array", count: int, **bits: Any) -> None:

@@ -9,7 +9,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_columns", "free_name", "from_columns", "xml_name"]
+__all__ = ["as_columns", "free_name", "from_columns", "utf8", "xml_name"]
 
 # Names of the columns of arrays with a meaning: the first are written.
 _NAMES = {
@@ -65,6 +65,11 @@ def free_name(name: str, taken: Container[str]) -> str:
     while free in taken:
         free += "_"
     return free
+
+
+def utf8(name: str) -> str:
+    """A name with "?" for bytes that are no UTF-8: meshes may have theirs from names of files."""
+    return name.encode("utf-8", "replace").decode()
 
 
 def xml_name(name: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.attributes.columns import as_columns, from_columns
+from geokit.formats.attributes.columns import as_columns, from_columns, utf8
 from geokit.formats.body import FileMaterial
 from geokit.mesh._data import full_scale, has_meaning
 
@@ -232,7 +232,7 @@ def _written(mesh: TriangleMesh) -> tuple[dict[str, Any], bytes]:
         indices = binary.accessor(local.reshape(-1).astype(np.uint32), _INDICES, {})
         primitive = {"attributes": placed, "indices": indices, "mode": 4}
         primitives.append({**primitive, "material": material} if material >= 0 else primitive)
-    name = mesh.name or "mesh"
+    name = utf8(mesh.name) or "mesh"
     header: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "geokit"},
         "scene": 0,

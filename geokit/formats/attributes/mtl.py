@@ -171,7 +171,9 @@ def image_files(materials: Sequence[Material], stem: str) -> tuple[list[str], di
 
 
 def _word(text: str) -> str:
-    return "_".join(text.split())
+    """Text without spaces, and without the bytes of names that are no UTF-8."""
+    plain = text.encode("utf-8", "surrogateescape").decode("utf-8", "replace").replace("\ufffd", "_")
+    return "_".join(plain.split())
 
 
 def _free(name: str, taken: Iterable[str]) -> str:

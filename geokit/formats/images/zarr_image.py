@@ -34,6 +34,7 @@ from geokit.formats.images.image import (
     require_three,
 )
 from geokit.formats.images.stream import rows_at_a_time
+from geokit.formats.images.zarr_chunks import hold_chunks, open_store
 from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
@@ -57,7 +58,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
     zarr = require_package("zarr")
     _require_files(path)
     with reading(path):
-        node = zarr.open(str(path), mode="r")
+        node = zarr.open(open_store(path), mode="r")
         if not hasattr(node, "arrays"):
             return _of_array(path, node, "", {}, {}, limit)
         facts = dict(node.attrs)
@@ -92,6 +93,7 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
         raise FileFormatError(f"{path}: has chunks of {array.chunks} voxels; the file is damaged, export it again")
     # A whole chunk is decompressed, however little of it is part of the array.
     require_content(path, math.prod(map(int, array.chunks)) * dtype.itemsize, limit)
+    hold_chunks(path, array)
     named = getattr(getattr(array, "metadata", None), "dimension_names", None) or array.attrs.get("_ARRAY_DIMENSIONS")
     axes = scale.get("axes") or [{"name": one} for one in named or ()]
     axes = [one if isinstance(one, dict) else {"name": one} for one in axes]

@@ -75,8 +75,11 @@ class Materials:
     def _row(self, prim: Any) -> int:
         from pxr import UsdShade
 
-        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.preview)[0]
-        if not material:
+        bindings = UsdShade.MaterialBindingAPI(prim)
+        # Both purposes include those of any.
+        purposes = (UsdShade.Tokens.preview, UsdShade.Tokens.full)
+        material = next(filter(None, (bindings.ComputeBoundMaterial(purpose)[0] for purpose in purposes)), None)
+        if material is None:
             return -1
         prim = material.GetPrim()
         # Each instance has its own path to a material inside.

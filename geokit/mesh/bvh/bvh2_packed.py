@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.memory.unchecked import allocating
 from geokit.core.scan import prefix_sum
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ def wide_slots(corners: "wp.array") -> "wp.array":
     device, slots = corners.device, len(corners) // 3
     area = wp.empty(slots, dtype=wp.float64, device=device)
     launcher.launch(kernels.area_kernel, slots, [corners], [area], device)
-    whole = float(wp.utils.array_sum(area))
+    with allocating(device, slots):
+        whole = float(wp.utils.array_sum(area))
     is_wide = wp.empty(slots, dtype=wp.int32, device=device)
     launcher.launch(kernels.mark_wide_kernel, slots, [area, wp.float64(LEAST_SHARE * whole)], [is_wide], device)
     place, count = prefix_sum(is_wide)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
+import geokit as gk
 from geokit.core.launches import warp_private
 from geokit.core.memory import needs, unchecked
 from geokit.core.memory.unchecked import allocating, sort_pairs
@@ -89,3 +91,52 @@ def test_pairs_are_sorted(device: str) -> None:
     sort_pairs(keys, values, 1000)
     assert np.array_equal(keys.numpy()[:1000], np.arange(1000))
     assert np.array_equal(given[values.numpy()[:1000]], np.arange(1000))
+
+
+def _is_free() -> bool:
+    """Whether another thread could begin such a call now."""
+
+    def taken() -> bool:
+        got = unchecked._one_at_a_time.acquire(blocking=False)
+        if got:
+            unchecked._one_at_a_time.release()
+        return got
+
+    with ThreadPoolExecutor(1) as other:
+        return other.submit(taken).result()
+
+
+def test_one_thread_at_a_time_calls_on_gpus(noted: Noted) -> None:
+    with allocating(GPU, 100):
+        assert not _is_free()
+        with allocating(GPU, 100):  # of the same thread, within
+            pass
+        assert not _is_free()
+    assert _is_free()
+    with allocating(SimpleNamespace(is_cuda=False), 100):
+        assert _is_free()
+    with pytest.raises(RuntimeError), allocating(GPU, 100):
+        noted.error = "no memory"
+    assert _is_free()
+    noted.is_full = True
+    with pytest.raises(RuntimeError), allocating(GPU, 100):
+        pass
+    assert _is_free()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", DEVICES)
+def test_threads_that_sort_at_once_get_their_own_order(device: str) -> None:
+    """On a GPU warp's sorts of one stream have scratch memory in common: threads waited for each other for ever."""
+    rng = np.random.default_rng(4)
+    surface = gk.mesh.Surface(gk.mesh.torus(), device=device)
+    points = rng.uniform(-1.5, 1.5, (6, 60_000, 3))
+    expected = [surface.closest_point(part).distance for part in points]
+
+    def asked(k: int) -> bool:
+        grid = gk.points.NeighborGrid(points[k], 0.05, device=device)
+        found = [surface.closest_point(points[k]).distance for _ in range(3)]
+        return len(grid) == len(points[k]) and all(np.array_equal(one, expected[k]) for one in found)
+
+    with ThreadPoolExecutor(6) as pool:
+        assert all(pool.map(asked, range(6)))
