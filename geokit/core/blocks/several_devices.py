@@ -40,7 +40,7 @@ LEAST_ROWS_ON_GPUS = 1 << 20
 # Rows on the host are dealt in blocks, to whichever device is ready: so many to each at a time, so that one is copied
 # while another is answered, and each of at most so many rows.
 BLOCKS_AT_A_TIME = 2
-MOST_ROWS = 1 << 21
+MOST_ROWS = 1 << 20
 
 _Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
