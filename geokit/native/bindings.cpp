@@ -144,29 +144,6 @@ void write_points(nb::bytes path, nb::bytes name, double voxel_size, const std::
     geokit::write_points(target, points, compression);
 }
 
-auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
-{
-    geokit::PolygonMesh mesh;
-    {
-        nb::gil_scoped_release release;
-        geokit::check_nanovdb(buffer.data(), buffer.size());
-        mesh = geokit::volume_to_mesh(buffer.data(), isovalue, adaptivity);
-    }
-    return std::make_tuple(
-        to_array(std::move(mesh.points)), to_array(std::move(mesh.triangles)), to_array(std::move(mesh.quads)));
-}
-
-Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, double half_width)
-{
-    geokit::MappedBuffer buffer;
-    {
-        nb::gil_scoped_release release;
-        buffer = geokit::mesh_to_level_set(
-            points.data(), points.shape(0), triangles.data(), triangles.shape(0), voxel_size, half_width);
-    }
-    return to_array(std::move(buffer));
-}
-
 // OpenVDB's own exceptions concern arguments; all others pass through.
 template<typename Op>
 auto translated(Op&& op)
@@ -209,19 +186,46 @@ private:
     std::atomic<bool> raised_{false};
 };
 
+// Runs what may throw Interrupted, without the interpreter's lock.
+template<typename Op>
+auto interruptible(Op&& op)
+{
+    try {
+        nb::gil_scoped_release release;
+        return op();
+    } catch (const Interrupted&) {
+        throw nb::python_error();
+    }
+}
+
+auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
+{
+    SignalCheck check;
+    auto mesh = interruptible([&] {
+        geokit::check_nanovdb(buffer.data(), buffer.size());
+        return geokit::volume_to_mesh(buffer.data(), isovalue, adaptivity, std::ref(check));
+    });
+    return std::make_tuple(
+        to_array(std::move(mesh.points)), to_array(std::move(mesh.triangles)), to_array(std::move(mesh.quads)));
+}
+
+Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, double half_width)
+{
+    SignalCheck check;
+    return to_array(interruptible([&] {
+        return geokit::mesh_to_level_set(points.data(), points.shape(0), triangles.data(), triangles.shape(0),
+            voxel_size, half_width, std::ref(check));
+    }));
+}
+
 // Runs an operation that takes one or two checked buffers and returns one.
 template<typename Op>
 Bytes operate(ConstBytes a, Op&& op)
 {
-    geokit::MappedBuffer result;
-    try {
-        nb::gil_scoped_release release;
+    return to_array(interruptible([&] {
         geokit::check_nanovdb(a.data(), a.size());
-        result = translated([&] { return op(a.data()); });
-    } catch (const Interrupted&) {
-        throw nb::python_error();
-    }
-    return to_array(std::move(result));
+        return translated([&] { return op(a.data()); });
+    }));
 }
 
 template<typename Op>
@@ -235,7 +239,8 @@ Bytes operate(ConstBytes a, ConstBytes b, Op&& op)
 
 Bytes csg(ConstBytes a, ConstBytes b, const std::string& kind)
 {
-    return operate(a, b, [&](auto* first, auto* second) { return geokit::csg(first, second, kind); });
+    SignalCheck check;
+    return operate(a, b, [&](auto* first, auto* second) { return geokit::csg(first, second, kind, std::ref(check)); });
 }
 
 Bytes smooth_csg(ConstBytes a, ConstBytes b, const std::string& kind, double blend)
@@ -254,9 +259,11 @@ Bytes smooth(ConstBytes buffer, const std::string& method, int width, int iterat
 
 std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
 {
-    nb::gil_scoped_release release;
-    geokit::check_nanovdb(buffer.data(), buffer.size());
-    return translated([&] { return geokit::measure(buffer.data(), voxel_size); });
+    SignalCheck check;
+    return interruptible([&] {
+        geokit::check_nanovdb(buffer.data(), buffer.size());
+        return translated([&] { return geokit::measure(buffer.data(), voxel_size, std::ref(check)); });
+    });
 }
 
 } // namespace

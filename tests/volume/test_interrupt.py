@@ -1,4 +1,4 @@
-"""Ctrl-C ends OpenVDB's smoothing, and the next call works."""
+"""Ctrl-C ends OpenVDB's smoothing and its fields of meshes, and the next call works."""
 
 from __future__ import annotations
 
@@ -73,3 +73,35 @@ def test_smooth():
             watch.cancel()
             process.kill()
     assert process.returncode == 0, err
+
+
+# A handler that only counts is called again and again within one call of C++.
+COUNTED = """
+import signal
+import numpy as np
+import geokit as gk
+from geokit import native
+mesh = gk.mesh.sphere(1.0, segments=100)
+vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+calls = []
+def handler(*_):
+    calls.append(1)
+    if len(calls) == 4:
+        raise KeyboardInterrupt
+native.mesh_to_level_set(vertices, faces, voxel_size=0.1, half_width=3.0)
+signal.signal(signal.SIGALRM, handler)
+signal.setitimer(signal.ITIMER_REAL, 0.05, 0.05)
+try:
+    native.mesh_to_level_set(vertices, faces, voxel_size=0.003, half_width=3.0)
+except KeyboardInterrupt:
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    print("interrupted")
+    native.mesh_to_level_set(vertices, faces, voxel_size=0.1, half_width=3.0)
+    print("works")
+"""
+
+
+def test_a_field_of_a_mesh():
+    done = subprocess.run([sys.executable, "-c", COUNTED], capture_output=True, text=True, timeout=10 * LIMIT_SECONDS)
+    assert done.stdout.split() == ["interrupted", "works"], done.stderr
+    assert done.returncode == 0

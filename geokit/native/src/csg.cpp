@@ -56,14 +56,19 @@ const typename GridT::TreeType& second_tree(const openvdb::GridBase::Ptr& b)
 
 } // namespace
 
-MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind_name)
+MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind_name, const Pulse& pulse)
 {
     const Kind kind = kind_of(kind_name);
     const auto second = to_openvdb(b);
+    pulse();
     return on_real(to_openvdb(a), "CSG", [&](auto& grid) {
         using GridT = std::decay_t<decltype(grid)>;
+        // OpenVDB's own steps take no interrupter.
+        pulse();
         grid.setTree(combined(grid.tree(), second_tree<GridT>(second), kind));
+        pulse();
         openvdb::tools::pruneLevelSet(grid.tree());
+        pulse();
     });
 }
 

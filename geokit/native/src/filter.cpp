@@ -1,3 +1,4 @@
+#include "interrupter.h"
 #include "level_set.h"
 #include "operations.h"
 
@@ -6,17 +7,6 @@
 
 namespace geokit {
 namespace {
-
-// Gives OpenVDB's tools the pulse. They would go on with half-made values if it returned true; it throws instead.
-struct Interrupter : openvdb::util::NullInterrupter {
-    explicit Interrupter(const Pulse& pulse_) : pulse(pulse_) {}
-    bool wasInterrupted(int = -1) override
-    {
-        pulse();
-        return false;
-    }
-    const Pulse& pulse;
-};
 
 template<typename GridT>
 void smooth_level_set(

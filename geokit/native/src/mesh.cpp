@@ -2,6 +2,7 @@
 
 #include "convert.h"
 #include "errors.h"
+#include "interrupter.h"
 #include "transform.h"
 
 #include <openvdb/tools/MeshToVolume.h>
@@ -20,7 +21,7 @@ double determinant(const Affine& a)
 }
 
 template<typename GridT>
-PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity)
+PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity, const Pulse& pulse)
 {
     const Affine affine = affine_of(grid.transform());
     openvdb::CoordBBox bounds;
@@ -31,7 +32,9 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity)
     grid.setTransform(openvdb::math::Transform::Ptr(
         new openvdb::math::Transform(openvdb::math::MapBase::Ptr(new openvdb::math::TranslationMap(-first)))));
     openvdb::tools::VolumeToMesh mesher(isovalue, adaptivity);
-    mesher(grid);
+    pulse();
+    mesher(grid); // takes no interrupter
+    pulse();
     if (mesher.pointListSize() > size_t(std::numeric_limits<int32_t>::max())) {
         throw BridgeError("memory", "the surface has more than 2^31 points; resample the grid at a larger voxel size");
     }
@@ -91,19 +94,20 @@ struct MeshAdapter {
 
 } // namespace
 
-PolygonMesh volume_to_mesh(const uint8_t* data, double isovalue, double adaptivity)
+PolygonMesh volume_to_mesh(const uint8_t* data, double isovalue, double adaptivity, const Pulse& pulse)
 {
     initialize();
     const auto grid = to_openvdb(data);
-    if (auto floats = openvdb::gridPtrCast<openvdb::FloatGrid>(grid)) return polygonise(*floats, isovalue, adaptivity);
+    if (auto floats = openvdb::gridPtrCast<openvdb::FloatGrid>(grid))
+        return polygonise(*floats, isovalue, adaptivity, pulse);
     if (auto doubles = openvdb::gridPtrCast<openvdb::DoubleGrid>(grid))
-        return polygonise(*doubles, isovalue, adaptivity);
+        return polygonise(*doubles, isovalue, adaptivity, pulse);
     throw BridgeError(
         "unsupported", "a surface can be taken from float and double grids, not from " + grid->valueType());
 }
 
 MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const int32_t* triangles,
-    size_t triangle_count, double voxel_size, double half_width)
+    size_t triangle_count, double voxel_size, double half_width, const Pulse& pulse)
 {
     initialize();
     const MeshAdapter mesh{points, point_count, triangles, triangle_count, voxel_size};
@@ -111,7 +115,9 @@ MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const i
     for (int i = 0; i < 3; ++i) affine.linear[i][i] = voxel_size;
     const auto transform = transform_of(affine);
     const auto width = float(half_width);
-    const auto grid = openvdb::tools::meshToVolume<openvdb::FloatGrid>(mesh, *transform, width, width);
+    Interrupter interrupter(pulse);
+    const auto grid = openvdb::tools::meshToVolume<openvdb::FloatGrid>(interrupter, mesh, *transform, width, width);
+    pulse();
     return to_nanovdb(grid);
 }
 

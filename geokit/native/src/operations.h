@@ -5,9 +5,9 @@
 #pragma once
 
 #include "buffer.h"
+#include "pulse.h"
 
 #include <cstdint>
-#include <functional>
 #include <string>
 #include <utility>
 
@@ -16,11 +16,8 @@ namespace geokit {
 // Level sets below are float or double grids on one lattice of cubic voxels, both operands of one type. Lengths are in
 // voxels; `voxel_size` is the length of a voxel's edge in the unit of the values.
 
-// Long operations call it between pieces of work, from several threads. It throws where they are to stop.
-using Pulse = std::function<void()>;
-
 // "union", "intersection" or "difference" of level sets with equal backgrounds: minimum or maximum per voxel.
-MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind);
+MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind, const Pulse& pulse);
 
 // The same with a polynomial smooth minimum of the given blending width [unit of the values]. Both bands must reach
 // `blend` beyond the surface. The result is not a distance field yet.
@@ -31,6 +28,6 @@ MappedBuffer smooth(
     const uint8_t* data, const std::string& method, int width, int iterations, double voxel_size, const Pulse& pulse);
 
 // Area [voxels^2] and volume [voxels^3] of a level set.
-std::pair<double, double> measure(const uint8_t* data, double voxel_size);
+std::pair<double, double> measure(const uint8_t* data, double voxel_size, const Pulse& pulse);
 
 } // namespace geokit
