@@ -70,6 +70,9 @@ def boundary_of(surface: Surface) -> Boundary:
     make_surface = partial(type(surface), device=surface._device)
     read = read_solids(oriented, given, size, make_surface)
     crowded, alone = _by_contact(read.bodies, read.solids, CONTACT * size)
+    distinct = _without_copies(oriented, crowded)
+    has_copies = len(distinct) < len(crowded)
+    crowded, alone = (distinct, alone) if len(distinct) > 1 else ([], [*alone, *distinct])
     if crowded and given._sign_choice.method == "pseudonormal" and not _touch(read.bodies, crowded, size, make_surface):
         crowded, alone = [], read.solids
     pieces, kept = _joined(oriented, read, crowded, size) if crowded else (None, "")
@@ -80,7 +83,7 @@ def boundary_of(surface: Surface) -> Boundary:
         kept = self_overlap(oriented, judge, CONTACT * size, np.concatenate(alone))
     inner, sheets = read.inner, read.sheets
     unchanged = unchanged._replace(kept=kept)
-    if pieces is None and not len(inner):
+    if pieces is None and not len(inner) and not has_copies:
         return unchanged
     rest = [*alone, np.setdiff1d(sheets, inner), *(crowded if pieces is None else [])]
     result = _assembled(oriented, np.concatenate(rest), pieces)
@@ -126,6 +129,31 @@ def _by_contact(
     several = set(names[counts > 1].tolist())
     crowded = [rows for rows, name in zip(solids, of_solid, strict=True) if name in several]
     return crowded, [rows for rows, name in zip(solids, of_solid, strict=True) if name not in several]
+
+
+def _without_copies(mesh: TriangleMesh, solids: list[NDArray[np.int64]]) -> list[NDArray[np.int64]]:
+    """The solids of which no earlier one has the same faces: manifold3d may leave a fold where two are the same."""
+    kept: list[NDArray[np.int64]] = []
+    alike: dict[bytes, list[NDArray[np.int64]]] = {}
+    for rows in solids:
+        corners = mesh.vertices[mesh.faces[rows]]
+        key = np.concatenate([corners.min(axis=(0, 1)), corners.max(axis=(0, 1)), [len(rows)]]).tobytes()
+        alike.setdefault(key, []).append(rows)
+    for group in alike.values():
+        faces = [_canonical(mesh.vertices[mesh.faces[rows]]) for rows in group if len(group) > 1]
+        for k, rows in enumerate(group):
+            if not any(all(map(np.array_equal, faces[k], faces[j])) for j in range(k)):
+                kept.append(rows)
+    return kept
+
+
+def _canonical(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Positions and faces in an order that is the same for the same faces."""
+    places, at = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    at = at.reshape(-1, 3)
+    first = at.argmin(axis=1)[:, None]
+    at = np.take_along_axis(at, (first + np.arange(3)) % 3, axis=1)
+    return places, at[np.lexsort(at.T)]
 
 
 def _joined(

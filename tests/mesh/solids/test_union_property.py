@@ -101,3 +101,19 @@ def test_walls_that_are_there_once_are_removed_or_the_mesh_is_open(spans: list, 
     if gk.mesh.audit(found).boundary_edge_count == 0:
         assert abs(found.volume) == pytest.approx(volume, rel=1e-6)
         assert found.area == pytest.approx(area, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [40, 66, 10700, 3])
+@pytest.mark.parametrize("kind", ["b", "t"])
+def test_a_body_that_is_there_twice_counts_once(kind: str, seed: int) -> None:
+    """manifold3d leaves a fold in the union of some bodies with themselves."""
+    one, other = body(kind, seed), body("s", seed + 1)
+    shuffled = TriangleMesh(one.vertices, np.roll(np.random.default_rng(seed).permutation(one.faces), 1, axis=1))
+    for mesh in (concatenated(one, one), concatenated(one, shuffled, one)):
+        found = union(mesh)
+        assert found.face_count == one.face_count
+        assert found.volume == pytest.approx(one.volume, rel=1e-9)
+    twice, once = union(concatenated(one, other, one, other)), union(concatenated(one, other))
+    assert twice.volume == pytest.approx(once.volume, rel=1e-9)
+    assert twice.area == pytest.approx(once.area, rel=1e-9)
