@@ -19,12 +19,12 @@ __all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_tab
 
 def say(message: str) -> None:
     """Print a line on stdout. Names of files, and names in files, may hold what a terminal obeys: it is escaped."""
-    print(printable(message, keep_bytes=True), flush=True)
+    print(printable(message), flush=True)
 
 
 def note(message: str) -> None:
     """Print a notice on stderr."""
-    print(f"geokit: {printable(message, keep_bytes=True)}", file=sys.stderr, flush=True)
+    print(f"geokit: {printable(message)}", file=sys.stderr, flush=True)
 
 
 def announce_compiling() -> None:
@@ -85,7 +85,7 @@ def _shown(value: Any) -> str:
         return _shown(value.tolist())
     if isinstance(value, (list, tuple)):
         return "(" + ", ".join(_shown(item) for item in value) + ")"
-    return "none" if value is None else printable(str(value), keep_bytes=True)
+    return "none" if value is None else printable(str(value))
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:
@@ -96,7 +96,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
     from rich.text import Text
 
     table = Table(
-        title=escape(printable(title, keep_bytes=True)) or None,
+        title=escape(printable(title)) or None,
         title_justify="left",
         box=None,
         pad_edge=False,
@@ -152,7 +152,7 @@ def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[St
         quiet: Show nothing.
         lines: Print a plain line at the end even if stderr is not a terminal.
     """
-    current = Step(printable(title, keep_bytes=True))
+    current = Step(printable(title))
     if quiet:
         yield current
         return
@@ -170,7 +170,7 @@ def step(title: str, *, quiet: bool = False, lines: bool = False) -> Iterator[St
     seconds = time.perf_counter() - current.started
     if not (lines or sys.stderr.isatty()):
         return
-    tail = f": {printable(current.result, keep_bytes=True)}" if current.result else ""
+    tail = f": {printable(current.result)}" if current.result else ""
     print(f"{current.title}{tail}  [{seconds:.2f} s]", file=sys.stderr, flush=True)
 
 

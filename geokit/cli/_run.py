@@ -76,7 +76,7 @@ def _discard_output() -> None:
 
 def show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print a warning like other notices, without the place in the library that raised it."""
-    print(f"geokit: warning: {printable(' '.join(str(message).split()), keep_bytes=True)}", file=sys.stderr, flush=True)
+    print(f"geokit: warning: {printable(' '.join(str(message).split()))}", file=sys.stderr, flush=True)
 
 
 def usage_message(error: BaseException) -> str:
@@ -95,7 +95,7 @@ def usage_message(error: BaseException) -> str:
 def _fail(message: str, code: int, *, hint: str = "") -> int:
     if _debugging() and code not in (USAGE, INTERRUPTED):
         traceback.print_exc()
-    line = printable(" ".join(message.split()), keep_bytes=True)
+    line = printable(" ".join(message.split()))
     print(f"geokit: {line}{hint}", file=sys.stderr)
     return code
 

@@ -283,4 +283,4 @@ def in_one_line(text: str, most: int = 300) -> str:
         most: Number of characters after which it is cut.
     """
     shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
-    return printable(shown)
+    return printable(shown, escape_bytes=True)

@@ -9,14 +9,14 @@ __all__ = ["printable"]
 _BYTES = range(0xDCA0, 0xDD00)
 
 
-def printable(text: str, *, keep_bytes: bool = False) -> str:
+def printable(text: str, *, escape_bytes: bool = False) -> str:
     """Text with everything that does not print, line ends among it, as an escape sequence of Python.
 
     Args:
         text: The text.
-        keep_bytes: Leave bytes that are no UTF-8 as they are (surrogates), for output that writes them as they came.
+        escape_bytes: Also bytes that are no UTF-8 (surrogates); else they stay, for output that writes them as is.
     """
-    kept = _BYTES if keep_bytes else ()
+    kept = () if escape_bytes else _BYTES
     return "".join(
         character if character.isprintable() or ord(character) in kept else repr(character)[1:-1] for character in text
     )

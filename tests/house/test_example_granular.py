@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import ast
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support.scripts import run_script
+from tests.support.scripts import EXAMPLES, import_example, run_script
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # Forces are float32: 24 bits of positions of 0.1 m leave 1e-8 m, which is 1e-2 of the overlaps at rest of soft grains
 # and less of all others.
 OVERLAP_TOLERANCE = 0.02
@@ -22,12 +20,7 @@ STEP = 2e-5
 
 @pytest.fixture(scope="module")
 def granular():
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        import granular as module
-    finally:
-        sys.path.remove(str(EXAMPLES))
-    return module
+    return import_example("granular")
 
 
 def floor(radius):

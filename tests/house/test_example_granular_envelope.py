@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+from tests.support.scripts import import_example
+
 # A packing that has settled still creeps, and how fast it does varies by less than this factor.
 CREEP = 2.0
 # By so much an unstable mode exceeds the creep, before friction bounds it: far enough from CREEP to tell them apart.
@@ -19,13 +17,7 @@ STABLE, UNSTABLE = 0.95, 1.2
 
 @pytest.fixture(scope="module")
 def modules():
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        import granular
-        import granular_charts
-    finally:
-        sys.path.remove(str(EXAMPLES))
-    return granular, granular_charts
+    return import_example("granular"), import_example("granular_charts")
 
 
 def pair(granular, *, speed=0.1, gap=0.02, **kinds):

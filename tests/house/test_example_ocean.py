@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import geokit as gk
 from geokit import native
-from tests.support.scripts import run_script
+from tests.support.scripts import EXAMPLES, import_example, run_script
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CUBE, BALL = 1.1, 0.6
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -20,12 +18,7 @@ pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built
 
 @pytest.fixture(scope="module")
 def ocean():
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        import ocean as module
-    finally:
-        sys.path.remove(str(EXAMPLES))
-    return module
+    return import_example("ocean")
 
 
 def cube_and_ball(density):

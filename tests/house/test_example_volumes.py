@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 
 from geokit import native
-from tests.support.scripts import run_script
+from tests.support.scripts import EXAMPLES, run_script
 
 pytestmark = pytest.mark.slow
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def run(name: str, *arguments: object, cwd: Path) -> str:

@@ -1,16 +1,27 @@
-"""Scripts run as programs, in this process, which has imported what they import and loaded their kernels."""
+"""Scripts and examples, run in this process, which has imported what they import and loaded their kernels."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import runpy
 import warnings
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-__all__ = ["run_script"]
+__all__ = ["EXAMPLES", "import_example", "run_script"]
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def import_example(name: str) -> ModuleType:
+    """An example as a module; what it imports stands beside it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(EXAMPLES)
+        return importlib.import_module(name)
 
 
 def run_script(path: Path, *arguments: object, folder: Path) -> str:

@@ -116,7 +116,7 @@ class Asked:
 
 def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | None]]:
     """Largest radius of each class of similar radii, and the queries of the class; None for all queries."""
-    if len(radius) != count or count == 1:
+    if len(radius) != count or count < 2:
         return [(float(radius[0]), None)] if len(radius) else []
     largest, smallest = float(radius.max()), float(radius.min())
     if largest <= CLASS_RATIO * smallest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 import geokit as gk
 from geokit.core import launcher
-from geokit.core.blocks import several_devices
+from geokit.core.blocks import several_devices, shared_rows
 from geokit.errors import InputError
 from tests.support.devices import DEVICES
 
@@ -27,6 +28,7 @@ TURN = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.
 @pytest.fixture(autouse=True)
 def few_rows_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(several_devices, "LEAST_ROWS", 100)
+    monkeypatch.setattr(shared_rows, "LEAST_ROWS_OF_A_BLOCK", 100)
     monkeypatch.setattr(several_devices, "_is_on_gpu", lambda rows: False)
 
 
@@ -35,20 +37,18 @@ def parts_asked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers of parts of the calls so far: a part for each device, of rows on the host blocks of 100."""
     asked: list[int] = []
 
-    class Noted(several_devices._Whole):
-        def __init__(self, total: int) -> None:
-            super().__init__(total)
-            self.count = 0
+    class Noted(shared_rows._Whole):
+        count = 0
 
-        def put(self, k: int, first: int, answer: Any) -> None:
+        def put(self, first: int, answer: Any, stream: Any = None) -> None:
             self.count += 1
-            super().put(k, first, answer)
+            super().put(first, answer, stream)
 
-        def answer(self, like: Any) -> Any:
+        def answer(self, to_caller: Any = None) -> Any:
             asked.append(self.count)
-            return super().answer(like)
+            return super().answer(to_caller)
 
-    monkeypatch.setattr(several_devices, "_Whole", Noted)
+    monkeypatch.setattr(shared_rows, "_Whole", Noted)
     return asked
 
 
@@ -307,6 +307,21 @@ def require_equal_containers(found: Any, expected: Any) -> None:
         np.testing.assert_array_equal(*host)
 
 
+@pytest.mark.parametrize("is_quick", [False, True])
+def test_the_device_that_has_the_rows_of_a_quick_query_answers_more_of_them(is_quick: bool) -> None:
+    home: Any = object()
+    away: Any = object()
+    asked = shared_rows.Question([len, len], [away, home], [POINTS], [], {}, is_quick=is_quick)
+    few, own = (list(part) for part in asked._parts(home, COUNT))
+    assert len(few) == (shared_rows.PIECES if is_quick else 1)
+    assert len(own) == 1
+    pieces = [*few, *own]
+    assert pieces[0][0] == 0
+    assert pieces[-1][1] == COUNT
+    assert all(one[1] == other[0] for one, other in itertools.pairwise(pieces))
+    assert own[0][0] == (444 if is_quick else 500)
+
+
 def test_errors_count_the_rows_of_the_caller() -> None:
     surface = gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
     bad = POINTS.copy()
@@ -368,17 +383,17 @@ def test_an_error_or_an_interrupt_ends_the_other_blocks(monkeypatch: pytest.Monk
     """Blocks that nobody has begun are not asked any more."""
     asked: list[int] = []
     surface = gk.mesh.Surface(gk.mesh.torus(), device=SHARED)
-    put = several_devices._Whole.put
+    put = shared_rows._Whole.put
 
-    def stopped(whole: Any, k: int, first: int, answer: Any) -> None:
-        asked.append(k)
-        if k == 0:
+    def stopped(whole: Any, first: int, answer: Any, stream: Any = None) -> None:
+        asked.append(first)
+        if first == 0:
             raise KeyboardInterrupt
-        put(whole, k, first, answer)
+        put(whole, first, answer, stream)
 
-    monkeypatch.setattr(several_devices._Whole, "put", stopped)
+    monkeypatch.setattr(shared_rows._Whole, "put", stopped)
     many = np.tile(POINTS, (100, 1))
-    monkeypatch.setattr(several_devices, "MOST_ROWS", 500)
+    monkeypatch.setattr(shared_rows, "MOST_ROWS_OF_A_BLOCK", 500)
     with pytest.raises(KeyboardInterrupt):
         surface.closest_point(many)
     assert len(asked) < 200

@@ -182,6 +182,12 @@ def test_blocks_of_no_queries_and_a_bad_budget(grid):
         grid.radius_search_blocks(memory=0)
 
 
+def test_no_queries_with_a_radius_for_each(grid):
+    nothing = np.zeros((0, 3))
+    assert grid.count(nothing, radius=np.zeros(0)).shape == (0,)
+    assert grid.radius_search(nothing, radius=np.zeros(0)).offsets.tolist() == [0]
+
+
 def test_pairs_are_those_of_the_tree(grid):
     pairs = grid.pairs()
     wanted = TREE.query_pairs(RADIUS, output_type="ndarray")
