@@ -191,7 +191,7 @@ def runs(names: Sequence[str], limits: int, scale: float) -> Iterator[dict[str, 
             warm(Path(folder) / "warm", names)
         scene = LargeScene(Path(folder), scale)
         # What an import takes is no need of an operation.
-        for library in ("trimesh", "meshio", "pyvista", *(("dask.array",) if MORE else ())):
+        for library in ("trimesh", "meshio", "pyvista", *(("dask.array", "distributed") if MORE else ())):
             importlib.import_module(library)
         # By VTK, whose threads would not survive a fork.
         apart(lambda: {"end": gk.mesh.save(Path(folder) / "mesh.vtp", scene.mesh)})
