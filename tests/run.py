@@ -26,6 +26,8 @@ PASSED = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
 def run(arguments: list[str], failed: Path | None = None) -> int:
     environment = dict(os.environ)
     environment.pop("GEOKIT_TEST_FAILED", None)
+    # Each of hundreds of processes would compile the package anew, and each worker the tests.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     if failed is not None:
         environment["GEOKIT_TEST_FAILED"] = str(failed)
     return subprocess.run([sys.executable, "-m", "pytest", *arguments], env=environment).returncode

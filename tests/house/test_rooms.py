@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import pkgutil
 import re
@@ -59,12 +60,13 @@ def is_type_checking(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
 
 
+@functools.cache
 def imports_of(path: Path) -> list[tuple[str, bool]]:
     """Imported names in full, and whether inside a function; those for annotations only are left out."""
     found: list[tuple[str, bool]] = []
 
     def visit(node: ast.AST, inside: bool) -> None:
-        if is_type_checking(node):
+        if isinstance(node, ast.expr) or is_type_checking(node):
             return
         if isinstance(node, ast.Import):
             found.extend((alias.name, inside) for alias in node.names)
@@ -107,6 +109,7 @@ def resolved(name: str) -> str | None:
     return None
 
 
+@functools.cache
 def edges() -> dict[str, list[tuple[str, bool]]]:
     found: dict[str, list[tuple[str, bool]]] = defaultdict(list)
     for path in FILES:
@@ -117,16 +120,13 @@ def edges() -> dict[str, list[tuple[str, bool]]]:
     return found
 
 
-EDGES = edges()
-
-
 def test_imports_only_from_rooms_before():
     for path in FILES:
         name = name_of(path)
         if not name:
             continue
         room = room_of(name)
-        for target, inside in EDGES[name]:
+        for target, inside in edges()[name]:
             other = room_of(target)
             forwards = name in FORWARDING and inside and target.split("/")[0] == name.split("/")[0]
             assert forwards or ROOMS[other].rank <= ROOMS[room].rank, (
@@ -140,14 +140,14 @@ def test_meshes_and_volumes_meet_only_where_layers_says():
         door = name.split("/")[0]
         if door not in ("mesh", "volume"):
             continue
-        met = {target.split("/")[0] for target, _ in EDGES[name]} & ({"mesh", "volume"} - {door})
+        met = {target.split("/")[0] for target, _ in edges()[name]} & ({"mesh", "volume"} - {door})
         assert met <= {ROOMS[room_of(name)].meets}, f"geokit/{name} imports {met}; geokit/LAYERS does not allow it"
 
 
 def test_no_import_circle():
     graph = {
         name: {target for target, inside in targets if not (name in FORWARDING and inside)}
-        for name, targets in EDGES.items()
+        for name, targets in edges().items()
     }
     done: set[str] = set()
 

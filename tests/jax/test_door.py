@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+# Most of the time is spent in compiling what runs once.
+QUICK_XLA = {**os.environ, "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
 
 SCRIPT = """
 import jax, jax.numpy as jnp, numpy as np
@@ -18,9 +21,13 @@ from jax.test_util import check_grads as held
 import geokit as gk
 from geokit.volume.nanovdb.nodes import grid_nodes
 from geokit.volume.tree.leaves import assemble, leaves_of
+from tests.support.effort import of_all
 
 def check_grads(ask, given, order=1, **_):
     held(ask, given, order=order, modes=["rev"], rtol=1e-4, atol=1e-6, eps=1e-6)
+
+# Compiled as a whole; outside of jit XLA compiles each operation for itself, which takes most of the time here.
+whole = of_all(jax.jit, lambda ask: ask)
 
 def refused(message, call, *args, **kwargs):
     try:
@@ -48,10 +55,10 @@ def winding(vertices, points):
     return gk.jax.Surface(vertices, faces[9:], device="cpu").winding_number(points, as_given=True)
 for made, other in zip(distances(vertices, points), (plain.closest_point, plain.signed_distance)):
     assert (np.asarray(made) == other(np.asarray(points)).distance).all()
-for ask in (distances, hits):
-    check_grads(ask, (vertices, points))
+check_grads(of_all(lambda *x: distances(*x)[1], distances), (vertices, points), order=2)
+check_grads(whole(hits), (vertices, points))
+for ask in of_all((distances,), (distances, hits)):
     check_grads(jax.jit(ask), (vertices, points))
-check_grads(distances, (vertices, points), order=2)
 def exact(vertices, points):
     a, b, c = (vertices[faces[9:, k]][None] - points[:, None] for k in range(3))
     la, lb, lc = (jnp.linalg.norm(side, axis=-1) for side in (a, b, c))
@@ -63,8 +70,9 @@ for which in (0, 1):
     assert jnp.allclose(slope(vertices, points), other(vertices, points), atol=1e-10)
 slopes = jax.grad(lambda v: distances(v, points)[1].sum())
 many = jnp.stack([vertices, vertices * 1.25])
-assert jnp.allclose(jax.vmap(slopes)(many), jnp.stack([slopes(v) for v in many]), atol=1e-14)
-assert jnp.allclose(jax.jit(jax.vmap(slopes))(many), jax.vmap(slopes)(many), atol=1e-14)
+each = jnp.stack([whole(slopes)(v) for v in many])
+for ask in of_all((), (jax.vmap(slopes),)) + (jax.jit(jax.vmap(slopes)),):
+    assert jnp.allclose(ask(many), each, atol=1e-14)
 both = jax.vmap(lambda p: surface(vertices).closest_point(p).distance)(points.reshape(2, 3, 3))
 assert (both.ravel() == distances(vertices, points)[0]).all()
 with jax.checking_leaks():
@@ -77,7 +85,7 @@ refused("faces", gk.jax.Surface, vertices, [[0, 1, 999]])
 def many(vertices):
     return gk.mesh.Surfaces((vertices, faces, [0, 40, len(faces)]), device="cpu")
 check_grads(jax.jit(lambda p: many(ball.vertices).closest_point(p, [0, 2, 6])[:2]), (points,))
-check_grads(lambda o: many(ball.vertices).raycast(o, -points, [0, 2, 6]).t.clip(0.0, 9.0), (points * 3.0,))
+check_grads(whole(lambda o: many(ball.vertices).raycast(o, -points, [0, 2, 6]).t.clip(0.0, 9.0)), (points * 3.0,))
 refused("geokit.jax.Surface", jax.grad(lambda v: many(v).raycast(points, points, [0, 2, 6]).t.sum()), vertices)
 refused("faces", jax.jit(lambda f: gk.jax.Surface(vertices, f).closest_point(points)), jnp.asarray(faces))
 
@@ -94,16 +102,16 @@ for order in (1, 2, 3):
     assert np.allclose(samples(order)(values, places), double.sample(np.asarray(places), order=order), atol=1e-6)
     check_grads(jax.jit(samples(order)), (values, places))
 check_grads(
-    lambda v, p: gk.volume.gradient(gk.jax.with_values(double, v), p, order=1, device="cpu"),
+    whole(lambda v, p: gk.volume.gradient(gk.jax.with_values(double, v), p, order=1, device="cpu")),
     (values, places),
 )
 check_grads(
-    lambda v, o: gk.volume.raycast(gk.jax.with_values(double, v), o, -places, device="cpu").t,
+    whole(lambda v, o: gk.volume.raycast(gk.jax.with_values(double, v), o, -places, device="cpu").t),
     (values, places * 4.0),
 )
 two = jnp.stack([values, values + 0.1])
 slopes = jax.grad(lambda v: (samples(1)(v, places) ** 2).sum())
-assert jnp.allclose(jax.jit(jax.vmap(slopes))(two), jnp.stack([slopes(v) for v in two]), atol=1e-14)
+assert jnp.allclose(jax.jit(jax.vmap(slopes))(two), jnp.stack([whole(slopes)(v) for v in two]), atol=1e-14)
 refused("one for each active voxel", gk.jax.with_values, double, values[:3])
 refused("not an array of jax", gk.jax.with_values, double, values.tolist())
 refused("take order 1", jax.grad(lambda v: gk.jax.with_values(double, v).gradient(places, order=2).sum()), values)
@@ -115,10 +123,10 @@ for kernel in ("cubic_spline", "wendland_c2", "poly6"):
     def density(points, queries=None):
         return gk.points.density(points, radius=0.4, kernel=kernel, mass=2.0, queries=queries, device="cpu")
     check_grads(jax.jit(density), (cloud,))
-    check_grads(density, (cloud, asked))
+    check_grads(whole(density), (cloud, asked))
 clouds = jnp.stack([cloud, cloud * 0.9])
 slopes = jax.grad(lambda points: (density(points) ** 2).sum())
-assert jnp.allclose(jax.vmap(slopes)(clouds), jnp.stack([slopes(c) for c in clouds]), atol=1e-12)
+assert jnp.allclose(jax.vmap(slopes)(clouds), jnp.stack([whole(slopes)(c) for c in clouds]), atol=1e-12)
 refused("second derivatives", jax.grad(lambda p: slopes(p).sum()), cloud)
 refused("'count'", jax.grad(lambda p: gk.points.density(p, radius=0.4, device="cpu").sum()), cloud)
 pairs = jax.vmap(lambda a: gk.points.chamfer(a, asked, device="cpu").distance)(clouds)
@@ -147,6 +155,8 @@ print("all held")
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("jax") is None, reason="needs jax")
 def test_vertices_values_and_densities():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], cwd=ROOT, env=QUICK_XLA, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "all held" in done.stdout

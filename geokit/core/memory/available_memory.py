@@ -31,7 +31,10 @@ def available_host() -> int:
     The least of the system's free memory, what the limits of its control groups leave (versions 1 and 2, also those of
     groups around its own), and what its limit of address space (``ulimit -v``) leaves.
     """
-    return min(_free(), _control_group_rest(), _address_space_rest())
+    try:
+        return min(_free(), _control_group_rest(), _address_space_rest())
+    except MemoryError:  # not even for a line of text
+        return 0
 
 
 def available(device: "wp.Device") -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +11,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+# Most of the time is spent in compiling what runs once.
+QUICK_XLA = {**os.environ, "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"}
 
 SCRIPT = """
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 from jax.test_util import check_grads
 import geokit as gk
+from tests.support.effort import of_all
+
+# Compiled as a whole; outside of jit XLA compiles each operation for itself, which takes most of the time here.
+whole = of_all(jax.jit, lambda ask: ask)
 
 random = np.random.default_rng(0)
 body = gk.mesh.load("data/samples/bracket.obj")
@@ -34,14 +41,15 @@ slope = jax.jit(jax.grad(lambda p: (surface.signed_distance(p).distance ** 2).su
 assert slope.shape == (20, 3)
 
 a, b = (jnp.asarray(random.random((count, 3))) for count in (15, 12))
-check_grads(lambda a, b: gk.points.chamfer(a, b, device="cpu").distance, (a, b), order=1, modes=["rev"])
+check_grads(whole(lambda a, b: gk.points.chamfer(a, b, device="cpu").distance), (a, b), order=1, modes=["rev"])
 grid = gk.points.NeighborGrid(np.asarray(a), device="cpu")
 check_grads(jax.jit(lambda b: grid.knn(b, k=2).distance), (b,), order=2, modes=["rev"])
 
 field = gk.volume.from_function(lambda p: np.linalg.norm(p, axis=1) - 1.0, [[-2, -2, -2], [2, 2, 2]], 0.5)
 places = jnp.asarray(random.standard_normal((10, 3)) * 0.6)
 for order in (1, 2, 3):
-    check_grads(lambda p: gk.volume.sample(field, p, order=order, device="cpu"), (places,), order=2, modes=["rev"])
+    sampled = whole(lambda p: gk.volume.sample(field, p, order=order, device="cpu"))
+    check_grads(sampled, (places,), order=2, modes=["rev"])
 try:
     jax.grad(lambda p: gk.volume.sample(field, p, order=0, device="cpu").sum())(places)
 except gk.InputError as error:
@@ -54,5 +62,7 @@ else:
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("jax") is None, reason="needs jax")
 def test_gradients():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], cwd=ROOT, env=QUICK_XLA, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr[-3000:]

@@ -51,6 +51,15 @@ def test_each_way_of_running_out_has_one_name(error) -> None:
     assert pickle.loads(pickle.dumps(raised.value)).need == 3 * MIB
 
 
+def test_memory_that_ends_while_it_is_asked_for_has_the_same_name(monkeypatch) -> None:
+    def no_line() -> int:
+        raise MemoryError
+
+    monkeypatch.setattr(available_memory, "_free", no_line)
+    with pytest.raises(DeviceMemoryError, match="work: needs about 3 MiB, of 0 MiB free"):
+        failing(MemoryError())(3 * MIB)
+
+
 @pytest.mark.parametrize("error", [InputError("x"), ValueError("allocate"), RuntimeError("x"), OSError(2, "x")])
 def test_other_errors_pass(error) -> None:
     with pytest.raises(type(error)) as raised:

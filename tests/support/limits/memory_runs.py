@@ -3,8 +3,8 @@
 python -m tests.support.limits.memory_runs peaks          # a JSON line for each operation
 python -m tests.support.limits.memory_runs limits [COUNT]  # COUNT limits for each; prints what ends badly
 
-PART=2/8 takes every eighth operation, ALL=1 the slow ones too; SCALE=0.5 halves the operands, WARM=1 loads all kernels
-first.
+PART=2/8 takes every eighth operation, ALL=1 the slow ones too, ONCE=1 each function in its last form, which does most;
+SCALE=0.5 halves the operands, WARM=1 loads all kernels first.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def runs(names: Sequence[str], limits: int, scale: float) -> Iterator[dict[str, 
             warm(Path(folder) / "warm", names)
         scene = LargeScene(Path(folder), scale)
         # What an import takes is no need of an operation.
-        for library in ("trimesh", "meshio", "pyvista", *(("dask.array",) if MORE else ())):
+        for library in ("trimesh", "meshio", "pyvista", *(("dask.array", "distributed") if MORE else ())):
             importlib.import_module(library)
         # By VTK, whose threads would not survive a fork.
         apart(lambda: {"end": gk.mesh.save(Path(folder) / "mesh.vtp", scene.mesh)})
@@ -199,19 +199,19 @@ def runs(names: Sequence[str], limits: int, scale: float) -> Iterator[dict[str, 
         gc.collect()
         gc.freeze()
         part, parts = (int(word) for word in os.environ.get("PART", "0/1").split("/"))
-        for k, call in enumerate(large_calls(scene)):
-            if k % parts != part:
-                continue
-            whole, _, _ = call.name.partition("(")
-            if call.name in SLOW and call.name not in names and not os.environ.get("ALL"):
-                continue
-            if names and call.name not in names and whole not in names:
-                continue
+        for call in _chosen(list(large_calls(scene))[part::parts], names):
             peak = apart(lambda call=call: peak_of(call))
             yield {"name": call.name, **peak}
             for step in range(limits):
                 limit = int(max(peak.get("mapped", 0), 8 << 20) * 1.2 * (step + 0.5) / limits)
                 yield {"name": call.name, "limit": limit, **apart(lambda call=call, limit=limit: under(call, limit))}
+
+
+def _chosen(calls: Sequence[Call], names: Sequence[str]) -> list[Call]:
+    if names:
+        return [call for call in calls if call.name in names or call.name.partition("(")[0] in names]
+    quick = [call for call in calls if call.name not in SLOW or os.environ.get("ALL")]
+    return list({call.name.partition("(")[0]: call for call in quick}.values()) if os.environ.get("ONCE") else quick
 
 
 def faults(found: Sequence[dict[str, Any]]) -> list[str]:
