@@ -7,6 +7,7 @@ one is not loaded.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import logging
 import os
@@ -24,7 +25,8 @@ from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
-from geokit.errors import DeviceMemoryError
+from geokit.core.private_folder import temporary_parent
+from geokit.errors import DeviceMemoryError, FileAccessError
 
 if TYPE_CHECKING:
     import warp as wp
@@ -33,6 +35,8 @@ __all__ = ["initialize", "load"]
 
 # What the system says of a folder that cannot be written to.
 UNUSABLE = {errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS}
+# Folders for temporary files besides Python's own.
+TEMPORARY = ("/dev/shm", "/var/tmp")
 # A folder with less free space [bytes] counts as full. A module takes 0.1 MB.
 LEAST_FREE = 1 << 22
 # Memory for loading a compiled module, and for compiling one.
@@ -50,7 +54,11 @@ _log = logging.getLogger("geokit")
 
 
 def initialize(warp: Any, init: Callable[[], None]) -> None:
-    """Call ``init``, which calls ``warp.init()``; with another kernel cache if the usual folder cannot be made."""
+    """Call ``init``, which calls ``warp.init()``; with another kernel cache if the usual folder cannot be made.
+
+    Raises:
+        FileAccessError: No folder can be made.
+    """
     try:
         init()
     except OSError as error:
@@ -71,6 +79,7 @@ def load(module: Any, device: "wp.Device", block_dim: int, announce: Callable[[s
         announce: Called with the module's name before it is compiled.
     Raises:
         DeviceMemoryError: There is too little memory to load or compile it, or too little stack to run it.
+        FileAccessError: It has to be compiled, and a folder for it or for temporary files cannot be written to.
     """
     if device.is_cpu:
         _require_stack(module)
@@ -83,6 +92,8 @@ def load(module: Any, device: "wp.Device", block_dim: int, announce: Callable[[s
     require_free(LOAD_BYTES if is_compiled else COMPILE_BYTES, f"kernels of {module.name}", have=available_host())
     if found is not None and _load_shipped(module, device, block_dim, found):
         return
+    if not is_compiled:
+        temporary_parent()  # warp's compiler writes there
     for _ in range(MOST_CURES):
         try:
             return _load_checked(module, device, block_dim, announce)
@@ -187,12 +198,15 @@ def _replace_folder(warp: Any, error: Exception) -> None:
     """Set another folder for compiled kernels.
 
     Raises:
-        OSError: There is no other folder.
+        FileAccessError: There is no other folder.
     """
     former = warp.config.kernel_cache_dir
     other = _private_folder(former)
     if other is None:
-        raise error
+        raise FileAccessError(
+            f"kernel cache: {former} cannot be used ({_first_line(error)}), nor can a folder for temporary files; "
+            "name one that can be written to in the variable WARP_CACHE_PATH"
+        ) from error
     warp.config.kernel_cache_dir = str(other)
     _log.warning(
         "kernel cache: %s cannot be used (%s); %s is used instead; WARP_CACHE_PATH names another folder",
@@ -205,7 +219,10 @@ def _replace_folder(warp: Any, error: Exception) -> None:
 def _private_folder(former: Any) -> Path | None:
     """A folder for temporary files that only this user can write to; later processes find it again."""
     name = f"geokit-kernels-{os.getuid()}" if hasattr(os, "getuid") else "geokit-kernels"
-    for parent in dict.fromkeys([tempfile.gettempdir(), "/dev/shm", "/var/tmp"]):
+    parents = list(TEMPORARY)
+    with contextlib.suppress(FileNotFoundError):  # not one that Python knows can be written to
+        parents.insert(0, tempfile.gettempdir())
+    for parent in dict.fromkeys(parents):
         folder = Path(parent) / name
         if str(folder) == str(former):
             continue

@@ -243,3 +243,30 @@ def test_full_disk(tmp_path, full_disk, room):
     used, err = cache.run(WARP_CACHE_PATH=str(full_disk))
     assert used.is_relative_to(cache.temporary)
     assert err.count("\n") == 1
+
+
+READ_ONLY = """
+import tempfile
+from geokit.core import kernel_cache
+def unknown():
+    raise FileNotFoundError(2, "No usable temporary directory found")
+kernel_cache.TEMPORARY = {folders!r}
+tempfile.gettempdir = unknown
+"""
+
+
+def test_where_python_knows_no_folder_for_temporary_files(tmp_path):
+    cache = Cache(tmp_path)
+    started = cache.start(READ_ONLY.format(folders=[str(cache.temporary)]), WARP_CACHE_PATH="/dev/null/cache")
+    _, err = started.communicate(timeout=120)
+    assert f"{cache.temporary}/geokit-kernels-{os.getuid()} is used instead" in err
+    # Without compiled kernels that folder does not help.
+    assert "FileAccessError: temporary files: No usable" in err.splitlines()[-1]
+    assert "TMPDIR" in err.splitlines()[-1]
+
+
+def test_where_no_folder_can_be_written_to(tmp_path):
+    started = Cache(tmp_path).start(READ_ONLY.format(folders=[]), WARP_CACHE_PATH="/dev/null/cache")
+    _, err = started.communicate(timeout=120)
+    assert "FileAccessError: kernel cache: /dev/null/cache" in err.splitlines()[-1]
+    assert "WARP_CACHE_PATH" in err.splitlines()[-1]

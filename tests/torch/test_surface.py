@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -115,3 +117,15 @@ def test_tensors_without_rows_in_memory_are_refused():
         for make in (gk.mesh.TriangleMesh, gk.torch.Surface):
             with pytest.raises(gk.InputError, match=r"vertices.* cannot be read"):
                 make(bare, FACES)
+
+
+def test_the_first_backward_pass_does_not_wait_for_the_compiler_of_torch():
+    code = f"""
+import sys, torch, geokit as gk
+corners = torch.eye(4, 3, dtype=torch.float64).requires_grad_()
+points = torch.full((5, 3), 0.3, dtype=torch.float64).requires_grad_()
+gk.torch.Surface(corners, {FACES}, device="cpu").winding_number(points).sum().backward()
+gk.points.NeighborGrid(corners, 2.0, device="cpu").knn(points, 2).distance.sum().backward()
+assert points.grad.any() and "torch._dynamo" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

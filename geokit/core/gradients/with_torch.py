@@ -109,9 +109,26 @@ def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]
         built = build(LIBRARY, asked._replace(tensors={name: value.double() for name, value in given.items()}), answer)
         return tuple(out for out in built if out is not None)
 
-    _, pull, *_ = torch.func.vjp(outputs, *(asked.tensors[name] for name in wanted))
+    tensors = [asked.tensors[name] for name in wanted]
     wide = tuple(slope.double() for slope, some in zip(slopes, rule.has_slope, strict=True) if some)
-    return dict(zip(wanted, pull(wide), strict=True))
+    found = None
+    if not torch.is_grad_enabled() and not _is_transformed():
+        # torch.func, at its first call, imports torch's compiler, which takes 0.7 s.
+        found = _pulled_plainly(outputs, tensors, wide)
+    if found is None:
+        found = torch.func.vjp(outputs, *tensors)[1](wide)
+    return dict(zip(wanted, found, strict=True))
+
+
+def _pulled_plainly(outputs: Any, tensors: list[Any], slopes: Any) -> Any:
+    """Derivatives that are not differentiated further; None where an output has no graph, as while torch.compile traces
+    this pass."""
+    tensors = [tensor.detach().requires_grad_() for tensor in tensors]
+    with torch.enable_grad():
+        built = outputs(*tensors)
+    if not all(out.requires_grad for out in built):
+        return None
+    return torch.autograd.grad(built, tensors, slopes, allow_unused=True, materialize_grads=True)
 
 
 def _tensor(values: Any, name: str, like: Any) -> Any:

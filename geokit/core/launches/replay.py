@@ -179,8 +179,11 @@ def _recorded(
     if recording is None:
         kept[key] = NEVER
         return answer
-    kept.setdefault(key, []).append(recording)
-    return recording.answer()  # the arrays themselves are those of the next call
+    answer = recording.answer()  # the arrays themselves are those of the next call
+    idle = kept.setdefault(key, [])
+    if idle is not NEVER:  # another thread's call could not be recorded
+        idle.append(recording)  # from here on its arrays may be those of another thread
+    return answer
 
 
 def current() -> Recorder | None:

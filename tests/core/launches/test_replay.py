@@ -240,6 +240,27 @@ def test_threads_have_recordings_of_their_own(surface):
     assert not wrong
 
 
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_recorded_call_has_its_own_answer_whatever_another_thread_asks_meanwhile(surface, monkeypatch, refused):
+    surface.closest_point(point(0, 0, 3))
+    answer = replay.Recording.answer
+
+    def work():
+        if refused:
+            monkeypatch.setattr(replay.Recorder, "finished", lambda *_: None)
+        surface.closest_point(point(0, 0, 9))
+
+    def late(recording):
+        monkeypatch.setattr(replay.Recording, "answer", answer)
+        other = threading.Thread(target=work)
+        other.start()
+        other.join()
+        return answer(recording)
+
+    monkeypatch.setattr(replay.Recording, "answer", late)
+    assert np.isclose(surface.closest_point(point(0, 0, 3)).distance[0], 2.0)
+
+
 def test_an_update_meanwhile_leaves_one_of_both_states(surface):
     near, far = surface.mesh.vertices, 2.0 * surface.mesh.vertices
     stop, wrong = threading.Event(), []
