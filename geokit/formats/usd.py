@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geokit._packages import require_package
-from geokit.errors import FileAccessError, FileFormatError
+from geokit.errors import FileAccessError, FileFormatError, GeokitError
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "companions",
+    "companions_of",
     "export",
     "holds_texture",
     "open_stage",
@@ -401,6 +402,18 @@ def companions(mesh: TriangleMesh, path: Path) -> dict[str, bytes]:
     from geokit.formats.attributes.mtl import image_files
 
     return {} if path.suffix.lower() == ".usdz" else image_files(mesh.materials, path.stem)[1]
+
+
+def companions_of(path: Path) -> set[str]:
+    """Names of the images of a file's materials; none if it cannot be read."""
+    from geokit.core.content_limit import content_limit
+    from geokit.formats.reader import process
+
+    try:
+        bodies = process.read_mesh(path, __name__, content_limit(path.stat().st_size, None), [])
+    except GeokitError:
+        return set()
+    return {material.texture_name for body in bodies for material in body.materials}
 
 
 def holds_texture(data: bytes) -> bool:
