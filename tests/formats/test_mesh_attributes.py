@@ -230,6 +230,23 @@ def test_ply_with_wedge_coordinates_of_meshlab(tmp_path):
     assert mesh.vertex_data["blue"].tolist() == [0, 0, 300, 9]
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
+    pyvista = pytest.importorskip("pyvista")
+    bytes_ = np.array([[255, 128, 0, 255], [1, 2, 3, 4], [254, 51, 77, 0]], np.uint8)
+    for name, exact in (("vertex_data", bytes_), ("face_data", bytes_[:1])):
+        colors = (exact / 255.0).astype(dtype)
+        again, _ = saved(TriangleMesh(np.eye(3), [[0, 1, 2]], **{name: {"color": colors}}), tmp_path / "a.ply")
+        assert getattr(again, name)["color"].dtype == np.uint8
+        np.testing.assert_array_equal(getattr(again, name)["color"], exact)
+        colors[0, 0] = np.nextafter(colors[0, 0], dtype(0.5))
+        again, _ = saved(TriangleMesh(np.eye(3), [[0, 1, 2]], **{name: {"color": colors}}), tmp_path / "b.ply")
+        np.testing.assert_array_equal(getattr(again, name)["color"], colors)
+    gk.points.save(tmp_path / "c.ply", np.eye(3), data={"rgb": (bytes_[:, :3] / 255.0).astype(dtype)})
+    # Written as floats they were black there.
+    np.testing.assert_array_equal(pyvista.read(tmp_path / "c.ply")["RGB"], bytes_[:, :3])
+
+
 OBJ = """mtllib a.mtl
 v 0 0 0 1 0 0
 v 1 0 0 0 1 0
@@ -337,8 +354,9 @@ def test_files_that_an_obj_lacks_are_named_and_none_outside_is_read(tmp_path):
 
 
 def test_a_full_disk_keeps_the_library_and_the_images_of_an_obj(tmp_path, monkeypatch):
-    for name in ("a.obj", "a.mtl"):
-        (tmp_path / name).write_bytes(b"old")
+    old = {"a.obj": b"mtllib a.mtl\n", "a.mtl": b"old"}
+    for name, content in old.items():
+        (tmp_path / name).write_bytes(content)
     mesh = TriangleMesh(
         np.eye(3),
         [[0, 1, 2]],
@@ -358,7 +376,7 @@ def test_a_full_disk_keeps_the_library_and_the_images_of_an_obj(tmp_path, monkey
         monkeypatch.setattr(type(tmp_path), "write_bytes", until)
         with pytest.raises(gk.FileAccessError, match=rf"{re.escape(named)}: writing failed"):
             gk.mesh.save(tmp_path / "a.obj", mesh)
-        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"a.obj": b"old", "a.mtl": b"old"}
+        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
 
 
 def test_images_of_one_name_become_two_files(tmp_path):
