@@ -84,7 +84,9 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     cells = {name: np.concatenate([values[at] for at in blocks]) for name, values in mesh.cell_data.items()}
     vertex, polygon = (named(data) for data in (mesh.point_data, cells))
     faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64)
-    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon)]
+    listed = ", ".join(f"{count} {kind}" for kind, count in volume.items())
+    notes = (f"its volume cells ({listed}) are left out",) if listed else ()
+    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon, notes=notes)]
 
 
 def named(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
