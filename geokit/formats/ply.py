@@ -523,7 +523,7 @@ def _with_bytes(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDA
     return data
 
 
-def holds_type(values: NDArray[Any]) -> bool:
+def holds_type(values: NDArray[Any], _kind: str) -> bool:
     """Whether integers fit into 32 bits."""
     return values.dtype.kind not in "iu" or values.dtype.itemsize < 8 or _fits(values)
 

@@ -3,7 +3,7 @@
 A module defines the functions that its line declares:
 
 - ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, whose mesh has only such attributes as the line says
-  the format holds, and only arrays and images for which ``holds_type(values)``, ``holds_name(name, kind)`` and
+  the format holds, and only arrays and images for which ``holds_type(values, kind)``, ``holds_name(name, kind)`` and
   ``holds_texture(data)`` are true where the module defines these, and alpha cutoffs unless it says
   ``HOLDS_CUTOFFS = False``; ``read_mesh`` also takes ``folders`` if files of the format may refer to other files: these
   are opened only in the file's own folder and in ``folders`` (references.py);

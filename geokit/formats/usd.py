@@ -381,11 +381,17 @@ def _primvars(
     pairs = [each for each in primvars if str(each.GetTypeName()).startswith(("texCoord2", "float2", "double2"))]
     mapped = [each for each in pairs if each.GetPrimvarName() == bound.mapped_by]
     mapped += [each for each in pairs if str(each.GetTypeName()).startswith("texCoord2")]
+    elements = {str(each.GetPrimvarName()): str(each.GetInterpolation()) for each in primvars}
     for primvar in primvars:
         label = str(primvar.GetPrimvarName())
+        # As one name on several elements is written below.
+        plain = label.removesuffix(f"_{elements[label]}")
+        label = plain if elements.get(plain, elements[label]) != elements[label] else label
         # Colors of geokit's meshes are multiplied with those of materials; these are replaced by them.
         name = label if label == "displayColor" and bound.colored else _NAMES.get(label, label)
-        name = "uv" if mapped and label == mapped[0].GetPrimvarName() else name
+        if mapped and label == mapped[0].GetPrimvarName():
+            is_uv = primvar == mapped[0] or str(primvar.GetTypeName()).startswith("texCoord2")
+            name = "uv" if is_uv else name
         values = primvar.ComputeFlattened(time)
         if values is not None:
             add(name, primvar.GetInterpolation(), values)
@@ -535,11 +541,11 @@ def _write_array(prim: Any, name: str, values: Any, interpolation: str, *, is_ti
     primvars, types = UsdGeom.PrimvarsAPI(prim), Sdf.ValueTypeNames
 
     def add(label: str, kind: Any, array: Any, rows: Any) -> None:
-        known = primvars.GetPrimvar(label).HasAuthoredValue()
         # One name on vertices, faces and corners is one primvar; the first keeps it.
-        primvars.CreatePrimvar(f"{label}_{interpolation}" if known else label, kind, interpolation).Set(
-            array.FromNumpy(np.ascontiguousarray(rows))
-        )
+        free = f"{label}_{interpolation}" if primvars.GetPrimvar(label).HasAuthoredValue() else label
+        while primvars.GetPrimvar(free).HasAuthoredValue():
+            free += "_"
+        primvars.CreatePrimvar(free, kind, interpolation).Set(array.FromNumpy(np.ascontiguousarray(rows)))
 
     wide = values.dtype == np.float64
     if has_meaning(name, values) and name == "normal" and not prim.GetNormalsAttr().HasAuthoredValue():

@@ -247,6 +247,49 @@ def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
     np.testing.assert_array_equal(pyvista.read(tmp_path / "c.ply")["RGB"], bytes_[:, :3])
 
 
+@pytest.mark.slow
+def test_xdmf_keeps_all_digits_of_float32(tmp_path):
+    values = np.random.default_rng(0).random(TORUS.vertex_count).astype(np.float32)
+    mesh = TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data={"a": values})
+    again, _ = saved(mesh, tmp_path / "a.xdmf")
+    assert again.vertex_data["a"].dtype == np.float32
+    np.testing.assert_array_equal(again.vertex_data["a"], values)
+
+
+@pytest.mark.slow
+def test_integers_that_a_float64_does_not_hold_are_left_out_of_msh(tmp_path):
+    for most, said in ((2**53, []), (2**53 + 1, ["vertex 'a'"])):
+        values = np.arange(TORUS.vertex_count) + most - TORUS.vertex_count + 1
+        again, lost = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data={"a": values}), tmp_path / "a.msh")
+        assert [name for name in said if name in " ".join(lost)] == said
+        assert len(lost) == len(said)
+        assert said or np.array_equal(again.vertex_data["a"], values)
+
+
+@pytest.mark.slow
+def test_one_name_on_several_elements_of_usd(tmp_path):
+    vertex, face, corner = ((len(TORUS.vertices),), (len(TORUS.faces),), (len(TORUS.faces), 3))
+    rng = np.random.default_rng(1)
+    mesh = TriangleMesh(
+        TORUS.vertices,
+        TORUS.faces,
+        vertex_data={"color": rng.random((*vertex, 3)), "a": rng.random(vertex), "uv": rng.random((*vertex, 2))},
+        face_data={"color": rng.random((*face, 3)), "a": rng.random(face)},
+        corner_data={"a": rng.random(corner), "uv": rng.random((*corner, 2))},
+    )
+    again, lost = saved(mesh, tmp_path / "a.usda")
+    assert not lost
+    for name in ("vertex_data", "face_data", "corner_data"):
+        given, found = getattr(mesh, name), getattr(again, name)
+        assert found.keys() == given.keys()
+        for key, values in given.items():
+            np.testing.assert_allclose(found[key], values, atol=1e-7)
+    # Names that become one.
+    names = {sign: rng.random(vertex) for sign in ("a b", "a-b", "a_b", "a+b")}
+    again, _ = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=names), tmp_path / "b.usda")
+    assert {values.tobytes() for values in again.vertex_data.values()} == {each.tobytes() for each in names.values()}
+
+
 OBJ = """mtllib a.mtl
 v 0 0 0 1 0 0
 v 1 0 0 0 1 0
@@ -620,7 +663,8 @@ def test_cells_keep_their_rows_beside_lines_and_strips(tmp_path):
     mixed = pyvista.PolyData(points, faces=[3, 0, 1, 2], lines=[2, 0, 1, 2, 3, 4], strips=[4, 0, 1, 2, 3])
     mixed.cell_data["row"] = np.arange(mixed.n_cells)
     mixed.save(tmp_path / "a.vtp")
-    assert gk.mesh.load(tmp_path / "a.vtp").face_data["row"].tolist() == [2, 3, 3]
+    with pytest.warns(UserWarning, match=r"its lines \(2\) are left out"):
+        assert gk.mesh.load(tmp_path / "a.vtp").face_data["row"].tolist() == [2, 3, 3]
 
 
 @pytest.mark.slow
