@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import warnings
@@ -24,13 +25,15 @@ if TYPE_CHECKING:
     from geokit.mesh._data import Data
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["named", "prepare", "read_mesh", "write_mesh"]
+__all__ = ["holds_type", "named", "prepare", "read_mesh", "write_mesh"]
 
 _SURFACE = {"triangle", "quad", "polygon"}
 # meshio's dimensions of second-order cells are right, but the cells themselves are not polygons.
 _IGNORED_DIMENSIONS = (0, 1)
 # Numbers that a row may have; .vtu takes any.
 _WIDTHS = {".msh": (1, 3, 9), ".xdmf": (1, 2, 3, 6, 9)}
+# Beyond these a float64, the only type of .msh, does not hold each integer.
+LARGEST_EXACT = 1 << 53
 # Soft links of HDF5 that lead to each other.
 LONGEST_CHAIN = 16
 
@@ -84,7 +87,9 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     cells = {name: np.concatenate([values[at] for at in blocks]) for name, values in mesh.cell_data.items()}
     vertex, polygon = (named(data) for data in (mesh.point_data, cells))
     faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64)
-    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon)]
+    listed = ", ".join(f"{count} {kind}" for kind, count in volume.items())
+    notes = (f"its volume cells ({listed}) are left out",) if listed else ()
+    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon, notes=notes)]
 
 
 def named(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -268,6 +273,13 @@ def _check_hdf5(found: Path, inner: str, path: Path) -> None:
             )
 
 
+def holds_type(values: NDArray[Any], kind: str) -> bool:
+    """Whether the format holds the numbers exactly; float64 is the only type of .msh."""
+    if kind != ".msh" or values.dtype.kind not in "iu" or not values.size:
+        return True
+    return bool(values.min() >= -LARGEST_EXACT and values.max() <= LARGEST_EXACT)
+
+
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write VTK .vtu, Gmsh .msh 4.1 (both binary), and .xdmf in one file, through meshio."""
     meshio = require_package("meshio")
@@ -280,12 +292,25 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         cell_data={name: [values] for name, values in face.items()},
     )
     # Inline, because a second file for the arrays could not be replaced atomically together with the first.
-    options = {"data_format": "XML"} if kind == ".xdmf" else {}
-    file_format = {".vtu": "vtu", ".msh": "gmsh", ".xdmf": "xdmf"}[kind]
+    write = functools.partial(_xdmf_writer(), data_format="XML")
+    if kind != ".xdmf":
+        write = functools.partial(meshio.write, file_format={".vtu": "vtu", ".msh": "gmsh"}[kind])
     # meshio prints advice to standard output and warns about its own choices, so both are suppressed.
     with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        meshio.write(path, content, file_format=file_format, **options)
+        write(path, content)
+
+
+def _xdmf_writer() -> Any:
+    from meshio.xdmf.main import XdmfWriter
+
+    class Writer(XdmfWriter):
+        """Writes float32 with all its digits, of which meshio leaves one out."""
+
+        def numpy_to_xml_string(self, data: Any) -> Any:
+            return super().numpy_to_xml_string(data.astype(np.float64) if data.dtype == np.float32 else data)
+
+    return Writer
 
 
 def _named(data: Data, kind: str) -> dict[str, NDArray[Any]]:

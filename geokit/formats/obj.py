@@ -25,7 +25,7 @@ from geokit.mesh.attributes.seams import distinct_corners
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["companions", "read_mesh", "read_points", "write_mesh"]
+__all__ = ["companions", "companions_of", "read_mesh", "read_points", "write_mesh"]
 
 # .mtl has no alpha cutoff.
 HOLDS_CUTOFFS = False
@@ -52,17 +52,30 @@ class _Lines(NamedTuple):
 
 
 # Elements without faces, and what they are called.
-_OTHERS = {b"l": "lines", b"p": "points", b"curv": "free-form curves", b"surf": "free-form surfaces"}
+_OTHERS = {
+    b"l": "lines",
+    b"p": "points",
+    b"curv": "free-form curves",
+    b"surf": "free-form surfaces",
+    b"call": "called files",
+}
 # Words that begin lines of which nothing is read: such elements, shading, parts of free-form curves and surfaces.
 _LEFT_OUT = frozenset(
     b"p l s mg vp cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con bevel c_interp d_interp lod "
-    b"maplib usemap shadow_obj trace_obj ctech stech call csh bsp bzp cdc cdp res".split()
+    b"maplib usemap shadow_obj trace_obj ctech stech csh bsp bzp cdc cdp res".split()
 )
 _READ = frozenset((b"v", b"f", b"fo", b"vt", b"vn", b"o", b"g", b"usemtl", b"mtllib"))
 # These words at the start of a line, in any case.
 _KEYWORD = re.compile(rb"^[ \t\f\v]*(?:v|f|fo|vt|vn|o|g|usemtl|mtllib)(?=[ \t\r\n]|$)", re.IGNORECASE | re.MULTILINE)
+# A backslash at the end of a comment, such as that of a Windows folder, which continues no line.
+_COMMENT_END = re.compile(rb"(#[^\r\n]*?)\\+(?=\r?\n)")
 # A vertex or face whose first number has no blank before it that is known as one.
 _JOINED = re.compile(rb"(?:v|vt|vn|f|fo)[^a-z_#]", re.IGNORECASE)
+
+
+def _text(path: Path) -> bytes:
+    data = plain_text(path.read_bytes(), path)
+    return _COMMENT_END.sub(rb"\1", data) if b"\\" in data and b"#" in data else data
 
 
 def _lines(data: bytes) -> _Lines:
@@ -115,7 +128,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Raises:
         FileFormatError: A vertex is not three numbers; the message names its line.
     """
-    data = plain_text(path.read_bytes(), path)
+    data = _text(path)
     lines = _lines(data)
     for note in _unknown(lines.unknown, data, path):
         warnings.warn(f"{path}: {note}", UserWarning, stacklevel=2)
@@ -191,14 +204,14 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     vertices. Materials come from the libraries and images that the file names, if they lie in its folder or in
     ``folders``. Lines, points, and free-form curves and surfaces are left out, with a note.
     """
-    data = plain_text(path.read_bytes(), path)
+    data = _text(path)
     lines = _lines(data)
     faces, notes = lines.faces, _unknown(lines.unknown, data, path)
     if faces and lines.others:
         listed = ", ".join(f"{name} ({lines.others[kind]})" for kind, name in _OTHERS.items() if lines.others[kind])
         notes.append(f"its {listed} are left out")
     try:
-        coordinates, colors = _vertices(lines.vertices, path)
+        coordinates, colors = _vertices(lines.vertices, path, notes)
     except FileFormatError:
         _blame(data, path)
         raise
@@ -246,13 +259,25 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
 _COMMENT = re.compile(rb"#[^\n]*")
 
 
-def _vertices(lines: list[bytes], path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def _vertices(lines: list[bytes], path: Path, notes: list[str]) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     """Positions, and the colors behind them if each vertex has one."""
-    if lines and len(lines[0].split()) == 6:
+    counts, tokens = _split(lines)
+    if np.any(counts > 3) and any(b"#" in line for line in lines):
+        lines = [line.partition(b"#")[0] for line in lines]
         counts, tokens = _split(lines)
-        if np.all(counts == 6):
-            table = numbers(tokens, np.float64, path, "vertices").reshape(-1, 6)
-            return np.ascontiguousarray(table[:, :3]), np.ascontiguousarray(table[:, 3:])
+    if np.all(counts == 3):
+        return numbers(tokens, np.float64, path, "vertices").reshape(-1, 3), None
+    if np.all(counts == 6):
+        table = numbers(tokens, np.float64, path, "vertices").reshape(-1, 6)
+        colors = np.ascontiguousarray(table[:, 3:])
+        # Colors are full at 1, but some programs write bytes.
+        if len(colors) and colors.max() > 1.0 and np.array_equal(colors, np.clip(np.rint(colors), 0.0, 255.0)):
+            return np.ascontiguousarray(table[:, :3]), colors.astype(np.uint8)
+        return np.ascontiguousarray(table[:, :3]), colors
+    if np.any(counts > 4):
+        notes.append(
+            "the numbers behind the coordinates of vertices are left out: not each vertex has a color of three"
+        )
     return _coordinates(lines, path), None
 
 
@@ -368,6 +393,18 @@ def _groups(starts: list[tuple[str, int]], face_count: int) -> tuple[tuple[str, 
 def companions(mesh: TriangleMesh, path: Path) -> dict[str, bytes]:
     """The material library and the images beside a file."""
     return mtl.write_library(mesh.materials, path.stem)
+
+
+def companions_of(path: Path) -> set[str]:
+    """Names of the material libraries that a file names, and of their images."""
+    names: set[str] = set()
+    with open(path, "rb") as file:
+        for line in iter(lambda: file.readline(1 << 16), b""):
+            word, _, rest = line.strip().partition(b" ")
+            if word.lower() == b"mtllib":
+                listed = rest.strip().decode("utf-8", "replace")
+                names.update((listed, *listed.split()))
+    return names.union(*(mtl.image_names(path.parent / name) for name in names))
 
 
 def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:

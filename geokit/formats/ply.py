@@ -20,7 +20,7 @@ from geokit.formats.columns import AXES, Columns, joined, split
 from geokit.formats.text_files.decimal import SMALLEST, plain_rows
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers
-from geokit.mesh._data import has_meaning
+from geokit.mesh._data import as_bytes, has_meaning
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -490,13 +490,13 @@ class _Binary:
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write a binary file, little endian, with float64 vertices; arrays on corners become lists of faces."""
-    vertex = _columns(mesh.vertex_data, AXES)
+    vertex = _columns(_with_bytes(mesh.vertex_data, "color"), AXES)
     lists: dict[str, NDArray[Any]] = {"vertex_indices": mesh.faces}
     for name, values in mesh.corner_data.items():
         uv = name == "uv" and has_meaning(name, values, 2)
         table = _fitting(values.reshape(len(values), -1), name)
         lists[free_name("texcoord" if uv else name, {*lists, "vertex_index"})] = table
-    face = _columns(mesh.face_data, (*lists, "vertex_index"))
+    face = _columns(_with_bytes(mesh.face_data, "color"), (*lists, "vertex_index"))
     header = ["ply", "format binary_little_endian 1.0", "comment by geokit", f"element vertex {len(mesh.vertices)}"]
     header += ["property double x", "property double y", "property double z", *_properties(vertex)]
     header += [f"element face {len(mesh.faces)}"]
@@ -516,7 +516,14 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         file.write(("\n".join(header) + "\n").encode("ascii") + content.tobytes() + faces.tobytes())
 
 
-def holds_type(values: NDArray[Any]) -> bool:
+def _with_bytes(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDArray[Any]]:
+    """The arrays, colors as bytes where these are exact: VTK and Open3D take all numbers for bytes."""
+    if name in data and data[name].ndim == 2 and data[name].shape[1] in (3, 4):
+        return {**data, name: as_bytes(data[name])}
+    return data
+
+
+def holds_type(values: NDArray[Any], _kind: str) -> bool:
     """Whether integers fit into 32 bits."""
     return values.dtype.kind not in "iu" or values.dtype.itemsize < 8 or _fits(values)
 
@@ -548,12 +555,13 @@ def _table(points: NDArray[np.float64], columns: Columns) -> NDArray[np.void]:
 
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write a binary little-endian file with one vertex element.
+    """Write a binary little-endian file with one vertex element, and colors as bytes where these are exact.
 
     Raises:
         InputError: A name cannot be that of a property, or a column has a type that the format lacks and fits into none
             that it has.
     """
+    data = _with_bytes(data, "rgb")
     with open(path, "wb") as file:
         file.write(points_header(points, data, len(points)))
         file.write(points_body(points, data))

@@ -125,7 +125,7 @@ def _material(geometry: Any, face_count: int, material_count: int) -> dict[str, 
     return {"material": np.full(face_count, int(name), np.int32)} if known else {}
 
 
-def holds_type(values: np.ndarray) -> bool:
+def holds_type(values: np.ndarray, _kind: str) -> bool:
     """As glTF does."""
     return gltf.holds_type(values)
 

@@ -3,12 +3,13 @@
 A module defines the functions that its line declares:
 
 - ``read_mesh(path) -> list[Body]`` and ``write_mesh(path, mesh)``, whose mesh has only such attributes as the line says
-  the format holds, and only arrays and images for which ``holds_type(values)``, ``holds_name(name, kind)`` and
+  the format holds, and only arrays and images for which ``holds_type(values, kind)``, ``holds_name(name, kind)`` and
   ``holds_texture(data)`` are true where the module defines these, and alpha cutoffs unless it says
   ``HOLDS_CUTOFFS = False``; ``read_mesh`` also takes ``folders`` if files of the format may refer to other files: these
   are opened only in the file's own folder and in ``folders`` (references.py);
 - ``companions(mesh, path) -> {name: bytes}``, if a mesh may become several files: those that lie beside ``path``.
-  Where there are any, ``write_mesh`` also takes the ``stem`` of ``path``;
+  Where there are any, ``write_mesh`` also takes the ``stem`` of their names. ``companions_of(path) -> {name}``: the
+  names of those of a file that is there;
 - ``read_points(path) -> (points (N, 3) float64, data by name)`` and ``write_points(path, points, data)``, with the
   further argument ``encoding`` if there are several encodings;
 - ``read_rays(path)``, a table (N, 6) of origins and directions;

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geokit._packages import require_package
-from geokit.errors import FileAccessError, FileFormatError
+from geokit.errors import FileAccessError, FileFormatError, GeokitError
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "companions",
+    "companions_of",
     "export",
     "holds_texture",
     "open_stage",
@@ -380,11 +381,17 @@ def _primvars(
     pairs = [each for each in primvars if str(each.GetTypeName()).startswith(("texCoord2", "float2", "double2"))]
     mapped = [each for each in pairs if each.GetPrimvarName() == bound.mapped_by]
     mapped += [each for each in pairs if str(each.GetTypeName()).startswith("texCoord2")]
+    elements = {str(each.GetPrimvarName()): str(each.GetInterpolation()) for each in primvars}
     for primvar in primvars:
         label = str(primvar.GetPrimvarName())
+        # As one name on several elements is written below.
+        plain = label.removesuffix(f"_{elements[label]}")
+        label = plain if elements.get(plain, elements[label]) != elements[label] else label
         # Colors of geokit's meshes are multiplied with those of materials; these are replaced by them.
         name = label if label == "displayColor" and bound.colored else _NAMES.get(label, label)
-        name = "uv" if mapped and label == mapped[0].GetPrimvarName() else name
+        if mapped and label == mapped[0].GetPrimvarName():
+            is_uv = primvar == mapped[0] or str(primvar.GetTypeName()).startswith("texCoord2")
+            name = "uv" if is_uv else name
         values = primvar.ComputeFlattened(time)
         if values is not None:
             add(name, primvar.GetInterpolation(), values)
@@ -401,6 +408,18 @@ def companions(mesh: TriangleMesh, path: Path) -> dict[str, bytes]:
     from geokit.formats.attributes.mtl import image_files
 
     return {} if path.suffix.lower() == ".usdz" else image_files(mesh.materials, path.stem)[1]
+
+
+def companions_of(path: Path) -> set[str]:
+    """Names of the images of a file's materials; none if it cannot be read."""
+    from geokit.core.content_limit import content_limit
+    from geokit.formats.reader import process
+
+    try:
+        bodies = process.read_mesh(path, __name__, content_limit(path.stat().st_size, None), [])
+    except GeokitError:
+        return set()
+    return {material.texture_name for body in bodies for material in body.materials}
 
 
 def holds_texture(data: bytes) -> bool:
@@ -522,11 +541,11 @@ def _write_array(prim: Any, name: str, values: Any, interpolation: str, *, is_ti
     primvars, types = UsdGeom.PrimvarsAPI(prim), Sdf.ValueTypeNames
 
     def add(label: str, kind: Any, array: Any, rows: Any) -> None:
-        known = primvars.GetPrimvar(label).HasAuthoredValue()
         # One name on vertices, faces and corners is one primvar; the first keeps it.
-        primvars.CreatePrimvar(f"{label}_{interpolation}" if known else label, kind, interpolation).Set(
-            array.FromNumpy(np.ascontiguousarray(rows))
-        )
+        free = f"{label}_{interpolation}" if primvars.GetPrimvar(label).HasAuthoredValue() else label
+        while primvars.GetPrimvar(free).HasAuthoredValue():
+            free += "_"
+        primvars.CreatePrimvar(free, kind, interpolation).Set(array.FromNumpy(np.ascontiguousarray(rows)))
 
     wide = values.dtype == np.float64
     if has_meaning(name, values) and name == "normal" and not prim.GetNormalsAttr().HasAuthoredValue():

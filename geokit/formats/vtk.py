@@ -50,6 +50,7 @@ _REFUSED_NORM = re.compile(
 )
 _NORMS = re.compile(rb'\s*<InformationKey name="L2_NORM_RANGE".*?</InformationKey>', re.DOTALL)
 _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
+_LINE_NAMES = {1: "points", 2: "points", 3: "lines", 4: "lines"}
 
 
 class _Window:
@@ -99,7 +100,7 @@ def prepare() -> None:
 
 
 def read_mesh(path: Path) -> list[Body]:
-    """Read the triangles, quads, polygons and strips of the file; points, lines and volume cells are left out.
+    """Read the triangles, quads, polygons and strips; points, lines and volume cells are left out, with a note.
 
     Arrays of points and cells come along. Those that VTK marks as normals and texture coordinates are called so.
     """
@@ -128,9 +129,11 @@ def read_mesh(path: Path) -> list[Body]:
     points = np.ascontiguousarray(vtk_to_numpy(data.GetPoints().GetData()), np.float64)
     counts, indices, rows = (np.ascontiguousarray(values, np.int64) for values in cells)
     polygon = {name: values[rows] for name, values in _arrays(data.GetCellData(), vtk_to_numpy).items()}
+    listed = ", ".join(f"{name} ({count})" for name, count in _others(data, vtk_to_numpy).items())
     vertex = _arrays(data.GetPointData(), vtk_to_numpy)
     unit = unit_of(data.GetFieldData())
-    return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon, **unit)]
+    notes = (f"its {listed} are left out",) if listed else ()
+    return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon, notes=notes, **unit)]
 
 
 def unit_of(fields: Any) -> dict[str, Any]:
@@ -221,6 +224,20 @@ def _poly_data(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.nda
             f"{path}: holds {data.GetNumberOfPoints()} points but no faces; export the surface itself"
         )
     return counts, indices, rows
+
+
+def _others(data: Any, to_numpy: Any) -> dict[str, int]:
+    """What is left out by its name: cells that are no faces."""
+    if data.GetClassName() == "vtkPolyData":
+        counts = {"points": data.GetVerts().GetNumberOfCells(), "lines": data.GetLines().GetNumberOfCells()}
+        return {name: count for name, count in counts.items() if count}
+    found: dict[str, int] = {}
+    kinds, numbers = np.unique(to_numpy(_cell_types(data)), return_counts=True)
+    for kind, count in zip(kinds.tolist(), numbers.tolist(), strict=True):
+        if kind not in (0, _TRIANGLE, _STRIP, _POLYGON, _PIXEL, _QUAD):
+            name = _VOLUME_NAMES.get(kind) or _LINE_NAMES.get(kind, f"cells of VTK type {kind}")
+            found[name] = found.get(name, 0) + count
+    return found
 
 
 def _grid(data: Any, to_numpy: Any, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

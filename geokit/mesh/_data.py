@@ -24,6 +24,7 @@ __all__ = [
     "Data",
     "Material",
     "Texture",
+    "as_bytes",
     "checked_data",
     "checked_materials",
     "full_scale",
@@ -147,6 +148,14 @@ def has_meaning(name: str, values: NDArray[Any], axes: int = 1) -> bool:
 def full_scale(dtype: np.dtype[Any]) -> float | int:
     """The number that means full brightness in colors of a type."""
     return int(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
+
+
+def as_bytes(colors: NDArray[Any]) -> NDArray[Any]:
+    """Colors of floats as bytes if they are 255ths to the last bit; others as they are."""
+    if colors.dtype.kind != "f" or not np.all((colors >= 0.0) & (colors <= 1.0)):
+        return colors
+    found = np.rint(colors * 255.0).astype(np.uint8)
+    return found if np.array_equal((found / 255.0).astype(colors.dtype), colors) else colors
 
 
 def with_alpha(colors: NDArray[Any]) -> NDArray[Any]:

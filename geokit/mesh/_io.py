@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -180,10 +183,12 @@ def save(
     - {arrays} hold any arrays, .glb and .gltf on vertices only, .obj and .off normals, texture coordinates and
       colors.
     - .obj, .glb, .gltf and USD hold materials. An .obj with materials is written with an .mtl beside it. Images lie
-      beside an .obj, .usd, .usda or .usdc; they are called after it and replace files of the same names.
+      beside an .obj, .usd, .usda or .usdc; they are called after it. Of files of the same names they replace those to
+      which the file that is replaced refers; others stay, and a number is added to the new names, with a UserWarning.
     - Where a format has no attributes of corners, a vertex is written once for each set of values of its corners.
     - Types change only where a format lacks them: .obj, .msh, .xdmf and USD write colors of integers as floats up to 1,
-      .glb and .gltf numbers of 64 bits as float32, .msh all as float64.
+      .glb and .gltf numbers of 64 bits as float32, .msh all as float64. .ply writes colors of floats as uint8 where
+      they are 255ths exactly, since other programs take all colors of .ply for bytes.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
 
     One UserWarning names what the format does not hold. Arguments that it does not hold are an error.
@@ -202,7 +207,7 @@ def save(
         >>> bracket = load("data/samples/bracket.obj")
         >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
 
-    Held by: tests/formats/test_mesh_attributes.py
+    Held by: tests/formats/test_mesh_attributes.py, tests/formats/test_companions.py
     """
     kind = require_format(path, "mesh", "w")
     written = FORMATS[kind]
@@ -223,13 +228,44 @@ def save(
     if lost:
         warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
     target = require_path(path)
-    beside = module.companions(mesh, target) if hasattr(module, "companions") else {}
+    stem, beside = _companions(module, mesh, target)
+    if stem != target.stem:
+        named = ", ".join(map(repr, beside))
+        warnings.warn(
+            f"{path}: files that it does not refer to have the names of its companions; these are {named}",
+            UserWarning,
+            stacklevel=3,
+        )
     with atomic_path(path) as part:
-        module.write_mesh(part, mesh, *([target.stem] if beside else []))
+        module.write_mesh(part, mesh, *([stem] if beside else []))
         # None of the old files is replaced before all new ones are there.
         with contextlib.ExitStack() as stack:
             for name, content in beside.items():
                 stack.enter_context(atomic_path(target.parent / name)).write_bytes(content)
+
+
+def _companions(module: ModuleType, mesh: TriangleMesh, target: Path) -> tuple[str, dict[str, bytes]]:
+    """The files beside a mesh file, and the stem of their names: they replace none that belongs to another file."""
+    if not hasattr(module, "companions"):
+        return target.stem, {}
+    own: set[str] | None = None
+    for number in itertools.count(1):
+        stem = target.stem if number == 1 else f"{target.stem}_{number}"
+        beside: dict[str, bytes] = module.companions(mesh, target.with_name(stem + target.suffix))
+        differing = {name for name, content in beside.items() if _differs(target.parent / name, content)}
+        if differing and own is None:
+            own = module.companions_of(target) if target.is_file() else set()
+        if own is None or differing <= own:
+            break
+    return stem, beside
+
+
+def _differs(path: Path, content: bytes) -> bool:
+    """Whether a regular file of this name holds something else."""
+    try:
+        return os.path.isfile(path) and (path.stat().st_size != len(content) or path.read_bytes() != content)
+    except OSError:
+        return True
 
 
 def _require_float32(mesh: TriangleMesh, kind: str) -> None:

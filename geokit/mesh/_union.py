@@ -10,6 +10,7 @@ from geokit.core.memory.needs import needs
 from geokit.errors import InputError
 from geokit.mesh._model import MeshPart, TriangleMesh, trusted_mesh
 from geokit.mesh._objects import require_mesh
+from geokit.mesh.attributes.derived import derived
 
 __all__ = ["union"]
 
@@ -36,7 +37,7 @@ def union(mesh: TriangleMesh, *others: TriangleMesh) -> TriangleMesh:
 
     Bodies that no other one comes near keep their faces as they are. The faces of one mesh keep their attributes and
     parts; vertices and corners lose theirs. Of several meshes each is a part of the result, without attributes. If
-    there is nothing to remove, one mesh is returned as it is.
+    there is nothing to remove, one mesh is returned as it is. Of faces that lie back to back one is left.
 
     Args:
         mesh: Triangles; it may be empty.
@@ -69,13 +70,33 @@ def union(mesh: TriangleMesh, *others: TriangleMesh) -> TriangleMesh:
     joined = _joined(meshes)
     if not joined.face_count:
         return joined
-    boundary = boundary_of(Surface(joined, device="cpu"))
+    surface = Surface(joined, device="cpu")
+    boundary = boundary_of(surface)
     if boundary.kept:
         raise InputError(
             f"{joined.name or 'mesh'}: its union is not right: {boundary.kept}; repair the bodies one by one, such as "
             "with merge_vertices and orient"
         )
-    return boundary.mesh
+    return boundary.mesh if boundary.source is not None else _as_counted(surface, turned=len(meshes) > 1)
+
+
+def _as_counted(surface: Any, *, turned: bool) -> TriangleMesh:
+    """The mesh without the second of faces back to back, and with solids outward if these are to be ``turned``."""
+    from geokit.mesh.sign.left_out import left_out_faces
+
+    mesh: TriangleMesh = surface.mesh
+    source = np.arange(mesh.face_count)
+    if surface._counted is not surface:
+        source = np.delete(source, left_out_faces(surface))
+    flipped = surface._counted._orientation.flipped if turned else np.zeros(len(source), bool)
+    if len(source) == mesh.face_count and not flipped.any():
+        return mesh
+    faces = np.where(flipped[:, None], mesh.faces[source, ::-1], mesh.faces[source])
+    used, corners = np.unique(faces, return_inverse=True)
+    return derived(
+        mesh, mesh.vertices[used], corners.reshape(-1, 3), vertex_source=used, face_source=source,
+        reversed_faces=flipped,
+    )  # fmt: skip
 
 
 def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:

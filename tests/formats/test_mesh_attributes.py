@@ -230,6 +230,66 @@ def test_ply_with_wedge_coordinates_of_meshlab(tmp_path):
     assert mesh.vertex_data["blue"].tolist() == [0, 0, 300, 9]
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
+    pyvista = pytest.importorskip("pyvista")
+    bytes_ = np.array([[255, 128, 0, 255], [1, 2, 3, 4], [254, 51, 77, 0]], np.uint8)
+    for name, exact in (("vertex_data", bytes_), ("face_data", bytes_[:1])):
+        colors = (exact / 255.0).astype(dtype)
+        again, _ = saved(TriangleMesh(np.eye(3), [[0, 1, 2]], **{name: {"color": colors}}), tmp_path / "a.ply")
+        assert getattr(again, name)["color"].dtype == np.uint8
+        np.testing.assert_array_equal(getattr(again, name)["color"], exact)
+        colors[0, 0] = np.nextafter(colors[0, 0], dtype(0.5))
+        again, _ = saved(TriangleMesh(np.eye(3), [[0, 1, 2]], **{name: {"color": colors}}), tmp_path / "b.ply")
+        np.testing.assert_array_equal(getattr(again, name)["color"], colors)
+    gk.points.save(tmp_path / "c.ply", np.eye(3), data={"rgb": (bytes_[:, :3] / 255.0).astype(dtype)})
+    # Written as floats they were black there.
+    np.testing.assert_array_equal(pyvista.read(tmp_path / "c.ply")["RGB"], bytes_[:, :3])
+
+
+@pytest.mark.slow
+def test_xdmf_keeps_all_digits_of_float32(tmp_path):
+    values = np.random.default_rng(0).random(TORUS.vertex_count).astype(np.float32)
+    mesh = TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data={"a": values})
+    again, _ = saved(mesh, tmp_path / "a.xdmf")
+    assert again.vertex_data["a"].dtype == np.float32
+    np.testing.assert_array_equal(again.vertex_data["a"], values)
+
+
+@pytest.mark.slow
+def test_integers_that_a_float64_does_not_hold_are_left_out_of_msh(tmp_path):
+    for most, said in ((2**53, []), (2**53 + 1, ["vertex 'a'"])):
+        values = np.arange(TORUS.vertex_count) + most - TORUS.vertex_count + 1
+        again, lost = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data={"a": values}), tmp_path / "a.msh")
+        assert [name for name in said if name in " ".join(lost)] == said
+        assert len(lost) == len(said)
+        assert said or np.array_equal(again.vertex_data["a"], values)
+
+
+@pytest.mark.slow
+def test_one_name_on_several_elements_of_usd(tmp_path):
+    vertex, face, corner = ((len(TORUS.vertices),), (len(TORUS.faces),), (len(TORUS.faces), 3))
+    rng = np.random.default_rng(1)
+    mesh = TriangleMesh(
+        TORUS.vertices,
+        TORUS.faces,
+        vertex_data={"color": rng.random((*vertex, 3)), "a": rng.random(vertex), "uv": rng.random((*vertex, 2))},
+        face_data={"color": rng.random((*face, 3)), "a": rng.random(face)},
+        corner_data={"a": rng.random(corner), "uv": rng.random((*corner, 2))},
+    )
+    again, lost = saved(mesh, tmp_path / "a.usda")
+    assert not lost
+    for name in ("vertex_data", "face_data", "corner_data"):
+        given, found = getattr(mesh, name), getattr(again, name)
+        assert found.keys() == given.keys()
+        for key, values in given.items():
+            np.testing.assert_allclose(found[key], values, atol=1e-7)
+    # Names that become one.
+    names = {sign: rng.random(vertex) for sign in ("a b", "a-b", "a_b", "a+b")}
+    again, _ = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=names), tmp_path / "b.usda")
+    assert {values.tobytes() for values in again.vertex_data.values()} == {each.tobytes() for each in names.values()}
+
+
 OBJ = """mtllib a.mtl
 v 0 0 0 1 0 0
 v 1 0 0 0 1 0
@@ -337,8 +397,9 @@ def test_files_that_an_obj_lacks_are_named_and_none_outside_is_read(tmp_path):
 
 
 def test_a_full_disk_keeps_the_library_and_the_images_of_an_obj(tmp_path, monkeypatch):
-    for name in ("a.obj", "a.mtl"):
-        (tmp_path / name).write_bytes(b"old")
+    old = {"a.obj": b"mtllib a.mtl\n", "a.mtl": b"old"}
+    for name, content in old.items():
+        (tmp_path / name).write_bytes(content)
     mesh = TriangleMesh(
         np.eye(3),
         [[0, 1, 2]],
@@ -358,7 +419,7 @@ def test_a_full_disk_keeps_the_library_and_the_images_of_an_obj(tmp_path, monkey
         monkeypatch.setattr(type(tmp_path), "write_bytes", until)
         with pytest.raises(gk.FileAccessError, match=rf"{re.escape(named)}: writing failed"):
             gk.mesh.save(tmp_path / "a.obj", mesh)
-        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"a.obj": b"old", "a.mtl": b"old"}
+        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
 
 
 def test_images_of_one_name_become_two_files(tmp_path):
@@ -602,7 +663,8 @@ def test_cells_keep_their_rows_beside_lines_and_strips(tmp_path):
     mixed = pyvista.PolyData(points, faces=[3, 0, 1, 2], lines=[2, 0, 1, 2, 3, 4], strips=[4, 0, 1, 2, 3])
     mixed.cell_data["row"] = np.arange(mixed.n_cells)
     mixed.save(tmp_path / "a.vtp")
-    assert gk.mesh.load(tmp_path / "a.vtp").face_data["row"].tolist() == [2, 3, 3]
+    with pytest.warns(UserWarning, match=r"its lines \(2\) are left out"):
+        assert gk.mesh.load(tmp_path / "a.vtp").face_data["row"].tolist() == [2, 3, 3]
 
 
 @pytest.mark.slow

@@ -369,7 +369,8 @@ def poly_data():
 def test_poly_data_of_pyvista(tmp_path, file, binary):
     data = poly_data()
     data.save(tmp_path / file, binary=binary)
-    mesh = gk.mesh.load(tmp_path / file)
+    with pytest.warns(UserWarning, match=r"its lines \(1\) are left out"):
+        mesh = gk.mesh.load(tmp_path / file)
     # Legacy ASCII keeps about ten digits.
     tolerance = 0.0 if binary or file.endswith("p") else 1e-8
     np.testing.assert_allclose(mesh.vertices, data.points, rtol=0, atol=tolerance)
@@ -387,7 +388,8 @@ def test_unstructured_grid_of_pyvista(tmp_path, file):
     cells = [3, 0, 1, 4, 4, 0, 1, 2, 3, 4, 0, 1, 3, 2, 4, 0, 1, 2, 4, 2, 0, 4, 5, 0, 1, 2, 3, 4, 4, 0, 1, 3, 2]
     types = [5, 9, 8, 10, 3, 7, 6]
     pyvista.UnstructuredGrid(cells, types, points).save(tmp_path / file)
-    mesh = gk.mesh.load(tmp_path / file)
+    with pytest.warns(UserWarning, match=r"its lines \(1\), tetrahedra \(1\) are left out"):
+        mesh = gk.mesh.load(tmp_path / file)
     np.testing.assert_array_equal(mesh.vertices, points)
     # Strip and pixel, then triangle, quad, polygon; the tetrahedron and the line are left out.
     assert len(mesh.faces) == 2 + 2 + 1 + 2 + 3
@@ -414,7 +416,8 @@ def test_files_of_meshio(tmp_path, file, options):
     points = FINE.vertices[:6]
     blocks = [("line", [[0, 1]]), ("quad", [[0, 1, 2, 3]]), ("triangle", [[0, 1, 4]]), ("tetra", [[0, 1, 2, 5]])]
     meshio.Mesh(points, blocks).write(tmp_path / file, **options)
-    mesh = gk.mesh.load(tmp_path / file)
+    with pytest.warns(UserWarning, match=r"(tetrahedra \(1\)|1 tetra\)) are left out"):
+        mesh = gk.mesh.load(tmp_path / file)
     np.testing.assert_array_equal(mesh.vertices, points)
     assert len(mesh.faces) == 3
     assert mesh.faces[2].tolist() == [0, 1, 4]

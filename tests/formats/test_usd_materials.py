@@ -310,7 +310,7 @@ def test_materials_come_back(tmp_path, kind):
     np.testing.assert_array_equal(again.face_data["material"], mesh.face_data["material"])
     np.testing.assert_array_equal(again.corner_data["uv"], mesh.corner_data["uv"])
     np.testing.assert_array_equal(again.vertex_data["color"], mesh.vertex_data["color"].astype(np.float32))
-    np.testing.assert_array_equal(again.vertex_data["st_vertex"], mesh.vertex_data["st"])
+    np.testing.assert_array_equal(again.vertex_data["st"], mesh.vertex_data["st"])
     for found, expected in zip(again.materials, materials, strict=True):
         assert (found.name, found.color, found.alpha_cutoff) == (expected.name, expected.color, expected.alpha_cutoff)
         assert (found.texture and found.texture.data) == (expected.texture and expected.texture.data)

@@ -1,4 +1,4 @@
-"""STL, OFF, XDMF and USD as programs write them beside the letter of the format."""
+"""STL, OBJ, OFF, XDMF and USD as programs write them beside the letter of the format."""
 
 from __future__ import annotations
 
@@ -89,6 +89,43 @@ def test_a_wrong_count_of_triangles_is_refused(tmp_path: Path, count: int) -> No
         gk.mesh.load(path)
     with pytest.raises(gk.FileFormatError, match=f"not those of {count} triangles"):
         gk.mesh.audit_file(path)
+
+
+# --- OBJ --------------------------------------------------------------------------------------------------------------
+
+LINES = [f"v {x!r} {y!r} {z!r}" for x, y, z in VERTICES.tolist()]
+TRIANGLES = [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
+
+
+def obj(behind: str = "") -> str:
+    return "\n".join([*(line + behind for line in LINES), *TRIANGLES, ""])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_backslash_ends_a_comment_of_an_obj(tmp_path: Path, end: str) -> None:
+    # As in "# exported to C:\\models\\"; the vertex or the face below was taken for more of the comment.
+    text = obj().replace(LINES[3], f"# C:\\models\\\n{LINES[3]}").replace(TRIANGLES[0], f"# C:\\\\\n{TRIANGLES[0]}")
+    text = text.replace(LINES[5], LINES[5] + " # C:\\").replace("f 1 2 ", "f 1 \\\n 2 ")
+    loaded(tmp_path / "a.obj", text.replace("\n", end))
+    assert len(gk.points.load(tmp_path / "a.obj").points) == 8
+
+
+def test_what_stands_behind_vertices_of_an_obj(tmp_path: Path) -> None:
+    for behind in ("", " 1.0", " # a b c", " 1.0 # 2 3 4"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not loaded(tmp_path / "a.obj", obj(behind)).vertex_data
+    for behind, color in ((" 1 0.5 0 # red", [1.0, 0.5, 0.0]), (" 255 128 0", [255, 128, 0]), (" 1 0 1", [1.0, 0, 1])):
+        mesh = loaded(tmp_path / "a.obj", obj(behind))
+        assert mesh.vertex_data["color"].dtype == (np.uint8 if color[0] == 255 else np.float64)
+        assert mesh.vertex_data["color"].tolist() == [color] * 8
+    with pytest.warns(UserWarning, match="numbers behind the coordinates of vertices are left out"):
+        assert not loaded(tmp_path / "a.obj", obj(" 1.0 1 0.5 0")).vertex_data
+
+
+def test_files_that_an_obj_calls_are_told(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"its called files \(1\) are left out"):
+        loaded(tmp_path / "a.obj", "call b.obj\n" + obj())
 
 
 # --- OFF --------------------------------------------------------------------------------------------------------------

@@ -25,20 +25,20 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any, kind: str = "") 
     Args:
         mesh: The mesh.
         held: The line of the format.
-        module: The module of the format, which may define ``holds_type(values)``, ``holds_name(name, kind)`` and
-            ``holds_texture(data)``, and ``HOLDS_CUTOFFS = False`` if its materials have no alpha cutoff.
-        kind: The extension, for ``holds_name``.
+        module: The module of the format, which may define ``holds_type(values, kind)``, ``holds_name(name, kind)``
+            and ``holds_texture(data)``, and ``HOLDS_CUTOFFS = False`` if its materials have no alpha cutoff.
+        kind: The extension, for these.
     """
     said = mesh.materials or mesh.meters_per_unit or mesh.up_axis
     if not (mesh.vertex_data or mesh.face_data or mesh.corner_data or said):
         return mesh, []
-    holds_type = getattr(module, "holds_type", None)
+    holds_type = getattr(module, "holds_type", lambda *_: True)
     holds_name = getattr(module, "holds_name", lambda *_: True)
     holds_texture = getattr(module, "holds_texture", None)
     materials = " material" * held.materials
-    corner = _held(mesh.corner_data, held.corner or held.vertex, 2, holds_type)
-    vertex = _held(mesh.vertex_data, held.vertex, 1, holds_type)
-    face = _held(mesh.face_data, held.face + materials, 1, holds_type)
+    corner = _held(mesh.corner_data, held.corner or held.vertex, 2, holds_type, kind)
+    vertex = _held(mesh.vertex_data, held.vertex, 1, holds_type, kind)
+    face = _held(mesh.face_data, held.face + materials, 1, holds_type, kind)
     for data in (corner, vertex, face):
         for name in [name for name in data if not holds_name(name, kind)]:
             del data[name]
@@ -79,7 +79,7 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any, kind: str = "") 
 
 
 def _held(
-    data: Data, allowed: str, axes: int, holds_type: Callable[[NDArray[Any]], bool] | None
+    data: Data, allowed: str, axes: int, holds_type: Callable[[NDArray[Any], str], bool], kind: str
 ) -> dict[str, NDArray[Any]]:
     """The arrays with an allowed name and type."""
 
@@ -89,8 +89,4 @@ def _held(
         names = allowed.replace("rgb", "color").split()
         return "*" in names or (name in names and has_meaning(name, values, axes))
 
-    return {
-        name: values
-        for name, values in data.items()
-        if is_held(name, values) and (holds_type is None or holds_type(values))
-    }
+    return {name: values for name, values in data.items() if is_held(name, values) and holds_type(values, kind)}

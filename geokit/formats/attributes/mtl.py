@@ -11,7 +11,15 @@ from geokit.formats.body import FileMaterial
 from geokit.formats.references import LONGEST, require_inside
 from geokit.mesh._data import Material
 
-__all__ = ["image_content", "image_files", "library_name", "plain_names", "read_libraries", "write_library"]
+__all__ = [
+    "image_content",
+    "image_files",
+    "image_names",
+    "library_name",
+    "plain_names",
+    "read_libraries",
+    "write_library",
+]
 
 # Larger files are no material libraries and no images, and memory must not end for a name in a file.
 LARGEST_FILE = 1 << 30
@@ -122,6 +130,18 @@ def _image_name(text: str) -> str:
         while taken < most and len(words) > 1 and (most == 1 or _numbers(words[0])):
             taken, words = taken + 1, words[1:]
     return " ".join(words).strip()
+
+
+def image_names(library: Path) -> set[str]:
+    """Names of the images of base colors in a library; none if it cannot be read."""
+    try:
+        if not library.is_file() or library.stat().st_size > LARGEST_FILE:
+            return set()
+        lines = library.read_text("utf-8", "replace").splitlines()
+    except (OSError, ValueError):
+        return set()
+    words = [[*line.strip().split(None, 1), "", ""] for line in lines]
+    return {_image_name(rest) for kind, rest, *_ in words if kind.lower() == "map_kd"}
 
 
 def library_name(stem: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
     tifffile = require_package("tifffile")
     said = _Damage()
     logging.getLogger("tifffile").addHandler(said)
-    with tifffile.TiffFile(path) as file:
+    with _opened(tifffile, path) as file:
         series = file.series[0]
         if names:
             return None, [("", _pages(path, series, list(map(int, names))))]
@@ -64,18 +65,30 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         facts = {
             "axes": series.axes,
             "sizes": [int(n) for n in series.shape],
+            # That of tifffile's arrays; pages in one piece are read without it, in the file's order of bytes.
             "dtype": "" if series.dtype is None else series.dtype.str,
+            "order": file.byteorder,
             "steps": steps,
             "unit": unit,
             "note": note,
             "offset": None if series.dataoffset is None else int(series.dataoffset),
             "page": [int(n) for n in series.keyframe.shape],
             "page_count": len(series.pages),
+            "others": len(file.series) - 1,
             "compressed": int(series.keyframe.compression) != 1,
         }
     if said.found:  # tags that it has left out may be the voxel size
         raise FileFormatError(f"{path}: has damaged tags ({in_one_line(said.found[0])}); export it again")
     return facts, []
+
+
+def _opened(tifffile: Any, path: Path) -> Any:
+    """The file; pages that tifffile wrote one by one, each noted as an array of its own, are a stack if they fit."""
+    file = tifffile.TiffFile(path)
+    if not file.is_shaped or len(file.series) == 1 or any(set(one.axes) - {*"YX", *COLORS} for one in file.series):
+        return file
+    file.close()
+    return tifffile.TiffFile(path, is_shaped=False)
 
 
 class _Damage(logging.Handler):
@@ -107,6 +120,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
     facts, _ = _ask(path, [], FACTS_BYTES)
     axes, sizes, page_count, contiguous = facts["axes"], facts["sizes"], facts["page_count"], facts["offset"]
     dtype = np.dtype(facts["dtype"]) if facts["dtype"] else None
+    stored = None if dtype is None else dtype.newbyteorder(facts["order"])
     page_shape, note = tuple(facts["page"]), facts["note"]
     if dtype is None or dtype.kind not in "fiub":
         raise FileFormatError(f"{path}: holds {dtype} in a pixel; convert them to real numbers")
@@ -121,6 +135,12 @@ def open_images(path: Path, limit: int) -> list[Image]:
             f"{path}: has the axes {axes} of sizes {sizes}; geokit reads stacks of Z, Y, X and colors"
         )
     grids = [axis for axis in axes if axis not in depth + "YX" + COLORS]
+    if facts["others"]:
+        warnings.warn(
+            f"{path}: only its first stack of pages of one size and type is read, not the other {facts['others']}",
+            UserWarning,
+            stacklevel=2,
+        )
     shape = require_three(path, (sizes_of["X"], sizes_of["Y"], sizes_of.get(depth, 1)))
     count = int(np.prod([sizes_of[axis] for axis in grids], dtype=object))
     # The pages, by grid and z; those in one piece are read without tifffile.
@@ -142,7 +162,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
         step = rows_at_a_time(size)
         if contiguous is not None:
             for first, run in _runs(order[grid]):
-                for slab in slabs_in(path, dtype, (*shape[:2], run, colors), offset=contiguous, skip=first * size):
+                for slab in slabs_in(path, stored, (*shape[:2], run, colors), offset=contiguous, skip=first * size):
                     yield slab if colors > 1 else slab[..., 0]
             return
         for first in range(0, shape[2], step):

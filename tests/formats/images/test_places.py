@@ -213,6 +213,32 @@ def test_stacks_of_tifffile(tmp_path: Path, compression: str | None) -> None:
             np.testing.assert_allclose(volume.info.voxel_size, [0.7, 1.1, 2.3], rtol=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["u2", "i2", "f4", "f8"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_tiff_of_the_other_order_of_bytes(tmp_path: Path, kind: str, compression: str | None) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    pages = (np.arange(5 * 20 * 11).reshape(5, 20, 11) * 7 - 99).astype(kind)
+    for order in "<>":
+        tifffile.imwrite(tmp_path / "a.tif", pages, byteorder=order, compression=compression)
+        volume = gk.volume.load(tmp_path / "a.tif")
+        at = np.array([[0, 0, 0], [1, 0, 0], [10, 19, 4], [3, 7, 2]])
+        np.testing.assert_array_equal(volume.sample(at.astype(float), order=0), pages[at[:, 2], at[:, 1], at[:, 0]])
+
+
+def test_pages_of_tiff_that_fit_no_stack_are_told(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for rows in (20, 20, 20, 7):
+            file.write(np.ones((rows, 11), np.float32), contiguous=False)
+    with pytest.warns(UserWarning, match="only its first stack of pages of one size and type is read, not the other 1"):
+        assert gk.volume.load(tmp_path / "a.tif").info.active_voxel_count == 3 * 20 * 11
+    with tifffile.TiffWriter(tmp_path / "b.tif") as file:
+        for count in (2, 5):
+            file.write(np.ones((count, 20, 11), np.float32), contiguous=False)
+    with pytest.warns(UserWarning, match="only its first stack"):
+        assert gk.volume.load(tmp_path / "b.tif").info.active_voxel_count == 2 * 20 * 11
+
+
 def test_channels_times_and_colors_of_tiff(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     pages = VALUES.transpose(2, 1, 0)

@@ -116,6 +116,34 @@ def test_bodies_that_are_near_but_do_not_touch_stay_as_they_are() -> None:
     assert union(linked) is linked
 
 
+def test_bodies_that_are_inside_out_are_turned() -> None:
+    def inside_out(mesh: TriangleMesh) -> TriangleMesh:
+        return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
+
+    one = box((1, 1, 1))
+    apart, around, cavity = box((1, 1, 1), center=(3, 0, 0)), box((3, 3, 3)), box((0.5, 0.5, 0.5))
+    for other, volume in (
+        (one, 1.0),
+        (apart, 2.0),
+        (around, 26.0),
+        (cavity, 0.875),
+        (box((1, 1, 1), center=(0.5, 0, 0)), 1.5),
+    ):
+        for meshes in ((one, inside_out(other)), (inside_out(other), one)):
+            found = union(*meshes)
+            np.testing.assert_allclose(found.volume, volume)
+            assert audit(found).watertight
+
+
+def test_of_faces_for_each_side_one_is_left() -> None:
+    one = box((1, 1, 1))
+    twice = TriangleMesh(
+        one.vertices, np.concatenate([one.faces, one.faces[:, ::-1]]), face_data={"row": np.arange(24)}
+    )
+    found = union(twice)
+    assert (found.face_count, found.volume, len(found.face_data["row"])) == (12, 1.0, 12)
+
+
 def test_sheets_outside_stay() -> None:
     mesh = concatenated(blocks([(0, 0, 0), (0, 0, 1)]), sheet(5.0))
     found = union(mesh)
