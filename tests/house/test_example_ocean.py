@@ -9,6 +9,7 @@ import pytest
 
 import geokit as gk
 from geokit import native
+from tests.support.effort import of_all
 from tests.support.scripts import EXAMPLES, import_example, run_script
 
 CUBE, BALL = 1.1, 0.6
@@ -97,7 +98,7 @@ def test_no_wind_makes_no_waves(ocean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("density", [0.15, 0.5, 0.9])
+@pytest.mark.parametrize("density", of_all([0.15, 0.9], [0.15, 0.5, 0.9]))
 def test_cube_and_sphere_settle_at_archimedes_depth(ocean, density):
     """What is below the water, counted by winding numbers of points, is the density's share."""
     scene = calm(ocean, cube_and_ball(density), [0, 1], [[0.0, 0.0, 0.8], [4.0, 0.0, 0.8]])

@@ -141,6 +141,16 @@ def test_geokits_own_cloud_where_points_go(ask: Callable[[Any], Any]) -> None:
     np.testing.assert_array_equal(ask(CLOUD), ask(POINTS))
 
 
+@pytest.mark.parametrize("ask", [gk.points.PointCloud, gk.mesh.as_mesh])
+def test_truths_of_another_library_are_no_positions(ask: Callable[[Any], Any]) -> None:
+    import warp as wp
+
+    truths = wp.zeros((2, 3), dtype=wp.bool, device="cpu")
+    given = truths if ask is gk.points.PointCloud else SimpleNamespace(vertices=truths, faces=np.array([[0, 1, 1]]))
+    with pytest.raises(gk.InputError, match="dtype bool is not a real number type"):
+        ask(given)
+
+
 def test_saving_keeps_the_arrays(tmp_path: Any) -> None:
     gk.points.save(tmp_path / "cloud.ply", CLOUD)
     back = gk.points.load(tmp_path / "cloud.ply")

@@ -220,7 +220,9 @@ HEADER_LIES: dict[str, Lie] = {
     "voxel count 0": _voxel_count(0),
     "class level set": _field("grid_class", grid_class_code("level set")),
 }
-LIES = (*HEADER_LIES, *TREE_LIES)
+# By default without those of which another is the worse.
+MILDER = of_all({"background 1e30", "voxels 1e-30", "voxels 1e30", "translation 1e300", "root tile"}, set())
+LIES = tuple(lie for lie in (*HEADER_LIES, *TREE_LIES) if lie not in MILDER)
 
 
 def lying(source: SparseVolume, lie: str) -> SparseVolume:

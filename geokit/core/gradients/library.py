@@ -26,6 +26,8 @@ class Library(NamedTuple):
         listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part.
         detach: A tensor as a constant.
         on_host: A constant tensor as a NumPy array.
+        ask: ``ask(query, points, shape)``: the floats (N, *shape) that a query without derivatives answers for constant
+            points (N, 3).
         once: ``once(tensor, message, of)``: the tensor, whose derivative with respect to the tensors ``of`` is not
             known: asking for it is an InputError.
     """
@@ -45,6 +47,7 @@ class Library(NamedTuple):
     listed: Callable[..., Any]
     detach: Callable[..., Any]
     on_host: Callable[..., Any]
+    ask: Callable[..., Any]
     once: Callable[..., Any]
 
 

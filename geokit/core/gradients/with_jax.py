@@ -196,6 +196,15 @@ def _constant(values: Any, like: Any) -> Any:
     return array if array.dtype == bool else array.astype(jnp.result_type(int))
 
 
+def _ask(query: Any, points: Any, shape: tuple[int, ...]) -> Any:
+    kind = jax.ShapeDtypeStruct((len(points), *shape), points.dtype)
+    # Within jit the points are not known yet.
+    found: Any = jax.pure_callback(
+        lambda points: np.asarray(query(np.asarray(points)), kind.dtype), kind, points, vmap_method="sequential"
+    )
+    return found
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _unknown(message: str, tensor: Any, *of: Any) -> Any:
     return tensor
@@ -225,5 +234,6 @@ LIBRARY = Library(
     ),
     detach=jax.lax.stop_gradient,
     on_host=np.asarray,
+    ask=_ask,
     once=lambda tensor, message, of: _unknown(message, tensor, *of.values()),
 )

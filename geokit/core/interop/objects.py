@@ -287,11 +287,11 @@ def _even_steps(array: Any, dim: Any, name: str) -> tuple[float, float]:
     return float(where[0]), step
 
 
-def host(values: Any, name: str) -> NDArray[Any]:
-    """An array of any library in host memory."""
+def host(values: Any, name: str, kinds: str = "fiu") -> NDArray[Any]:
+    """An array of any library in host memory, of one of NumPy's ``kinds``."""
     if not isinstance(values, np.ndarray) and is_exporter(values):
-        return np.asarray(import_array(values, name).numpy())
-    return read_array(values, name)
+        values = np.asarray(import_array(values, name).numpy())
+    return read_array(values, name, kinds=kinds)
 
 
 def _is_array(value: Any) -> bool:

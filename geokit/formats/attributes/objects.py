@@ -169,7 +169,7 @@ def _of_open3d(mesh: Any, body: Body, images: bool) -> Body:
 def _of_open3d_tensors(mesh: Any, body: Body, images: bool) -> Body:
     def rows(group: Any, without: str) -> dict[str, NDArray[Any]]:
         items = group.items() if callable(getattr_or_none(group, "items")) else vars(group).items()
-        return {_OPEN3D.get(name, name): host(values, name) for name, values in items if name != without}
+        return {_OPEN3D.get(name, name): host(values, name, "fiub") for name, values in items if name != without}
 
     vertex, face = rows(mesh.vertex, "positions"), rows(mesh.triangle, "indices")
     corner = {"uv": face.pop("uv").reshape(-1, 2)} if "uv" in face and face["uv"].ndim == 3 else {}

@@ -7,6 +7,7 @@ around a point. Inactive voxels, tiles and the background are constants.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -208,7 +209,8 @@ def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> 
     if order == 1:
         second = _mixed(library, stencil, stencil.read(volume, device))
     else:
-        second = untracked(volume).hessian(library.detach(points), order=order, space=space, device=device)
+        query = functools.partial(untracked(volume).hessian, order=order, space=space, device=device)
+        second = library.ask(query, library.detach(points), (3, 3))
     second = library.once(library.wide(second), "points: third derivatives of samples are not known", asked.tensors)
     found = {"points": (second * library.wide(slope)[:, None, :]).sum(2)}
     if "values" in asked.tensors:
@@ -259,7 +261,8 @@ def _pull_raycast(library: Library, asked: Asked, answer: Any, slopes: Any) -> d
 
 def _pull_adaptive(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
     points = asked.tensors["points"]
-    along = asked.arguments["self"].gradient(library.detach(points), device=asked.arguments["device"])
+    query = functools.partial(asked.arguments["self"].gradient, device=asked.arguments["device"])
+    along = library.ask(query, library.detach(points), (3,))
     message = "points: second derivatives of an AdaptiveSDF are not known; take those of a SparseVolume"
     return {"points": slopes[0][:, None] * library.once(along, message, asked.tensors)}
 

@@ -50,6 +50,8 @@ places = jnp.asarray(random.standard_normal((10, 3)) * 0.6)
 for order in (1, 2, 3):
     sampled = whole(lambda p: gk.volume.sample(field, p, order=order, device="cpu"))
     check_grads(sampled, (places,), order=2, modes=["rev"])
+adaptive = gk.volume.adaptive_from_mesh(gk.mesh.sphere(segments=8), 0.05, device="cpu")
+check_grads(jax.jit(lambda p: adaptive.sample(p, device="cpu")), (places,), order=1, modes=["rev"], rtol=1e-4)
 try:
     jax.grad(lambda p: gk.volume.sample(field, p, order=0, device="cpu").sum())(places)
 except gk.InputError as error:

@@ -78,8 +78,10 @@ def rank(shape, count, seed, noise, given, scale=1.0, offset=0.0, method="point_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FREE)
-@pytest.mark.parametrize("count", of_all([500, 4000], [500, 1500, 4000]))
-@pytest.mark.parametrize("noise", of_all([0.0, 0.3], [0.0, 0.1, 0.3]))
+@pytest.mark.parametrize(
+    ("count", "noise"),
+    of_all([(500, 0.0), (4000, 0.3)], [(count, noise) for count in (500, 1500, 4000) for noise in (0.0, 0.1, 0.3)]),
+)
 @pytest.mark.parametrize("given", [True, False])
 def test_what_only_the_sampling_determines_does_not_count(name, count, noise, given):
     shape, wanted = FREE[name]
