@@ -1,7 +1,7 @@
 """Loops of 100,000 calls for one query each, from NumPy arrays on a CPU: ``python -m benchmarks.single_calls``.
 
 Each peer gets rows of its own type, prepared before the loop, and keeps its answers in its own containers. Rates are
-calls a second, so 0.2 M/s is 5 us a call. trimesh is left out: its closest point takes milliseconds.
+calls a second, so 0.2 M/s is 5 us a call. trimesh's closest points take milliseconds: their loop has 1,000 calls.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ NEAREST = 8
 BARS = (Bar(1.0, ("Open3D",)),)
 
 
-def loop(call: Callable[..., Any], *rows: Sequence[Any]) -> list[Any]:
-    """The answers to CALLS single calls; those of the first DISTINCT are kept."""
+def loop(call: Callable[..., Any], *rows: Sequence[Any], calls: int = CALLS) -> list[Any]:
+    """The answers to so many single calls; those of the first DISTINCT are kept."""
     given = list(zip(*rows, strict=True))
     kept = [call(*row) for row in given]
-    for _ in range(CALLS // DISTINCT - 1):
+    for _ in range(calls // DISTINCT - 1):
         for row in given:
             call(*row)
     return kept
@@ -45,19 +45,26 @@ def singles(values: np.ndarray, dtype: type = np.float64) -> list[np.ndarray]:
     return [np.array(row, dtype)[None] for row in values]
 
 
-def case(task: str, ours: Callable[..., Any], rows: Sequence[Any], read: Any, asked: list[Peer], **more: Any) -> Case:
+def case(
+    task: str,
+    ours: Callable[..., Any],
+    rows: Sequence[Any],
+    read: Any,
+    asked: list[Peer],
+    calls: int = CALLS,
+    **more: Any,
+) -> Case:
     """One loop of geokit beside those of its peers; ``read`` takes what is compared from an answer."""
-    return Case(
-        f"{CALLS:,} calls, {task}", CALLS, partial(loop, ours, *rows), asked, read=partial(joined, read), **more
-    )
+    run = partial(loop, ours, *rows, calls=calls)
+    return Case(f"{calls:,} calls, {task}", calls, run, asked, read=partial(joined, read), **more)
 
 
 def joined(read: Callable[[Any], Any], found: list[Any]) -> np.ndarray:
     return np.concatenate([np.ravel(read(answer)) for answer in found])
 
 
-def asked(read: Callable[[Any], Any], call: Callable[..., Any], *rows: Sequence[Any]) -> Asked:
-    return Asked(partial(loop, call, *rows), partial(joined, read))
+def asked(read: Callable[[Any], Any], call: Callable[..., Any], *rows: Sequence[Any], calls: int = CALLS) -> Asked:
+    return Asked(partial(loop, call, *rows, calls=calls), partial(joined, read))
 
 
 def open3d_scene(mesh: gk.mesh.TriangleMesh) -> Any:
@@ -97,6 +104,35 @@ def fcpw_distance(mesh: gk.mesh.TriangleMesh, points: np.ndarray) -> Asked:
     return asked(lambda distance: distance, call, singles(points, np.float32))
 
 
+def trimesh_of(mesh: gk.mesh.TriangleMesh) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def trimesh_points(mesh: gk.mesh.TriangleMesh, points: np.ndarray) -> Asked:
+    from trimesh.proximity import ProximityQuery
+
+    query = ProximityQuery(trimesh_of(mesh))
+    return asked(lambda found: found[1], query.on_surface, singles(points), calls=DISTINCT)
+
+
+def trimesh_rays(mesh: gk.mesh.TriangleMesh, origins: np.ndarray, directions: np.ndarray) -> Asked:
+    """With embreex, which trimesh takes where it is installed."""
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    cast = RayMeshIntersector(trimesh_of(mesh)).intersects_location
+
+    def call(origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return cast(origin, direction, multiple_hits=False)[0], origin, direction
+
+    def read(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
+        places, origin, direction = found
+        return float(np.linalg.norm(places - origin) / np.linalg.norm(direction)) if len(places) else np.inf
+
+    return asked(read, call, singles(origins), singles(directions))
+
+
 def queries_of_meshes(report: Report, setting: Setting) -> None:
     """Closest points, signed distances and first hits."""
     mesh = inputs.bunny_of(setting.triangles)
@@ -110,6 +146,10 @@ def queries_of_meshes(report: Report, setting: Setting) -> None:
         Peer("fcpw", partial(fcpw_distance, mesh, points)),
     ]
     report.case(case("closest point", surface.closest_point, [singles(points)], distance, peers, size=size, bars=BARS))
+    peers = [Peer("trimesh", partial(trimesh_points, mesh, points))]
+    report.case(
+        case("closest point", surface.closest_point, [singles(points)], distance, peers, calls=DISTINCT, size=size)
+    )
     peers = [Peer("Open3D", partial(open3d_points, mesh, points, "compute_signed_distance"))]
     report.case(
         case(
@@ -124,7 +164,10 @@ def queries_of_meshes(report: Report, setting: Setting) -> None:
         )
     )
     rays = [singles(origins), singles(directions)]
-    peers = [Peer("Open3D", partial(open3d_rays, mesh, origins, directions))]
+    peers = [
+        Peer("Open3D", partial(open3d_rays, mesh, origins, directions)),
+        Peer("trimesh (embreex)", partial(trimesh_rays, mesh, origins, directions), same=1e-5),
+    ]
     lengths = np.linalg.norm(directions, axis=1)
     hit = lambda found: found.t  # noqa: E731
     report.case(case("first hit", surface.raycast, rays, hit, peers, size=size, kind="hit", units=lengths, bars=BARS))

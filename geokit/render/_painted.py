@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from geokit.mesh._data import Material
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["Painted", "bytes_of", "corner_alpha", "corner_colors", "is_painted", "own_colors", "painted", "shaded"]
+__all__ = [
+    "Painted",
+    "bytes_of",
+    "corner_alpha",
+    "corner_colors",
+    "is_painted",
+    "own_colors",
+    "painted",
+    "shaded",
+    "surface_of",
+]
 
 # Edges sharper than this [degrees] stay sharp under smooth shading.
 FEATURE_ANGLE = 35.0
@@ -62,9 +72,7 @@ def painted(pv: Any, mesh: TriangleMesh, plain: tuple[float, float, float]) -> l
     for material in np.unique(rows):
         texture = textures[material] if material >= 0 else None
         faces = np.flatnonzero(rows == material)
-        surface = pv.PolyData.from_regular_faces(
-            mesh.vertices[mesh.faces[faces].reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3)
-        )
+        surface = surface_of(pv, mesh.vertices[mesh.faces[faces].reshape(-1)], np.arange(3 * len(faces)).reshape(-1, 3))
         surface.point_data["Normals"] = normals[faces].reshape(-1, 3).astype(np.float32)
         surface.point_data.active_normals_name = "Normals"
         shown = colors[faces].reshape(-1, 3)
@@ -180,7 +188,7 @@ def _corner_normals(pv: Any, mesh: TriangleMesh) -> NDArray[np.float64]:
     # Seams of attributes are no edges: vertices at one position become one.
     points = np.empty((corners.max() + 1, 3))
     points[corners.reshape(-1)] = mesh.vertices[mesh.faces.reshape(-1)]
-    smooth = shaded(pv.PolyData.from_regular_faces(points, np.ascontiguousarray(corners, np.int64)))
+    smooth = shaded(surface_of(pv, points, np.ascontiguousarray(corners, np.int64)))
     # Not regular_faces, which PyVista 0.46 cannot read beside VTK 9.5.
     computed = smooth.point_data["Normals"][smooth.faces.reshape(-1, 4)[:, 1:]]
     given = _at_corners(mesh, "normal")
@@ -193,6 +201,14 @@ def _corner_normals(pv: Any, mesh: TriangleMesh) -> NDArray[np.float64]:
     # Files with wrong winding often have right normals, and VTK turns those of faces that it sees from behind.
     away = np.einsum("fck,fk->fc", np.where(is_sound, unit, 0.0), flat) < 0.0
     return np.where(is_sound, np.where(away[..., None], -unit, unit), computed)
+
+
+def surface_of(pv: Any, points: NDArray[Any], faces: NDArray[Any]) -> Any:
+    """Triangles for PyVista, in memory of their own.
+
+    What a filter returns may share the faces of its input, and PyVista 0.46 frees those that are no copies with it.
+    """
+    return pv.PolyData.from_regular_faces(np.array(points), faces, deep=True)
 
 
 def shaded(surface: Any) -> Any:

@@ -29,7 +29,7 @@ from geokit.render._checks import (
     value_range,
 )
 from geokit.render._grid import dense_field
-from geokit.render._painted import bytes_of, is_painted, own_colors, painted, shaded
+from geokit.render._painted import bytes_of, is_painted, own_colors, painted, shaded, surface_of
 from geokit.render._passes import smooth_edges
 from geokit.render._shadow import add_shadow
 
@@ -255,7 +255,7 @@ def _add_mesh(
         for part in painted(pv, mesh, pv.Color(SURFACE_COLOR).float_rgb):
             plotter.add_mesh(part.surface, scalars="rgb", rgb=True, texture=part.texture, **shown)
         return
-    surface = pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
+    surface = surface_of(pv, mesh.vertices, mesh.faces)
     if color is None or isinstance(color, str):
         plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **shown)
         return
@@ -349,7 +349,7 @@ def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
         # Without OpenVDB, use VTK's contour of a dense copy that is fine enough for the picture.
         field = dense_field(volume, resolution=SURFACE_RESOLUTION, margin=1)
         return _image_data(pv, field).contour([isovalue], scalars="value")
-    return pv.PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
+    return surface_of(pv, mesh.vertices, mesh.faces)
 
 
 def _add_fog(pv: Any, plotter: Any, volume: "SparseVolume", look: _Look) -> None:

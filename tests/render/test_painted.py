@@ -13,6 +13,8 @@ from PIL import Image
 
 import geokit as gk
 from geokit import render
+from geokit.render._backend import pyvista
+from geokit.render._painted import surface_of
 
 SIZE = (160, 160)
 RED, GREEN, BLUE, WHITE = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
@@ -185,3 +187,11 @@ def test_edges(tmp_path: Path) -> None:
 def test_cameras_that_are_none(tmp_path: Path, option: Any, message: str) -> None:
     with pytest.raises(gk.InputError, match=message):
         render.figure(tmp_path / "a.png", mesh=_square(), **option)
+
+
+def test_surfaces_have_memory_of_their_own():
+    pv = pyvista()
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    surface = surface_of(pv, points, faces)
+    assert not np.shares_memory(surface.points, points)
+    assert not np.shares_memory(pv.convert_array(surface.GetPolys().GetConnectivityArray()), faces)
