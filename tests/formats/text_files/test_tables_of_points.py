@@ -125,7 +125,7 @@ def test_what_is_not_sure_is_refused(tmp_path: Path, text: str, message: str) ->
         "X,Y,Z",
         "X [m],Y [m],Z [m]",
         "X(m),Y(m),Z(m)",
-        "X [m],Y (metres),Z",
+        "X [m],Y (meters),Z",
         "X (east),Y (north),Z (up)",
         "x_mm,y_mm,z_mm",
         "//X,Y,Z",
