@@ -17,7 +17,7 @@ _UNIT = re.compile(
 )
 # Lengths as people write them, and one name for each.
 _LENGTHS = {"inch": "in", "inches": "in", "feet": "ft", "foot": "ft", "micron": "um", "microns": "um", "µm": "um"}
-_LENGTHS |= {f"{word}{end}": "m" for word in ("meter", "metre") for end in ("", "s")}
+_METERS = re.compile(r"met(?:er|re)s?")
 _LENGTHS |= {unit: unit for unit in ("nm", "um", "mm", "cm", "dm", "m", "km", "in", "ft")}
 _PLACE = re.compile(r"[\[(]([012xyz])[\])]$")
 _WORD = "pos|position|point|pnt|coord|coordinate|location|loc|vertex|xyz|cent(?:er|re)|centroid"
@@ -88,7 +88,7 @@ def _plain(name: str) -> str:
 def _unit(name: str) -> str:
     """The unit behind a name, without what sets it off."""
     found = _UNIT.search(name.strip().strip("\"'").lower())
-    return found[0].strip(" \t_/[](){}<>") if found else ""
+    return _METERS.sub("m", found[0].strip(" \t_/[](){}<>")) if found else ""
 
 
 def _only(places: list[int]) -> int | None:
