@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import os
 import re
 import warnings
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
+from geokit.formats.attributes.gmsh import read_gmsh
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
 from geokit.mesh._data import full_scale, has_meaning
@@ -53,15 +55,19 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     files are read from the file's own folder and from ``folders``. ``step`` is the number of one grid of a time series.
     """
     meshio = require_package("meshio")
+    notes: list[str] = []
+    first = 0
     # Not meshio.read, which prints the reason and exits.
     if path.suffix.lower() == ".xdmf":
         root = _one_grid(path, step)
+        first, said = _numbering(path, root)
+        notes += said
         _check_arrays(path, folders)
         mesh = _xdmf_reader()(path).read_root(root)
     else:
         with open(path, "rb") as file:
             is_gmsh = file.read(64).lstrip().startswith(b"$")
-        mesh = (meshio.gmsh if is_gmsh else meshio.ansys).read(path)
+        mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
     counts: list[np.ndarray] = []
     indices: list[np.ndarray] = []
     volume: dict[str, int] = {}
@@ -86,10 +92,10 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
         points = np.pad(points, ((0, 0), (0, 1)))
     cells = {name: np.concatenate([values[at] for at in blocks]) for name, values in mesh.cell_data.items()}
     vertex, polygon = (named(data) for data in (mesh.point_data, cells))
-    faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64)
+    faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64) - first
     listed = ", ".join(f"{count} {kind}" for kind, count in volume.items())
-    notes = (f"its volume cells ({listed}) are left out",) if listed else ()
-    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon, notes=notes)]
+    notes += [f"its volume cells ({listed}) are left out"] if listed else []
+    return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))]
 
 
 def named(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -109,15 +115,35 @@ _POINTED = re.compile(r"""Grid(?:\[@Name=["']([^"']*)["']\])?(?:\[(\d+)\])?""")
 
 
 def _xdmf_reader() -> Any:
+    from meshio.xdmf.common import xdmf_to_numpy_type
     from meshio.xdmf.main import XdmfReader
 
     class Reader(XdmfReader):
         """Opens files of plain numbers relative to the file, where meshio does to the working folder."""
 
         def _read_data_item(self, item: Any, root: Any = None) -> Any:
+            if (kind := item.get("ItemType", "Uniform")).lower() != "uniform":
+                raise FileFormatError(
+                    f"{self.filename}: has an array of the type {kind[:40]}, which is not read; save plain arrays"
+                )
             if item.get("Format") == "Binary":
-                item.text = str(self.filename.parent / (item.text or "").strip())
+                return self._binary(item)
             return super()._read_data_item(item, root)
+
+        def _binary(self, item: Any) -> Any:
+            """Numbers in the file's order of bytes from a place on, both of which meshio passes over."""
+            kind = (item.get("DataType", item.get("NumberType", "Float")), item.get("Precision", "4"))
+            order = {"big": ">", "little": "<", "native": "="}.get(item.get("Endian", "native").lower())
+            if order is None or item.get("Compression", "Raw").lower() != "raw":
+                raise FileFormatError(
+                    f"{self.filename}: has binary numbers that are compressed or in an order of bytes that is not "
+                    "known; save them plainly, or in HDF5"
+                )
+            shape = [int(number) for number in item.get("Dimensions").split()]
+            dtype = np.dtype(xdmf_to_numpy_type[kind]).newbyteorder(order)
+            at, name = int(item.get("Seek", "0")), self.filename.parent / (item.text or "").strip()
+            found = np.fromfile(name, dtype, math.prod(shape), offset=at).reshape(shape)
+            return found.astype(dtype.newbyteorder("="))
 
         def read_root(self, root: Any) -> Any:
             """What ``read`` makes of a file with this content."""
@@ -180,6 +206,28 @@ def _one_grid(path: Path, step: int | None) -> Any:
             "first"
         )
     return root
+
+
+def _numbering(path: Path, root: Any) -> tuple[int, list[str]]:
+    """The number of the first vertex, and notes on arrays that are left out; meshio knows neither.
+
+    Raises:
+        FileFormatError: The corners of cells are in another order.
+    """
+    topology = next(root.iter("Topology"), None)
+    order = [] if topology is None else topology.get("Order", "").split()
+    if order != [str(at) for at in range(len(order))]:
+        raise FileFormatError(
+            f"{path}: has the corners of its cells in the order {' '.join(order)[:40]}; export it plainly"
+        )
+    lost = []
+    for grid in list(root.iter("Grid")):
+        for array in grid.findall("Attribute"):
+            if (center := array.get("Center", "Node")) not in ("Node", "Cell"):
+                grid.remove(array)
+                lost.append(f"the array {array.get('Name', '')[:100]!r} is left out: it is of center {center[:40]!r}")
+    first = "0" if topology is None else topology.get("BaseOffset", "0")
+    return int(first), lost
 
 
 def _is_series(grid: Any) -> bool:

@@ -18,6 +18,9 @@ from geokit.formats.columns import AXES, Columns, by_place, first_rays, joined
 
 __all__ = ["content_bytes", "read_points", "read_rays", "write_points"]
 
+# Three rows of as many numbers are the axes of a cloud, not three points.
+MOST_COLUMNS = 100
+
 
 def content_bytes(path: Path) -> int | None:
     """Size of the decompressed arrays of an .npz file; None for an .npy file, which is never compressed.
@@ -46,7 +49,10 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     array = _loaded(path)
     if array.dtype.names:
         return joined(_fields(array, path), path)
-    return joined(by_place(_table(array, path), path), path)
+    table = _table(array, path)
+    if len(table) == len(AXES) and table.shape[1] >= MOST_COLUMNS:
+        raise FileFormatError(f"{path}: has three rows of {table.shape[1]} numbers, and a row is a point; save array.T")
+    return joined(by_place(table, path), path)
 
 
 def read_rays(path: Path) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ def full_scale(dtype: np.dtype[Any]) -> float | int:
 
 
 def as_bytes(colors: NDArray[Any]) -> NDArray[Any]:
-    """Colors of floats as bytes if they are 255ths to the last bit; others as they are."""
+    """Colors of floats as bytes if they are k / 255 to the last bit; others as they are."""
     if colors.dtype.kind != "f" or not np.all((colors >= 0.0) & (colors <= 1.0)):
         return colors
     found = np.rint(colors * 255.0).astype(np.uint8)

@@ -188,7 +188,7 @@ def save(
     - Where a format has no attributes of corners, a vertex is written once for each set of values of its corners.
     - Types change only where a format lacks them: .obj, .msh, .xdmf and USD write colors of integers as floats up to 1,
       .glb and .gltf numbers of 64 bits as float32, .msh all as float64. .ply writes colors of floats as uint8 where
-      they are 255ths exactly, since other programs take all colors of .ply for bytes.
+      they are k / 255 exactly, since other programs take all colors of .ply for bytes.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
 
     One UserWarning names what the format does not hold. Arguments that it does not hold are an error.

@@ -311,7 +311,7 @@ def save(
     within 1.5e-8 of an edge. ``rgb`` of integers is stored as Houdini's ``Cd`` from 0 to 1 and read back unchanged.
 
     In .csv, .ply and .xyz an array (N, 3) becomes the columns ``name_x, name_y, name_z`` (``normals``: nx, ny, nz;
-    ``rgb``: red, green, blue, in .ply as uint8 where floats are 255ths exactly); an array of another width becomes
+    ``rgb``: red, green, blue, in .ply as uint8 where floats are k / 255 exactly); an array of another width becomes
     ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x, normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba``
     (N, 4) of uint8 are packed as in PCL. .pcd coordinates are 8-byte floats, or 4-byte floats if points is a float32
     array, the only ones that PCL and Open3D read. .pts holds only ``intensity`` and ``rgb`` uint8. In .las, arrays

@@ -96,6 +96,22 @@ def test_required_extensions_of_looks_are_none_of_a_mesh(tmp_path: Path) -> None
     np.testing.assert_array_equal(gk.mesh.load(path).vertices, TETRAHEDRON)
 
 
+def test_a_file_that_names_no_scene_has_one_of_all_nodes(tmp_path: Path) -> None:
+    tree, content = scene()
+    del tree["scenes"]
+    tree["nodes"] = [{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [5, 0, 0]}]
+    mesh = gk.mesh.load(glb(tmp_path / "a.glb", tree, content))
+    np.testing.assert_array_equal(mesh.vertices, np.concatenate([TETRAHEDRON, TETRAHEDRON + np.array([5, 0, 0])]))
+
+
+def test_diffuse_colors_of_the_older_materials_are_base_colors(tmp_path: Path) -> None:
+    tree, content = scene(required=["KHR_materials_pbrSpecularGlossiness"])
+    old = {"diffuseFactor": [0.25, 0.5, 0.75, 1.0], "glossinessFactor": 0.5}
+    tree["materials"] = [{"name": "m", "extensions": {"KHR_materials_pbrSpecularGlossiness": old}}]
+    tree["meshes"][0]["primitives"][0]["material"] = 0
+    assert gk.mesh.load(glb(tmp_path / "a.glb", tree, content)).materials[0].color == (0.25, 0.5, 0.75, 1.0)
+
+
 @pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
 @pytest.mark.parametrize("normalized", [False, True])
 def test_quantized_positions(tmp_path: Path, kind: str, normalized: bool) -> None:

@@ -335,3 +335,9 @@ def test_public_names():
         assert getattr(gk.points, name).__name__ == name
     with pytest.raises(AttributeError, match="knn_of_old"):
         _ = gk.points.knn_of_old
+
+
+def test_axes_as_rows_are_no_points(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((3, 1000)))
+    with pytest.raises(gk.FileFormatError, match=r"three rows of 1000 numbers, and a row is a point; save array.T"):
+        gk.points.load(tmp_path / "a.npy")

@@ -47,6 +47,11 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         document = _opened(path, notes)
+    for error in map(str, document.errors):
+        if error.endswith("}skew"):
+            raise FileFormatError(f"{path}: has a node that is skewed, which is not read; export it with matrices")
+        if "geometry" in error or "scene node" in error:
+            notes[f"left out: {error}"] = None
     materials: dict[str, int] = {}
     listed: list[FileMaterial] = []
 
@@ -76,7 +81,11 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     if not bodies:
         raise FileFormatError(f"{path}: holds no polygons; a mesh needs faces, export the surface itself")
     unit = document.assetInfo.unitmeter if document.xmlnode.find(f".//{document.tag('unit')}") is not None else None
-    bodies[0] = bodies[0]._replace(materials=tuple(listed), notes=tuple(notes), meters_per_unit=unit)
+    up = document.xmlnode.findtext(f"{document.tag('asset')}/{document.tag('up_axis')}", "").strip()
+    axis = up[0].lower() if up in ("X_UP", "Y_UP", "Z_UP") else None
+    bodies[0] = bodies[0]._replace(
+        materials=tuple(listed), notes=tuple(notes), meters_per_unit=unit, up_axis=axis
+    )  # fmt: skip
     return bodies
 
 

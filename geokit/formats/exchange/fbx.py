@@ -75,8 +75,14 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     lost = [mesh for mesh in _items(scene.meshes) if mesh.element_id not in placed]
     if lost:
         notes[f"{len(lost)} of its meshes belong to no node and are left out"] = None
-    unit = _keep(scene.settings).unit_meters
-    bodies[0] = bodies[0]._replace(materials=tuple(materials), notes=tuple(notes), meters_per_unit=unit or None)
+    settings = _keep(scene.settings)
+    up = _keep(settings.axes).up.name
+    bodies[0] = bodies[0]._replace(
+        materials=tuple(materials),
+        notes=tuple(notes),
+        meters_per_unit=settings.unit_meters or None,
+        up_axis=up[-1].lower() if up.startswith("POSITIVE_") else None,
+    )
     return bodies
 
 

@@ -120,10 +120,10 @@ def open_images(path: Path, limit: int) -> list[Image]:
     facts, _ = _ask(path, [], FACTS_BYTES)
     axes, sizes, page_count, contiguous = facts["axes"], facts["sizes"], facts["page_count"], facts["offset"]
     dtype = np.dtype(facts["dtype"]) if facts["dtype"] else None
-    stored = None if dtype is None else dtype.newbyteorder(facts["order"])
     page_shape, note = tuple(facts["page"]), facts["note"]
     if dtype is None or dtype.kind not in "fiub":
         raise FileFormatError(f"{path}: holds {dtype} in a pixel; convert them to real numbers")
+    stored = dtype.newbyteorder(facts["order"])
     depth = next((axis for axis in DEPTH if axis in axes), "")
     if not depth:  # a series of anything is a stack if it is the only axis
         others = [axis for axis in axes if axis not in "YX" + COLORS]

@@ -52,10 +52,12 @@ def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
     if not isinstance(tree, dict):
         return None  # trimesh says what is wrong
     _require_understood(tree, path)
-    if not needs_writing_out(tree):
+    changed = [_with_a_scene(tree), _with_base_colors(tree), needs_writing_out(tree)]
+    if not any(changed):
         return None
     try:
-        write_out(tree, Accessors(tree, binary, read))
+        if changed[-1]:
+            write_out(tree, Accessors(tree, binary, read))
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise FileFormatError(
             f"{path}: its meshes cannot be read ({type(error).__name__}: {str(error)[:200]}); the file is damaged, "
@@ -67,6 +69,28 @@ def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
     text += b" " * (-len(text) % 4)
     parts = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BINARY) + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts
+
+
+def _with_a_scene(tree: dict[str, Any]) -> bool:
+    """Whether the tree, which names no scenes, gets one of all nodes that are no children."""
+    nodes = objects(tree.get("nodes"))
+    if "scenes" in tree or not nodes:
+        return False
+    children = {child for node in nodes for child in objects(node.get("children"), int)}
+    tree["scenes"] = [{"nodes": [number for number in range(len(tree["nodes"])) if number not in children]}]
+    return True
+
+
+def _with_base_colors(tree: dict[str, Any]) -> bool:
+    """Whether materials of the older model, with specular colors, get their diffuse colors as base colors."""
+    changed = False
+    for material in objects(tree.get("materials")):
+        old = object_of(object_of(material.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
+        names = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
+        if "pbrMetallicRoughness" not in material and names.keys() & old.keys():
+            material["pbrMetallicRoughness"] = {new: old[name] for name, new in names.items() if name in old}
+            changed = True
+    return changed
 
 
 def _opened(data: bytes) -> tuple[Any, bytes]:

@@ -15,6 +15,10 @@ __all__ = ["coordinate_columns", "ray_columns"]
 _UNIT = re.compile(
     r"\s*[\[({<][^\])}>]*[\])}>]$|(?<=[xyz])[ _/](?:[munk]?m|cm|dm|ft|in|feet|inch(?:es)?|met(?:er|re)s?)$"
 )
+# Lengths as people write them, and one name for each.
+_LENGTHS = {"inch": "in", "inches": "in", "feet": "ft", "foot": "ft", "micron": "um", "microns": "um", "µm": "um"}
+_METERS = re.compile(r"met(?:er|re)s?")
+_LENGTHS |= {unit: unit for unit in ("nm", "um", "mm", "cm", "dm", "m", "km", "in", "ft")}
 _PLACE = re.compile(r"[\[(]([012xyz])[\])]$")
 _WORD = "pos|position|point|pnt|coord|coordinate|location|loc|vertex|xyz|cent(?:er|re)|centroid"
 # position.x, Points:0, px; x_coord, x position. What stands before belongs to the name.
@@ -38,11 +42,15 @@ def coordinate_columns(names: Sequence[str], path: Path) -> tuple[int, int, int]
     ``Points:0``, ``x_coord``); and easting, northing and a height, also a height beside x and y.
 
     Raises:
-        FileFormatError: The names are those of longitude and latitude, which are angles.
+        FileFormatError: The names are those of longitude and latitude, which are angles, or have different units.
     """
     plain = [_plain(name) for name in names]
     for found in (_axes(plain), _vector(plain), _east_north_up(plain)):
         if found is not None:
+            units = [_LENGTHS.get(_unit(names[at])) for at in found]
+            if len({*units} - {None}) > 1:
+                listed = in_one_line(", ".join(names[at] for at in found))
+                raise FileFormatError(f"{path}: its columns {listed} are in different units; convert them to one")
             return found
     words = [set(_SIGNS.split(name)) for name in plain]
     if all(any(word & angle for word in words) for angle in _ANGLES):
@@ -75,6 +83,12 @@ def ray_columns(names: Sequence[str]) -> list[int] | None:
 def _plain(name: str) -> str:
     low = _PLACE.sub(r"_\1", name.strip().strip("\"'").lstrip("/#%!").strip().lower())
     return _UNIT.sub("", low)
+
+
+def _unit(name: str) -> str:
+    """The unit behind a name, without what sets it off."""
+    found = _UNIT.search(name.strip().strip("\"'").lower())
+    return _METERS.sub("m", found[0].strip(" \t_/[](){}<>")) if found else ""
 
 
 def _only(places: list[int]) -> int | None:

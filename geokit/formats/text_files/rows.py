@@ -130,7 +130,8 @@ def decoded(text: bytes, start: int, path: Path) -> str:
         return text.decode("utf-8")
     except UnicodeDecodeError as error:
         raise FileFormatError(
-            f"{path}: byte {start + error.start} is not text; the file is damaged or of another format"
+            f"{path}: byte {start + error.start} is not text in UTF-8; save text in another encoding, such as Latin-1, "
+            "as UTF-8, or get a whole copy"
         ) from None
 
 

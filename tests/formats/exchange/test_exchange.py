@@ -45,6 +45,7 @@ def test_bodies_stand_in_their_places_with_the_digits_of_the_file(kind, tmp_path
     assert audit.watertight
     assert not audit.inside_out
     assert mesh.meters_per_unit == pytest.approx(0.01 if kind == ".dae" else 0.0254)
+    assert mesh.up_axis == "z"
 
 
 def test_attributes_of_corners_and_materials_come_along(kind, tmp_path):
@@ -165,4 +166,21 @@ def test_collada_with_holes_or_with_geometry_elsewhere_is_refused(tmp_path):
     polygons = f'<polygons count="1">{"".join(inputs)}<p>0 0 0 1 0 1 2 0 2</p>{hole}</polygons>'
     path.write_text(text[:start] + polygons + text[end:])
     with pytest.raises(gk.FileFormatError, match="polygons with holes"):
+        gk.mesh.load(path)
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("collada"), reason="needs collada")
+@pytest.mark.parametrize(
+    ("said", "axis"), [("<up_axis>Y_UP</up_axis>", "y"), ("<up_axis>X_UP</up_axis>", "x"), ("", None)]
+)
+def test_the_axis_of_collada_that_points_up(said, axis, tmp_path):
+    write_collada(tmp_path / "a.dae")
+    assert gk.mesh.load(damaged(tmp_path / "a.dae", "<up_axis>Z_UP</up_axis>", said)).up_axis == axis
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("collada"), reason="needs collada")
+def test_a_skewed_node_of_collada_is_refused(tmp_path):
+    write_collada(tmp_path / "a.dae")
+    path = damaged(tmp_path / "a.dae", "<instance_geometry", "<skew>30 1 0 0 0 1 0</skew><instance_geometry")
+    with pytest.raises(gk.FileFormatError, match="has a node that is skewed, which is not read"):
         gk.mesh.load(path)

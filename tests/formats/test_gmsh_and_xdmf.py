@@ -1,0 +1,145 @@
+"""Arrays of .msh by the tags of their rows; what XDMF says of binary numbers and of the first vertex."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geokit as gk
+
+pytestmark = pytest.mark.slow
+
+VERTICES = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)])
+QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FACES = np.array([[quad[0], quad[at], quad[at + 1]] for quad in QUADS for at in (1, 2)])
+TAGS = [10, 3, 77, 5, 1000, 2, 8, 9]
+ELEMENTS = [100 - 7 * row for row in range(12)]
+
+
+def loaded(path: Path, content: str | bytes) -> gk.mesh.TriangleMesh:
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = gk.mesh.load(path)
+    audit = gk.mesh.audit(mesh)
+    assert (audit.face_count, audit.watertight, audit.signed_volume) == (12, True, 6.0)
+    return mesh
+
+
+# --- Gmsh -------------------------------------------------------------------------------------------------------------
+
+
+def lines(rows: list[list[object]]) -> str:
+    return "".join(" ".join(map(str, row)) + "\n" for row in rows)
+
+
+def data(kind: str, name: str, rows: list[list[object]]) -> str:
+    width = len(rows[0]) - 1
+    return f'${kind}\n1\n"{name}"\n1\n0.0\n3\n0\n{width}\n{len(rows)}\n{lines(rows)}$End{kind}\n'
+
+
+def gmsh(version: str) -> str:
+    corners = [[TAGS[corner] for corner in face] for face in FACES.tolist()]
+    places = VERTICES.tolist()
+    if version == "2.2":
+        nodes = "8\n" + lines([[tag, *place] for tag, place in zip(TAGS, places, strict=True)])
+        cells = "12\n" + lines([[tag, 2, 2, 1, 1, *face] for tag, face in zip(ELEMENTS, corners, strict=True)])
+    else:
+        # Two blocks of nodes, and two of elements.
+        parts = [f"2 {block + 1} 0 4\n{lines([[tag] for tag in TAGS[4 * block :][:4]])}" for block in (0, 1)]
+        parts = [part + lines(places[4 * block :][:4]) for block, part in enumerate(parts)]
+        nodes = "2 8 2 1000\n" + "".join(parts)
+        rows = [[tag, *face] for tag, face in zip(ELEMENTS, corners, strict=True)]
+        cells = f"2 12 1 100\n2 1 2 5\n{lines(rows[:5])}2 2 2 7\n{lines(rows[5:])}"
+    return f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$Nodes\n{nodes}$EndNodes\n$Elements\n{cells}$EndElements\n"
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+def test_rows_of_arrays_go_to_the_nodes_and_elements_of_their_tags(tmp_path: Path, version: str) -> None:
+    random = np.random.default_rng(4)
+    nodes, vectors, elements = random.random(8), random.random((8, 3)), random.random(12)
+    order, turned = random.permutation(8), random.permutation(12)
+    text = gmsh(version)
+    text += data("NodeData", "a b", [[TAGS[row], nodes[row]] for row in order])
+    text += data("NodeData", "v", [[TAGS[row], *vectors[row]] for row in order])
+    text += data("NodeData", "some", [[TAGS[row], nodes[row]] for row in order[:3]])
+    text += data("ElementData", "e", [[ELEMENTS[row], elements[row]] for row in turned])
+    for end in ("\n", "\r\n"):
+        mesh = loaded(tmp_path / "a.msh", text.replace("\n", end))
+        np.testing.assert_array_equal(mesh.vertex_data["a b"], nodes)
+        np.testing.assert_array_equal(mesh.vertex_data["v"], vectors)
+        np.testing.assert_array_equal(mesh.face_data["e"], elements)
+        expected = np.where(np.isin(np.arange(8), order[:3]), nodes, np.nan)
+        np.testing.assert_array_equal(mesh.vertex_data["some"], expected)
+    (tmp_path / "a.msh").write_text(text + data("NodeData", "b", [[4, 0.5]]))
+    with pytest.warns(UserWarning, match="the array 'b' is left out: it has values for tags that are not there"):
+        assert "a b" in gk.mesh.load(tmp_path / "a.msh").vertex_data
+
+
+def test_binary_nodes_in_another_order_than_their_tags(tmp_path: Path) -> None:
+    order = np.random.default_rng(5).permutation(8)
+    nodes = struct.pack("<4Q3iQ8Q", 1, 8, 1, 8, 2, 1, 0, 8, *(order + 1)) + VERTICES[order].tobytes()
+    cells = struct.pack("<4Q3iQ", 1, 12, 1, 12, 2, 1, 2, 12)
+    cells += np.column_stack([np.arange(1, 13), FACES + 1]).astype("<u8").tobytes()
+    values = b"".join(struct.pack("<id", row + 1, row / 3) for row in range(8))
+    content = b"$MeshFormat\n4.1 1 8\n\1\0\0\0\n$EndMeshFormat\n$Nodes\n" + nodes + b"\n$EndNodes\n$Elements\n" + cells
+    content += b'\n$EndElements\n$NodeData\n1\n"a"\n1\n0.0\n3\n0\n1\n8\n' + values + b"\n$EndNodeData\n"
+    mesh = loaded(tmp_path / "a.msh", content)
+    np.testing.assert_array_equal(mesh.vertices, VERTICES[order])
+    np.testing.assert_array_equal(mesh.vertex_data["a"], order / 3)
+
+
+# --- XDMF -------------------------------------------------------------------------------------------------------------
+
+
+def xdmf(item: str, topology: str = "", corners: np.ndarray = FACES, more: str = "") -> str:
+    return (
+        '<Xdmf Version="3.0"><Domain><Grid Name="g">'
+        f'<Topology TopologyType="Triangle" NumberOfElements="12" {topology}>'
+        f'<DataItem Dimensions="12 3" NumberType="Int" Format="XML">{lines(corners.tolist())}</DataItem></Topology>'
+        f'<Geometry GeometryType="XYZ">{item}</Geometry>{more}</Grid></Domain></Xdmf>'
+    )
+
+
+PLAIN = f'<DataItem Dimensions="8 3" Format="XML">{lines(VERTICES.tolist())}</DataItem>'
+
+
+@pytest.mark.parametrize("kind", ["<f8", ">f8", ">f4"])
+@pytest.mark.parametrize("before", [0, 24])
+def test_binary_numbers_in_their_order_of_bytes(tmp_path: Path, kind: str, before: int) -> None:
+    (tmp_path / "a.bin").write_bytes(b"x" * before + VERTICES.astype(kind).tobytes() + b"y" * before)
+    endian = {"<": "Little", ">": "Big"}[kind[0]]
+    said = f'Endian="{endian}" Precision="{kind[2]}" ' + (f'Seek="{before}"' if before else "")
+    loaded(tmp_path / "a.xdmf", xdmf(f'<DataItem Dimensions="8 3" Format="Binary" {said}>a.bin</DataItem>'))
+
+
+def test_the_first_vertex_has_the_number_that_the_file_says(tmp_path: Path) -> None:
+    mesh = loaded(tmp_path / "a.xdmf", xdmf(PLAIN, 'BaseOffset="1"', FACES + 1))
+    np.testing.assert_array_equal(mesh.faces, FACES)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (xdmf(PLAIN, 'Order="2 1 0"'), "corners of its cells in the order 2 1 0"),
+        (xdmf(f'<DataItem ItemType="Function" Dimensions="8 3">{PLAIN}</DataItem>'), "an array of the type Function"),
+        (xdmf('<DataItem Dimensions="8 3" Format="Binary" Compression="Zlib">a.bin</DataItem>'), "are compressed"),
+    ],
+)
+def test_what_is_not_read_is_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.bin").write_bytes(VERTICES.tobytes())
+    (tmp_path / "a.xdmf").write_text(text)
+    with pytest.raises(gk.FileFormatError, match=message):
+        gk.mesh.load(tmp_path / "a.xdmf")
+
+
+def test_arrays_of_the_whole_grid_are_left_out_with_a_word(tmp_path: Path) -> None:
+    item = '<DataItem Dimensions="1" Format="XML">5</DataItem>'
+    more = f'<Attribute Name="time" Center="Grid">{item}</Attribute>'
+    (tmp_path / "a.xdmf").write_text(xdmf(PLAIN, more=more))
+    with pytest.warns(UserWarning, match="the array 'time' is left out: it is of center 'Grid'"):
+        assert gk.mesh.load(tmp_path / "a.xdmf").face_count == 12
