@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from geokit.volume._dense import to_dense
 from geokit.volume._from_function import from_function
 from geokit.volume.nanovdb.checks import check_grid
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SETTINGS = settings(max_examples=of_all(20, 40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def solid(seed: int):

@@ -209,8 +209,10 @@ def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> 
     if order == 1:
         second = _mixed(library, stencil, stencil.read(volume, device))
     else:
-        query = functools.partial(untracked(volume).hessian, order=order, space=space, device=device)
-        second = library.ask(query, library.detach(points), (3, 3))
+        plain, constant = untracked(volume), library.detach(points)
+        query = functools.partial(plain.hessian, order=order, space=space, device=device)
+        # One of traced values says that it has none, which must not happen within a callback.
+        second = library.ask(query, constant, (3, 3)) if isinstance(plain, SparseVolume) else query(constant)
     second = library.once(library.wide(second), "points: third derivatives of samples are not known", asked.tensors)
     found = {"points": (second * library.wide(slope)[:, None, :]).sum(2)}
     if "values" in asked.tensors:

@@ -11,10 +11,11 @@ from benchmarks.catalog import mesh_catalog
 from geokit.mesh._model import TriangleMesh
 from geokit.volume._adaptive import adaptive_from_mesh
 from tests.support import reference
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
 
-EXAMPLES = settings(max_examples=3, deadline=None)
+EXAMPLES = settings(max_examples=of_all(2, 20), deadline=None)
 # Of the longest edge of the mesh's box.
 SHARE = 0.01
 MESHES = {
@@ -60,7 +61,8 @@ def _worst(mesh, field, within, seed):
     return np.abs(field.sample(points, device="cpu") - exact)[zone].max()
 
 
-@pytest.mark.parametrize("kind", MESHES)
+# The profile of "sharp" is also far away and tiny.
+@pytest.mark.parametrize("kind", of_all([kind for kind in MESHES if kind != "sharp"], list(MESHES)))
 def test_the_tolerance_holds_on_other_points(kind):
     mesh = MESHES[kind]()
     tolerance = SHARE * float((mesh.bounds[1] - mesh.bounds[0]).max())

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from geokit.volume._dense import to_dense
 from geokit.volume._from_points import from_points
+from tests.support.effort import of_all
 from tests.support.reference import union_of_balls
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SETTINGS = settings(max_examples=of_all(20, 40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # One rounding to float32 of values up to the band, and of coordinates below 2000 voxels in float64.
 ROUNDING = 7.0e-8
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import geokit as gk
 from geokit.mesh import TriangleMesh, box, cylinder
+from tests.support.effort import of_all
 
 SIZES = st.sampled_from([0.05, 0.1, 0.02, 0.025, 1.0 / 3.0, 0.03, 0.7])
 
@@ -18,7 +19,7 @@ def pieces(mesh: TriangleMesh, voxel_size: float, method: str, **options: object
     return len(gk.mesh.split(gk.mesh.from_volume(field, method=method, device="cpu")))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=of_all(20, 40), deadline=None)
 @given(
     voxel_size=SIZES,
     counts=st.lists(st.integers(3, 20), min_size=3, max_size=3),

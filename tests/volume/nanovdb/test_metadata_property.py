@@ -12,10 +12,13 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.write import write
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(
+    max_examples=of_all(30, 60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 FLOATS = st.floats(allow_nan=False)
 SINGLES = st.floats(width=32, allow_nan=False).map(np.float32)
 VALUES = st.one_of(

@@ -11,10 +11,11 @@ from geokit.volume._dense import from_dense, to_dense
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.typed_tree import VALUE_TYPES
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SETTINGS = settings(max_examples=of_all(20, 40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 START = st.one_of(st.integers(-300, 300), st.sampled_from([-(2**31), 2**31 - 40, -4097, 4090]))
 
 

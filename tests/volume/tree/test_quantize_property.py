@@ -15,8 +15,9 @@ from geokit.volume._quantize import quantize
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
+from tests.support.effort import of_all
 
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SETTINGS = settings(max_examples=of_all(20, 40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 CODECS = ["fp4", "fp8", "fp16"]
 
 
