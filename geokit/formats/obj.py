@@ -123,20 +123,22 @@ def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
-    """Read the vertices; everything else is left out.
+    """Read the vertices, and the colors behind them as ``rgb``; everything else is left out.
 
     Raises:
         FileFormatError: A vertex is not three numbers; the message names its line.
     """
     data = _text(path)
     lines = _lines(data)
-    for note in _unknown(lines.unknown, data, path):
-        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=2)
+    notes = _unknown(lines.unknown, data, path)
     try:
-        return _coordinates(lines.vertices, path), {}
+        points, colors = _vertices(lines.vertices, path, notes)
     except FileFormatError:
         _blame(data, path)
         raise
+    for note in notes:
+        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=2)
+    return points, {} if colors is None else {"rgb": colors}
 
 
 def _unknown(lines: list[bytes], data: bytes, path: Path) -> list[str]:

@@ -107,7 +107,7 @@ def load(
     Formats: .ply (vertices), .pcd, .vtp (points), .las and .laz (with laspy), .csv, .xyz and .txt (see below), .pts,
     .npy ((N, K), the first three columns), .npz (the array ``points``, else the only one of shape (N, 3); other arrays
     with N rows are data), .e57 (with pye57), .bin (KITTI's x, y, z and reflectance in float32; of nuScenes if the name
-    ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices).
+    ends in .pcd.bin), .vdb (OpenVDB's grids of points) and .obj (vertices and the colors behind them).
 
     Columns ``name_x, name_y, name_z`` become one array (N, 3), ``nx, ny, nz`` the array ``normals``, and
     ``red, green, blue`` of one type (also ``Red``, ``R`` or ``r`` and so on) the array ``rgb``; unnamed columns are

@@ -119,6 +119,9 @@ def test_what_stands_behind_vertices_of_an_obj(tmp_path: Path) -> None:
         mesh = loaded(tmp_path / "a.obj", obj(behind))
         assert mesh.vertex_data["color"].dtype == (np.uint8 if color[0] == 255 else np.float64)
         assert mesh.vertex_data["color"].tolist() == [color] * 8
+        cloud = gk.points.load(tmp_path / "a.obj")
+        assert cloud.data["rgb"].dtype == mesh.vertex_data["color"].dtype
+        assert cloud.data["rgb"].tolist() == [color] * 8
     with pytest.warns(UserWarning, match="numbers behind the coordinates of vertices are left out"):
         assert not loaded(tmp_path / "a.obj", obj(" 1.0 1 0.5 0")).vertex_data
 
