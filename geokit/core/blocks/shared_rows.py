@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import ctypes
 import functools
 import itertools
-import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.blocks.peer_copies import copy_rows, copy_stream, open_memory
 from geokit.core.interop.arrays import exporter_like, import_array
 
 if TYPE_CHECKING:
@@ -183,10 +182,9 @@ class _Way:
         self._streams = None
         if gpu.is_cuda:
             self._contexts.enter_context(gpu.context_guard)
-            self._streams = _stream(gpu.alias, 0), _stream(gpu.alias, 1)
+            self._streams = copy_stream(gpu.alias, 0), copy_stream(gpu.alias, 1)
         if self._home.is_cuda and self._device.is_cuda and self._home != self._device:
-            _open(self._home, self._device)
-            _open(self._device, self._home)
+            open_memory(self._home, self._device)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -227,8 +225,7 @@ class _Way:
         if stream is not None and self._device.is_cuda:
             stream.wait_event(self._device.stream.record_event())  # the memory is free
         for target, value in zip(here, rows, strict=True):
-            width = math.prod(value.shape[1:])
-            wp.copy(target, value, src_offset=first * width, count=target.size, stream=stream)
+            copy_rows(target, 0, value, first, stop - first, stream)
         return here, stream.record_event() if stream is not None else None
 
     def take_back(self, whole: _Whole, first: int, answer: Any) -> None:
@@ -238,29 +235,6 @@ class _Way:
             stream.wait_event(self._device.stream.record_event())
         whole.put(first, answer, stream)
         self._kept.append(answer)
-
-
-@functools.cache
-def _stream(device: str, number: int) -> "wp.Stream":
-    """A stream for copies, which goes on while warp frees memory: that waits for each stream that warp makes."""
-    import warp as wp
-
-    handle = ctypes.c_void_p()
-    non_blocking = 1  # CU_STREAM_NON_BLOCKING
-    with contextlib.suppress(OSError):
-        if ctypes.CDLL("libcuda.so.1").cuStreamCreate(ctypes.byref(handle), non_blocking) == 0:
-            return wp.Stream(device, cuda_stream=handle.value)
-    return wp.Stream(device)
-
-
-def _open(target: "wp.Device", peer: "wp.Device") -> None:
-    """Let a GPU take the memory of another one directly, of warp's pools too."""
-    import warp as wp
-
-    if wp.is_peer_access_supported(target, peer) and not wp.is_peer_access_enabled(target, peer):
-        wp.set_peer_access_enabled(target, peer, True)
-    if wp.is_mempool_access_supported(target, peer) and not wp.is_mempool_access_enabled(target, peer):
-        wp.set_mempool_access_enabled(target, peer, True)
 
 
 class _Whole:
@@ -290,25 +264,19 @@ class _Whole:
     def put(self, first: int, answer: Any, stream: Any = None) -> None:
         """Take the answers to rows from number ``first`` on."""
         if any(self._offsets):
-            self._parts[first] = [self._at_home(field) for field in _fields(answer)]
+            self._parts[first] = list(_fields(answer))
             return
         for target, field in zip(self._fields, _fields(answer), strict=True):
             if isinstance(target, np.ndarray):
                 target[first : first + len(field)] = field
             elif target is not None:
-                import warp as wp
-
-                width = math.prod(target.shape[1:])
-                wp.copy(target, field, dest_offset=first * width, count=field.size, stream=stream)
-
-    def _at_home(self, field: Any) -> Any:
-        return field if field is None or isinstance(field, np.ndarray) else field.to(self._home)
+                copy_rows(target, first, field, 0, len(field), stream)
 
     def answer(self, to_caller: Callable[[Any], Any] | None = None) -> Any:
         """The whole answer, its arrays as ``to_caller`` gives them."""
         if any(self._offsets):
             parts = zip(self._offsets, *(self._parts[first] for first in sorted(self._parts)), strict=True)
-            self._fields = [_joined(fields, is_offsets) for is_offsets, *fields in parts]
+            self._fields = [_joined(fields, is_offsets, self._home) for is_offsets, *fields in parts]
         fields = [one if one is None or to_caller is None else to_caller(one) for one in self._fields]
         return fields[0] if self._kind is None else tuple.__new__(self._kind, fields)
 
@@ -330,7 +298,7 @@ def _fields(answer: Any) -> tuple[Any, ...]:
     return answer if isinstance(answer, tuple) else (answer,)
 
 
-def _joined(parts: Sequence[Any], are_offsets: bool) -> Any:
+def _joined(parts: Sequence[Any], are_offsets: bool, home: "wp.Device | None") -> Any:
     """One field of lists, from those of the parts in order."""
     if parts[0] is None:
         return None
@@ -344,15 +312,16 @@ def _joined(parts: Sequence[Any], are_offsets: bool) -> Any:
             return whole
         import warp as wp
 
-        return wp.array(whole, dtype=parts[0].dtype, device=parts[0].device)
+        return wp.array(whole, dtype=parts[0].dtype, device=home)
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)
     import warp as wp
 
-    joined: Any = wp.empty((sum(map(len, parts)), *parts[0].shape[1:]), dtype=parts[0].dtype, device=parts[0].device)
+    joined: Any = wp.empty((sum(map(len, parts)), *parts[0].shape[1:]), dtype=parts[0].dtype, device=home)
     begin = 0
     for part in parts:
-        if len(part):
-            wp.copy(joined[begin : begin + len(part)], part)
+        copy_rows(joined, begin, part, 0, len(part), joined.device.stream if joined.device.is_cuda else None)
         begin += len(part)
+    if joined.device.is_cuda:
+        wp.synchronize_stream(joined.device.stream)  # the parts are freed
     return joined
