@@ -19,6 +19,7 @@ from geokit.mesh._simplify import simplify
 from geokit.points._downsample import cover, downsample
 from geokit.volume._from_mesh import from_mesh
 from geokit.volume._quantize import quantize
+from tests.support.effort import of_all
 from tests.support.reference import closest_point
 
 SAMPLES = 300
@@ -125,7 +126,7 @@ def test_any_shaken_ball_is_within(seed, share, exponent, subdivisions):
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=of_all(20, 40), deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 400), st.floats(1e-3, 3.0), st.floats(-100, 100), st.integers(0, 9))
 def test_covers_are_within(seed, count, share, exponent, order_seed):
     rng = np.random.default_rng(seed)

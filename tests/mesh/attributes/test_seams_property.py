@@ -10,9 +10,10 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh.attributes.seams import split_seams
 from tests.support.attributed import numbered
+from tests.support.effort import of_all
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=of_all(20, 40), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.sampled_from([np.uint8, np.int64, np.float16, np.float64]))
 def test_corners_keep_their_values(seed, kinds, dtype):
     random = np.random.default_rng(seed)

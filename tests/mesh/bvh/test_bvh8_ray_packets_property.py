@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.queries.rays import RayHits
+from tests.support.effort import of_all
 
 SOLIDS = {
     "sphere": mesh_catalog.icosphere(4),
@@ -125,7 +126,7 @@ def test_few_rays_are_the_first_of_many():
             assert one.tobytes() == other[:count].tobytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=of_all(30, 60), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(sorted(SURFACES)), st.floats(-6, 0.5), st.floats(-6, 0.5))
 def test_bundles(seed, name, width, angle):
     # Bundles of any width and angle: from rays that never diverge to rays without a common node.

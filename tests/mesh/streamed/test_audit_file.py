@@ -16,6 +16,7 @@ from benchmarks.catalog import mesh_catalog as catalog
 from geokit import FileAccessError, FileFormatError, InputError
 from geokit.mesh import MeshAudit, TriangleMesh
 from geokit.mesh.streamed import audit_file, order_statistics
+from tests.support.effort import of_all
 
 MESHES = [
     catalog.single_triangle(),
@@ -84,7 +85,7 @@ def test_so_it_is_in_one_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_parts")
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=of_all(30, 60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), side=st.integers(1, 5), count=st.integers(1, 400))
 def test_soups_on_a_lattice(seed: int, side: int, count: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Corners that coincide everywhere: edges and faces of any number, fans of any kind, many components."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh import TriangleMesh, audit
 from geokit.mesh._repair import drop_degenerate, merge_vertices, orient
+from tests.support.effort import of_all
 
 TRIANGLES = st.lists(st.lists(st.integers(0, 8), min_size=3, max_size=3, unique=True), min_size=1, max_size=16)
 SOLIDS = st.sampled_from([*mesh_catalog.CLOSED, mesh_catalog.inside_out_box])
@@ -57,7 +58,7 @@ def walked(faces: list[list[int]]) -> list[tuple[dict[int, bool], bool]]:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=of_all(150, 300), deadline=None)
 @given(TRIANGLES, st.integers(0, 1000))
 def test_orient_is_the_walk_over_the_faces(faces, seed):
     mesh = random_mesh(faces, seed)
@@ -90,7 +91,7 @@ def test_orient_is_the_walk_over_the_faces(faces, seed):
     assert not again.flipped.any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=of_all(20, 40), deadline=None)
 @given(SOLIDS, st.integers(0, 1000), st.floats(0.0, 0.4), st.booleans())
 def test_solids_come_out_the_same(make, seed, share, reverse):
     mesh = orient(make()).mesh
@@ -111,7 +112,7 @@ def test_solids_come_out_the_same(make, seed, share, reverse):
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=of_all(100, 200), deadline=None)
 @given(st.lists(st.tuples(*[st.integers(-4, 4)] * 3), min_size=1, max_size=40), st.sampled_from([0.5, 1, 1.5, 2.3, 20]))
 def test_merging_is_taking_in_order(rows, tolerance):
     points = np.array(rows, np.float64)
@@ -129,7 +130,7 @@ def test_merging_is_taking_in_order(rows, tolerance):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=of_all(50, 100), deadline=None)
 @given(st.lists(st.lists(st.integers(0, 5), min_size=3, max_size=3), min_size=1, max_size=20), st.integers(0, 100))
 def test_dropping_leaves_what_the_audit_counts(faces, seed):
     mesh = TriangleMesh(np.random.default_rng(seed).normal(size=(6, 3)), faces)

@@ -16,10 +16,11 @@ from scipy.spatial import cKDTree
 from geokit.points.search import nearest as _nearest
 from geokit.points.search import nearest_cuda_kernels
 from geokit.points.search.nearest import build_tree, nearest
+from tests.support.effort import of_all
 from tests.support.reference import k_nearest
 
 # The first call of a process loads the kernels, which takes longer than any single example.
-relaxed = settings(deadline=None, max_examples=40)
+relaxed = settings(deadline=None, max_examples=of_all(20, 40))
 
 LENGTHS = [1, 3, 8, 13, 16, 20, 32, 33, 64, 150]
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from geokit.points import NeighborGrid
+from tests.support.effort import of_all
 from tests.support.reference import neighbors_within
 
 # The first call of a process loads the kernels, which takes longer than any single example.
-relaxed = settings(deadline=None, max_examples=40)
+relaxed = settings(deadline=None, max_examples=of_all(20, 40))
 
 SIGNATURES = list(itertools.permutations(range(3)))
 
