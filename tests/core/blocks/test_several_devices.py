@@ -292,7 +292,7 @@ def test_containers(container: str, parts_asked: list[int]) -> None:
     require_equal_containers(several.closest_point(points), one.closest_point(points))
     ours, other = (gk.points.NeighborGrid(cloud, 0.3, device=device) for device in (SHARED, ONE))
     require_equal_containers(ours.radius_search(points), other.radius_search(points))
-    # Two-dimensional arrays of warp have one dimension. Rows in arrays go to other devices in pieces if a query is quick.
+    # Two-dimensional arrays of warp have one dimension. Rows of quick queries go to other devices in pieces.
     pieces = sum(1 if device == ONE else shared_rows.PIECES for device in SHARED)
     parts = [10, 10] if container == "float32" else [len(SHARED), pieces]
     assert parts_asked == ([] if container == "warp" and points.ndim != 2 else parts)
