@@ -20,7 +20,7 @@ from geokit.mesh.topology.normals import face_normals
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
 
-__all__ = ["CONTACT", "EXTREME_SIZE", "INNER_POINT", "inner_sheets", "is_inside", "sheets_inside"]
+__all__ = ["CONTACT", "EXTREME_SIZE", "INNER_POINT", "collapsed", "inner_sheets", "is_inside", "sheets_inside"]
 
 # Sides of a face are looked at this far from it, as a share of the mesh's size; nearer surfaces touch.
 CONTACT = 1e-6
@@ -41,8 +41,7 @@ def inner_sheets(surface: Surface) -> NDArray[np.int64]:
         return none
     flipped = surface._orientation.flipped[:, None]
     oriented = TriangleMesh(mesh.vertices, np.where(flipped, mesh.faces[:, ::-1], mesh.faces))
-    corners = oriented.vertices[oriented.faces]
-    flat = (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1)
+    flat = collapsed(oriented.vertices[oriented.faces])
     found = none
     # Where one wall stands between two solids there are two readings: the one that leaves no sheet outside, else the
     # first.
@@ -77,6 +76,12 @@ def _may_have_sheets(edges: Topology) -> bool:
     is_open = np.zeros(len(component), bool)
     is_open[component[edges.order[edges.starts[edges.uses == 1]] // 3]] = True
     return not bool(is_open[component].all())
+
+
+def collapsed(corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether two corners of a triangle, (F, 3, 3), are in one place."""
+    found: NDArray[np.bool_] = (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1)
+    return found
 
 
 def sheets_inside(

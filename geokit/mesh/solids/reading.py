@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh._model import TriangleMesh
-from geokit.mesh.sign.inner_sheets import CONTACT, is_inside, sheets_inside
+from geokit.mesh.sign.inner_sheets import CONTACT, collapsed, is_inside, sheets_inside
 from geokit.mesh.solids.judging import FACES_FOR_A_SHARE, OVERLAP_SHARE, checkable
 from geokit.mesh.topology.bodies import Bodies, closed_bodies
 from geokit.mesh.topology.orientation import enclosing_pairs
@@ -78,9 +78,7 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
         (solids[owner[cavity]] if owner[cavity] >= 0 else others).append(rows[cavity])
     joined = [np.sort(np.concatenate(parts)) for parts, volume in zip(solids, bodies.volume, strict=True) if volume > 0]
     loose = np.sort(np.concatenate(others))
-    corners = mesh.vertices[mesh.faces[loose]]
-    flat = (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1)
-    return joined, loose[~flat]
+    return joined, loose[~collapsed(mesh.vertices[mesh.faces[loose]])]
 
 
 def _inner_sheets(
