@@ -152,7 +152,17 @@ def _xdmf_reader() -> Any:
             version = root.get("Version", "3")
             if version.split(".")[0] not in ("2", "3"):
                 raise FileFormatError(f"{self.filename}: is of version {version[:20]} of XDMF; export version 2 or 3")
-            return (self.read_xdmf2 if version.startswith("2") else self.read_xdmf3)(root)
+            try:
+                return (self.read_xdmf2 if version.startswith("2") else self.read_xdmf3)(root)
+            except KeyError as error:
+                kinds = [item.get("TopologyType", item.get("Type")) for item in root.iter("Topology")]
+                kind = error.args[0]
+                if kind not in kinds and not isinstance(kind, np.integer):
+                    raise
+                told = "polygons" if kind in ("Polygon", 3) else f"cells of the type {str(kind)[:40]}"
+                raise FileFormatError(
+                    f"{self.filename}: has {told}, which are not read; export triangles or quads"
+                ) from None
 
     return Reader
 
