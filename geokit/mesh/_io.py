@@ -193,7 +193,8 @@ def save(
       UserWarning.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
 
-    One UserWarning names what the format does not hold. Arguments that it does not hold are an error.
+    One UserWarning names what the format does not hold; of a unit and the axis that is up, where files of the format
+    are taken for others. Arguments that it does not hold are an error.
 
     Args:
         path: {formats}.
