@@ -67,7 +67,16 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     else:
         with open(path, "rb") as file:
             is_gmsh = file.read(64).lstrip().startswith(b"$")
-        mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
+        try:
+            mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
+        except (meshio.ReadError, ValueError) as error:
+            # In version 4.0 there are more numbers than meshio takes; in 4.1 it says so.
+            if is_gmsh and ("parametric" in str(error) or "too many values" in str(error)):
+                raise FileFormatError(
+                    f"{path}: has nodes with parameters or other numbers behind x, y and z, which are not read; save "
+                    "it with Mesh.SaveParametric = 0"
+                ) from None
+            raise
     counts: list[np.ndarray] = []
     indices: list[np.ndarray] = []
     volume: dict[str, int] = {}

@@ -93,6 +93,21 @@ def test_binary_nodes_in_another_order_than_their_tags(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.vertex_data["a"], order / 3)
 
 
+@pytest.mark.parametrize("version", ["4.0", "4.1"])
+def test_nodes_with_parameters_are_refused_by_name(tmp_path: Path, version: str) -> None:
+    rows = [[1, 0, 0, 0, 0.5, 0.5], [2, 1, 0, 0, 0.5, 0.5], [3, 0, 1, 0, 0.5, 0.5]]
+    nodes, cells = f"1 3\n1 2 1 3\n{lines(rows)}", "1 1\n1 2 2 1\n1 1 2 3\n"
+    if version == "4.1":
+        nodes = f"1 3 1 3\n2 1 1 3\n1\n2\n3\n{lines([row[1:] for row in rows])}"
+        cells = "1 1 1 1\n2 1 2 1\n1 1 2 3\n"
+    path = tmp_path / "a.msh"
+    path.write_text(
+        f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$Nodes\n{nodes}$EndNodes\n$Elements\n{cells}$EndElements\n"
+    )
+    with pytest.raises(gk.FileFormatError, match=r"nodes with parameters .*; save it with Mesh.SaveParametric = 0"):
+        gk.mesh.load(path)
+
+
 # --- XDMF -------------------------------------------------------------------------------------------------------------
 
 
