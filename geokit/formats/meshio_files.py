@@ -67,7 +67,16 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     else:
         with open(path, "rb") as file:
             is_gmsh = file.read(64).lstrip().startswith(b"$")
-        mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
+        try:
+            mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
+        except (meshio.ReadError, ValueError) as error:
+            # In version 4.0 there are more numbers than meshio takes; in 4.1 it says so.
+            if is_gmsh and ("parametric" in str(error) or "too many values" in str(error)):
+                raise FileFormatError(
+                    f"{path}: has nodes with parameters or other numbers behind x, y and z, which are not read; save "
+                    "it with Mesh.SaveParametric = 0"
+                ) from None
+            raise
     counts: list[np.ndarray] = []
     indices: list[np.ndarray] = []
     volume: dict[str, int] = {}
@@ -152,7 +161,17 @@ def _xdmf_reader() -> Any:
             version = root.get("Version", "3")
             if version.split(".")[0] not in ("2", "3"):
                 raise FileFormatError(f"{self.filename}: is of version {version[:20]} of XDMF; export version 2 or 3")
-            return (self.read_xdmf2 if version.startswith("2") else self.read_xdmf3)(root)
+            try:
+                return (self.read_xdmf2 if version.startswith("2") else self.read_xdmf3)(root)
+            except KeyError as error:
+                kinds = [item.get("TopologyType", item.get("Type")) for item in root.iter("Topology")]
+                kind = error.args[0]
+                if kind not in kinds and not isinstance(kind, np.integer):
+                    raise
+                told = "polygons" if kind in ("Polygon", 3) else f"cells of the type {str(kind)[:40]}"
+                raise FileFormatError(
+                    f"{self.filename}: has {told}, which are not read; export triangles or quads"
+                ) from None
 
     return Reader
 

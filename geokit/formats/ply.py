@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -145,8 +146,8 @@ def read_mesh(path: Path) -> list[Body]:
             points,
             counts,
             indices,
-            vertex_data=from_columns(vertex),
-            polygon_data=from_columns(face),
+            vertex_data=_with_narrow(from_columns(vertex), "color"),
+            polygon_data=_with_narrow(from_columns(face), "color"),
             corner_data=corner,
             notes=tuple(notes),
         )
@@ -224,12 +225,31 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         return joined({}, path)
     dtype = np.dtype([(item.name, item.type) for item in vertex.properties])
     if order == "":
-        return joined(_ascii(data[start:], dtype, vertex.count, path), path)
+        points, arrays = joined(_ascii(data[start:], dtype, vertex.count, path), path)
+        return points, _with_narrow(arrays, "rgb")
     have = (len(data) - start) // dtype.itemsize
     if have < vertex.count:
         raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
     columns = _Binary(data, start, order, path).read(vertex)
-    return joined({name: values.astype(dtype[name]) for name, values in columns.items()}, path)
+    points, arrays = joined({name: values.astype(dtype[name]) for name, values in columns.items()}, path)
+    return points, _with_narrow(arrays, "rgb")
+
+
+def _with_narrow(data: dict[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
+    """The arrays, colors as bytes where their type is wider and their numbers are those of bytes.
+
+    Of uint16 they stay: those of surveys are, and full at 65535.
+    """
+    colors = data.get(name)
+    if colors is None or colors.ndim != 2 or not colors.size or colors.dtype.str[1:] in ("u1", "i1", "u2", "b1"):
+        return data
+    low, high = colors.min(), colors.max()
+    # Floats up to 1 are shares of full.
+    if not (
+        low >= 0 and high <= 255 and (colors.dtype.kind in "iu" or (high > 1 and np.all(colors == np.rint(colors))))
+    ):
+        return data
+    return {**data, name: colors.astype(np.uint8)}
 
 
 def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
@@ -518,9 +538,19 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
 
 def _with_bytes(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDArray[Any]]:
     """The arrays, colors as bytes where these are exact: VTK and Open3D take all numbers for bytes."""
-    if name in data and data[name].ndim == 2 and data[name].shape[1] in (3, 4):
-        return {**data, name: as_bytes(data[name])}
-    return data
+    if name not in data or data[name].ndim != 2 or data[name].shape[1] not in (3, 4):
+        return data
+    given = {**data, name: as_bytes(data[name])}
+    colors = _with_narrow(given, name)[name]
+    if colors.dtype != np.uint8 and colors.dtype.kind in "fiu":
+        share = f"{name} / {np.iinfo(colors.dtype).max}" if colors.dtype.kind in "iu" else name
+        warnings.warn(
+            f".ply: {name!r} of {colors.dtype} is kept, but other programs take all colors of .ply for bytes and show "
+            f"these wrong; for them give np.rint({share} * 255).astype(np.uint8)",
+            UserWarning,
+            stacklevel=5,
+        )
+    return given
 
 
 def holds_type(values: NDArray[Any], _kind: str) -> bool:

@@ -20,7 +20,7 @@ from geokit.formats.attributes import gltf
 from geokit.formats.attributes.columns import utf8
 from geokit.formats.body import Body, FileMaterial
 from geokit.formats.references import LONGEST, require_inside
-from geokit.formats.scene_content.gltf import understood
+from geokit.formats.scene_content.gltf import require_whole, understood
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -87,7 +87,12 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         materials, notes = gltf.materials_of(header, chunks, Folders().get)
         notes = tuple(note.replace(f"{path}: ", "") for note in notes)
         source = {"file_obj": io.BytesIO(content), "file_type": kind[1:]}
-    scene = trimesh.load_scene(**source, process=False, resolver=Folders())
+    try:
+        scene = trimesh.load_scene(**source, process=False, resolver=Folders())
+    except (AssertionError, ValueError):  # which do not say what is missing
+        with contextlib.suppress(ValueError, TypeError, IndexError):
+            require_whole(path, Folders().get)
+        raise
     bodies: list[Body] = []
     others = []
     for node in scene.graph.nodes_geometry:

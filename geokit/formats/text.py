@@ -126,6 +126,9 @@ def _read_table(path: Path) -> _Table:
         elif any(words):
             if any(as_number(word) is not None for word in words):
                 break
+            if above == 0 and _SEPARATOR.fullmatch(line):
+                at, above = end, 1
+                continue
             names, named, at, above = words, "header", end, above + 1
             break
         at, above = end, above + 1
@@ -272,6 +275,8 @@ def _line_end(data: bytes, start: int) -> int:
     return len(data) if end < 0 else end + 1
 
 
+# Excel's first line, which names what separates the cells below it.
+_SEPARATOR = re.compile(r'"?sep=."?', re.IGNORECASE)
 # Words of a line of names; a unit in brackets belongs to the word before it.
 _WORD = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ ]*[\[(][^\])]*[\])])?|\S+')
 

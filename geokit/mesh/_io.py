@@ -67,10 +67,11 @@ def load(
     volume cells, only the surface cells are read. Parts of CAD (.step, .iges) become triangles within 1e-4 of
     the diagonal of their box of the true faces, in millimeters.
 
-    Normals, texture coordinates, colors and all other arrays of numbers come along, in the types of the file; only
-    normals are turned by transforms. Where a body lacks an array that another one has, it is NaN there, 0 in integers,
-    -1 in ``material``. Materials come from .obj (its .mtl), .glb or .gltf, .dae and .fbx. A UserWarning names what is
-    left out: images and .mtl files that are missing, arrays that do not fit the mesh.
+    Normals, texture coordinates, colors and all other arrays of numbers come along, in the types of the file (colors of
+    a .ply from 0 to 255 as uint8, but of uint16); only normals are turned by transforms. Where a body lacks an array
+    that another one has, it is NaN there, 0 in integers, -1 in ``material``. Materials come from .obj (its .mtl), .glb
+    or .gltf, .dae and .fbx. A UserWarning names what is left out: images and .mtl files that are missing, arrays that
+    do not fit the mesh.
 
     .obj, .gltf, .xdmf, .dae, .fbx and USD files may refer to other files. Those are opened only if they are regular
     files in the file's own folder (after following symbolic links) or in ``reference_folders``.
@@ -188,10 +189,12 @@ def save(
     - Where a format has no attributes of corners, a vertex is written once for each set of values of its corners.
     - Types change only where a format lacks them: .obj, .msh, .xdmf and USD write colors of integers as floats up to 1,
       .glb and .gltf numbers of 64 bits as float32, .msh all as float64. .ply writes colors of floats as uint8 where
-      they are k / 255 exactly, since other programs take all colors of .ply for bytes.
+      they are k / 255 exactly, since other programs take all colors of .ply for bytes. Others stay, with a
+      UserWarning.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
 
-    One UserWarning names what the format does not hold. Arguments that it does not hold are an error.
+    One UserWarning names what the format does not hold; of a unit and the axis that is up, where files of the format
+    are taken for others. Arguments that it does not hold are an error.
 
     Args:
         path: {formats}.

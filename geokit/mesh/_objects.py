@@ -29,12 +29,12 @@ def as_mesh(mesh: Any) -> TriangleMesh:
     Meshes are told by what they hold: ``vertices`` and ``faces`` (trimesh, and most others) or ``triangles`` (Open3D,
     also its tensors), ``points`` and ``faces`` (pyvista's PolyData), ``points`` and ``cells`` (meshio); a scene of
     trimesh is joined. A pair (vertices, faces) of arrays of any library is a mesh too. Polygons are split into
-    triangles as those of files are. Lines, points, and cells of volumes are left out. Float64 coordinates are kept to
-    the last bit. None of the libraries is imported.
+    triangles as those of files are. Float64 coordinates are kept to the last bit. None of the libraries is imported.
 
     Attributes come along: arrays on vertices and faces, normals, texture coordinates, colors, materials with the image
-    of their base color, trimesh's unit and name. A UserWarning names what is left out. Functions that only answer
-    questions about the geometry, and ``Surface``, take the materials without the images.
+    of their base color, trimesh's unit and name. A UserWarning names what is left out: lines, points and cells of
+    volumes beside the faces, and attributes that cannot be read. Functions that only answer questions about the
+    geometry, and ``Surface``, take the materials without the images.
 
     Args:
         mesh: A mesh, or a pair (vertices (V, 3), faces (F, K)). A TriangleMesh is returned as it is.
@@ -96,6 +96,8 @@ def _carried(
         return {}
     counts = np.full(len(faces), 3) if polygon is None else np.bincount(polygon) + 2
     body = carried_by(found.source, Body(vertices, counts, np.broadcast_to(0, int(counts.sum()))), images=images)
+    # Without faces the mesh is refused by what asks for them.
+    body = body._replace(notes=(*(found.notes if len(faces) else ()), *body.notes))
     data = JoinedData()
     # Only Open3D's meshes, which are triangles, have data on corners.
     data.add(body, np.arange(len(faces)) if polygon is None else polygon, None, reverse=False)

@@ -311,12 +311,13 @@ def save(
     within 1.5e-8 of an edge. ``rgb`` of integers is stored as Houdini's ``Cd`` from 0 to 1 and read back unchanged.
 
     In .csv, .ply and .xyz an array (N, 3) becomes the columns ``name_x, name_y, name_z`` (``normals``: nx, ny, nz;
-    ``rgb``: red, green, blue, in .ply as uint8 where floats are k / 255 exactly); an array of another width becomes
-    ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x, normal_y, normal_z, and ``rgb`` (N, 3) and ``rgba``
-    (N, 4) of uint8 are packed as in PCL. .pcd coordinates are 8-byte floats, or 4-byte floats if points is a float32
-    array, the only ones that PCL and Open3D read. .pts holds only ``intensity`` and ``rgb`` uint8. In .las, arrays
-    named after a dimension are stored there, ``rgb`` unchanged (LAS expects 16 bits), and all others in extra
-    dimensions. ``rgb`` of floats from 0 to 1 is rounded to 16 bits in .las and .laz, and to 8 bits in .pcd and .pts.
+    ``rgb``: red, green, blue, in .ply as uint8 where floats are k / 255 exactly, others with a UserWarning); an array
+    of another width becomes ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x, normal_y, normal_z, and
+    ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as in PCL. .pcd coordinates are 8-byte floats, or 4-byte
+    floats if points is a float32 array, the only ones that PCL and Open3D read. .pts holds only ``intensity`` and
+    ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` unchanged (LAS expects 16 bits),
+    and all others in extra dimensions. ``rgb`` of floats from 0 to 1 is rounded to 16 bits in .las and .laz, and to 8
+    bits in .pcd and .pts.
 
     Args:
         path: {formats}.

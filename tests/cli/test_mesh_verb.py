@@ -91,6 +91,7 @@ def test_attributes_of_another_mesh_and_what_a_format_drops(tmp_path, capsys):
     assert main(["mesh", "transfer", *files, "--name", "color", "--device", "cpu"]) == 0
     again = gk.mesh.load(tmp_path / "out.ply")
     assert list(again.vertex_data) == ["color"]
+    assert "'color' of float64 is kept" in capsys.readouterr().err
     assert main(["convert", files[1], str(tmp_path / "a.stl")]) == 0
     said = capsys.readouterr().err
     assert "geokit: warning: " in said

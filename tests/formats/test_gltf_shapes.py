@@ -372,3 +372,20 @@ def test_texture_coordinates_are_those_that_the_base_color_takes(scene, tmp_path
     # The example of the specification: the lower left quarter of the image, turned clockwise.
     np.testing.assert_allclose(mesh.vertex_data["uv"], [[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]], atol=1e-7)
     np.testing.assert_allclose(mesh.vertex_data["TEXCOORD_1"], 0.25)
+
+
+@pytest.mark.parametrize("length", [0, 10, 340])
+def test_a_buffer_that_is_cut_off_is_called_so(tmp_path: Path, length: int) -> None:
+    scene = Scene().box()
+    path, whole = tmp_path / "a.gltf", len(scene.data)
+    path.write_text(json.dumps({**scene.tree, "buffers": [{"byteLength": whole, "uri": "a.bin"}]}))
+    (tmp_path / "a.bin").write_bytes(scene.data[: min(length, whole - 4)])
+    with pytest.raises(
+        gk.FileFormatError, match=rf"buffer 0 \('a.bin'\) has \d+ of its {whole} bytes; get a whole copy"
+    ):
+        gk.mesh.load(path)
+    gk.mesh.save(path.with_suffix(".glb"), BOX)
+    content = path.with_suffix(".glb").read_bytes()
+    path.with_suffix(".glb").write_bytes(content[:-9])
+    with pytest.raises(gk.FileFormatError, match=rf"has {len(content) - 9} of the {len(content)} bytes that it says"):
+        gk.mesh.load(path.with_suffix(".glb"))

@@ -93,6 +93,47 @@ def test_binary_nodes_in_another_order_than_their_tags(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.vertex_data["a"], order / 3)
 
 
+@pytest.mark.parametrize("version", ["2.2", "4.0", "4.1"])
+def test_binary_elements_in_another_order_than_their_tags(tmp_path: Path, version: str) -> None:
+    nodes_in = np.random.default_rng(6).permutation(8) if version == "4.0" else np.arange(8)
+    turned = np.random.default_rng(7).permutation(12)
+    rows = np.column_stack([turned + 1, FACES + 1])
+    if version == "4.1":
+        nodes = struct.pack("<4Q3iQ8Q", 1, 8, 1, 8, 2, 1, 0, 8, *range(1, 9)) + VERTICES.tobytes()
+        cells = struct.pack("<4Q3iQ", 1, 12, 1, 12, 2, 1, 2, 12) + rows.astype("<u8").tobytes()
+    else:
+        nodes = b"".join(struct.pack("<i3d", row + 1, *VERTICES[row]) for row in nodes_in)
+        nodes = (b"8\n" if version == "2.2" else struct.pack("<2Q3iQ", 1, 8, 1, 2, 0, 8)) + nodes
+        cells = struct.pack("<2Q3iQ", 1, 12, 1, 2, 2, 12) + rows.astype("<i4").tobytes()
+    if version == "2.2":
+        # A block of each element, as Gmsh writes them.
+        cells = b"12\n" + b"".join(struct.pack("<9i", 2, 1, 2, row[0], 1, 1, *row[1:]) for row in rows.tolist())
+    content = f"$MeshFormat\n{version} 1 8\n".encode() + b"\1\0\0\0\n$EndMeshFormat\n$Nodes\n" + nodes
+    content += b"\n$EndNodes\n$Elements\n" + cells + b"\n$EndElements\n"
+    for kind, count in ((b"Node", 8), (b"Element", 12)):
+        values = b"".join(struct.pack("<id", row + 1, row / 3) for row in range(count))
+        content += b'$%sData\n1\n"a"\n1\n0.0\n3\n0\n1\n%d\n%s\n$End%sData\n' % (kind, count, values, kind)
+    mesh = loaded(tmp_path / "a.msh", content)
+    np.testing.assert_array_equal(mesh.vertices, VERTICES[nodes_in])
+    np.testing.assert_array_equal(mesh.vertex_data["a"], nodes_in / 3)
+    np.testing.assert_array_equal(mesh.face_data["a"], turned / 3)
+
+
+@pytest.mark.parametrize("version", ["4.0", "4.1"])
+def test_nodes_with_parameters_are_refused_by_name(tmp_path: Path, version: str) -> None:
+    rows = [[1, 0, 0, 0, 0.5, 0.5], [2, 1, 0, 0, 0.5, 0.5], [3, 0, 1, 0, 0.5, 0.5]]
+    nodes, cells = f"1 3\n1 2 1 3\n{lines(rows)}", "1 1\n1 2 2 1\n1 1 2 3\n"
+    if version == "4.1":
+        nodes = f"1 3 1 3\n2 1 1 3\n1\n2\n3\n{lines([row[1:] for row in rows])}"
+        cells = "1 1 1 1\n2 1 2 1\n1 1 2 3\n"
+    path = tmp_path / "a.msh"
+    path.write_text(
+        f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$Nodes\n{nodes}$EndNodes\n$Elements\n{cells}$EndElements\n"
+    )
+    with pytest.raises(gk.FileFormatError, match=r"nodes with parameters .*; save it with Mesh.SaveParametric = 0"):
+        gk.mesh.load(path)
+
+
 # --- XDMF -------------------------------------------------------------------------------------------------------------
 
 

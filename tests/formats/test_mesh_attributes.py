@@ -247,6 +247,28 @@ def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
     np.testing.assert_array_equal(pyvista.read(tmp_path / "c.ply")["RGB"], bytes_[:, :3])
 
 
+def test_colors_that_ply_shows_wrong_elsewhere_are_told(tmp_path):
+    mesh = TriangleMesh(np.eye(3), [[0, 1, 2]], vertex_data={"color": np.full((3, 3), 40000, np.uint16)})
+    with pytest.warns(UserWarning, match=r"'color' of uint16 is kept.* give np.rint\(color / 65535 \* 255\)"):
+        gk.mesh.save(tmp_path / "a.ply", mesh)
+    with pytest.warns(UserWarning, match="'rgb' of float64 is kept"):
+        gk.points.save(tmp_path / "b.ply", np.eye(3), data={"rgb": np.full((3, 3), 0.3)})
+
+
+@pytest.mark.parametrize(("kind", "read"), [("int", np.uint8), ("float", np.uint8), ("ushort", np.uint16)])
+def test_ply_colors_from_0_to_255_of_wider_types_are_bytes(tmp_path, kind, read):
+    colors = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        f"{colors}element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0 0 128 255\n1 0 0 1 2 3\n0 1 0 4 5 6\n3 0 1 2\n"
+    )
+    mesh, cloud = gk.mesh.load(tmp_path / "a.ply"), gk.points.load(tmp_path / "a.ply")
+    for found in (mesh.vertex_data["color"], cloud.data["rgb"]):
+        assert found.dtype == read
+        assert found[0].tolist() == [0, 128, 255]
+
+
 @pytest.mark.slow
 def test_xdmf_keeps_all_digits_of_float32(tmp_path):
     values = np.random.default_rng(0).random(TORUS.vertex_count).astype(np.float32)

@@ -187,6 +187,8 @@ _ONE = _GRID.format(name="g", kind="XYZ")
         (f'<Grid GridType="Tree">{_ONE * 3}</Grid>', "a collection of 3 grids"),
         (_ONE * 2, "holds 2 grids"),
         (_GRID.format(name="g", kind="X_Y_Z"), "geometry of type X_Y_Z"),
+        (_ONE.replace("Triangle", "Polygon"), "has polygons, which are not read; export triangles"),
+        (_ONE.replace("Triangle", "Mixed").replace('"2 3"', '"5"').replace("0 1 3 0 3 2", "3 3 0 1 3"), "has polygons"),
     ],
 )
 def test_xdmf_of_more_than_a_mesh_is_called_what_it_is(tmp_path: Path, body: str, message: str) -> None:

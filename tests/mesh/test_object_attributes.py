@@ -126,6 +126,7 @@ def test_pyvista_marks() -> None:
     np.testing.assert_array_equal(found.vertex_data["uv"], sphere.active_texture_coordinates)
 
 
+@pytest.mark.filterwarnings("ignore:mesh. its .* are left out")
 def test_cells_that_are_no_polygons_have_rows_of_their_own() -> None:
     points = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]]
     mixed = pyvista.PolyData(np.array(points), lines=[2, 0, 1, 2, 1, 2], faces=[4, 0, 1, 2, 3, 3, 1, 4, 2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -51,7 +52,7 @@ def _open3d_tensors() -> Any:
 SAME: dict[str, Callable[[], Any]] = {
     "trimesh": lambda: trimesh.Trimesh(VERTICES, FACES, process=False),
     "pyvista": lambda: pyvista.PolyData.from_regular_faces(VERTICES, FACES),
-    "meshio": lambda: meshio.Mesh(VERTICES, [("line", [[0, 1]]), ("triangle", FACES)]),
+    "meshio": lambda: meshio.Mesh(VERTICES, [("triangle", FACES)]),
     "pair": lambda: (VERTICES, FACES),
     "lists": lambda: [VERTICES.tolist(), FACES.tolist()],
     "tensors": _tensors,
@@ -77,7 +78,7 @@ def test_the_same_mesh_from_each_library(kind: str) -> None:
         pyvista.PolyData(VERTICES, np.insert(QUADS, 0, 4, axis=1).ravel()),
         pyvista.PolyData(VERTICES, [*np.insert(QUADS[:3], 0, 4, axis=1).ravel(), 3, 2, 3, 7, 3, 2, 7, 6,
                                     *np.insert(QUADS[4:], 0, 4, axis=1).ravel()]),
-        meshio.Mesh(VERTICES, [("quad", QUADS[:2]), ("vertex", [[0]]), ("polygon", QUADS[2:])]),
+        meshio.Mesh(VERTICES, [("quad", QUADS[:2]), ("polygon", QUADS[2:])]),
         (VERTICES, QUADS),
     ],
     ids=["pyvista", "mixed", "meshio", "pair"],
@@ -110,6 +111,23 @@ def test_every_function_takes_them() -> None:
     np.testing.assert_array_equal(*made)
     found = gk.points.register(VERTICES + 1e-3, box, device="cpu", max_iterations=2)
     assert found.transform.shape == (4, 4)
+
+
+def test_parts_that_are_no_faces_are_told() -> None:
+    lines = np.array([[0, 1], [1, 2]])
+    scene = _scene()
+    scene.add_geometry(trimesh.PointCloud(VERTICES))
+    padded = [np.insert(rows, 0, rows.shape[1], axis=1).ravel() for rows in (FACES, lines)]
+    blocks = [("line", lines), ("triangle", FACES), ("tetra", np.array([[0, 1, 2, 4]]))]
+    for given, told in [
+        (pyvista.PolyData(VERTICES, faces=padded[0], lines=padded[1]), "lines (2)"),
+        (meshio.Mesh(VERTICES, blocks), "line cells (2), tetra cells (1)"),
+        (scene, "PointCloud (1)"),
+    ]:
+        for take in (gk.mesh.as_mesh, gk.mesh.Surface):
+            with pytest.warns(UserWarning, match=re.escape(f"mesh: its {told} are left out")) as said:
+                take(given)
+            assert len(said) == 1
 
 
 def test_saving(tmp_path: Any) -> None:

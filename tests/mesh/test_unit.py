@@ -120,6 +120,14 @@ class TestFiles:
         with pytest.warns(UserWarning, match=r"the unit of 0\.001 m, that z is up \(y is in these files\)"):
             gk.mesh.save(path, part(meters_per_unit=0.001, up_axis="z"))
 
+    @pytest.mark.parametrize(("kind", "usual", "other"), [("obj", "y", "z"), ("ply", "y", "x"), ("stl", "z", "y")])
+    def test_an_axis_that_others_take_for_up_is_told(self, kind, usual, other, tmp_path):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(tmp_path / f"a.{kind}", part(up_axis=usual))
+        with pytest.warns(UserWarning, match=rf"does not hold that {other} is up \({usual} is in most such files\)"):
+            gk.mesh.save(tmp_path / f"a.{kind}", part(up_axis=other))
+
     def test_gltf_to_3mf_says_that_up_changes(self, tmp_path):
         gk.mesh.save(tmp_path / "a.glb", part())
         loaded = gk.mesh.load(tmp_path / "a.glb")

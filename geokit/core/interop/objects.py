@@ -41,7 +41,7 @@ class Polygons(NamedTuple):
     """A surface: points (V, 3), corners of each polygon (P,), and the vertex indices of all corners, one after another.
 
     ``faces`` is given in place of both where all polygons have equally many corners: shape (F, K). ``source`` is the
-    object that was read: a scene is joined first, strips become triangles.
+    object that was read: a scene is joined first, strips become triangles. ``notes`` says what was left out.
     """
 
     points: Any
@@ -49,6 +49,7 @@ class Polygons(NamedTuple):
     counts: Any = None
     indices: Any = None
     source: Any = None
+    notes: tuple[str, ...] = ()
 
 
 class Image(NamedTuple):
@@ -143,14 +144,15 @@ def polygons_of(value: Any, name: str) -> Polygons | None:
         return Polygons(value[0], host(value[1], name)) if len(value) == 2 else None
     if isinstance(value, (np.ndarray, str, int, float)) or _is_array(value):
         return None
-    join = getattr_or_none(value, "to_mesh")
-    if callable(join) and attribute(value, "geometry") is not None:
-        value = join()
+    join, bodies, others = getattr_or_none(value, "to_mesh"), attribute(value, "geometry"), dict[str, Any]()
+    if callable(join) and bodies is not None:
+        kinds = [type(body).__name__ for body in bodies.values() if attribute(body, "faces") is None]
+        value, others = join(), {kind: kinds.count(kind) for kind in kinds}
     vertices = attribute(value, "vertices")
     faces = attribute(value, "faces")
     if vertices is not None:
         faces = attribute(value, "triangles") if faces is None else faces
-        return None if faces is None else Polygons(vertices, host(faces, name), source=value)
+        return None if faces is None else Polygons(vertices, host(faces, name), None, None, value, _left_out(others))
     vertices = attribute(attribute(value, "vertex"), "positions")
     if vertices is not None:
         faces = attribute(attribute(value, "triangle"), "indices")
@@ -158,11 +160,12 @@ def polygons_of(value: Any, name: str) -> Polygons | None:
     points = attribute(value, "points")
     if points is None:
         return None
+    others = {"points": attribute(value, "n_verts"), "lines": attribute(value, "n_lines")}
     if attribute(value, "strips") is not None and np.size(value.strips):
         value = value.triangulate()
         points, faces = value.points, value.faces
     if faces is not None and np.ndim(faces) == 1:
-        return _padded(points, np.asarray(faces), value, name)
+        return _padded(points, np.asarray(faces), value, name)._replace(notes=_left_out(others))
     cells = attribute(value, "cells")
     return _blocks(points, cells, value, name) if isinstance(cells, list) else None
 
@@ -206,21 +209,26 @@ def _padded(points: Any, faces: NDArray[Any], value: Any, name: str) -> Polygons
     return Polygons(points, None, np.array(counts), np.delete(faces, starts), value)
 
 
+def _left_out(counts: Mapping[str, Any], word: str = "") -> tuple[str, ...]:
+    listed = ", ".join(f"{kind}{word} ({count})" for kind, count in counts.items() if count)
+    return (f"its {listed} are left out",) if listed else ()
+
+
 def _blocks(points: Any, cells: list[Any], value: Any, name: str) -> Polygons | None:
-    """Polygons from meshio's blocks of cells; lines, points and the cells of volumes are left out, as in files."""
-    counts, indices, others = [], [], set()
+    """Polygons from meshio's blocks of cells; lines, points and the cells of volumes are left out, with a note."""
+    counts, indices, others = [], [], dict[str, int]()
     for block in cells:
-        kind = attribute(block, "type")
+        kind = str(attribute(block, "type"))
         if kind not in POLYGON_CELLS:
-            others |= {kind} - _LOWER
+            others[kind] = others.get(kind, 0) + len(block.data)
             continue
         rows = [np.asarray(row) for row in block.data]
         counts += [len(row) for row in rows]
         indices += rows
     if not counts:
-        held = ", ".join(sorted(map(str, others))) or "no cells"
+        held = ", ".join(sorted(others.keys() - _LOWER)) or "no cells"
         raise InputError(f"{name}: {_kind(value)} holds {held} and no polygons; extract its surface")
-    return Polygons(points, None, np.array(counts), np.concatenate(indices), value)
+    return Polygons(points, None, np.array(counts), np.concatenate(indices), value, _left_out(others, " cells"))
 
 
 def _from_image_data(image: Any, name: str) -> Image:

@@ -32,7 +32,11 @@ def read_gmsh(path: Path, meshio: Any) -> tuple[Any, list[str]]:
         return meshio.gmsh.read(path), []
     if told[2] == b"1":
         mesh = meshio.gmsh.read(path)
-        return _of_binary(mesh, content) if told[1] in (b"4", b"4.1") and told[3] == b"8" else (mesh, [])
+        if told[1].startswith(b"2"):  # whose nodes meshio takes in order only
+            return mesh, _with_cells_of_binary(mesh, content, 0, old=True, second=True)
+        if told[1] not in (b"4", b"4.0", b"4.1") or told[3] != b"8":
+            return mesh, []
+        return _of_binary(mesh, content, old=told[1] == b"4.0")
     sections = {name: _section(content, name) for name in (b"Nodes", b"Elements")}
     with tempfile.TemporaryFile() as file:
         file.write(_ARRAYS.sub(b"", content))
@@ -57,16 +61,29 @@ def read_gmsh(path: Path, meshio: Any) -> tuple[Any, list[str]]:
     return mesh, notes
 
 
-def _of_binary(mesh: Any, content: bytes) -> tuple[Any, list[str]]:
-    """The mesh with its arrays of nodes in the order of these: meshio reads only arrays with the tags 1, 2, 3, ..."""
+def _of_binary(mesh: Any, content: bytes, *, old: bool) -> tuple[Any, list[str]]:
+    """The mesh with its arrays in the order of the file's nodes and elements.
+
+    meshio reads only arrays with the tags 1, 2, 3, ..., and takes nodes and elements to stand in their order.
+
+    Args:
+        mesh: What meshio reads.
+        content: The file.
+        old: Whether it is of version 4.0, whose tags are shorter and stand beside the coordinates.
+    """
+    node = np.dtype([("tag", "<i4"), ("place", "<f8", 3)])
     at = content.find(b"$Nodes\n") + len(b"$Nodes\n")
     block_count, tags = int(np.frombuffer(content, "<u8", 1, at)[0]), []
-    at += 4 * 8
+    at += (2 if old else 4) * 8
     for _ in range(block_count):
         count = int(np.frombuffer(content, "<u8", 1, at + 12)[0])
-        tags.append(np.frombuffer(content, "<u8", count, at + 20).astype(np.int64) - 1)
-        at += 20 + (1 + 3) * 8 * count
-    order, notes = np.concatenate([np.empty(0, np.int64), *tags]), []
+        tags.append(
+            np.frombuffer(content, node, count, at + 20)["tag"]
+            if old
+            else np.frombuffer(content, "<u8", count, at + 20)
+        )
+        at += 20 + (node.itemsize if old else (1 + 3) * 8) * count
+    order, notes = _order(tags), []
     for name, values in list(mesh.point_data.items()):
         if name.startswith("gmsh:"):
             continue
@@ -75,7 +92,50 @@ def _of_binary(mesh: Any, content: bytes) -> tuple[Any, list[str]]:
         else:
             del mesh.point_data[name]
             notes.append(f"the array {name!r} is left out: its rows are not those of the nodes")
-    return mesh, notes
+    return mesh, notes + _with_cells_of_binary(mesh, content, at, old=old)
+
+
+def _with_cells_of_binary(mesh: Any, content: bytes, start: int, *, old: bool, second: bool = False) -> list[str]:
+    """Bring the arrays of elements into the order of these; notes on those that are left out.
+
+    Args:
+        mesh: What meshio reads, which is changed.
+        content: The file.
+        start: Where its nodes end.
+        old: Whether it is of version 4.0 or 2, with tags of 32 bits.
+        second: Whether it is of version 2.
+    """
+    told = [name for name in mesh.cell_data if not name.startswith("gmsh:")]
+    if not told:
+        return []
+    at = content.find(b"$Elements\n", start) + len(b"$Elements\n")
+    tags, kind, notes = [], np.dtype("<i4" if old else "<u8"), []
+    at = content.find(b"\n", at) + 1 if second else at + (2 if old else 4) * 8
+    for block in mesh.cells:
+        left, width = len(block.data), 1 + block.data.shape[1]
+        while left > 0:
+            # Blocks of version 2 may hold one element each, and further numbers before its nodes.
+            more = np.frombuffer(content, "<i4", 2, at + 4) if second else (left, 0)
+            count, row = int(more[0]), width + int(more[1])
+            if count < 1 or row < width:
+                raise ValueError("a block of no elements")
+            at += 12 if second else 20
+            tags.append(np.frombuffer(content, kind, count * row, at)[::row])
+            at, left = at + count * row * kind.itemsize, left - count
+    order, ends = _order(tags), np.cumsum([len(block.data) for block in mesh.cells])[:-1]
+    for name in told:
+        values = np.concatenate(mesh.cell_data[name])
+        if np.array_equal(np.sort(order), np.arange(len(values))):
+            mesh.cell_data[name] = np.split(values[order], ends)
+        else:
+            del mesh.cell_data[name]
+            notes.append(f"the array {name!r} is left out: its rows are not those of the elements")
+    return notes
+
+
+def _order(tags: list[NDArray[Any]]) -> NDArray[np.int64]:
+    """The row of each tag, in blocks of them, in arrays that have a row for each tag from 1."""
+    return np.concatenate([np.empty(0, np.int64), *(block.astype(np.int64) - 1 for block in tags)])
 
 
 def _section(content: bytes, name: bytes) -> bytes:

@@ -17,7 +17,7 @@ from geokit.formats.scene_content.gltf_accessors import Accessors
 from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, needs_writing_out, write_out
 
-__all__ = ["understood"]
+__all__ = ["require_whole", "understood"]
 
 # Extensions that do not change the shape, by the beginnings of their names.
 _LOOKS = (
@@ -69,6 +69,26 @@ def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
     text += b" " * (-len(text) % 4)
     parts = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BINARY) + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts
+
+
+def require_whole(path: Path, read: Callable[[str], bytes]) -> None:
+    """Say which part of a .gltf or .glb that cannot be read is cut off, if one is.
+
+    Raises:
+        FileFormatError: The file or one of its buffers is shorter than it says.
+    """
+    data = path.read_bytes()
+    tree, binary = _opened(data)
+    told = int.from_bytes(data[8:12], "little") if data.startswith(b"glTF") else 0
+    if len(data) < told:
+        raise FileFormatError(f"{path}: has {len(data)} of the {told} bytes that it says; get a whole copy")
+    accessors = Accessors(object_of(tree), binary, read)
+    for number, buffer in enumerate(objects(object_of(tree).get("buffers"))):
+        size, told = len(accessors.buffer(number)), buffer.get("byteLength")
+        if isinstance(told, int) and size < told:
+            uri = str(buffer.get("uri", "data:"))
+            name = "in the file" if uri.startswith("data:") else repr(uri[:80])
+            raise FileFormatError(f"{path}: buffer {number} ({name}) has {size} of its {told} bytes; get a whole copy")
 
 
 def _with_a_scene(tree: dict[str, Any]) -> bool:

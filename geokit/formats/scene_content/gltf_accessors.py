@@ -81,10 +81,11 @@ class Accessors:
         step = _size(place.get("byteStride") or width * kind.itemsize)
         start = _size(place.get("byteOffset", 0)) + _size(offset)
         # An array of no rows may begin at the end of its buffer.
-        buffer = self._buffer(place["buffer"]) if count else b""
+        buffer = self.buffer(place["buffer"]) if count else b""
         return np.ndarray((count, width), kind, buffer, start if count else 0, (step, kind.itemsize))
 
-    def _buffer(self, number: int) -> bytes:
+    def buffer(self, number: int) -> bytes:
+        """The content of a buffer."""
         if number not in self._buffers:
             uri = self._entry("buffers", number).get("uri")
             if uri is None:

@@ -208,6 +208,8 @@ def test_a_comment_is_no_header(tmp_path: Path) -> None:
         "".join("\t" + row.replace(",", "\t") + "\n" for row in ROWS),
         "x,y,z,\n" + "".join(row + "\n" for row in ROWS),
         "3\n" + "".join(row + "\n" for row in ROWS),
+        "sep=,\n" + "".join(row + "\n" for row in ROWS),
+        '"sep=;"\r\nx;y;z\r\n' + "".join(row.replace(",", ";") + "\r\n" for row in ROWS),
         "".join('"' + row.replace(",", '","') + '"\n' for row in ROWS),
         "".join(row.replace(",", " , ") + "\n" for row in ROWS),
     ],
