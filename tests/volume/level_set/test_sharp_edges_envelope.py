@@ -80,6 +80,27 @@ def test_dilation_within_the_band():
     assert found(dilate(level_set(box), 1.0), lambda p: box(p) - 1.0).max() < 0.3
 
 
+@pytest.mark.parametrize("seed", [45, 135])
+def test_the_worst_dilations_that_were_found(seed):
+    rng = np.random.default_rng(seed)
+    pose = rng.uniform(-3.0, 3.0, 3), rng.uniform(-0.5, 0.5, 3)
+    distance = rng.uniform(0.3, 2.9)
+    box = turned(cuboid(rng.uniform(4.0, 10.0, 3)), *pose)
+    errors = found(dilate(level_set(box), distance), lambda p: box(p) - distance)
+    assert 0.3 < errors.max() < 1.0
+    assert np.mean(errors > 0.3) < 0.001
+
+
+@pytest.mark.parametrize("distance", [1.3, 4.2])
+def test_dilated_tori(distance):
+    def torus(tube):
+        return turned(lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - 32.0, p[:, 2]) - tube, *ODD)
+
+    errors = found(dilate(level_set(torus(12.0), leaves=7), distance), torus(12.0 + distance))
+    assert 0.05 < errors.max() < 0.15
+    assert np.mean(errors > 0.05) < 0.002
+
+
 def polyhedron(seed):
     """Fourteen random planes and six of a turned cube; erosion moves them all."""
     rng = np.random.default_rng(seed)
