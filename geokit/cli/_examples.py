@@ -54,7 +54,7 @@ geokit mesh plane ground.ply --size 10 10 --segments 20
 geokit mesh split bunny.usd pieces.ply
 geokit mesh keep-largest hollow.stl clean.stl
 geokit mesh transform ball.ply moved.ply --scale 0.001 --rotate 1 0 0 90 --move 0 0 5
-geokit mesh transfer ball.ply bunny.usd painted.ply --name color
+geokit mesh transfer ball.ply bunny.usd painted.vtp --name color
 geokit query closest   bunny.usd points.csv -o closest.vtp
 geokit query signed    bunny.usd points.npy -o distances.npz
 geokit query ray       bunny.usd rays.csv   -o hits.csv
