@@ -9,12 +9,15 @@ import ctypes
 import functools
 from typing import TYPE_CHECKING
 
+from geokit.core.forks import Lock
+
 if TYPE_CHECKING:
     import warp as wp
 
 __all__ = ["copy_rows", "copy_stream", "open_memory"]
 
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING
+_opening = Lock()
 
 
 @functools.cache
@@ -65,14 +68,25 @@ def copy_rows(
 
 
 def open_memory(one: "wp.Device", other: "wp.Device") -> None:
-    """Let two GPUs take each other's memory directly, that of warp's pools too, which else goes through the host."""
+    """Let two GPUs take each other's memory directly, that of warp's pools too, which else goes through the host.
+
+    Copies between GPUs that are under way while access to a pool changes end with CUDA's error 719, and the GPUs are
+    lost for the process. So this comes before the work of a call, in one thread, and once both are idle.
+    """
     import warp as wp
 
-    for target, peer in ((one, other), (other, one)):
-        if wp.is_peer_access_supported(target, peer) and not wp.is_peer_access_enabled(target, peer):
-            wp.set_peer_access_enabled(target, peer, True)
-        if wp.is_mempool_access_supported(target, peer) and not wp.is_mempool_access_enabled(target, peer):
-            wp.set_mempool_access_enabled(target, peer, True)
+    with _opening:
+        for target, peer in ((one, other), (other, one)):
+            opens = wp.is_peer_access_supported(target, peer) and not wp.is_peer_access_enabled(target, peer)
+            opens_pool = wp.is_mempool_access_supported(target, peer) and not wp.is_mempool_access_enabled(target, peer)
+            if not (opens or opens_pool):
+                continue
+            wp.synchronize_device(one)
+            wp.synchronize_device(other)
+            if opens:
+                wp.set_peer_access_enabled(target, peer, True)
+            if opens_pool:
+                wp.set_mempool_access_enabled(target, peer, True)
 
 
 def _require(status: int, what: str) -> None:

@@ -101,6 +101,9 @@ class Question:
         rows = [import_array(value, "rows") for value in self._rows]
         rows = [value if value.is_contiguous else value.contiguous() for value in rows]
         home, total = rows[0].device, len(rows[0])
+        for device in self._devices:
+            if home.is_cuda and device.is_cuda and device != home:
+                open_memory(home, device)
         parts = [list(part) for part in self._parts(home, total)]
         whole = _Whole(self._ask(0, rows, 0, 0), total, home)
         if home.is_cuda:
@@ -183,8 +186,6 @@ class _Way:
         if gpu.is_cuda:
             self._contexts.enter_context(gpu.context_guard)
             self._streams = copy_stream(gpu.alias, 0), copy_stream(gpu.alias, 1)
-        if self._home.is_cuda and self._device.is_cuda and self._home != self._device:
-            open_memory(self._home, self._device)
         return self
 
     def __exit__(self, *_: object) -> None:
