@@ -8,6 +8,8 @@ import gc
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from geokit.core.launches.cuda_driver import cuda_driver
+
 if TYPE_CHECKING:
     import warp as wp
 
@@ -107,7 +109,7 @@ def _pool_peak(call: Callable[[], Any], device: "wp.Device") -> int:
 def _reset_pool(ordinal: int) -> None:
     """Reset the high-water mark of the device's default pool, which is warp's, to the current use."""
     with contextlib.suppress(OSError, AttributeError):
-        driver = ctypes.CDLL("libcuda.so.1")
+        driver = cuda_driver()
         device, pool, zero = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_uint64(0)
         found = driver.cuDeviceGet(ctypes.byref(device), ordinal) == 0
         if found and driver.cuDeviceGetDefaultMemPool(ctypes.byref(pool), device) == 0:

@@ -10,6 +10,7 @@ import functools
 from typing import TYPE_CHECKING
 
 from geokit.core.forks import Lock
+from geokit.core.launches.cuda_driver import cuda_driver
 
 if TYPE_CHECKING:
     import warp as wp
@@ -21,11 +22,6 @@ _opening = Lock()
 
 
 @functools.cache
-def _driver() -> ctypes.CDLL:
-    return ctypes.CDLL("libcuda.so.1")
-
-
-@functools.cache
 def copy_stream(device: str, number: int) -> "wp.Stream":
     """A stream of a GPU for copies, which go on while warp frees memory: that waits for each stream that warp makes.
 
@@ -34,7 +30,7 @@ def copy_stream(device: str, number: int) -> "wp.Stream":
     import warp as wp
 
     handle = ctypes.c_void_p()
-    _require(_driver().cuStreamCreate(ctypes.byref(handle), NON_BLOCKING), "make a stream")
+    _require(cuda_driver().cuStreamCreate(ctypes.byref(handle), NON_BLOCKING), "make a stream")
     return wp.Stream(device, cuda_stream=handle.value)
 
 
@@ -61,7 +57,7 @@ def copy_rows(
         ctypes.c_uint64(source.ptr + first * row), ctypes.c_void_p(source.device.context),
     )  # fmt: skip
     with stream.device.context_guard:
-        status = _driver().cuMemcpyPeerAsync(
+        status = cuda_driver().cuMemcpyPeerAsync(
             *addresses, ctypes.c_size_t(count * row), ctypes.c_void_p(stream.cuda_stream)
         )
     _require(status, "copy")

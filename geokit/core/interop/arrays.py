@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.core.require import require_memory, require_unrecorded
 from geokit.errors import InputError
 
@@ -66,10 +67,11 @@ def _device_of_pointer(pointer: int) -> str:
     # The protocol does not name the GPU; the driver knows it.
     import ctypes
 
-    driver = ctypes.CDLL("libcuda.so.1")
     ordinal = ctypes.c_int(-1)
     attribute_device_ordinal = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
-    status = driver.cuPointerGetAttribute(ctypes.byref(ordinal), attribute_device_ordinal, ctypes.c_uint64(pointer))
+    status = cuda_driver().cuPointerGetAttribute(
+        ctypes.byref(ordinal), attribute_device_ordinal, ctypes.c_uint64(pointer)
+    )
     return f"cuda:{ordinal.value}" if status == 0 else "cuda:0"
 
 
