@@ -23,6 +23,8 @@ __all__ = ["closing", "dilate", "erode", "offset", "opening", "renormalize"]
 FARTHEST_OFFSET = 256.0
 # Voxels by which a band reaches beyond the new surface, outwards and inwards.
 MARGIN, INWARD_MARGIN = 2.0, 3.0
+# Least part [voxels] of an offset outwards that is made within the band before the band is extended for the rest.
+LEAST_STEP = 0.5
 
 
 @needs(lambda volume, *_, **__: 32500 * leaf_count(volume))
@@ -73,13 +75,14 @@ def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> Spar
     surface is an isosurface of the level set itself; only beyond its band is it one of distances computed from it. All
     distances are then recomputed from the new surface. A body thinner than twice the distance disappears.
 
-    Inwards, sharp edges stay sharp, and distances beyond them are those from the edge: right to 0.3 voxel next to edges
-    and corners of boxes, cylinders and plates, 0.4 next to tips and acute rims and where less than a voxel is left, and
-    0.7 at the ends of concave edges, in bands of up to 5 voxels. In polyhedra of many short or blunt edges up to 0.1 %
-    of the voxels are farther off, by up to the width of the band. This needs a level set that holds distances.
-    Outwards, where the band of the level set covers the offset, distances next to convex edges are right to 0.3 voxel,
-    but for up to 0.1 % of the voxels at edges in odd directions, which are up to 1 voxel off. Beyond the band, and in
-    cavities and other concave edges, single voxels may be off by the width of the band.
+    Sharp edges stay sharp: convex ones inwards, concave ones outwards. Distances beyond them are those from the edge:
+    right to 0.3 voxel next to edges and corners of boxes, cylinders and plates, 0.4 next to tips and acute rims and
+    where less than a voxel is left, and 0.7 at the ends of concave edges and outwards beyond the band, in bands of up
+    to 5 voxels. In polyhedra of many short or blunt edges up to 0.1 % of the voxels are farther off, by up to the width of the band. This needs a
+    level set that holds distances.
+    Outwards, the other edges become round. Distances next to them are right to 0.3 voxel, but for up to 0.1 % of the
+    voxels at edges in odd directions: 0.6 voxel off where the band of the level set covers the offset and two voxels
+    more, and else by up to the width of the band.
 
     Args:
         volume: Level set.
@@ -197,7 +200,7 @@ def opening(
 ) -> SparseVolume:
     """Opening: erosion followed by dilation. Removes parts thinner than twice the distance.
 
-    In a level set, outer edges are rounded too. Distances are right to 0.8 voxel there (0.3 for most bodies),
+    In a level set, outer edges are rounded too. Distances are right to 0.5 voxel there (0.3 for most bodies),
     to 1.0 where the erosion leaves less than a voxel, with the exception of polyhedra that :func:`offset` names. Other
     grids lose active parts in which the neighborhood of ``voxels`` steps does not fit; voxels that stay active keep
     their values.
@@ -234,10 +237,10 @@ def closing(
 ) -> SparseVolume:
     """Closing: dilation followed by erosion. Fills gaps and holes narrower than twice the distance.
 
-    In a level set, inner edges are rounded too. Distances around boxes are right to 0.7 voxel. Next to other sharp
-    edges, concave or not, up to 0.3 % of the voxels have the errors of :func:`offset` beyond the band: up to its width.
-    Other grids have gaps between active voxels filled in which the neighborhood of ``voxels`` steps does not fit.
-    Voxels that become active keep their previous values, and so do all others.
+    In a level set, inner edges are rounded too. Distances around boxes are right to 0.7 voxel, but for single voxels.
+    Next to other sharp edges, concave or not, up to 0.3 % of the voxels have the errors of :func:`offset` beyond the
+    band: up to its width. Other grids have gaps between active voxels filled in which the neighborhood of ``voxels``
+    steps does not fit. Voxels that become active keep their previous values, and so do all others.
 
     Args:
         volume: Level set with ``distance``; a grid of any type that holds values with ``voxels``.
@@ -284,6 +287,11 @@ def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device:
     widths = widths_of(volume, voxel_size)
     half_width = widths.widest
     for step, following in zip(steps, [*steps[1:], 0.0], strict=True):
+        # Sharp edges are rounded by a step within the band: a band extended from round ones is right.
+        first = widths_of(volume, voxel_size).narrowest - MARGIN
+        if LEAST_STEP <= first < step:
+            volume = redistance(volume, voxel_size, half_width, isovalue=first, device=device)
+            step -= first
         # The band must contain every cell that the new surface crosses, with all its corners; inwards, with all
         # voxels that tell directions there.
         needed = max(half_width, abs(step) + (INWARD_MARGIN if step < 0.0 else MARGIN))
@@ -293,9 +301,7 @@ def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device:
             else volume
         )
         width = max(half_width, following + INWARD_MARGIN) if step < 0.0 < following else half_width
-        # Distances from an eroded body are more exact than those from a surface around it.
-        is_back = step > 0.0 and len(steps) > 1 and steps[0] < 0.0
-        volume = redistance(wide, voxel_size, width, isovalue=step, holds_distances=is_back, device=device)
+        volume = redistance(wide, voxel_size, width, isovalue=step, device=device)
     return with_widths(volume, voxel_size, widths)
 
 

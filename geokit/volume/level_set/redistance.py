@@ -49,7 +49,6 @@ def redistance(
     *,
     isovalue: float = 0.0,
     keeps_band: bool = False,
-    holds_distances: bool = False,
     device: Any = None,
 ) -> SparseVolume:
     """Signed distances from a level set's surface, in a band of another width.
@@ -58,11 +57,10 @@ def redistance(
         volume: Float, double or quantized level set on cubic voxels.
         voxel_size: Edge of a voxel [world].
         half_width: Half width of the new band [voxels].
-        isovalue: Value of the surface [voxels]; 0 with ``keeps_band``. Below 0, distances beyond sharp edges are those
-            from the edges.
+        isovalue: Value of the surface [voxels]; 0 with ``keeps_band``. Distances on the side from which the surface
+            came are those of the level set, and those beyond sharp edges are from the edges.
         keeps_band: Active voxels keep their values; only voxels beyond them are computed. A band of two widths counts
             as one of the narrower.
-        holds_distances: Distances outside a surface that moves outwards are those of the level set.
         device: Where to compute; None for the first GPU, else the CPU.
     Returns:
         Level set of float or double values.
@@ -89,7 +87,7 @@ def redistance(
     beside = leaves.beside
     if half_width > start:
         band.spread(start, half_width, only_border=keeps_band)
-    if isovalue < 0.0 or holds_distances:
+    if isovalue != 0.0:
         spread = [band.nearest, band.features]
         field = background, isovalue * voxel_size, voxel_size
         hold_beyond_edges(leaves, beside, field, half_width, spread, band.known, band.held)

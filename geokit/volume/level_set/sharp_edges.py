@@ -53,7 +53,9 @@ def hold_beyond_edges(
     device, planes = leaves.device, len(held)
     source = kernels.Field()
     source.volume = leaves.handle
-    source.background, source.isovalue, source.voxel_size = (wp.float64(value) for value in field)
+    background, isovalue, voxel_size = field
+    source.background, source.isovalue = wp.float64(background), wp.float64(isovalue)
+    source.scale = wp.float64(voxel_size if isovalue < 0.0 else -voxel_size)
     near, sound = (wp.empty(planes, dtype=wp.int32, device=device) for _ in range(2))
     inputs = [leaves.values, leaves.active, beside, source]
     launcher.launch(kernels.sound_kernel, planes, inputs, [near, sound], device, grain=GRAIN)
@@ -62,7 +64,6 @@ def hold_beyond_edges(
     beyond = wp.empty(planes, dtype=wp.uint64, device=device)
     counts = wp.empty(planes, dtype=wp.int32, device=device)
     inputs = [leaves.values, leaves.active, leaves.on_device, beside, *spread, source, wp.float64(half_width)]
-    inputs.append(int(field[1] < 0.0))
     launcher.launch(kernels.beyond_edges_kernel, planes, inputs, [known, held, beyond, counts], device, grain=GRAIN)
     ends, count = prefix_sum(counts)
     if not count:

@@ -1,5 +1,7 @@
 """Distances of an eroded body beyond its sharp edges, where the nearest point of the body is on an edge.
 
+A body that grows is one whose outside is eroded: its heights have the other sign.
+
 Heights are values minus the isovalue, in voxels: negative in the body, and never above the distance outside if the
 field is one of distances. ``leaf_neighbors_kernels`` defines rows, elements and bits.
 """
@@ -58,10 +60,11 @@ class Field:
     """A volume whose isosurface is the surface of the body."""
 
     volume: wp.uint64
-    # Width of its band, isovalue and voxel size [world].
+    # Width of its band, and isovalue [world].
     background: wp.float64
     isovalue: wp.float64
-    voxel_size: wp.float64
+    # Voxel size [world]; negative where the body is the outside.
+    scale: wp.float64
 
 
 @wp.func
@@ -73,7 +76,7 @@ def raw_at(field: Field, i: int, j: int, k: int) -> wp.float64:
 
 @wp.func
 def height_at(field: Field, i: int, j: int, k: int) -> wp.float64:
-    return (raw_at(field, i, j, k) - field.isovalue) / field.voxel_size
+    return (raw_at(field, i, j, k) - field.isovalue) / field.scale
 
 
 @wp.func
@@ -130,7 +133,7 @@ def slope_in_row(
     s = wp.vec3i(wp.where(axis == 0, 1, 0), wp.where(axis == 1, 1, 0), wp.where(axis == 2, 1, 0))
     outer = field.background - field.isovalue
     inner = -field.background - field.isovalue
-    h = field.voxel_size
+    h = field.scale
     return straight_slope(
         value_at(values, beside, outer, inner, t, c[0] - 2 * s[0], c[1] - 2 * s[1], c[2] - 2 * s[2]) / h,
         value_at(values, beside, outer, inner, t, c[0] - s[0], c[1] - s[1], c[2] - s[2]) / h,
@@ -147,7 +150,7 @@ def is_sound_at(
     """Whether voxel c of row t is sound."""
     outer = field.background - field.isovalue
     inner = -field.background - field.isovalue
-    here = value_at(values, beside, outer, inner, t, c[0], c[1], c[2]) / field.voxel_size
+    here = value_at(values, beside, outer, inner, t, c[0], c[1], c[2]) / field.scale
     return is_sound(
         slope_in_row(values, beside, field, t, c, 0, here),
         slope_in_row(values, beside, field, t, c, 1, here),
@@ -171,7 +174,7 @@ def sound_kernel(
     sound = int(0)
     for n in range(64):
         at = (i << 6) + n
-        if bit_of(active, at) and wp.abs(values[at]) < CLOSE * field.voxel_size:
+        if bit_of(active, at) and wp.abs(values[at]) < CLOSE * wp.abs(field.scale):
             near += 1
             if is_sound_at(values, beside, field, i >> 3, wp.vec3i(i & 7, n >> 3, n & 7)):
                 sound += 1
@@ -207,7 +210,7 @@ def band_distance(
     """Distance [voxels] that an element has so far."""
     distance = wp.float64(wp.inf)
     if bit_of(held, at):
-        distance = wp.abs(known[at]) / field.voxel_size
+        distance = wp.abs(known[at] / field.scale)
     elif nearest[at] >= 0:
         voxel = 8 * tiles[at >> 9] + wp.vec3i((at >> 6) & 7, (at >> 3) & 7, at & 7)
         distance = wp.max(distance_from(features, nearest[at], voxel), wp.float64(0.0))
@@ -225,7 +228,6 @@ def beyond_edges_kernel(
     features: Features,
     field: Field,
     half_width: wp.float64,
-    inwards: int,
     out_known: wp.array(dtype=wp.float64),
     out_held: wp.array(dtype=wp.uint64),
     out_beyond: wp.array(dtype=wp.uint64),
@@ -234,7 +236,7 @@ def beyond_edges_kernel(
     """Marks the voxels of a plane whose nearest point may be on an edge: their foot is not on the surface.
 
     The height of the others is the distance, and so it is in the body; they are held with it where their distance
-    differs. Unless the surface moves ``inwards``, no voxel is marked, and distances in the body only become longer.
+    differs.
     """
     i = first + wp.tid()
     t = i >> 3
@@ -245,14 +247,14 @@ def beyond_edges_kernel(
     for n in range(64):
         at = (i << 6) + n
         bit = wp.uint64(1) << wp.uint64(n)
-        height = values[at] / field.voxel_size
+        height = values[at] / field.scale
         if (word & bit) != wp.uint64(0) and height > -half_width:
             c = wp.vec3i(i & 7, n >> 3, n & 7)
             x = slope_in_row(values, beside, field, t, c, 0, height)
             y = slope_in_row(values, beside, field, t, c, 1, height)
             z = slope_in_row(values, beside, field, t, c, 2, height)
             sound = is_sound(x, y, z)
-            if height < wp.float64(0.0) or inwards == 0:
+            if height < wp.float64(0.0):
                 sound = sound or has_sound_neighbor(values, beside, field, t, c)
             else:
                 v = 8 * tiles[t] + c
@@ -267,12 +269,10 @@ def beyond_edges_kernel(
                     sound = False
             if sound:
                 distance = band_distance(out_known, out_held, nearest, features, field, tiles, at)
-                # Where the body grew, an edge may be nearer than the surface; heights are never above the distance.
-                is_long = distance > wp.abs(height) + CHANGE and (inwards == 1 or height > wp.float64(0.0))
-                if is_long or distance < wp.abs(height) - CHANGE:
+                if wp.abs(distance - wp.abs(height)) > CHANGE:
                     out_known[at] = values[at]
                     held = held | bit
-        elif (word & bit) == wp.uint64(0) and inwards == 1 and nearest[at] >= 0 and height > half_width:
+        elif (word & bit) == wp.uint64(0) and nearest[at] >= 0 and height > half_width:
             # The field says that the voxel is beyond the new band.
             if band_distance(out_known, out_held, nearest, features, field, tiles, at) < half_width:
                 beyond = beyond | bit
@@ -341,7 +341,7 @@ def planes_kernel(
     for n in range(MOST_PLANES):
         v = cell + in_window(n)
         raw = raw_at(field, v[0], v[1], v[2])
-        height[n] = (raw - field.isovalue) / field.voxel_size
+        height[n] = (raw - field.isovalue) / field.scale
         if wp.abs(raw) < field.background:
             is_known = is_known | (wp.uint64(1) << wp.uint64(n))
     center = wp.vec3d(wp.float64(0.5), wp.float64(0.5), wp.float64(0.5))
@@ -477,7 +477,7 @@ def hold_kernel(
                     so_far = band_distance(out_known, out_held, nearest, features, field, tiles, at)
                     is_new = wp.abs(so_far - found) > MESH_ERROR
                 if is_new:
-                    out_known[at] = found * field.voxel_size
+                    out_known[at] = found * field.scale
                     held = held | bit
                 k += 1
     out_held[i] = held

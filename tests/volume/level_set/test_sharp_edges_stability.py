@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.skipif(not native.available(), reason="geokit was buil
 
 HALF = np.array([11.0, 9.0, 8.0])
 # What the docstring of opening promises, in voxels.
-OPENED = 0.8
+OPENED = 0.5
 
 
 def worst(volume, true):
@@ -57,9 +57,10 @@ def test_plates_that_stay_thin(thickness):
     assert worst(opening(body, 2.6), lambda p: core(p) - 2.6) < OPENED
 
 
-def test_the_worst_opening_that_was_found():
-    rng = np.random.default_rng(239)
+@pytest.mark.parametrize("seed", [239, 267])
+def test_the_worst_openings_that_were_found(seed):
+    rng = np.random.default_rng(seed)
     pose, distance = (tuple(rng.uniform(-3.0, 3.0, 3)), tuple(rng.uniform(-0.5, 0.5, 3))), rng.uniform(0.5, 6.0)
     half = rng.uniform(7.0, 12.0, 3)
     core = turned(cuboid(half - distance), *pose)
-    assert 0.3 < worst(opening(level_set(turned(cuboid(half), *pose)), distance), lambda p: core(p) - distance) < OPENED
+    assert worst(opening(level_set(turned(cuboid(half), *pose)), distance), lambda p: core(p) - distance) < OPENED
