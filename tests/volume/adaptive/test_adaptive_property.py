@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = settings(max_examples=of_all(2, 20), deadline=None)
 # Of the longest edge of the mesh's box.
-SHARE = of_all(0.02, 0.01)
+SHARE = 0.01
 MESHES = {
     "sharp": mesh_catalog.l_profile,
     "acute": mesh_catalog.tetrahedron,
