@@ -14,7 +14,10 @@ from typing import Any
 
 from geokit.core.printable import printable
 
-__all__ = ["announce_compiling", "note", "print_facts", "print_json", "print_table", "say", "step"]
+__all__ = ["announce_compiling", "at_end", "note", "print_facts", "print_json", "print_table", "say", "step"]
+
+# What a command sets in its process for as long as it runs: undone when it ends, since others may run in that process.
+at_end = contextlib.ExitStack()
 
 
 def say(message: str) -> None:
@@ -28,7 +31,7 @@ def note(message: str) -> None:
 
 
 def announce_compiling() -> None:
-    """Print a notice whenever a kernel module has to be compiled, because that takes seconds."""
+    """Until the command ends, print a notice whenever a kernel module has to be compiled: that takes seconds."""
     from geokit.core import launcher
 
     said: set[str] = set()
@@ -40,7 +43,7 @@ def announce_compiling() -> None:
             said.add(module)
             note(f"compiling {module}")
 
-    launcher.on_compile(listener)
+    at_end.callback(launcher.on_compile, launcher.on_compile(listener))
 
 
 def print_json(value: Any) -> None:

@@ -10,6 +10,7 @@ import traceback
 import warnings
 
 from geokit._packages import require_package
+from geokit.cli._console import at_end
 from geokit.core.printable import printable
 from geokit.errors import GeokitError
 
@@ -36,7 +37,8 @@ def run(arguments: list[str]) -> int:
         # Names of files need not be in any encoding.
         sys.stdout.reconfigure(errors="surrogateescape")
     try:
-        result = app(arguments, exit_on_error=False, print_error=False)
+        with at_end:
+            result = app(arguments, exit_on_error=False, print_error=False)
         if examples := examples_of(arguments):
             print("Examples:", *(f"  {line}" for line in examples), sep="\n")
         sys.stdout.flush()

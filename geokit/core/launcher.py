@@ -221,14 +221,18 @@ def pool() -> Pool:
     return _pool(thread_count())
 
 
-def on_compile(listener: Callable[[str], None] | None) -> None:
+def on_compile(listener: Callable[[str], None] | None) -> Callable[[str], None] | None:
     """Set ``listener(module_name)``, called before a kernel module is compiled rather than read from the cache.
 
     Without a listener the log says once that kernels are being compiled; Python prints that to stderr unless logging is
     configured.
+
+    Returns:
+        The listener before, for those who set theirs for a while.
     """
     global _compile_listener
-    _compile_listener = listener
+    before, _compile_listener = _compile_listener, listener
+    return before
 
 
 def compile_notice() -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from geokit import native
+from geokit.core import launcher
 from geokit.mesh import load as load_mesh
 from geokit.points import downsample
 from geokit.points import load as load_points
@@ -27,6 +28,16 @@ def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
     before, after = load_mesh(cube), load_mesh(target)
     corners = [np.sort(mesh.vertices[mesh.faces].reshape(-1, 9), axis=0) for mesh in (before, after)]
     np.testing.assert_array_equal(*corners)
+
+
+@pytest.mark.parametrize(("size", "code"), [("0.5", 0), ("-1", 1)])
+def test_the_listener_of_compiles_ends_with_the_command(
+    geokit, cube: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str, code: int
+) -> None:
+    mine: list[str] = []
+    monkeypatch.setattr(launcher, "_compile_listener", mine.append)
+    assert geokit("convert", cube, tmp_path / "cube.nvdb", "--voxel-size", size).returncode == code
+    assert launcher.on_compile(None) == mine.append
 
 
 @pytest.mark.slow

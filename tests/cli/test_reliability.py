@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from tests.cli.conftest import ROOT, SECONDS, run_geokit
+from tests.cli.conftest import ROOT, SECONDS, run_geokit, run_here
 
 pytestmark = pytest.mark.process
 
@@ -31,21 +31,24 @@ def outside(tmp_path):
 
 
 def test_folders_of_referenced_files(outside):
-    refused = run_geokit("info", outside)
+    refused = run_here("info", outside)
     assert refused.returncode == 1
     assert "--reference-folder" in refused.stderr
     folder = outside.parent.parent / "big"
     for arguments in (["--reference-folder", folder, "info", outside], ["info", outside, "--reference-folder", folder]):
-        assert run_geokit(*arguments).returncode == 0
+        assert run_here(*arguments).returncode == 0
+    # What one command may read, the next one may not.
+    assert run_here("info", outside).returncode == 1
+    assert run_geokit("info", outside, "--reference-folder", folder).returncode == 0
 
 
 def test_the_memory_limit(tmp_path):
     np.savez_compressed(tmp_path / "a.npz", points=np.zeros((40_000, 3)))
-    refused = run_geokit("info", tmp_path / "a.npz", "--memory-limit", 100_000)
+    refused = run_here("info", tmp_path / "a.npz", "--memory-limit", 100_000)
     assert refused.returncode == 1
     assert "--memory-limit" in refused.stderr
     assert run_geokit("info", tmp_path / "a.npz", "--memory-limit", 10_000_000).returncode == 0
-    assert run_geokit("info", tmp_path / "a.npz", "--memory-limit", "much").returncode == 2
+    assert run_here("info", tmp_path / "a.npz", "--memory-limit", "much").returncode == 2
 
 
 def test_a_full_disk_behind_stdout():

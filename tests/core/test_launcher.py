@@ -230,9 +230,9 @@ def compiles(monkeypatch):
 
     monkeypatch.setattr(launcher.kernel_cache, "load", load)
     monkeypatch.setattr(launcher, "_loaded", set())
+    monkeypatch.setattr(launcher, "_compile_listener", None)
     launcher._log_compiling.cache_clear()
     yield
-    launcher.on_compile(None)
     launcher._log_compiling.cache_clear()
 
 

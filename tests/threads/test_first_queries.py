@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
 
 CPU = {"device": "cpu"}
+ROUNDS = of_all(60, 150)
 RNG = np.random.default_rng(11)
 POINTS, DIRECTIONS, CLOUD = RNG.uniform(-1.5, 1.5, (300, 3)), RNG.normal(size=(300, 3)), RNG.uniform(-1, 1, (2000, 3))
 TORUS = gk.mesh.torus()
@@ -101,7 +103,7 @@ def test_three_threads(kind: str) -> None:
     expected = {name: parts_of(ask(make())) for name, ask in questions.items()}
     names, rng = list(questions), np.random.default_rng(3)
     with ThreadPoolExecutor(3) as pool:
-        for _ in range(150):
+        for _ in range(ROUNDS):
             owner, met = make(), threading.Barrier(3)
             asked = [names[i] for i in rng.integers(0, len(names), 3)]
 

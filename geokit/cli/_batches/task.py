@@ -29,6 +29,7 @@ from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
 from geokit.cli._app import build_app, build_commands
 from geokit.cli._batches.recipe import GLOBAL, Step, names_of
 from geokit.cli._batches.worker import versions
+from geokit.cli._console import at_end
 from geokit.cli._run import show_warning, usage_message
 from geokit.core.files import in_one_line, require_file
 from geokit.errors import GeokitError
@@ -108,7 +109,7 @@ def _run_steps(steps: list[Step], source: Path, folder: Path, record: dict[str, 
                 made = folder / (OUTPUTS if step.keep else "scratch") / step.output.format_map(names)
                 made.parent.mkdir(parents=True, exist_ok=True)
                 target = str(made)
-            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(notices):
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(notices), at_end:
                 code = _command(step)({**names, "target": target or ""})
             if code:
                 raise GeokitError(f"ended with exit code {code}")

@@ -91,7 +91,7 @@ def test_what_only_the_sampling_determines_does_not_count(name, count, noise, gi
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FULL)
-@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("noise", of_all([0.0, 0.3], [0.0, 0.1, 0.3]))
 @pytest.mark.parametrize("given", [True, False])
 def test_bodies_keep_their_rank(name, noise, given):
     for count, seed in ((1500, 0), (1500, 1), (4000, 2)):

@@ -26,6 +26,8 @@ from geokit.volume.sampling.leaf_table import add_pairs
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.space import world_to_index
 from tests.support import reference
+from tests.support.effort import of_all
+from tests.volume.adaptive.test_adaptive_stability import ball_and_cube, levels_only, worst
 
 CODECS = ("fp16", "fp8", "fp4")
 SIZE = 0.4
@@ -263,12 +265,17 @@ def test_a_field_of_one_level_is_the_volume():
     np.testing.assert_array_equal(field.gradient(points, device="cpu"), volume.gradient(points, order=1, device="cpu"))
 
 
+def profile_mesh():
+    """Turned off the lattice."""
+    mesh = mesh_catalog.l_profile()
+    turn = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
+    return TriangleMesh(mesh.vertices @ (turn * np.sign(np.linalg.det(turn))).T, mesh.faces, name="profile")
+
+
 # The search takes ten seconds, and with it each test is slow.
 @pytest.fixture(scope="module", params=[pytest.param("profile", marks=pytest.mark.slow)])
 def profile():
-    mesh = mesh_catalog.l_profile()
-    turn = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
-    turned = TriangleMesh(mesh.vertices @ (turn * np.sign(np.linalg.det(turn))).T, mesh.faces, name="profile")
+    turned = profile_mesh()
     return turned, adaptive_from_mesh(turned, TOLERANCE, order=1, codec="float", device="cpu")
 
 
@@ -334,18 +341,10 @@ def test_far_away_it_is_the_band_s_edge(profile):
     assert np.isfinite(field.sample(middle[None], device="cpu")).all()
 
 
-@pytest.mark.slow
-def test_a_part_drawn_on_a_lattice_keeps_its_straight_edges_for_nothing():
-    mesh = TriangleMesh(mesh_catalog.l_profile().vertices * [1.0, 1.0, 1.0], mesh_catalog.l_profile().faces)
-    plain = {"order": 1, "codec": "float", "device": "cpu"}
-    aligned = adaptive_from_mesh(mesh, TOLERANCE, **plain)
-    turned = adaptive_from_mesh(TriangleMesh(mesh.vertices @ _turn().T, mesh.faces), TOLERANCE, **plain)
+def test_a_part_drawn_on_a_lattice_keeps_its_straight_edges_for_nothing(profile):
+    _, turned = profile
+    aligned = adaptive_from_mesh(mesh_catalog.l_profile(), TOLERANCE, order=1, codec="float", device="cpu")
     assert 2 * aligned.byte_count < turned.byte_count
-
-
-def _turn():
-    a, b = np.cos(0.6), np.sin(0.6)
-    return np.array([[a, -b, 0], [b, a, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
 
 
 def test_common_step():
@@ -425,10 +424,29 @@ def test_points_that_are_refused(profile):
             answer([[0.0, 0.0]], device="cpu")
 
 
-def test_the_same_bytes_for_any_number_of_threads(profile, monkeypatch):
-    mesh, field = profile
+def of_ball_and_cube(max_levels=12):
+    """Mesh, tolerance and field."""
+    mesh, tolerance = ball_and_cube(0.1)[0], 0.004
+    return mesh, tolerance, levels_only(mesh, tolerance, 1, "float", max_levels)
+
+
+def of_profile(max_levels=12):
+    mesh = profile_mesh()
+    options = {"order": 1, "codec": "float", "max_levels": max_levels, "device": "cpu"}
+    return mesh, TOLERANCE, adaptive_from_mesh(mesh, TOLERANCE, **options)
+
+
+# The profile's search takes ten seconds.
+MAKERS = of_all([of_ball_and_cube], [of_ball_and_cube, of_profile])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", MAKERS)
+def test_the_same_bytes_for_any_number_of_threads(make, monkeypatch):
+    _, _, field = make()
+    assert field.level_count > 1
     monkeypatch.setenv("GEOKIT_THREADS", "1")
-    again = adaptive_from_mesh(Surface(mesh, device="cpu"), TOLERANCE, order=1, codec="float")
+    _, _, again = make()
     assert [level.nanovdb.tobytes() for level in again.levels] == [level.nanovdb.tobytes() for level in field.levels]
 
 
@@ -439,12 +457,14 @@ def test_an_open_mesh_keeps_it_within_a_quarter():
     assert field.achieved_error <= 0.05
 
 
-def test_fewer_levels_take_more_memory_and_keep_the_tolerance(profile):
-    mesh, field = profile
-    two = adaptive_from_mesh(mesh, TOLERANCE, order=1, codec="float", max_levels=2, device="cpu")
-    assert two.level_count <= 2
-    assert two.achieved_error <= TOLERANCE
-    assert two.byte_count > field.byte_count
+@pytest.mark.slow
+@pytest.mark.parametrize("make", MAKERS)
+def test_fewer_levels_take_more_memory_and_keep_the_tolerance(make):
+    mesh, tolerance, field = make()
+    _, _, fewer = make(field.level_count - 1)
+    assert fewer.level_count < field.level_count
+    assert worst(fewer, mesh, [mesh], tolerance) <= tolerance
+    assert fewer.byte_count > field.byte_count
 
 
 @pytest.mark.slow

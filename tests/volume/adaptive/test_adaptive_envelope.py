@@ -39,11 +39,18 @@ TORUS, BALL = mesh_catalog.torus(), mesh_catalog.icosphere(4)
 OPEN = mesh_catalog.half_shell(mesh_catalog.icosphere())
 CASES = {
     "torus-0.01": (TORUS, 1e-2),
-    "ball-0.001": (BALL, 1e-3),
     # That of the largest ratio, 1.11.
     "plate-0.001": (mesh_catalog.box((0, 0, 0), (1, 0.7, 0.01)), 1e-3),
     "open-0.02": (OPEN, 2e-2),
-    **of_all({}, {"torus-0.001": (TORUS, 1e-3), "ball-0.01": (BALL, 1e-2), "open-0.01": (OPEN, 1e-2)}),
+    **of_all(
+        {},
+        {
+            "torus-0.001": (TORUS, 1e-3),
+            "ball-0.01": (BALL, 1e-2),
+            "ball-0.001": (BALL, 1e-3),
+            "open-0.01": (OPEN, 1e-2),
+        },
+    ),
 }
 
 

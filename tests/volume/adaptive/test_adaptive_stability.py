@@ -26,7 +26,9 @@ def ball_and_cube(size: float) -> tuple[TriangleMesh, TriangleMesh]:
     return mesh_catalog.join(mesh_catalog.icosphere(3), cube), cube
 
 
-def levels_only(mesh: TriangleMesh, tolerance: float, order: int | None, codec: str | None) -> AdaptiveSDF:
+def levels_only(
+    mesh: TriangleMesh, tolerance: float, order: int | None, codec: str | None, max_levels: int = 12
+) -> AdaptiveSDF:
     """The field of several voxel sizes, whether or not one takes fewer bytes."""
     search = tolerance_search(
         mesh,
@@ -40,7 +42,7 @@ def levels_only(mesh: TriangleMesh, tolerance: float, order: int | None, codec: 
         codec=codec,
         device="cpu",
     )
-    return _checked(levels_of(search, 12).tree, "levels", tolerance)[0]
+    return _checked(levels_of(search, max_levels).tree, "levels", tolerance)[0]
 
 
 def worst(field: AdaptiveSDF, mesh: TriangleMesh, parts: list[TriangleMesh], within: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,7 @@ OPERATIONS = {
 MOTION = {"offset out": 0.04, "offset in, beyond the band": -0.7}
 
 
+@functools.cache
 def cube(half_width, half=2.0, **options):
     return gk.volume.from_mesh(gk.mesh.box(3 * [2 * half]), SIZE, half_width=half_width, **options)
 
