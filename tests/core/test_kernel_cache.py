@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-import json
 import os
 import shutil
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -45,77 +41,6 @@ print(wp.config.kernel_cache_dir)
 """
 
 
-# Forks a process for each script: to import the packages takes longer than most of them. A request is an object of
-# JSON on a line: a script to start, for the number of its process, or that number, for its exit code.
-FORKS = """
-import json, os, sys, tempfile, traceback
-import numpy, warp
-from geokit.core import kernel_cache, launcher
-
-def begin(ask):
-    for number, name in enumerate(("out", "err"), 1):
-        os.dup2(os.open(ask[name], os.O_CREAT | os.O_WRONLY), number)
-    os.environ.clear()
-    os.environ.update(ask["environment"])
-    sys.path[1:1] = os.environ["PYTHONPATH"].split(os.pathsep)
-    tempfile.tempdir = None
-    try:
-        exec(ask["script"], {"__name__": "__main__"})
-    except BaseException:
-        traceback.print_exc()
-        return 1
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-    return 0
-
-for line in iter(sys.stdin.readline, ""):
-    ask = json.loads(line)
-    if isinstance(ask, int):
-        answer = os.waitstatus_to_exitcode(os.waitpid(ask, 0)[1])
-    else:
-        answer = os.fork()
-        if not answer:
-            os._exit(begin(ask))
-    print(answer, flush=True)
-"""
-
-
-@functools.cache
-def forks() -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-c", FORKS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-
-def asked(request: object) -> int:
-    """The answer of the process that forks."""
-    process = forks()
-    process.stdin.write(json.dumps(request) + "\n")
-    process.stdin.flush()
-    return int(process.stdout.readline())
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _end_of_forks() -> Iterator[None]:
-    yield
-    if forks.cache_info().currsize:
-        forks().communicate()
-        forks.cache_clear()
-
-
-class Forked:
-    """A script in a forked process, with what tests use of subprocess.Popen."""
-
-    def __init__(self, script: str, environment: dict[str, str], folder: Path) -> None:
-        self._files = [folder / "out.txt", folder / "err.txt"]
-        out, err = map(str, self._files)
-        self._process = asked({"script": script, "environment": environment, "out": out, "err": err})
-
-    def communicate(self, timeout: float) -> tuple[str, str]:
-        self.returncode = asked(self._process)
-        out, err = (file.read_text() for file in self._files)
-        return out, err
-
-
 class Cache:
     """A cache folder with one compiled module, and processes that use it."""
 
@@ -126,11 +51,9 @@ class Cache:
         self.code.mkdir()
         (self.code / "square_kernels.py").write_text(KERNEL)
 
-    def start(self, before: str = "", fork: bool = False, **environment: str) -> subprocess.Popen[str] | Forked:
+    def start(self, before: str = "", **environment: str) -> subprocess.Popen[str]:
         path = os.pathsep.join([str(self.code), *filter(None, [os.environ.get("PYTHONPATH")])])
         given = {"WARP_CACHE_PATH": str(self.root), "TMPDIR": str(self.temporary), "PYTHONPATH": path, **environment}
-        if fork:
-            return Forked(before + SCRIPT, {**os.environ, **given}, Path(tempfile.mkdtemp(dir=self.code)))
         return subprocess.Popen(
             [sys.executable, "-c", before + SCRIPT],
             stdout=subprocess.PIPE,
@@ -139,11 +62,11 @@ class Cache:
             env={**os.environ, **given},
         )
 
-    def run(self, fork: bool = True, **environment: str) -> tuple[Path, str]:
+    def run(self, **environment: str) -> tuple[Path, str]:
         """The folder that was used, and stderr without the notice that kernels are compiled."""
-        return self.finish(self.start(fork=fork, **environment))
+        return self.finish(self.start(**environment))
 
-    def finish(self, process: subprocess.Popen[str] | Forked) -> tuple[Path, str]:
+    def finish(self, process: subprocess.Popen[str]) -> tuple[Path, str]:
         out, err = process.communicate(timeout=120)
         assert process.returncode == 0, f"status {process.returncode}: {err}"
         self.notices = [line for line in err.splitlines() if "compiling kernels" in line]
@@ -163,11 +86,11 @@ class Cache:
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory) -> Cache:
     cache = Cache(tmp_path_factory.mktemp("filled"))
-    _, err = cache.run(fork=False)
+    _, err = cache.run()
     assert err == ""
     assert len(cache.notices) == 1
     assert str(cache.folder.parent) in cache.notices[0]
-    _, err = cache.run(fork=False)
+    _, err = cache.run()
     assert err == ""
     assert cache.notices == []
     return cache

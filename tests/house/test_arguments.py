@@ -1,6 +1,6 @@
 """Every argument of every public function, spoiled with every bad value: a named error, or a value that may be given.
 
-A full run is some 30,000 calls, about an eighth of them by default.
+A full run is some 30,000 calls, an eighth of them by default.
 ``python -m tests.house.test_arguments NAME`` prints what the calls of one name do.
 """
 
@@ -28,9 +28,8 @@ from tests.support.public_calls import Call, Scene, kinds_of, public_calls, publ
 # Processor time of a call [s], and time after which one that does not return to Python ends the process.
 LONGEST, DEADLINE = 5.0, 120.0
 PARTS = 24
-# One in so many calls is made in the inner loop, and by default; of charts and pages, which take seconds each, fewer.
-SAMPLE, SHARE, SLOW_SHARE = 401, of_all(8, 1), of_all(24, 1)
-SLOW = ("render.", "accuracy.", "volume.plan")
+# One in so many calls is made in the inner loop, and by default.
+SAMPLE, SHARE = 401, of_all(8, 1)
 # Functions that answer NaN by contract, and where.
 NOT_A_NUMBER = {
     "mesh.Surface.closest_point": "misses",
@@ -139,7 +138,8 @@ def test_every_public_function_has_a_call(scene: Scene) -> None:
 def test_some_bad_arguments(scene: Scene) -> None:
     found = []
     for shift, call in enumerate(public_calls(scene)):
-        if not call.name.startswith(SLOW):
+        # Charts and pages take seconds each.
+        if not call.name.startswith(("render.", "accuracy.", "volume.plan")):
             found += wrong_outcomes(scene, call, lambda number, shift=shift: (number + 7 * shift) % SAMPLE == 0)
     assert found == []
 
@@ -150,8 +150,7 @@ def test_bad_arguments(scene: Scene, part: int) -> None:
     found: list[str] = []
     for shift, call in enumerate(list(public_calls(scene))[part::PARTS]):
         call()
-        share = SLOW_SHARE if call.name.startswith(SLOW) else SHARE
-        found += wrong_outcomes(scene, call, lambda number, shift=shift, share=share: (number + shift) % share == 0)
+        found += wrong_outcomes(scene, call, lambda number, shift=shift: (number + shift) % SHARE == 0)
     assert found == []
 
 
