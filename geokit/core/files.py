@@ -275,12 +275,12 @@ def named_damage(path: Path) -> Iterator[None]:
         ) from error
 
 
-def in_one_line(text: str, most: int = 300) -> str:
+def in_one_line(text: str, most: int | None = 300) -> str:
     """Text that may come from a damaged file, as one line that every terminal prints as it stands.
 
     Args:
         text: Any text: line ends, control characters and bytes in no encoding (surrogates) are escaped.
-        most: Number of characters after which it is cut.
+        most: Number of characters after which it is cut; None for all.
     """
     shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
     return printable(shown, escape_bytes=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
 from geokit.formats.body import Body, FileMaterial
@@ -137,7 +138,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         _blame(data, path)
         raise
     for note in notes:
-        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=2)
+        warnings.warn(f"{path}: {in_one_line(note, None)}", UserWarning, stacklevel=2)
     return points, {} if colors is None else {"rgb": colors}
 
 

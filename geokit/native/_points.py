@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.errors import InputError
 from geokit.formats.reader import process as reader_process
 from geokit.native import _call, _extension, _metadata
@@ -82,7 +83,7 @@ def read(
     if "error" in facts:
         raise_failure(facts["error"], str(path))
     if facts["left_out"]:
-        left = ", ".join(sorted(facts["left_out"]))
+        left = in_one_line(", ".join(sorted(facts["left_out"])))
         warnings.warn(f"{path}: attributes that are no numbers are left out: {left}", UserWarning, stacklevel=4)
     (_, positions), *columns = arrays
     noted = _noted(facts["note"])

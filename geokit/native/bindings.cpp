@@ -62,88 +62,6 @@ nb::ndarray<nb::numpy, T, nb::shape<-1, N>> to_array(std::vector<std::array<T, N
     return nb::ndarray<nb::numpy, T, nb::shape<-1, N>>(owned->data(), {owned->size(), N}, owner);
 }
 
-auto read_grids(nb::bytes path, const std::vector<std::string>& names)
-{
-    const std::string source(path.c_str(), path.size());
-    std::vector<geokit::MappedBuffer> buffers;
-    std::string json;
-    {
-        nb::gil_scoped_release release;
-        json = geokit::read_vdb(source, names, buffers);
-    }
-    std::vector<Bytes> arrays;
-    for (auto& buffer : buffers) arrays.push_back(to_array(std::move(buffer)));
-    // Bytes, not str: names in the file need not be UTF-8.
-    return std::make_pair(nb::bytes(json.data(), json.size()), std::move(arrays));
-}
-
-void check_buffer(ConstBytes buffer)
-{
-    nb::gil_scoped_release release;
-    geokit::check_nanovdb(buffer.data(), buffer.size());
-}
-
-void write_grids(nb::bytes path, const std::vector<std::pair<ConstBytes, std::vector<Item>>>& grids,
-    const std::string& compression, bool half)
-{
-    std::vector<geokit::WriteGrid> sources;
-    for (const auto& [buffer, items] : grids) {
-        geokit::WriteGrid source{buffer.data(), {}};
-        for (const auto& [name, type, value] : items) {
-            source.metadata.push_back({name, type, std::string(value.c_str(), value.size())});
-        }
-        sources.push_back(std::move(source));
-    }
-    const std::string target(path.c_str(), path.size());
-    nb::gil_scoped_release release;
-    for (size_t i = 0; i < grids.size(); ++i) geokit::check_nanovdb(grids[i].first.data(), grids[i].first.size());
-    geokit::write_vdb(target, sources, compression, half);
-}
-
-Bytes to_array(std::string&& text)
-{
-    auto* owned = new std::string(std::move(text));
-    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::string*>(pointer); });
-    return Bytes(reinterpret_cast<uint8_t*>(owned->data()), {owned->size()}, owner);
-}
-
-nb::bytes to_bytes(const std::string& text) { return nb::bytes(text.data(), text.size()); }
-
-auto read_points(nb::bytes path, nb::bytes name)
-{
-    geokit::PointTable table;
-    {
-        const std::string source(path.c_str(), path.size()), grid(name.c_str(), name.size());
-        nb::gil_scoped_release release;
-        table = geokit::read_points(source, grid);
-    }
-    std::vector<std::tuple<nb::bytes, std::string, uint64_t, Bytes>> columns;
-    for (auto& column : table.columns) {
-        columns.emplace_back(to_bytes(column.name), column.type, column.width, to_array(std::move(column.bytes)));
-    }
-    std::vector<nb::bytes> left_out;
-    for (const auto& one : table.left_out) left_out.push_back(to_bytes(one));
-    return std::make_tuple(
-        to_array(std::move(table.positions)), std::move(columns), std::move(left_out), to_bytes(table.note));
-}
-
-void write_points(nb::bytes path, nb::bytes name, double voxel_size, const std::array<double, 3>& origin,
-    Corners corners, Starts starts, Voxels voxels, Places places,
-    const std::vector<std::tuple<nb::bytes, std::string, uint64_t, ConstBytes>>& columns, nb::bytes note,
-    const std::string& compression)
-{
-    geokit::PointLeaves points{std::string(name.c_str(), name.size()), voxel_size, {origin[0], origin[1], origin[2]},
-        corners.shape(0), corners.data(), starts.data(), voxels.data(), places.data(), {}, {},
-        std::string(note.c_str(), note.size())};
-    for (const auto& [label, type, width, bytes] : columns) {
-        points.columns.push_back({std::string(label.c_str(), label.size()), type, width, ""});
-        points.bytes.push_back(bytes.data());
-    }
-    const std::string target(path.c_str(), path.size());
-    nb::gil_scoped_release release;
-    geokit::write_points(target, points, compression);
-}
-
 // OpenVDB's own exceptions concern arguments; all others pass through.
 template<typename Op>
 auto translated(Op&& op)
@@ -190,20 +108,97 @@ private:
 template<typename Op>
 auto interruptible(Op&& op)
 {
+    SignalCheck check;
+    const geokit::Pulse pulse = std::ref(check);
+    const geokit::PulseScope scope(&pulse);
     try {
         nb::gil_scoped_release release;
-        return op();
+        return op(pulse);
     } catch (const Interrupted&) {
         throw nb::python_error();
     }
 }
 
+auto read_grids(nb::bytes path, const std::vector<std::string>& names)
+{
+    const std::string source(path.c_str(), path.size());
+    std::vector<geokit::MappedBuffer> buffers;
+    std::string json;
+    interruptible([&](const geokit::Pulse&) { json = geokit::read_vdb(source, names, buffers); });
+    std::vector<Bytes> arrays;
+    for (auto& buffer : buffers) arrays.push_back(to_array(std::move(buffer)));
+    // Bytes, not str: names in the file need not be UTF-8.
+    return std::make_pair(nb::bytes(json.data(), json.size()), std::move(arrays));
+}
+
+void check_buffer(ConstBytes buffer)
+{
+    interruptible([&](const geokit::Pulse&) { geokit::check_nanovdb(buffer.data(), buffer.size()); });
+}
+
+void write_grids(nb::bytes path, const std::vector<std::pair<ConstBytes, std::vector<Item>>>& grids,
+    const std::string& compression, bool half)
+{
+    std::vector<geokit::WriteGrid> sources;
+    for (const auto& [buffer, items] : grids) {
+        geokit::WriteGrid source{buffer.data(), {}};
+        for (const auto& [name, type, value] : items) {
+            source.metadata.push_back({name, type, std::string(value.c_str(), value.size())});
+        }
+        sources.push_back(std::move(source));
+    }
+    const std::string target(path.c_str(), path.size());
+    interruptible([&](const geokit::Pulse&) {
+        for (size_t i = 0; i < grids.size(); ++i) geokit::check_nanovdb(grids[i].first.data(), grids[i].first.size());
+        geokit::write_vdb(target, sources, compression, half);
+    });
+}
+
+Bytes to_array(std::string&& text)
+{
+    auto* owned = new std::string(std::move(text));
+    nb::capsule owner(owned, [](void* pointer) noexcept { delete static_cast<std::string*>(pointer); });
+    return Bytes(reinterpret_cast<uint8_t*>(owned->data()), {owned->size()}, owner);
+}
+
+nb::bytes to_bytes(const std::string& text) { return nb::bytes(text.data(), text.size()); }
+
+auto read_points(nb::bytes path, nb::bytes name)
+{
+    geokit::PointTable table;
+    const std::string source(path.c_str(), path.size()), grid(name.c_str(), name.size());
+    interruptible([&](const geokit::Pulse&) { table = geokit::read_points(source, grid); });
+    std::vector<std::tuple<nb::bytes, std::string, uint64_t, Bytes>> columns;
+    for (auto& column : table.columns) {
+        columns.emplace_back(to_bytes(column.name), column.type, column.width, to_array(std::move(column.bytes)));
+    }
+    std::vector<nb::bytes> left_out;
+    for (const auto& one : table.left_out) left_out.push_back(to_bytes(one));
+    return std::make_tuple(
+        to_array(std::move(table.positions)), std::move(columns), std::move(left_out), to_bytes(table.note));
+}
+
+void write_points(nb::bytes path, nb::bytes name, double voxel_size, const std::array<double, 3>& origin,
+    Corners corners, Starts starts, Voxels voxels, Places places,
+    const std::vector<std::tuple<nb::bytes, std::string, uint64_t, ConstBytes>>& columns, nb::bytes note,
+    const std::string& compression)
+{
+    geokit::PointLeaves points{std::string(name.c_str(), name.size()), voxel_size, {origin[0], origin[1], origin[2]},
+        corners.shape(0), corners.data(), starts.data(), voxels.data(), places.data(), {}, {},
+        std::string(note.c_str(), note.size())};
+    for (const auto& [label, type, width, bytes] : columns) {
+        points.columns.push_back({std::string(label.c_str(), label.size()), type, width, ""});
+        points.bytes.push_back(bytes.data());
+    }
+    const std::string target(path.c_str(), path.size());
+    interruptible([&](const geokit::Pulse&) { geokit::write_points(target, points, compression); });
+}
+
 auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
 {
-    SignalCheck check;
-    auto mesh = interruptible([&] {
+    auto mesh = interruptible([&](const geokit::Pulse& pulse) {
         geokit::check_nanovdb(buffer.data(), buffer.size());
-        return geokit::volume_to_mesh(buffer.data(), isovalue, adaptivity, std::ref(check));
+        return geokit::volume_to_mesh(buffer.data(), isovalue, adaptivity, pulse);
     });
     return std::make_tuple(
         to_array(std::move(mesh.points)), to_array(std::move(mesh.triangles)), to_array(std::move(mesh.quads)));
@@ -211,10 +206,9 @@ auto volume_to_mesh(ConstBytes buffer, double isovalue, double adaptivity)
 
 Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, double half_width)
 {
-    SignalCheck check;
-    return to_array(interruptible([&] {
-        return geokit::mesh_to_level_set(points.data(), points.shape(0), triangles.data(), triangles.shape(0),
-            voxel_size, half_width, std::ref(check));
+    return to_array(interruptible([&](const geokit::Pulse& pulse) {
+        return geokit::mesh_to_level_set(
+            points.data(), points.shape(0), triangles.data(), triangles.shape(0), voxel_size, half_width, pulse);
     }));
 }
 
@@ -222,47 +216,46 @@ Bytes mesh_to_level_set(Points points, Triangles triangles, double voxel_size, d
 template<typename Op>
 Bytes operate(ConstBytes a, Op&& op)
 {
-    return to_array(interruptible([&] {
+    return to_array(interruptible([&](const geokit::Pulse& pulse) {
         geokit::check_nanovdb(a.data(), a.size());
-        return translated([&] { return op(a.data()); });
+        return translated([&] { return op(a.data(), pulse); });
     }));
 }
 
 template<typename Op>
 Bytes operate(ConstBytes a, ConstBytes b, Op&& op)
 {
-    return operate(a, [&](const uint8_t* first) {
+    return operate(a, [&](const uint8_t* first, const geokit::Pulse& pulse) {
         geokit::check_nanovdb(b.data(), b.size());
-        return op(first, b.data());
+        return op(first, b.data(), pulse);
     });
 }
 
 Bytes csg(ConstBytes a, ConstBytes b, const std::string& kind)
 {
-    SignalCheck check;
-    return operate(a, b, [&](auto* first, auto* second) { return geokit::csg(first, second, kind, std::ref(check)); });
+    return operate(
+        a, b, [&](auto* first, auto* second, const auto& pulse) { return geokit::csg(first, second, kind, pulse); });
 }
 
 Bytes smooth_csg(ConstBytes a, ConstBytes b, const std::string& kind, double blend)
 {
-    SignalCheck check;
-    return operate(a, b,
-        [&](auto* first, auto* second) { return geokit::smooth_csg(first, second, kind, blend, std::ref(check)); });
+    return operate(a, b, [&](auto* first, auto* second, const auto& pulse) {
+        return geokit::smooth_csg(first, second, kind, blend, pulse);
+    });
 }
 
 Bytes smooth(ConstBytes buffer, const std::string& method, int width, int iterations, double voxel_size)
 {
-    SignalCheck check;
-    return operate(buffer,
-        [&](auto* data) { return geokit::smooth(data, method, width, iterations, voxel_size, std::ref(check)); });
+    return operate(buffer, [&](auto* data, const auto& pulse) {
+        return geokit::smooth(data, method, width, iterations, voxel_size, pulse);
+    });
 }
 
 std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
 {
-    SignalCheck check;
-    return interruptible([&] {
+    return interruptible([&](const geokit::Pulse& pulse) {
         geokit::check_nanovdb(buffer.data(), buffer.size());
-        return translated([&] { return geokit::measure(buffer.data(), voxel_size, std::ref(check)); });
+        return translated([&] { return geokit::measure(buffer.data(), voxel_size, pulse); });
     });
 }
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import in_one_line
 from geokit.formats.body import Body, FileMaterial
 from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
 from geokit.mesh.attributes.derived import turned_normals
@@ -69,7 +70,7 @@ class JoinedData:
         if self._notes:
             said = list(self._notes)[:MOST_NOTES]
             more = [f"and {len(self._notes) - MOST_NOTES} more"] if len(self._notes) > MOST_NOTES else []
-            warnings.warn(f"{path}: {'; '.join([*said, *more])}", UserWarning, stacklevel=stacklevel)
+            warnings.warn(f"{path}: {in_one_line('; '.join([*said, *more]), None)}", UserWarning, stacklevel=stacklevel)
         return {name: value for name, value in found.items() if value}
 
     def _material(self, given: FileMaterial) -> Material:

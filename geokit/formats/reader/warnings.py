@@ -11,6 +11,8 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from geokit.core.files import in_one_line
+
 __all__ = ["collected", "warn_of"]
 
 # Characters of a warning that are passed on, and number of them.
@@ -41,9 +43,9 @@ def collected() -> Iterator[list[str]]:
 
 
 def warn_of(path: Path, found: Iterable[str]) -> None:
-    """Pass on what a reader has warned of."""
+    """Pass on what a reader has warned of. Libraries quote the file, whatever bytes stand there."""
     for text in found:
-        warnings.warn(f"{path}: {text}", UserWarning, stacklevel=2)
+        warnings.warn(f"{path}: {in_one_line(text)}", UserWarning, stacklevel=2)
 
 
 class _Handler(logging.Handler):

@@ -1,6 +1,7 @@
 #include "check.h"
 
 #include "nano_types.h"
+#include "pulse.h"
 
 #include <cmath>
 #include <cstring>
@@ -126,6 +127,7 @@ private:
 
     void check_lower(uint64_t lower_at)
     {
+        pulse_if_any();
         const auto* lower = at<typename Lower::DataType>(lower_at);
         check_tiles(lower);
         for (auto it = lower->mChildMask.beginOn(); it; ++it) {

@@ -29,6 +29,18 @@ typename TreeT::Ptr combined(const TreeT& a, const TreeT& b, Kind kind)
     }
 }
 
+// As OpenVDB's pruneLevelSet, with the pulse before each node.
+template<typename TreeT>
+void prune(TreeT& tree, const Pulse& pulse)
+{
+    const openvdb::tools::LevelSetPruneOp<TreeT> op(tree);
+    openvdb::tree::NodeManager<TreeT, TreeT::DEPTH - 2> nodes(tree);
+    nodes.foreachBottomUp([&](auto& node) {
+        pulse();
+        op(node);
+    });
+}
+
 // Quadratic polynomial smooth minimum (Quilez): the minimum if a and b differ by more than `blend`, else a blend with
 // continuous slope.
 double smooth_minimum(double a, double b, double blend)
@@ -63,12 +75,8 @@ MappedBuffer csg(const uint8_t* a, const uint8_t* b, const std::string& kind_nam
     pulse();
     return on_real(to_openvdb(a), "CSG", [&](auto& grid) {
         using GridT = std::decay_t<decltype(grid)>;
-        // OpenVDB's own steps take no interrupter.
-        pulse();
         grid.setTree(combined(grid.tree(), second_tree<GridT>(second), kind));
-        pulse();
-        openvdb::tools::pruneLevelSet(grid.tree());
-        pulse();
+        prune(grid.tree(), pulse);
     });
 }
 

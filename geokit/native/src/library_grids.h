@@ -1,6 +1,8 @@
 // OpenVDB's headers, with the grids that libopenvdb itself contains declared as compiled elsewhere.
 #pragma once
 
+#include "pulsed_loops.h" // before OpenVDB's headers
+
 #include <openvdb/openvdb.h>
 
 // libopenvdb registers these grids, so it contains all virtual functions of the grids and of their trees. Without a

@@ -11,6 +11,27 @@
 #include <limits>
 
 namespace geokit {
+
+namespace pulsed {
+
+using namespace openvdb::tools::mesh_to_volume_internal;
+
+template<typename Tree>
+inline constexpr bool kWhole<CombineLeafNodes<Tree>> = true;
+template<typename A, typename B>
+inline constexpr bool kWhole<UnionValueMasks<A, B>> = true;
+
+template<typename Tree, typename Mesh>
+struct Unowned<ExpandNarrowband<Tree, Mesh>> {
+    static void destroy(ExpandNarrowband<Tree, Mesh>& body)
+    {
+        for (auto* leaf : body.newDistNodes()) delete leaf;
+        for (auto* leaf : body.newIndexNodes()) delete leaf;
+    }
+};
+
+} // namespace pulsed
+
 namespace {
 
 double determinant(const Affine& a)
@@ -32,9 +53,7 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity, const Pu
     grid.setTransform(openvdb::math::Transform::Ptr(
         new openvdb::math::Transform(openvdb::math::MapBase::Ptr(new openvdb::math::TranslationMap(-first)))));
     openvdb::tools::VolumeToMesh mesher(isovalue, adaptivity);
-    pulse();
-    mesher(grid); // takes no interrupter
-    pulse();
+    mesher(grid);
     if (mesher.pointListSize() > size_t(std::numeric_limits<int32_t>::max())) {
         throw BridgeError("memory", "the surface has more than 2^31 points; resample the grid at a larger voxel size");
     }
@@ -42,6 +61,7 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity, const Pu
     PolygonMesh mesh;
     mesh.points.resize(mesher.pointListSize());
     for (size_t i = 0; i < mesh.points.size(); ++i) {
+        if (i % 4096 == 0) pulse();
         const openvdb::Vec3d index = openvdb::Vec3d(mesher.pointList()[i]) + first;
         for (int row = 0; row < 3; ++row) {
             const double* m = affine.linear[row];
@@ -58,6 +78,7 @@ PolygonMesh polygonise(GridT& grid, double isovalue, double adaptivity, const Pu
     mesh.triangles.reserve(triangle_count);
     mesh.quads.reserve(quad_count);
     for (size_t n = 0; n < mesher.polygonPoolListSize(); ++n) {
+        pulse();
         const auto& pool = mesher.polygonPoolList()[n];
         for (size_t i = 0; i < pool.numTriangles(); ++i) {
             const auto& t = pool.triangle(i);
@@ -117,7 +138,6 @@ MappedBuffer mesh_to_level_set(const double* points, size_t point_count, const i
     const auto width = float(half_width);
     Interrupter interrupter(pulse);
     const auto grid = openvdb::tools::meshToVolume<openvdb::FloatGrid>(interrupter, mesh, *transform, width, width);
-    pulse();
     return to_nanovdb(grid);
 }
 

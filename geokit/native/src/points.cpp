@@ -192,7 +192,10 @@ PointTable read_points(const std::string& path, const std::string& name)
         if (leaf) {
             const auto& descriptor = leaf->attributeSet().descriptor();
             TableReader reader(*grid, descriptor, *leaf);
-            for (; leaf; ++leaf) reader.add(*leaf);
+            for (; leaf; ++leaf) {
+                pulse_if_any();
+                reader.add(*leaf);
+            }
             table = reader.take();
         }
     } catch (const openvdb::Exception& error) {
@@ -215,6 +218,7 @@ void write_points(const std::string& path, const PointLeaves& points, const std:
         types.push_back(&value_types().at(column.type));
     }
     for (uint64_t i = 0; i < points.leaf_count; ++i) {
+        pulse_if_any();
         const int64_t start = points.starts[i], count = points.starts[i + 1] - start;
         auto leaf = std::make_unique<Leaf>(openvdb::Coord(points.corners + 3 * i));
         leaf->initializeAttributes(descriptors[0], Index(count));

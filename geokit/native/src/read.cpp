@@ -42,9 +42,9 @@ auto parsing(const char* what, Step&& step)
 VdbFile::VdbFile(const std::string& path) : stream_buffer_(kStreamBufferSize)
 {
     initialize();
-    stream_.rdbuf()->pubsetbuf(stream_buffer_.data(), std::streamsize(stream_buffer_.size()));
-    stream_.open(path, std::ios::binary | std::ios::ate);
-    if (!stream_) throw BridgeError("access", std::strerror(errno));
+    buffer_.pubsetbuf(stream_buffer_.data(), std::streamsize(stream_buffer_.size()));
+    if (buffer_.open(path, std::ios::in | std::ios::binary | std::ios::ate) == nullptr)
+        throw BridgeError("access", std::strerror(errno));
     file_size_ = int64_t(stream_.tellg());
     stream_.seekg(0);
     stream_.exceptions(std::ios::failbit | std::ios::badbit | std::ios::eofbit);
@@ -109,7 +109,7 @@ openvdb::io::GridDescriptor VdbFile::read_descriptor()
 
 void VdbFile::require_inside(const openvdb::io::GridDescriptor& descriptor) const
 {
-    const int64_t here = int64_t(const_cast<std::ifstream&>(stream_).tellg());
+    const int64_t here = int64_t(const_cast<std::istream&>(stream_).tellg());
     if (descriptor.getGridPos() < here || descriptor.getEndPos() < descriptor.getGridPos()) {
         damaged("the offsets of grid '" + descriptor.gridName() + "' make no sense");
     }

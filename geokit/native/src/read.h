@@ -3,13 +3,14 @@
 
 #include "buffer.h"
 #include "metadata.h"
+#include "pulsed_file.h"
 #include "transform.h"
 
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/GridDescriptor.h>
 #include <openvdb/io/io.h>
 
-#include <fstream>
+#include <istream>
 #include <memory>
 #include <optional>
 #include <string>
@@ -80,7 +81,8 @@ private:
 
     std::vector<char> stream_buffer_;
     openvdb::io::StreamMetadata::Ptr stream_metadata_ = std::make_shared<openvdb::io::StreamMetadata>();
-    std::ifstream stream_;
+    PulsedFile buffer_;
+    std::istream stream_{&buffer_};
     int64_t file_size_ = 0;
     std::vector<Entry> entries_;
 };

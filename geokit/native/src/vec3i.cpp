@@ -27,7 +27,9 @@ typename TargetGrid::Ptr convert(const SourceGrid& source)
 {
     using Tree = typename TargetGrid::TreeType;
     auto tree = std::make_shared<Tree>(source.tree(), converted(source.background()), openvdb::TopologyCopy());
+    size_t count = 0;
     for (auto it = source.tree().cbeginValueAll(); it; ++it) {
+        if (++count % 4096 == 0) pulse_if_any();
         tree->addTile(it.getLevel(), it.getCoord(), converted(*it), it.isValueOn());
     }
     auto grid = TargetGrid::create(tree);

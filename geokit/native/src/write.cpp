@@ -3,6 +3,7 @@
 #include "convert.h"
 #include "errors.h"
 #include "metadata.h"
+#include "pulsed_file.h"
 #include "save.h"
 
 #include <openvdb/io/Archive.h>
@@ -10,7 +11,6 @@
 
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 
 namespace geokit {
 namespace {
@@ -87,13 +87,15 @@ void save_grids(const std::string& path, const openvdb::GridPtrVec& grids, const
     writer.setGridStatsMetadataEnabled(false);
     for (const auto& grid : grids) writer.add_statistics(*grid);
     try {
-        std::ofstream stream;
         std::vector<char> buffer(size_t(1) << 20);
-        stream.rdbuf()->pubsetbuf(buffer.data(), std::streamsize(buffer.size()));
+        PulsedFile file;
+        file.pubsetbuf(buffer.data(), std::streamsize(buffer.size()));
+        std::ostream stream(&file);
         stream.exceptions(std::ios::failbit | std::ios::badbit);
-        stream.open(path, std::ios::binary | std::ios::trunc);
+        if (file.open(path, std::ios::out | std::ios::binary | std::ios::trunc) == nullptr)
+            stream.setstate(std::ios::failbit);
         writer.save(stream, {grids.begin(), grids.end()});
-        stream.close();
+        if (file.close() == nullptr) stream.setstate(std::ios::failbit);
     } catch (const std::ios_base::failure&) {
         throw BridgeError("access", std::string("writing failed (") + std::strerror(errno) + ")");
     }
