@@ -78,8 +78,8 @@ def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> Spar
     Sharp edges stay sharp: convex ones inwards, concave ones outwards. Distances beyond them are those from the edge:
     right to 0.3 voxel next to edges and corners of boxes, cylinders and plates, 0.4 next to tips and acute rims and
     where less than a voxel is left, and 0.7 at the ends of concave edges and outwards beyond the band, in bands of up
-    to 5 voxels. In polyhedra of many short or blunt edges up to 0.1 % of the voxels are farther off, by up to the width of the band. This needs a
-    level set that holds distances.
+    to 5 voxels. In polyhedra of many short or blunt edges up to 0.1 % of the voxels are farther off, by up to the width
+    of the band. This needs a level set that holds distances.
     Outwards, the other edges become round. Distances next to them are right to 0.3 voxel, but for up to 0.1 % of the
     voxels at edges in odd directions: 0.6 voxel off where the band of the level set covers the offset and two voxels
     more, and else by up to the width of the band.
