@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.files import in_one_line
 from geokit.core.memory.row_products import row_product
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.columns import Columns
 
@@ -59,7 +59,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     shared = [name for name in scans[0][1] if all(name in data for _, data in scans)]
     left = sorted({name for _, data in scans for name in data} - set(shared))
     if left:
-        warnings.warn(f"not all scans have {', '.join(left)}; left out", UserWarning, stacklevel=2)
+        warn(f"not all scans have {', '.join(left)}; left out")
     columns: Columns = {name: np.concatenate([data[name] for _, data in scans]) for name in shared}
     if len(scans) > 1:
         columns["scan"] = np.repeat(np.arange(len(scans), dtype=np.int32), [len(found) for found, _ in scans])

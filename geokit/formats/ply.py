@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body
@@ -544,11 +544,9 @@ def _with_bytes(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDA
     colors = _with_narrow(given, name)[name]
     if colors.dtype != np.uint8 and colors.dtype.kind in "fiu":
         share = f"{name} / {np.iinfo(colors.dtype).max}" if colors.dtype.kind in "iu" else name
-        warnings.warn(
+        warn(
             f".ply: {name!r} of {colors.dtype} is kept, but other programs take all colors of .ply for bytes and show "
-            f"these wrong; for them give np.rint({share} * 255).astype(np.uint8)",
-            UserWarning,
-            stacklevel=5,
+            f"these wrong; for them give np.rint({share} * 255).astype(np.uint8)"
         )
     return given
 

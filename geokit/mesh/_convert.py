@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.needs import needs
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.attributes.held import what_is_held
 from geokit.formats.attributes.images import picture_of, pixels_of
@@ -263,4 +263,4 @@ def _means(data: Any, name: str, axes: int) -> bool:
 
 def _say(lost: list[str], library: str) -> None:
     if lost:
-        warnings.warn(f"{library} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=4)
+        warn(f"{library} does not hold {', '.join(lost)}; left out")

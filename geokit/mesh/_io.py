@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import os
 import sys
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -20,6 +19,7 @@ from geokit.core.files import atomic_path, extension, named_damage, refuse_empty
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_count, require_flag, require_path, require_text
 from geokit.core.user_arrays import require_finite_scalar
+from geokit.core.warn import warn
 from geokit.errors import InputError
 from geokit.formats.attributes.held import what_is_held
 from geokit.formats.foreign import require_format
@@ -229,16 +229,12 @@ def save(
     module = module_of(kind)
     mesh, lost = what_is_held(mesh, written, module, kind)
     if lost:
-        warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
+        warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out")
     target = require_path(path)
     stem, beside = _companions(module, mesh, target)
     if stem != target.stem:
         named = ", ".join(map(repr, beside))
-        warnings.warn(
-            f"{path}: files that it does not refer to have the names of its companions; these are {named}",
-            UserWarning,
-            stacklevel=3,
-        )
+        warn(f"{path}: files that it does not refer to have the names of its companions; these are {named}")
     with atomic_path(path) as part:
         module.write_mesh(part, mesh, *([stem] if beside else []))
         # None of the old files is replaced before all new ones are there.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from geokit.core.interop.notebook import repr_html, show
 from geokit.core.interop.objects import arrays_of, host, points_of
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.foreign import require_format
 from geokit.formats.table import FORMATS, module_of, with_formats
@@ -57,7 +57,7 @@ class PointCloud:
             given, lost = arrays_of(points, len(table), "points")
             if lost:
                 held = ", ".join(map(repr, lost))
-                warnings.warn(f"points: {held} of {type(points).__name__} are left out", UserWarning, stacklevel=4)
+                warn(f"points: {held} of {type(points).__name__} are left out")
         else:
             given = require_mapping(data, "data", blank=True)
         arrays = {name: _data(values, name, len(table)) for name, values in given.items()}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.core.files import in_one_line
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.images.image import (
     METERS,
@@ -136,11 +136,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
         )
     grids = [axis for axis in axes if axis not in depth + "YX" + COLORS]
     if facts["others"]:
-        warnings.warn(
-            f"{path}: only its first stack of pages of one size and type is read, not the other {facts['others']}",
-            UserWarning,
-            stacklevel=2,
-        )
+        warn(f"{path}: only its first stack of pages of one size and type is read, not the other {facts['others']}")
     shape = require_three(path, (sizes_of["X"], sizes_of["Y"], sizes_of.get(depth, 1)))
     count = int(np.prod([sizes_of[axis] for axis in grids], dtype=object))
     # The pages, by grid and z; those in one piece are read without tifffile.

@@ -11,6 +11,8 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from geokit.core.warn import warn
+
 __all__ = ["collected", "warn_of"]
 
 # Characters of a warning that are passed on, and number of them.
@@ -43,7 +45,7 @@ def collected() -> Iterator[list[str]]:
 def warn_of(path: Path, found: Iterable[str]) -> None:
     """Pass on what a reader has warned of."""
     for text in found:
-        warnings.warn(f"{path}: {text}", UserWarning, stacklevel=2)
+        warn(f"{path}: {text}")
 
 
 class _Handler(logging.Handler):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path, extension
 from geokit.core.private_folder import private_folder, temporary_parent
+from geokit.core.warn import warn
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.images.image import METERS
 from geokit.formats.reader import process, trusted
@@ -94,7 +94,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
     """
     facts, arrays = _facts(path, limit, is_trusted)
     if facts["notes"]:
-        warnings.warn(f"{path}: {'; '.join(facts['notes'])}", UserWarning, stacklevel=5)
+        warn(f"{path}: {'; '.join(facts['notes'])}")
     if not facts["fields"]:
         shapes = ", ".join(facts["shapes"])
         what = f"; it holds {shapes}: load it with geokit.mesh.load" if shapes else ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from geokit.core.content_limit import working_memory
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_path, require_text
+from geokit.core.warn import warn
 from geokit.errors import InputError
 from geokit.formats.blocks.triangles import open_triangles
 from geokit.formats.blocks.workers import TASK_MEMORY, require_executor
@@ -179,11 +179,9 @@ def from_mesh_file(
         }
         against = write_band(part, source, known, bands, metadata, executor, report)
     if against:
-        warnings.warn(
+        warn(
             f"{path}: {against} voxels near the surface have a negative winding number: parts of the mesh are "
-            "inside out, or folded over; there all is outside. Orient the mesh if it has an inside there",
-            UserWarning,
-            stacklevel=2,
+            "inside out, or folded over; there all is outside. Orient the mesh if it has an inside there"
         )
     return file.inspect(target)[0]
 
