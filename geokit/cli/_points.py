@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit._warn import warn
 from geokit.cli._console import note
 from geokit.core.files import extension
-from geokit.core.warn import warn
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.core.memory.row_products import row_product
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.columns import Columns
 

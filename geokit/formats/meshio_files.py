@@ -1,4 +1,4 @@
-"""Gmsh .msh and .xdmf through meshio, which reads in a separate process; also writes .vtu."""
+"""Fluent .msh and .xdmf through meshio, which reads in a separate process; also writes .vtu and .msh."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
-from geokit.formats.attributes.gmsh import read_gmsh
 from geokit.formats.body import Body
+from geokit.formats.exchange.gmsh import is_gmsh, read_gmsh
 from geokit.formats.references import LONGEST, require_inside
 from geokit.mesh._data import full_scale, has_meaning
 
@@ -31,7 +31,7 @@ __all__ = ["holds_type", "named", "prepare", "read_mesh", "write_mesh"]
 
 _SURFACE = {"triangle", "quad", "polygon"}
 # meshio's dimensions of second-order cells are right, but the cells themselves are not polygons.
-_IGNORED_DIMENSIONS = (0, 1)
+_LESS = ("points", "lines")
 # Numbers that a row may have; .vtu takes any.
 _WIDTHS = {".msh": (1, 3, 9), ".xdmf": (1, 2, 3, 6, 9)}
 # Beyond these a float64, the only type of .msh, does not hold each integer.
@@ -49,11 +49,13 @@ def prepare() -> None:
 
 
 def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> list[Body]:
-    """Read the triangles, quads and polygons of the file; points, lines and inner volume cells are left out.
+    """Read the triangles, quads and polygons of the file; points, lines and volume cells are left out, with a note.
 
     Arrays of points and cells come along, and the physical groups of .msh as ``physical``. Arrays of an .xdmf in other
     files are read from the file's own folder and from ``folders``. ``step`` is the number of one grid of a time series.
     """
+    if path.suffix.lower() == ".msh" and is_gmsh(path):
+        return read_gmsh(path)
     meshio = require_package("meshio")
     notes: list[str] = []
     first = 0
@@ -65,21 +67,11 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
         _check_arrays(path, folders)
         mesh = _xdmf_reader()(path).read_root(root)
     else:
-        with open(path, "rb") as file:
-            is_gmsh = file.read(64).lstrip().startswith(b"$")
-        try:
-            mesh, notes = read_gmsh(path, meshio) if is_gmsh else (meshio.ansys.read(path), [])
-        except (meshio.ReadError, ValueError) as error:
-            # In version 4.0 there are more numbers than meshio takes; in 4.1 it says so.
-            if is_gmsh and ("parametric" in str(error) or "too many values" in str(error)):
-                raise FileFormatError(
-                    f"{path}: has nodes with parameters or other numbers behind x, y and z, which are not read; save "
-                    "it with Mesh.SaveParametric = 0"
-                ) from None
-            raise
+        mesh = meshio.ansys.read(path)
     counts: list[np.ndarray] = []
     indices: list[np.ndarray] = []
     volume: dict[str, int] = {}
+    less = dict.fromkeys(_LESS, 0)
     blocks = []
     for number, block in enumerate(mesh.cells):
         if block.type in _SURFACE:
@@ -91,7 +83,9 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
             raise FileFormatError(
                 f"{path}: holds '{block.type}' cells, which are not polygons; export first-order triangles or quads"
             )
-        elif block.dim not in _IGNORED_DIMENSIONS:
+        elif block.dim < len(_LESS):
+            less[_LESS[block.dim]] += len(block.data)
+        else:
             volume[block.type] = volume.get(block.type, 0) + len(block.data)
     if not counts:
         what = ", ".join(f"{count} {kind}" for kind, count in volume.items()) or f"{len(mesh.points)} points"
@@ -104,6 +98,7 @@ def read_mesh(path: Path, folders: Sequence[Path], step: int | None = None) -> l
     faces = np.concatenate(counts), np.concatenate(indices).astype(np.int64) - first
     listed = ", ".join(f"{count} {kind}" for kind, count in volume.items())
     notes += [f"its volume cells ({listed}) are left out"] if listed else []
+    notes += [f"its {name} ({count}) are left out" for name, count in less.items() if count]
     return [Body(points, *faces, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))]
 
 

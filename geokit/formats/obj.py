@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
 from geokit.formats.body import Body, FileMaterial

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body

@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, RAY_COLUMNS, Columns, first_rays, joined, split
 from geokit.formats.text_files.coordinates import coordinate_columns, ray_columns

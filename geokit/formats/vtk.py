@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.forks import renew_after_fork
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body

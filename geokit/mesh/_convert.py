@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.memory.needs import needs
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.attributes.held import what_is_held
 from geokit.formats.attributes.images import picture_of, pixels_of

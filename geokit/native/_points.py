@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 from geokit.errors import InputError
 from geokit.formats.reader import process as reader_process
 from geokit.native import _call, _extension, _metadata

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.memory.needs import needs, rows
-from geokit.core.warn import warn
 from geokit.errors import MissingDependencyError
 from geokit.points._io import PointCloud
 

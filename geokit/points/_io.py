@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit._warn import warn
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
 from geokit.core.interop.notebook import repr_html, show
 from geokit.core.interop.objects import arrays_of, host, points_of
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.foreign import require_format
 from geokit.formats.table import FORMATS, module_of, with_formats

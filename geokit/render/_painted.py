@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.images import pixels_of
 from geokit.mesh._data import full_scale, has_meaning

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 from geokit.formats.body import Body, FileMaterial
 from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
 from geokit.mesh.attributes.derived import turned_normals

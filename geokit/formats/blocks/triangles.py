@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import refuse_empty, require_extension, require_file
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.ply import read_header
 from geokit.formats.stl import HEADER_BYTES, RECORD, binary_count, left_behind

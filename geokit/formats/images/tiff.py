@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.files import in_one_line
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.images.image import (
     METERS,

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from geokit.core.warn import warn
+from geokit._warn import warn
 
 __all__ = ["collected", "warn_of"]
 

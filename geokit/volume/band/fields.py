@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.require import described, require_choice
 from geokit.core.snapshot import snapshot
-from geokit.core.warn import warn
 from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh.sign.queries import SIGN_METHODS
 from geokit.volume._model import SparseVolume, made_on_device

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.content_limit import require_content
 from geokit.core.memory import available_memory
-from geokit.core.warn import warn
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.formats.images.image import Image, affine
 from geokit.volume._model import SparseVolume

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import atomic_path, extension
 from geokit.core.private_folder import private_folder, temporary_parent
-from geokit.core.warn import warn
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.images.image import METERS
 from geokit.formats.reader import process, trusted

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.content_limit import working_memory
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_path, require_text
-from geokit.core.warn import warn
 from geokit.errors import InputError
 from geokit.formats.blocks.triangles import open_triangles
 from geokit.formats.blocks.workers import TASK_MEMORY, require_executor

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from geokit.core.warn import warn
+from geokit._warn import warn
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -46,7 +46,7 @@ def test_what_files_lose_is_told_at_the_line_of_the_caller(tmp_path: Path) -> No
         gk.mesh.load(tmp_path / "a.obj")
     assert {one.filename for one in said} == {__file__}
     colored = gk.mesh.TriangleMesh(CORNERS, FACES, vertex_data={"color": np.full((4, 3), 0.3)})
-    with pytest.warns(UserWarning) as said:
+    with pytest.warns(UserWarning, match="left out") as said:
         gk.mesh.save(tmp_path / "a.stl", colored)
     assert [one.filename for one in said] == [__file__]
 
@@ -70,5 +70,7 @@ def test_a_thread_without_a_caller(recwarn: pytest.WarningsRecorder) -> None:
 
 def test_geokit_warns_in_no_other_way() -> None:
     package = Path(gk.__file__).parent
-    direct = [path.name for path in package.rglob("*.py") if re.search(r"warnings\.warn(_explicit)?\(", path.read_text())]
-    assert direct == ["warn.py"]
+    direct = [
+        path.name for path in package.rglob("*.py") if re.search(r"warnings\.warn(_explicit)?\(", path.read_text())
+    ]
+    assert direct == ["_warn.py"]
