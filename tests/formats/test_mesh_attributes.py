@@ -249,8 +249,10 @@ def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
 
 @pytest.mark.parametrize("kind", ["float", "double", "int", "uint"])
 def test_colors_of_ply_are_bytes_by_one_rule(tmp_path, kind):
-    scale = 255.0 if kind in ("float", "double") else 1
-    rows = "".join(f"{at} 0 {at * at} {100 * at / scale!r} 0 {255 / scale!r}\n" for at in range(3))
+    whole = kind in ("int", "uint")
+    scale = 1 if whole else 255.0
+    shown = [[100 * at if whole else 100 * at / scale, 255 if whole else 1.0] for at in range(3)]
+    rows = "".join(f"{at} 0 {at * at} {red!r} 0 {blue!r}\n" for at, (red, blue) in enumerate(shown))
     colors = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
     places = "".join(f"property float {axis}\n" for axis in "xyz")
     head = f"ply\nformat ascii 1.0\nelement vertex 3\n{places}{colors}"

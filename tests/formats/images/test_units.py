@@ -115,3 +115,22 @@ def test_a_stack_of_volumes_of_mrc(tmp_path: Path) -> None:
     (tmp_path / "a.mrc").write_bytes(bytes(header) + BYTES)
     with pytest.raises(gk.FileFormatError, match="has 6 sections in volumes of 4"):
         gk.volume.load(tmp_path / "a.mrc")
+
+
+def test_axes_and_palettes_of_tiff(tmp_path: Path) -> None:
+    need(".tif")
+    import tifffile
+
+    pages = np.arange(24, dtype=np.uint8).reshape(2, 3, 4)
+    sizes = {"PhysicalSizeX": 0.5, "PhysicalSizeXUnit": "µm", "PhysicalSizeY": 250, "PhysicalSizeYUnit": "nm"}
+    facts = {"axes": "ZYX", **sizes, "PhysicalSizeZ": 2, "PhysicalSizeZUnit": "µm"}
+    tifffile.imwrite(tmp_path / "a.ome.tif", pages, photometric="minisblack", metadata=facts)
+    grid = gk.volume.load(tmp_path / "a.ome.tif")
+    assert grid.info.metadata["geokit:unit"] == "um"
+    np.testing.assert_allclose(grid.info.transform, _matrix(0.5, 0.25, 2), rtol=1e-15)
+    colors = np.tile(np.arange(256, dtype=np.uint16) * 257, (3, 1))
+    tifffile.imwrite(tmp_path / "b.tif", pages, photometric="palette", colormap=colors)
+    with pytest.warns(UserWarning, match="its palette of colors is left out"):
+        np.testing.assert_array_equal(
+            gk.volume.to_dense(gk.volume.load(tmp_path / "b.tif")).values, pages.transpose(2, 1, 0)
+        )
