@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit._warn import warn
 from geokit.cli._console import note
 from geokit.core.files import extension
 from geokit.errors import InputError
@@ -114,5 +114,5 @@ def save_cloud(target: Path, cloud: PointCloud) -> None:
     held = FORMATS[extension(target)].arrays or tuple(cloud.data)
     lost = ", ".join(repr(name) for name in cloud.data if name not in held)
     if lost:
-        warnings.warn(f"{target}: {extension(target)} does not hold {lost}; left out", UserWarning, stacklevel=2)
+        warn(f"{target}: {extension(target)} does not hold {lost}; left out")
     save(target, cloud.points, data={name: values for name, values in cloud.data.items() if name in held})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError
@@ -23,6 +23,8 @@ _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 _NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
+# No color has a limit beyond this.
+WIDEST = 65535
 _SIGNATURE = b"ASTM-E57"
 
 
@@ -35,8 +37,9 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     """Read the points of all scans, each at its pose, with their numbers by name.
 
     Points that the file declares invalid are left out. Coordinates and scaled integers are float64, other numbers have
-    the file's type. ``rgb`` (N, 3) is uint8 or uint16, ``normals`` turn with the pose, and ``scan`` is the number of
-    the scan where there are several. What not all scans have is left out with a warning.
+    the file's type. ``rgb`` (N, 3) is uint8 or uint16, or shares of full where the file has floats, full at its limits
+    of colors; ``normals`` turn with the pose, and ``scan`` is the number of the scan where there are several. Images,
+    and what not all scans have, are left out with a warning.
 
     Raises:
         FileFormatError: The file is damaged, or holds no scan.
@@ -47,6 +50,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     libe57 = require_package("pye57").libe57
     try:
         file = libe57.ImageFile(str(path), "r")
+        pictures = file.root()["images2D"].childCount() if file.root().isDefined("images2D") else 0
         listed = file.root()["data3D"] if file.root().isDefined("data3D") else ()
         scans = [_scan(libe57, file, listed[at]) for at in range(len(listed))]
     except libe57.E57Exception as error:
@@ -59,8 +63,13 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     shared = [name for name in scans[0][1] if all(name in data for _, data in scans)]
     left = sorted({name for _, data in scans for name in data} - set(shared))
     if left:
-        warnings.warn(f"not all scans have {', '.join(left)}; left out", UserWarning, stacklevel=2)
-    columns: Columns = {name: np.concatenate([data[name] for _, data in scans]) for name in shared}
+        warn(f"not all scans have {', '.join(left)}; left out")
+    if pictures:
+        warn(f"its {'image is' if pictures == 1 else f'{pictures} images are'} left out")
+    parts = {name: [data[name] for _, data in scans] for name in shared}
+    if "rgb" in parts:
+        parts["rgb"] = _alike(parts["rgb"])
+    columns: Columns = {name: np.concatenate(found) for name, found in parts.items()}
     if len(scans) > 1:
         columns["scan"] = np.repeat(np.arange(len(scans), dtype=np.int32), [len(found) for found, _ in scans])
     return points, columns
@@ -71,20 +80,28 @@ def _scan(libe57: Any, file: Any, scan: Any) -> tuple[NDArray[np.float64], Colum
     points = scan["points"]
     prototype = libe57.StructureNode(points.prototype())
     raw: Columns = {}
+    kinds: dict[str, Any] = {}
+    limits: dict[str, tuple[float, float]] = {}
     buffers = libe57.VectorSourceDestBuffer()
     for at in range(prototype.childCount()):
         node = prototype[prototype.get(at).elementName()]
         kind = _type(libe57, node)
         if kind is not None:
             name = node.elementName()
-            raw[name] = np.zeros(points.childCount(), kind)
+            # pye57 takes C's int for nothing, and its long for 32 bits; only long long is what it is.
+            wide = kind in (np.int32, np.int64)
+            raw[name] = np.zeros(points.childCount(), np.longlong if wide else kind)
+            kinds[name] = kind
             buffers.append(libe57.SourceDestBuffer(file, name, raw[name], len(raw[name]), True, True))
+            if name in _COLORS:
+                limits[name] = _limits(scan, node, name)
     if raw and points.childCount():
         reader = points.reader(buffers)
         got = reader.read()
         reader.close()
         if got != points.childCount():
             raise FileFormatError(f"ends in point {got} of the {points.childCount()} it declares; get a whole copy")
+    raw = {name: values.astype(kinds[name], copy=False) for name, values in raw.items()}
     if set(_CARTESIAN) <= raw.keys():
         xyz = np.stack([raw.pop(name).astype(np.float64) for name in _CARTESIAN], axis=1)
     elif set(_SPHERICAL) <= raw.keys():
@@ -104,7 +121,11 @@ def _scan(libe57: Any, file: Any, scan: Any) -> tuple[NDArray[np.float64], Colum
     for name, parts in (("normals", _NORMALS), ("rgb", _COLORS)):
         if set(parts) <= columns.keys():
             joined = np.stack([columns.pop(part) for part in parts], axis=1)
-            columns[name] = row_product(joined, turn.T) if name == "normals" else joined
+            columns[name] = (
+                row_product(joined, turn.T)
+                if name == "normals"
+                else _full_at(joined, np.array([limits[part] for part in parts], np.float64))
+            )
     return row_product(xyz[valid], turn.T, shift), columns
 
 
@@ -112,13 +133,56 @@ def _type(libe57: Any, node: Any) -> Any:
     """NumPy's type for a column; None for text."""
     if isinstance(node, libe57.IntegerNode):
         least, most = node.minimum(), node.maximum()
-        if node.elementName() in _COLORS and least >= 0:
-            return np.uint8 if most <= 255 else np.uint16
         return next((kind for kind in (np.int8, np.uint8, np.int16, np.uint16, np.int32)
                      if np.iinfo(kind).min <= least and most <= np.iinfo(kind).max), np.int64)  # fmt: skip
     if isinstance(node, libe57.FloatNode):
         return np.float32 if node.precision() == libe57.E57_SINGLE else np.float64
     return np.float64 if isinstance(node, libe57.ScaledIntegerNode) else None
+
+
+def _limits(scan: Any, node: Any, name: str) -> tuple[float, float]:
+    """The values of a color that mean none and full: those of the scan, or those that its column can have."""
+    if scan.isDefined("colorLimits"):
+        ends = [f"{name}{end}" for end in ("Minimum", "Maximum")]
+        if all(scan["colorLimits"].isDefined(end) for end in ends):
+            low, high = (scan["colorLimits"][end] for end in ends)
+            return tuple(  # type: ignore[return-value]
+                float(end.scaledValue() if hasattr(end, "scaledValue") else end.value()) for end in (low, high)
+            )
+    scaled = hasattr(node, "scaledMinimum")
+    return float(node.scaledMinimum() if scaled else node.minimum()), float(
+        node.scaledMaximum() if scaled else node.maximum()
+    )
+
+
+def _full_at(colors: NDArray[Any], limits: NDArray[np.float64]) -> NDArray[Any]:
+    """Colors as uint8 or uint16, or as shares where they are floats, full at the upper limits."""
+    low, high = limits.T
+    if colors.dtype.kind == "f":
+        # A file that tells no limits has those of its type.
+        known = (low >= -WIDEST).all() and (high <= WIDEST).all() and (high > low).all()
+        return (colors - low) / (high - low) if known and ((low != 0.0) | (high != 1.0)).any() else colors
+    least, most = (colors.min(initial=0), colors.max(initial=0))
+    for kind in (np.uint8, np.uint16):
+        full = np.iinfo(kind).max
+        told = not low.any() and (high == full).all()
+        # Limits that no color has are those of the type of the column.
+        if least >= 0 and most <= full and (told or (high > WIDEST).any()):
+            return colors.astype(kind)
+    if not (high > low).all():
+        return colors
+    shares = np.clip((colors - low) / (high - low), 0.0, 1.0)
+    return np.rint(shares * np.iinfo(np.uint16).max).astype(np.uint16)
+
+
+def _alike(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Colors of several scans with one number for full."""
+    kinds = {part.dtype for part in parts}
+    if len(kinds) == 1:
+        return parts
+    if any(kind.kind == "f" for kind in kinds):
+        return [part if part.dtype.kind == "f" else part / float(np.iinfo(part.dtype).max) for part in parts]
+    return [part.astype(np.uint16) * np.uint16(257) if part.dtype == np.uint8 else part for part in parts]
 
 
 def _pose(scan: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
@@ -138,7 +138,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         _blame(data, path)
         raise
     for note in notes:
-        warnings.warn(f"{path}: {in_one_line(note, None)}", UserWarning, stacklevel=2)
+        warn(f"{path}: {in_one_line(note, None)}")
     return points, {} if colors is None else {"rgb": colors}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body
@@ -146,8 +146,8 @@ def read_mesh(path: Path) -> list[Body]:
             points,
             counts,
             indices,
-            vertex_data=_with_narrow(from_columns(vertex), "color"),
-            polygon_data=_with_narrow(from_columns(face), "color"),
+            vertex_data=_with_bytes(from_columns(vertex), "color"),
+            polygon_data=_with_bytes(from_columns(face), "color"),
             corner_data=corner,
             notes=tuple(notes),
         )
@@ -226,30 +226,18 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     dtype = np.dtype([(item.name, item.type) for item in vertex.properties])
     if order == "":
         points, arrays = joined(_ascii(data[start:], dtype, vertex.count, path), path)
-        return points, _with_narrow(arrays, "rgb")
+        return points, _with_bytes(arrays, "rgb")
     have = (len(data) - start) // dtype.itemsize
     if have < vertex.count:
         raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
     columns = _Binary(data, start, order, path).read(vertex)
     points, arrays = joined({name: values.astype(dtype[name]) for name, values in columns.items()}, path)
-    return points, _with_narrow(arrays, "rgb")
+    return points, _with_bytes(arrays, "rgb")
 
 
-def _with_narrow(data: dict[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
-    """The arrays, colors as bytes where their type is wider and their numbers are those of bytes.
-
-    Of uint16 they stay: those of surveys are, and full at 65535.
-    """
-    colors = data.get(name)
-    if colors is None or colors.ndim != 2 or not colors.size or colors.dtype.str[1:] in ("u1", "i1", "u2", "b1"):
-        return data
-    low, high = colors.min(), colors.max()
-    # Floats up to 1 are shares of full.
-    if not (
-        low >= 0 and high <= 255 and (colors.dtype.kind in "iu" or (high > 1 and np.all(colors == np.rint(colors))))
-    ):
-        return data
-    return {**data, name: colors.astype(np.uint8)}
+def _with_bytes(data: dict[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
+    """The arrays, colors as bytes where these say the same."""
+    return {**data, name: as_bytes(data[name])} if name in data else data
 
 
 def _ascii(body: bytes, dtype: np.dtype[np.void], count: int, path: Path) -> dict[str, NDArray[np.generic]]:
@@ -510,13 +498,13 @@ class _Binary:
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write a binary file, little endian, with float64 vertices; arrays on corners become lists of faces."""
-    vertex = _columns(_with_bytes(mesh.vertex_data, "color"), AXES)
+    vertex = _columns(_written(mesh.vertex_data, "color"), AXES)
     lists: dict[str, NDArray[Any]] = {"vertex_indices": mesh.faces}
     for name, values in mesh.corner_data.items():
         uv = name == "uv" and has_meaning(name, values, 2)
         table = _fitting(values.reshape(len(values), -1), name)
         lists[free_name("texcoord" if uv else name, {*lists, "vertex_index"})] = table
-    face = _columns(_with_bytes(mesh.face_data, "color"), (*lists, "vertex_index"))
+    face = _columns(_written(mesh.face_data, "color"), (*lists, "vertex_index"))
     header = ["ply", "format binary_little_endian 1.0", "comment by geokit", f"element vertex {len(mesh.vertices)}"]
     header += ["property double x", "property double y", "property double z", *_properties(vertex)]
     header += [f"element face {len(mesh.faces)}"]
@@ -536,19 +524,18 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         file.write(("\n".join(header) + "\n").encode("ascii") + content.tobytes() + faces.tobytes())
 
 
-def _with_bytes(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDArray[Any]]:
-    """The arrays, colors as bytes where these are exact: VTK and Open3D take all numbers for bytes."""
+def _written(data: Mapping[str, NDArray[Any]], name: str) -> Mapping[str, NDArray[Any]]:
+    """The arrays, colors as bytes where these say the same: VTK and Open3D take all numbers for bytes."""
     if name not in data or data[name].ndim != 2 or data[name].shape[1] not in (3, 4):
         return data
-    given = {**data, name: as_bytes(data[name])}
-    colors = _with_narrow(given, name)[name]
+    given = _with_bytes(dict(data), name)
+    colors = given[name]
     if colors.dtype != np.uint8 and colors.dtype.kind in "fiu":
         share = f"{name} / {np.iinfo(colors.dtype).max}" if colors.dtype.kind in "iu" else name
-        warnings.warn(
+        warn(
             f".ply: {name!r} of {colors.dtype} is kept, but other programs take all colors of .ply for bytes and show "
-            f"these wrong; for them give np.rint({share} * 255).astype(np.uint8)",
-            UserWarning,
-            stacklevel=5,
+            f"these wrong; write .vtp or another format for them, or round to bytes in Python: np.rint({share} * "
+            "255).astype(np.uint8)"
         )
     return given
 
@@ -591,7 +578,7 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         InputError: A name cannot be that of a property, or a column has a type that the format lacks and fits into none
             that it has.
     """
-    data = _with_bytes(data, "rgb")
+    data = _written(data, "rgb")
     with open(path, "wb") as file:
         file.write(points_header(points, data, len(points)))
         file.write(points_body(points, data))

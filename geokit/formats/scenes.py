@@ -105,6 +105,9 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     if not bodies:
         what = f"only {', '.join(sorted(set(others)))}" if others else "no geometry with faces"
         raise FileFormatError(f"{path}: holds {what}; a mesh needs faces, export the surface itself")
+    for kind, what in (("Path3D", "lines"), ("PointCloud", "points")):
+        if count := others.count(kind):
+            notes += (f"its {what} (of {count} {'primitive' if count == 1 else 'primitives'}) are left out",)
     # The specification fixes both.
     bodies[0] = bodies[0]._replace(materials=materials, notes=notes, meters_per_unit=1.0, up_axis="y")
     return bodies

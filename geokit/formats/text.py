@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -11,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, RAY_COLUMNS, Columns, first_rays, joined, split
@@ -218,11 +218,9 @@ def _take_first(table: _Table, what: str, needed: Sequence[str], path: Path) -> 
             f"columns=({', '.join(map(repr, names[:count]))})"
         )
     if table.named == "comment" and len(names) > count:
-        warnings.warn(
+        warn(
             f"{path}: the words of its comment ({listed}) are no names of {what}; the first {count} columns are taken "
-            f"as {usual}, and columns=(...) chooses others",
-            UserWarning,
-            stacklevel=3,
+            f"as {usual}, and columns=(...) chooses others"
         )
 
 
@@ -262,7 +260,7 @@ def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> C
         raise not_numbers(cells, int(np.argmax(cells.text[:, mixed].any(axis=1))), path)
     if labels:
         shown = in_one_line(", ".join(repr(names[at]) for at in labels))
-        warnings.warn(f"{path}: columns of text are left out: {shown}", UserWarning, stacklevel=2)
+        warn(f"{path}: columns of text are left out: {shown}")
     for at in others:
         if at not in labels:
             # Columns that are not chosen may have the names of those that are.

@@ -6,7 +6,6 @@ import itertools
 import os
 import re
 import threading
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.forks import renew_after_fork
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
@@ -116,7 +116,7 @@ def read_mesh(path: Path) -> list[Body]:
             f"{path}: cannot be read ({_without_pointers(message) or 'no data'}); the file is damaged, export it again"
         )
     if message:
-        warnings.warn(_without_pointers(message), UserWarning, stacklevel=2)
+        warn(_without_pointers(message))
     if data.GetNumberOfPoints() == 0:
         raise FileFormatError(f"{path}: holds no points; a mesh needs faces, export the surface itself")
     kind = data.GetClassName()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.memory.needs import needs
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.attributes.held import what_is_held
@@ -263,4 +263,4 @@ def _means(data: Any, name: str, axes: int) -> bool:
 
 def _say(lost: list[str], library: str) -> None:
     if lost:
-        warnings.warn(f"{library} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=4)
+        warn(f"{library} does not hold {', '.join(lost)}; left out")

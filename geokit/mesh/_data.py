@@ -151,11 +151,21 @@ def full_scale(dtype: np.dtype[Any]) -> float | int:
 
 
 def as_bytes(colors: NDArray[Any]) -> NDArray[Any]:
-    """Colors of floats as bytes if they are k / 255 to the last bit; others as they are."""
-    if colors.dtype.kind != "f" or not np.all((colors >= 0.0) & (colors <= 1.0)):
+    """Colors (N, k) as bytes where these say the same; others as they are.
+
+    Floats do that where all are k / 255 to the last bit, or where they and wide integers are whole and from 0 to 255.
+    Of 16 bits they stay: those of surveys are, and full at 65535.
+    """
+    if colors.ndim != 2 or not colors.size or colors.dtype.str[1:] in ("u1", "i1", "u2", "b1"):
         return colors
-    found = np.rint(colors * 255.0).astype(np.uint8)
-    return found if np.array_equal((found / 255.0).astype(colors.dtype), colors) else colors
+    low, high = colors.min(), colors.max()
+    if not (low >= 0 and high <= 255):
+        return colors
+    if colors.dtype.kind == "f" and high <= 1:
+        found = np.rint(colors * 255.0).astype(np.uint8)
+        return found if np.array_equal((found / 255.0).astype(colors.dtype), colors) else colors
+    found = colors.astype(np.uint8)
+    return found if np.array_equal(found, colors) else colors
 
 
 def with_alpha(colors: NDArray[Any]) -> NDArray[Any]:

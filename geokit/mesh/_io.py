@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import os
 import sys
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geokit._warn import warn
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
 from geokit.core.memory.needs import file_size, needs
@@ -229,16 +229,12 @@ def save(
     module = module_of(kind)
     mesh, lost = what_is_held(mesh, written, module, kind)
     if lost:
-        warnings.warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out", UserWarning, stacklevel=3)
+        warn(f"{path}: {kind} does not hold {', '.join(lost)}; left out")
     target = require_path(path)
     stem, beside = _companions(module, mesh, target)
     if stem != target.stem:
         named = ", ".join(map(repr, beside))
-        warnings.warn(
-            f"{path}: files that it does not refer to have the names of its companions; these are {named}",
-            UserWarning,
-            stacklevel=3,
-        )
+        warn(f"{path}: files that it does not refer to have the names of its companions; these are {named}")
     with atomic_path(path) as part:
         module.write_mesh(part, mesh, *([stem] if beside else []))
         # None of the old files is replaced before all new ones are there.

@@ -102,7 +102,7 @@ def _carried(
     # Only Open3D's meshes, which are triangles, have data on corners.
     data.add(body, np.arange(len(faces)) if polygon is None else polygon, None, reverse=False)
     title = (attribute(found.source, "metadata") or {}).get("name") if hasattr(found.source, "visual") else None
-    return {**data.arguments(Path(name), stacklevel=6), **({"name": title} if isinstance(title, str) else {})}
+    return {**data.arguments(Path(name)), **({"name": title} if isinstance(title, str) else {})}
 
 
 def _vertices(points: Any, name: str) -> NDArray[np.float64]:

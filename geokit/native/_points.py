@@ -11,7 +11,6 @@ import json
 import math
 import os
 import re
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import InputError
 from geokit.formats.reader import process as reader_process
@@ -84,7 +84,7 @@ def read(
         raise_failure(facts["error"], str(path))
     if facts["left_out"]:
         left = in_one_line(", ".join(sorted(facts["left_out"])))
-        warnings.warn(f"{path}: attributes that are no numbers are left out: {left}", UserWarning, stacklevel=4)
+        warn(f"{path}: attributes that are no numbers are left out: {left}")
     (_, positions), *columns = arrays
     noted = _noted(facts["note"])
     data: dict[str, NDArray[np.generic]] = {}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.memory.needs import needs, rows
 from geokit.errors import MissingDependencyError
 from geokit.points._io import PointCloud
@@ -123,4 +123,4 @@ def _cloud(points: Any) -> PointCloud:
 def _say(lost: list[str], library: str) -> None:
     if lost:
         held = ", ".join(map(repr, lost))
-        warnings.warn(f"{library} has no place for {held} of points; left out", UserWarning, stacklevel=4)
+        warn(f"{library} has no place for {held} of points; left out")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit._warn import warn
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
 from geokit.core.interop.notebook import repr_html, show
@@ -57,7 +57,7 @@ class PointCloud:
             given, lost = arrays_of(points, len(table), "points")
             if lost:
                 held = ", ".join(map(repr, lost))
-                warnings.warn(f"points: {held} of {type(points).__name__} are left out", UserWarning, stacklevel=4)
+                warn(f"points: {held} of {type(points).__name__} are left out")
         else:
             given = require_mapping(data, "data", blank=True)
         arrays = {name: _data(values, name, len(table)) for name, values in given.items()}

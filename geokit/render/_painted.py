@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.images import pixels_of
 from geokit.mesh._data import full_scale, has_meaning
@@ -158,7 +158,7 @@ def _texture(pv: Any, material: Material) -> Any:
     try:
         pixels = pixels_of(material.texture)
     except FileFormatError as error:
-        warnings.warn(f"mesh: {error}; drawn without it", UserWarning, stacklevel=7)
+        warn(f"mesh: {error}; drawn without it")
         return None
     cutoff = material.alpha_cutoff
     if pixels.shape[2] == 4 and (cutoff == 0.0 or pixels[..., 3].min() == 255):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import struct
@@ -465,3 +466,20 @@ def test_colors_of_binary_stl_are_left_out_with_a_word(tmp_path, header, attribu
     (tmp_path / "a.stl").write_bytes(header.ljust(80, b" ") + struct.pack("<I", 1) + corners)
     with pytest.warns(UserWarning, match="the colors of its faces are left out") if said else contextlib.nullcontext():
         assert gk.mesh.load(tmp_path / "a.stl").face_count == 1
+
+
+def test_lines_and_points_of_gltf_are_told(tmp_path):
+    places = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], "<f4")
+    uri = "data:application/octet-stream;base64," + base64.b64encode(places.tobytes()).decode()
+    content = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} for mode in (5, 1, 1, 0)]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}],
+        "buffers": [{"byteLength": 48, "uri": uri}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.warns(UserWarning, match=r"its lines \(of 2 primitives\) are left out; its points \(of 1 primitive\)"):
+        assert gk.mesh.audit(gk.mesh.load(tmp_path / "a.gltf")).area == 1.0

@@ -119,8 +119,75 @@ def test_binary_elements_in_another_order_than_their_tags(tmp_path: Path, versio
     np.testing.assert_array_equal(mesh.face_data["a"], turned / 3)
 
 
+def packed(order: str, kinds: str, *numbers: float) -> bytes:
+    return struct.pack(order + kinds, *numbers)
+
+
+def binary(version: str, order: str, *, parameters: int = 0, size: int = 8) -> bytes:
+    """The box in two blocks of nodes and of elements, with tags that are neither in order nor without gaps."""
+    length = "Q" if size == 8 or version == "4.0" else "I"
+    tag = length if version == "4.1" else "i"
+    places = [[*place, *[0.5] * parameters] for place in VERTICES.tolist()]
+    corners = [[TAGS[corner] for corner in face] for face in FACES.tolist()]
+    nodes, cells = b"", b""
+    for first in (0, 4):
+        part, rows = TAGS[first:][:4], places[first:][:4]
+        head = (1, 2) if version == "4.0" else (2, 1)
+        if version != "2.2":
+            nodes += packed(order, f"3i{length}", *head, int(parameters > 0), 4)
+        if version == "4.1":
+            nodes += packed(order, f"4{tag}", *part) + np.array(rows).astype(order + "f8").tobytes()
+        else:
+            nodes += b"".join(packed(order, f"i{len(row)}d", at, *row) for at, row in zip(part, rows, strict=True))
+    for first, count in ((0, 5), (5, 7)):
+        head = (2, count, 2) if version == "2.2" else (1, 2, 2, count) if version == "4.0" else (2, 1, 2, count)
+        cells += packed(order, "3i" if version == "2.2" else f"3i{length}", *head)
+        for at, face in zip(ELEMENTS[first:][:count], corners[first:][:count], strict=True):
+            row = (at, 6, 1, *face) if version == "2.2" else (at, *face)
+            cells += packed(order, f"{len(row)}{tag}", *row)
+    heads = {
+        "2.2": (b"8\n", b"12\n"),
+        "4.0": (packed(order, "2Q", 2, 8), packed(order, "2Q", 2, 12)),
+        "4.1": (packed(order, f"4{length}", 2, 8, 2, 1000), packed(order, f"4{length}", 2, 12, 1, 100)),
+    }[version]
+    return b"$MeshFormat\n%s 1 %d\n%s\n$EndMeshFormat\n$Nodes\n%s\n$EndNodes\n$Elements\n%s\n$EndElements\n" % (
+        version.encode(), size, packed(order, "i", 1), heads[0] + nodes, heads[1] + cells,
+    )  # fmt: skip
+
+
+def binary_data(order: str, kind: str, name: str, rows: list[list[float]], step: int = 0) -> bytes:
+    content = b"".join(packed(order, f"i{len(row) - 1}d", *row) for row in rows)
+    head = f'${kind}\n1\n"{name}"\n1\n0.0\n3\n{step}\n{len(rows[0]) - 1}\n{len(rows)}\n'
+    return head.encode() + content + f"\n$End{kind}\n".encode()
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize(("version", "size"), [("2.2", 8), ("4.0", 8), ("4.1", 8), ("4.1", 4)])
+def test_binary_rows_go_to_the_nodes_and_elements_of_their_tags(
+    tmp_path: Path, version: str, size: int, order: str
+) -> None:
+    random = np.random.default_rng(4)
+    nodes, vectors, elements = random.random(8), random.random((8, 3)), random.random(12)
+    some, turned = random.permutation(8), random.permutation(12)
+    content = binary(version, order, size=size)
+    content += binary_data(order, "NodeData", "a", [[TAGS[row], nodes[row]] for row in some[:5]])
+    content += binary_data(order, "NodeData", "v", [[TAGS[row], *vectors[row]] for row in some])
+    content += binary_data(order, "ElementData", "e", [[ELEMENTS[row], elements[row]] for row in turned])
+    mesh = loaded(tmp_path / "a.msh", content)
+    np.testing.assert_array_equal(mesh.vertices, VERTICES)
+    np.testing.assert_array_equal(mesh.faces, FACES)
+    np.testing.assert_array_equal(mesh.vertex_data["a"], np.where(np.isin(np.arange(8), some[:5]), nodes, np.nan))
+    np.testing.assert_array_equal(mesh.vertex_data["v"], vectors)
+    np.testing.assert_array_equal(mesh.face_data["e"], elements)
+    assert set(mesh.face_data) == ({"e", "physical"} if version == "2.2" else {"e"})
+    for cut in range(0, content.index(b"$EndElements"), 97):
+        (tmp_path / "b.msh").write_bytes(content[:cut])
+        with pytest.raises(gk.FileFormatError, match=r"b\.msh"):
+            gk.mesh.load(tmp_path / "b.msh", trusted=True)
+
+
 @pytest.mark.parametrize("version", ["4.0", "4.1"])
-def test_nodes_with_parameters_are_refused_by_name(tmp_path: Path, version: str) -> None:
+def test_parameters_of_nodes_are_passed_over(tmp_path: Path, version: str) -> None:
     rows = [[1, 0, 0, 0, 0.5, 0.5], [2, 1, 0, 0, 0.5, 0.5], [3, 0, 1, 0, 0.5, 0.5]]
     nodes, cells = f"1 3\n1 2 1 3\n{lines(rows)}", "1 1\n1 2 2 1\n1 1 2 3\n"
     if version == "4.1":
@@ -130,8 +197,77 @@ def test_nodes_with_parameters_are_refused_by_name(tmp_path: Path, version: str)
     path.write_text(
         f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$Nodes\n{nodes}$EndNodes\n$Elements\n{cells}$EndElements\n"
     )
-    with pytest.raises(gk.FileFormatError, match=r"nodes with parameters .*; save it with Mesh.SaveParametric = 0"):
-        gk.mesh.load(path)
+    np.testing.assert_array_equal(gk.mesh.load(path).vertices, np.array(rows)[:, 1:4])
+    mesh = loaded(tmp_path / "b.msh", binary(version, "<", parameters=2))
+    np.testing.assert_array_equal(mesh.vertices, VERTICES)
+
+
+ENTITIES = """$PhysicalNames
+2
+2 4 "wall"
+2 9 "roof"
+$EndPhysicalNames
+$Entities
+0 0 2 0
+1 0 0 0 1 1 1 2 4 9 0
+2 0 0 0 1 1 1 0 0
+$EndEntities
+"""
+
+
+def test_groups_of_some_entities_and_steps_of_arrays(tmp_path: Path) -> None:
+    text = gmsh("4.1").replace("$Nodes", f"{ENTITIES}$Nodes", 1).replace("2 2 2 7\n", "2 2 2 7\n")
+    text += data("NodeData", "t", [[tag, 1.0] for tag in TAGS])
+    text += data("NodeData", "t", [[tag, 2.0] for tag in TAGS]).replace("3\n0\n1\n", "3\n7\n1\n")
+    corners = [[tag, 3, tag + 0.25, tag + 0.5, tag + 0.75] for tag in ELEMENTS[::-1]]
+    text += data("ElementNodeData", "c", corners).replace("3\n0\n4\n", "3\n0\n1\n")
+    (tmp_path / "a.msh").write_text(text)
+    with pytest.warns(UserWarning, match="5 faces are of several physical groups, and the first is kept") as said:
+        mesh = gk.mesh.load(tmp_path / "a.msh")
+    assert "the array 't' has 2 time steps; the last (7) is kept" in str(said[0].message)
+    assert mesh.face_data["physical"].tolist() == [4] * 5 + [0] * 7
+    assert set(mesh.vertex_data["t"]) == {2.0}
+    np.testing.assert_array_equal(mesh.corner_data["c"], np.array(ELEMENTS)[:, None] + [0.25, 0.5, 0.75])
+
+
+def test_groups_of_partitions(tmp_path: Path) -> None:
+    parts = "$PartitionedEntities\n2\n0\n0 0 2 0\n1 2 5 1 1 0 0 0 1 1 1 1 4 0\n2 2 5 1 2 0 0 0 1 1 1 1 4 0\n"
+    mesh = loaded(tmp_path / "a.msh", gmsh("4.1").replace("$Nodes", f"{parts}$EndPartitionedEntities\n$Nodes", 1))
+    assert set(mesh.face_data["physical"]) == {4}
+
+
+def test_elements_of_several_types_in_any_order(tmp_path: Path) -> None:
+    rows = ["7 15 2 0 1 3", "1 2 2 4 1 10 5 77", "9 1 0 10 3", "2 3 3 6 1 8 10 3 5 77", "3 4 2 6 1 10 3 5 77"]
+    nodes = gmsh("2.2").partition("$Elements")[0]
+    text = f"{nodes}$Elements\n5\n" + "\n".join(rows) + "\n$EndElements\n"
+    text += data("ElementData", "e", [[2, 0.5], [1, 0.25], [3, 0.125]]) + data("ElementData", "f", [[3, 0.5]])
+    (tmp_path / "a.msh").write_text(text)
+    with pytest.warns(UserWarning, match="the array 'f' is left out: it has no values on the surface") as said:
+        mesh = gk.mesh.load(tmp_path / "a.msh")
+    told = "its volume cells (1 tetra) are left out; its points (1) are left out; its lines (1) are left out"
+    assert told in str(said[0].message)
+    assert mesh.face_data["physical"].tolist() == [4, 6, 6]
+    assert mesh.face_data["e"].tolist() == [0.25, 0.5, 0.5]
+    assert mesh.faces[0].tolist() == [0, 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("$NOD\n1\n1 0 0 0\n$ENDNOD\n", "is of version 1 of .msh, which is not read; save it as 4.1"),
+        ("$MeshFormat\n3.0 0 8\n$EndMeshFormat\n", "is of version '3.0' of .msh, which is not read"),
+        (gmsh("2.2").replace("\n2 ", "\n10 ", 1), "two of its nodes have the tag 10"),
+        (gmsh("4.1").replace("100 10 ", "100 11 "), "an element has the node 11, which is not there"),
+        (gmsh("4.1").replace("2 2 2 7\n", "2 2 34 7\n"), "elements of Gmsh's type 34, which are not read"),
+        (gmsh("2.2").partition("$Elements")[0], "has no section Elements"),
+        (gmsh("2.2").replace("$EndElements\n", ""), "ends within its section Elements"),
+        (gmsh("4.1").replace(" 2.0 ", " two "), "has words among its numbers"),
+    ],
+)
+def test_gmsh_files_that_are_not_read_are_refused_by_name(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.msh").write_text(text)
+    with pytest.raises(gk.FileFormatError, match=message):
+        gk.mesh.load(tmp_path / "a.msh")
 
 
 # --- XDMF -------------------------------------------------------------------------------------------------------------

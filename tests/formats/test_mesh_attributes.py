@@ -247,9 +247,31 @@ def test_ply_holds_colors_as_bytes_where_these_are_exact(tmp_path, dtype):
     np.testing.assert_array_equal(pyvista.read(tmp_path / "c.ply")["RGB"], bytes_[:, :3])
 
 
+@pytest.mark.parametrize("kind", ["float", "double", "int", "uint"])
+def test_colors_of_ply_are_bytes_by_one_rule(tmp_path, kind):
+    whole = kind in ("int", "uint")
+    scale = 1 if whole else 255.0
+    shown = [[100 * at if whole else 100 * at / scale, 255 if whole else 1.0] for at in range(3)]
+    rows = "".join(f"{at} 0 {at * at} {red!r} 0 {blue!r}\n" for at, (red, blue) in enumerate(shown))
+    colors = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+    places = "".join(f"property float {axis}\n" for axis in "xyz")
+    head = f"ply\nformat ascii 1.0\nelement vertex 3\n{places}{colors}"
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(f"{head}{faces}{rows}3 0 1 2\n")
+    mesh = gk.mesh.load(tmp_path / "a.ply")
+    assert mesh.vertex_data["color"].dtype == np.uint8
+    np.testing.assert_array_equal(mesh.vertex_data["color"], [[100 * at, 0, 255] for at in range(3)])
+    given = np.array([[100 * at, 0, 255] for at in range(3)]) / scale
+    given = given.astype({"float": "f4", "double": "f8", "int": "i4", "uint": "u4"}[kind])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gk.mesh.save(tmp_path / "b.ply", TriangleMesh(np.eye(3), [[0, 1, 2]], vertex_data={"color": given}))
+    assert b"property uchar red" in (tmp_path / "b.ply").read_bytes()
+
+
 def test_colors_that_ply_shows_wrong_elsewhere_are_told(tmp_path):
     mesh = TriangleMesh(np.eye(3), [[0, 1, 2]], vertex_data={"color": np.full((3, 3), 40000, np.uint16)})
-    with pytest.warns(UserWarning, match=r"'color' of uint16 is kept.* give np.rint\(color / 65535 \* 255\)"):
+    with pytest.warns(UserWarning, match=r"'color' of uint16 is kept.* in Python: np.rint\(color / 65535 \* 255\)"):
         gk.mesh.save(tmp_path / "a.ply", mesh)
     with pytest.warns(UserWarning, match="'rgb' of float64 is kept"):
         gk.points.save(tmp_path / "b.ply", np.eye(3), data={"rgb": np.full((3, 3), 0.3)})

@@ -23,7 +23,7 @@ def test_scans_are_joined_at_their_poses(tmp_path):
     pytest.importorskip("pye57")
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     quaternions, shifts = [[1, 0, 0, 0], [0.5, -0.1, 0.7, 0.2]], [[0, 0, 0], [5, 6, 7]]
-    columns = {**AXES, "rowIndex": np.arange(20, dtype=np.int16), "intensity": np.arange(20) * 1e-4}
+    columns = {**AXES, "rowIndex": np.arange(20, dtype=np.int32), "intensity": np.arange(20) * 1e-4}
     write_e57(tmp_path / "a.e57", [columns, columns], poses=list(zip(quaternions, shifts, strict=True)))
     cloud = gk.points.load(tmp_path / "a.e57")
     turned = [
@@ -31,8 +31,19 @@ def test_scans_are_joined_at_their_poses(tmp_path):
     ]
     np.testing.assert_allclose(cloud.points, np.concatenate(turned), rtol=0, atol=1e-14)
     assert cloud.data["scan"].tolist() == [0] * 20 + [1] * 20
+    assert cloud.data["rowIndex"].dtype == np.int32
     assert cloud.data["rowIndex"].tolist() == 2 * list(range(20))
     np.testing.assert_allclose(cloud.data["intensity"], np.tile(np.arange(20) * 1e-4, 2), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.int64])
+def test_whole_numbers_of_each_size(tmp_path, kind):
+    pytest.importorskip("pye57")
+    values = np.linspace(0, float(np.iinfo(kind).max) * 0.99, 20).astype(kind)
+    write_e57(tmp_path / "a.e57", [{**AXES, "returnIndex": values}])
+    found = gk.points.load(tmp_path / "a.e57").data["returnIndex"]
+    assert found.dtype == kind
+    np.testing.assert_array_equal(found, values)
 
 
 def test_colors_and_normals_have_their_names_and_turn_with_the_pose(tmp_path):
@@ -46,6 +57,41 @@ def test_colors_and_normals_have_their_names_and_turn_with_the_pose(tmp_path):
     assert cloud.data["rgb"][3].tolist() == [3, 4, 5]
     np.testing.assert_allclose(cloud.data["normals"], np.tile([0.0, 1.0, 0.0], (20, 1)), atol=1e-15)
     assert "scan" not in cloud.data
+
+
+def _colors(values: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"color{name}": values for name in ("Red", "Green", "Blue")}
+
+
+@pytest.mark.parametrize(
+    ("values", "limits", "expected"),
+    [
+        (np.arange(20, dtype=np.uint16) * 10, (0, 255), np.arange(20, dtype=np.uint8) * 10),
+        (np.arange(20, dtype=np.uint16) * 53, (0, 1023), np.rint(np.arange(20) * 53 / 1023 * 65535).astype(np.uint16)),
+        (np.arange(20, dtype=np.int32) * 10, None, np.arange(20, dtype=np.uint8) * 10),
+        (np.arange(20) * 10.0, (0.0, 255.0), np.arange(20) * 10 / 255),
+        (np.arange(20) / 20, None, np.arange(20) / 20),
+    ],
+)
+def test_colors_are_full_at_the_limits_of_the_file(tmp_path, values, limits, expected):
+    pytest.importorskip("pye57")
+    write_e57(tmp_path / "a.e57", [{**AXES, **_colors(values)}], limits=[limits])
+    found = gk.points.load(tmp_path / "a.e57").data["rgb"]
+    assert found.dtype == expected.dtype
+    np.testing.assert_allclose(found, np.tile(expected[:, None], 3), rtol=1e-15)
+
+
+def test_colors_of_several_scans_are_full_at_one_number(tmp_path):
+    pytest.importorskip("pye57")
+    narrow, wide = np.full(20, 255, np.uint8), np.full(20, 65535, np.uint16)
+    scans = [{**AXES, **_colors(values)} for values in (narrow, wide)]
+    write_e57(tmp_path / "a.e57", scans, images=2)
+    with pytest.warns(UserWarning, match="its 2 images are left out"):
+        found = gk.points.load(tmp_path / "a.e57").data["rgb"]
+    assert found.dtype == np.uint16
+    assert (found == 65535).all()
+    write_e57(tmp_path / "b.e57", [*scans, {**AXES, **_colors(np.ones(20))}])
+    assert (gk.points.load(tmp_path / "b.e57").data["rgb"] == 1.0).all()
 
 
 def test_spherical_coordinates_become_cartesian_and_invalid_points_are_left_out(tmp_path):

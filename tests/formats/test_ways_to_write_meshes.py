@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import warnings
 from pathlib import Path
@@ -187,8 +188,11 @@ _ONE = _GRID.format(name="g", kind="XYZ")
         (f'<Grid GridType="Tree">{_ONE * 3}</Grid>', "a collection of 3 grids"),
         (_ONE * 2, "holds 2 grids"),
         (_GRID.format(name="g", kind="X_Y_Z"), "geometry of type X_Y_Z"),
-        (_ONE.replace("Triangle", "Polygon"), "has polygons, which are not read; export triangles"),
-        (_ONE.replace("Triangle", "Mixed").replace('"2 3"', '"5"').replace("0 1 3 0 3 2", "3 3 0 1 3"), "has polygons"),
+        (_ONE.replace("Triangle", "2DSMesh"), "has cells of the type 2DSMesh, which are not read; export triangles"),
+        (
+            _ONE.replace("Triangle", "Mixed").replace('"2 3"', '"4"').replace("0 1 3 0 3 2", "77 3 0 1"),
+            "of the type 77",
+        ),
     ],
 )
 def test_xdmf_of_more_than_a_mesh_is_called_what_it_is(tmp_path: Path, body: str, message: str) -> None:
@@ -199,6 +203,55 @@ def test_xdmf_of_more_than_a_mesh_is_called_what_it_is(tmp_path: Path, body: str
     assert "damaged" not in str(caught.value)
     path.write_text(f'<?xml version="1.0"?><Xdmf Version="3.0"><Domain>{_ONE}</Domain></Xdmf>')
     assert gk.mesh.audit(gk.mesh.load(path)).area == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "count", "numbers", "told"),
+    [
+        ("Polygon", 2, "0 1 3 0 3 2", ""),
+        ("TRIANGLE", 2, "0 1 3 0 3 2", ""),
+        ("Mixed", 1, "3 4 0 1 3 2", ""),
+        ("Mixed", 2, "4 0 1 3 3 3 0 3 2", ""),
+        # A point, two points, a line of two and one of three, a tetrahedron, and one as a body of faces.
+        ("Mixed", 3, "1 1 0 1 2 1 3 5 0 1 3 2", r"points \(2\) are left out"),
+        ("Mixed", 3, "2 2 0 1 2 3 0 1 2 5 0 1 3 2", r"lines \(2\) are left out"),
+        ("Mixed", 3, "6 0 1 2 3 16 4 3 0 1 2 3 0 1 3 3 0 2 3 3 1 2 3 5 0 1 3 2", r"volume cells \(2 tetra\)"),
+    ],
+)
+def test_cells_of_mixed_types(tmp_path: Path, kind: str, count: int, numbers: str, told: str) -> None:
+    path = tmp_path / "a.xdmf"
+    text = _ONE.replace("Triangle", kind).replace("0 1 3 0 3 2", numbers).replace('Elements="2"', f'Elements="{count}"')
+    if kind == "Mixed":
+        text = text.replace('"2 3"', f'"{len(numbers.split())}"')
+    values = " ".join(map(str, range(count)))
+    told_cells = f'<Attribute Name="e" Center="Cell"><DataItem Dimensions="{count}">{values}</DataItem></Attribute>'
+    path.write_text(f'<Xdmf Version="3.0"><Domain>{text.replace("</Grid>", told_cells + "</Grid>")}</Domain></Xdmf>')
+    with pytest.warns(UserWarning, match=told) if told else contextlib.nullcontext():
+        mesh = gk.mesh.load(path)
+    assert gk.mesh.audit(mesh).area == 1.0
+    assert mesh.face_data["e"].tolist() == ([0.0, 1.0] if count == 2 else [count - 1.0] * 2)
+    if kind == "Mixed":
+        path.write_text(path.read_text().replace(numbers, numbers[:-2]).replace(f'"{len(numbers.split())}"', '""'))
+        with pytest.raises(gk.FileFormatError, match="ends within a cell; the file is damaged"):
+            gk.mesh.load(path)
+
+
+def test_what_meshio_stumbles_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdmf"
+    mesh = _ONE.replace("<Geometry ", '<Information Name="by" Value="me"/><Set Name="s"/><Geometry ', 1)
+    item = '<DataItem Name="p" Dimensions="4 3" Precision="8">0 0 0 1 0 0 0 1 0 1 1 0</DataItem>'
+    pointer = '<DataItem Reference="XML">/Xdmf/Domain/DataItem[@Name="p"]</DataItem>'
+    start, end = mesh.index("<DataItem"), mesh.index("</Geometry>")
+    flat = '<Attribute Name="v"><DataItem Dimensions="12">1 2 3 4 5 6 7 8 9 10 11 12</DataItem></Attribute>'
+    mesh = (mesh[:start] + pointer + mesh[end:]).replace("</Grid>", f"{flat}</Grid>")
+    path.write_text(f'<Xdmf Version="2.0"><Domain>{item}{mesh}</Domain></Xdmf>')
+    with pytest.warns(UserWarning, match="the set 's' is left out"):
+        found = gk.mesh.load(path)
+    assert gk.mesh.audit(found).area == 1.0
+    np.testing.assert_array_equal(found.vertex_data["v"], np.arange(1.0, 13.0).reshape(4, 3))
+    path.write_text(path.read_text().replace('[@Name="p"]<', '[@Name="q"]<'))
+    with pytest.raises(gk.FileFormatError, match=r"refers to .*, which is not there"):
+        gk.mesh.load(path)
 
 
 _STEP = '<Grid Name="s{at}" GridType="Uniform">{mesh}<Time Value="{at}"/>{data}</Grid>'

@@ -175,13 +175,22 @@ def write_cad(path: Path, *, radius: float = 1.0, unit: str = "MM") -> None:
         Interface_Static.SetCVal_s("write.step.unit", "MM")
 
 
-def write_e57(path: Path, scans: Sequence[dict[str, Any]], *, poses: Sequence[Any] | None = None) -> None:
+def write_e57(
+    path: Path,
+    scans: Sequence[dict[str, Any]],
+    *,
+    poses: Sequence[Any] | None = None,
+    limits: Sequence[tuple[float, float] | None] | None = None,
+    images: int = 0,
+) -> None:
     """Scans with float64 coordinates, scaled integers for "intensity", and integers for everything else.
 
     Args:
         path: The .e57 file.
         scans: Columns by the names of the format, for each scan.
         poses: Quaternion (w, x, y, z) and translation of each scan; None writes no poses.
+        limits: Limits of the colors of each scan; None writes none.
+        images: Number of images, which are empty.
     """
     import pye57
     from pye57 import libe57
@@ -200,6 +209,13 @@ def write_e57(path: Path, scans: Sequence[dict[str, Any]], *, poses: Sequence[An
                     entry.set(part, libe57.FloatNode(file, float(value)))
                 pose.set(name, entry)
             scan.set("pose", pose)
+        if limits is not None and limits[number] is not None:
+            ends = libe57.StructureNode(file)
+            for color in ("Red", "Green", "Blue"):
+                for end, value in zip(("Minimum", "Maximum"), limits[number] or (), strict=True):
+                    kind = libe57.FloatNode if isinstance(value, float) else libe57.IntegerNode
+                    ends.set(f"color{color}{end}", kind(file, value))
+            scan.set("colorLimits", ends)
         prototype = libe57.StructureNode(file)
         for name, values in columns.items():
             if values.dtype.kind == "f" and name == "intensity":
@@ -213,10 +229,14 @@ def write_e57(path: Path, scans: Sequence[dict[str, Any]], *, poses: Sequence[An
         scan.set("points", points)
         whole.data3d.append(scan)
         buffers = libe57.VectorSourceDestBuffer()
-        kept = [np.ascontiguousarray(values) for values in columns.values()]
+        # It knows wide integers as C's long long only.
+        wide = {np.dtype(kind): np.longlong for kind in (np.int32, np.int64)}
+        kept = [np.ascontiguousarray(values, wide.get(values.dtype)) for values in columns.values()]
         for name, values in zip(columns, kept, strict=True):
             buffers.append(libe57.SourceDestBuffer(file, name, values, len(values), True, True))
         writer = points.writer(buffers)
         writer.write(len(kept[0]))
         writer.close()
+    for _ in range(images):
+        file.root()["images2D"].append(libe57.StructureNode(file))
     whole.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.formats.body import Body, FileMaterial
 from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
@@ -56,7 +56,7 @@ class JoinedData:
             corner = dict(turned_normals(corner, linear, axes=2))
         self._pieces.append((vertex, face, corner))
 
-    def arguments(self, path: Path, stacklevel: int = 5) -> dict[str, Any]:
+    def arguments(self, path: Path) -> dict[str, Any]:
         """Arguments for the mesh; one warning says what was left out."""
         if self._first is None:
             return {}
@@ -70,7 +70,7 @@ class JoinedData:
         if self._notes:
             said = list(self._notes)[:MOST_NOTES]
             more = [f"and {len(self._notes) - MOST_NOTES} more"] if len(self._notes) > MOST_NOTES else []
-            warnings.warn(f"{path}: {in_one_line('; '.join([*said, *more]), None)}", UserWarning, stacklevel=stacklevel)
+            warn(f"{path}: {in_one_line('; '.join([*said, *more]), None)}")
         return {name: value for name, value in found.items() if value}
 
     def _material(self, given: FileMaterial) -> Material:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mmap
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import refuse_empty, require_extension, require_file
 from geokit.errors import FileFormatError
 from geokit.formats.ply import read_header
@@ -83,7 +83,7 @@ def _open_stl(path: Path) -> TriangleFile:
         raise FileFormatError(f"{path}: {size} bytes are not those of {declared} triangles; get a whole copy")
     count = found
     for note in left_behind(size, count):
-        warnings.warn(f"{path}: {note}", UserWarning, stacklevel=4)
+        warn(f"{path}: {note}")
 
     def read(first: int, rows: int) -> NDArray[Any]:
         records = np.fromfile(path, RECORD, rows, offset=HEADER_BYTES + first * RECORD.itemsize)

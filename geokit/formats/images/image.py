@@ -12,7 +12,7 @@ import contextlib
 import functools
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.files import named_damage
+from geokit._warn import warn
+from geokit.core.files import in_one_line, named_damage
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.reader.warnings import warn_of
 
 __all__ = [
     "LARGEST_COSINE", "METERS", "Image", "affine", "fitting_codec", "grids_of", "in_space", "in_unit", "note_of",
-    "noted", "reading", "require_straight", "require_three", "scaled", "stored_type",
+    "noted", "one_unit", "reading", "require_straight", "require_three", "scaled", "stored_type",
 ]  # fmt: skip
 
 # Lengths of the units that files name.
@@ -112,6 +113,28 @@ def affine(columns: Any, origin: Any) -> NDArray[np.float64]:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = columns, origin
     return matrix
+
+
+def one_unit(path: Path, told: Sequence[str]) -> tuple[NDArray[np.float64], str]:
+    """Factors (k,) that bring the lengths along axes to one unit, and that unit; "" if the file says none.
+
+    A unit that is none of METERS is left out with a warning.
+
+    Args:
+        path: The file, for the messages.
+        told: The unit of each axis.
+    Raises:
+        FileFormatError: The axes have several units, of which some are not known.
+    """
+    first = told[0] if told else ""
+    if len(set(told)) < 2:
+        if first and first not in METERS:
+            warn(f"{path}: its unit {in_one_line(first, 40)!r} is not known and left out; lengths are as they stand")
+        return np.ones(len(told)), first if first in METERS else ""
+    if not set(told) <= METERS.keys():
+        listed = in_one_line(", ".join(map(repr, told)), 100)
+        raise FileFormatError(f"{path}: has axes in the units {listed}; save them in one of {', '.join(METERS)}")
+    return np.array([METERS[unit] / METERS[first] for unit in told]), first
 
 
 def in_space(matrix: NDArray[np.float64], space: str, wanted: str) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from geokit.formats.images.image import (
     in_space,
     note_of,
     noted,
+    one_unit,
     reading,
     require_straight,
     require_three,
@@ -82,13 +83,14 @@ def open_images(path: Path, limit: int) -> list[Image]:
             yield slab if components > 1 else slab[..., grid % inner]
 
     note = note_of(found.get("comment"))
+    told = found.get("distanceunits", "").lower().strip("?")
     image = Image(
         shape=shape[:3],
         dtype=dtype,
         transform=affine(columns * spacing, origin),
         slabs=lambda: iter(()),
         components=components,
-        unit=str(note.get("unit", "")),
+        unit=str(note.get("unit", "")) or one_unit(path, [told])[1],
         space=str(note.get("space", "LPS")),
         packed=zipped,
         note=note,

@@ -19,6 +19,7 @@ from geokit.formats.images.image import (
     Image,
     affine,
     fitting_codec,
+    grids_of,
     in_unit,
     note_of,
     noted,
@@ -39,6 +40,8 @@ MODES = {0: "i1", 1: "i2", 2: "f4", 6: "u2", 12: "f2"}
 STORED = {"i1": "<i1", "i2": "<i2", "u2": "<u2", "f2": "<f2", "b1": "<i1", "u1": "<u2"}
 STORED |= dict.fromkeys(("f4", "f8", "i4", "u4", "i8", "u8"), "<f4")
 LABEL = 80
+# Space groups of stacks of volumes.
+STACKS = range(401, 631)
 
 
 def open_images(path: Path, limit: int) -> list[Image]:
@@ -68,27 +71,39 @@ def open_images(path: Path, limit: int) -> list[Image]:
                 f"{path}: has the axis order {[axis + 1 for axis in axes]}; it is some order of 1 2 3"
             )
         columns, origin = _place(header, axes)
+        count = _volume_count(header, size[2], path)
         labels = b"".join(header["label"][1:].tolist()).decode("ascii", "replace")
     dtype = np.dtype(order + MODES[mode])
+    stored = (*stored[:2], stored[2] // count)
+    volume_bytes = int(np.prod(stored, dtype=object)) * dtype.itemsize
     # Where each axis of the world lies among the axes of the file.
     place = [axes.index(axis) for axis in range(3)]
 
-    def slabs() -> Iterator[NDArray[Any]]:
-        for slab in slabs_in(path, dtype, (*stored, 1), offset=HEAD_BYTES + extra):
+    def slabs(number: int) -> Iterator[NDArray[Any]]:
+        for slab in slabs_in(path, dtype, (*stored, 1), offset=HEAD_BYTES + extra + number * volume_bytes):
             yield slab[..., 0].transpose(place)
 
     x, y, z = (stored[at] for at in place)
-    return [
-        Image(
-            shape=(x, y, z),
-            dtype=dtype,
-            transform=affine(columns, origin),
-            slabs=slabs,
-            axis=axes[2],
-            unit="angstrom",
-            note=note_of(labels),
-        )
-    ]
+    image = Image(
+        shape=(x, y, z),
+        dtype=dtype,
+        transform=affine(columns, origin),
+        slabs=lambda: iter(()),
+        axis=axes[2],
+        unit="angstrom",
+        note=note_of(labels),
+    )
+    return grids_of(path, image, count, slabs)
+
+
+def _volume_count(header: Any, sections: int, path: Path) -> int:
+    """Number of volumes that lie one behind the other, of MZ sections each, if the space group says so."""
+    if int(header["ispg"]) not in STACKS:
+        return 1
+    each = int(header["mz"])
+    if each < 1 or sections % each:
+        raise FileFormatError(f"{path}: has {sections} sections in volumes of {each}; the file is damaged")
+    return sections // each
 
 
 def _place(header: Any, axes: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,5 +1,6 @@
 """NIfTI-1 and -2 (.nii, .nii.gz): the header by nibabel. The world is in RAS: x to the right, y to the front, z up.
 
+Of a file with neither a qform nor an sform it is not known where the axes point.
 A fourth dimension (time) makes several grids, a fifth (vectors) components. Values are scaled as the header says.
 """
 
@@ -19,6 +20,7 @@ from geokit.core.files import extension
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import (
     Image,
+    affine,
     fitting_codec,
     grids_of,
     in_space,
@@ -65,7 +67,8 @@ def open_images(path: Path, limit: int) -> list[Image]:
         dtype = header.get_data_dtype()
         offset = int(header.get_data_offset())
         slope, shift = header.get_slope_inter()
-        matrix = np.array(header.get_best_affine(), np.float64)
+        turned = int(header["sform_code"]) > 0 or int(header["qform_code"]) > 0
+        matrix = np.array(header.get_best_affine() if turned else _by_method_1(header), np.float64)
         unit = UNITS.get(header.get_xyzt_units()[0], "") if int(header["xyzt_units"]) & 7 in (1, 2, 3) else ""
         note = next((found for one in header.extensions if (found := note_of(_text(one)))), {})
     shape, frames, vectors = require_three(path, sizes[:3]), sizes[3], sizes[4]
@@ -99,11 +102,20 @@ def open_images(path: Path, limit: int) -> list[Image]:
         slabs=lambda: iter(()),
         components=max(colors, vectors),
         unit=unit,
-        space=str(note.get("space", "RAS")),
+        space=str(note.get("space", "RAS" if turned else "")),
         packed=packed,
         note=note,
     )
     return grids_of(path, image, frames, slabs)
+
+
+def _by_method_1(header: Any) -> NDArray[np.float64]:
+    """Steps along the axes from the first voxel at 0, as the standard says of files without a place.
+
+    nibabel turns x round, and puts the middle at 0.
+    """
+    steps = np.abs(np.array(header["pixdim"][1:4], np.float64))
+    return affine(np.diag(np.where(steps > 0.0, steps, 1.0)), np.zeros(3))
 
 
 def _text(extension: Any) -> str:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import (
-    METERS,
     Image,
     affine,
     fitting_codec,
     grids_of,
     note_of,
     noted,
+    one_unit,
     reading,
     require_three,
 )
@@ -46,6 +46,15 @@ WRITTEN = {"b1": "uint8", "f2": "float", "f4": "float", "f8": "double"}
 WRITTEN |= {f"{sign[0]}{size}": f"{sign[1:]}int{8 * size}" for sign in ("i", "uu") for size in (1, 2, 4, 8)}
 ENCODINGS = {"raw": "", "gz": "gzip", "gzip": "gzip", "bz2": "bzip2", "bzip2": "bzip2"}
 BODY = {"right": "R", "left": "L", "anterior": "A", "posterior": "P", "superior": "S", "inferior": "I"}
+UNITS = {
+    "millimeters": "mm",
+    "millimeter": "mm",
+    "microns": "um",
+    "micron": "um",
+    "meters": "m",
+    "meter": "m",
+    "???": "",
+}
 LISTS = ("list", "time", "none", "???", "stub")
 
 
@@ -71,8 +80,12 @@ def open_images(path: Path, limit: int) -> list[Image]:
         lead, frames, spatial = _axes(header, sizes, path)
         matrix, space = _place(header, spatial), _space(header)
         data, offset, skip = _data(header, path, offset, packing, int(np.prod(sizes, dtype=object)) * dtype.itemsize)
-        units = {str(unit).strip('"') for unit in header.get("space units", ())}
-        unit = {"millimeters": "mm", "microns": "um"}.get(text := next(iter(units), ""), text)
+        told = header.get("space units", ())
+        if not len(told) and "space directions" not in header:
+            told = [header["units"][at] for at in spatial] if "units" in header else ()
+        units = [UNITS.get(text := str(unit).strip('"'), text) for unit in told]
+    factors, unit = one_unit(path, units)
+    matrix[: len(factors)] *= factors[:, None]
     shape = require_three(path, ([sizes[at] for at in spatial] + [1, 1, 1])[:3])
     components = lead if lead in (3, 4) and not _is_list(header, 0) else 1
     grids = frames * (lead // components)
@@ -91,7 +104,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
         transform=matrix,
         slabs=lambda: iter(()),
         components=components,
-        unit=unit if len(units) == 1 and unit in METERS else "",
+        unit=unit,
         space=space,
         packed=packing != "",
         note=note,

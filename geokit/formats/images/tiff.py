@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.images.image import (
@@ -27,6 +27,7 @@ from geokit.formats.images.image import (
     grids_of,
     note_of,
     noted,
+    one_unit,
     require_straight,
     require_three,
     stored_type,
@@ -75,6 +76,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
             "page": [int(n) for n in series.keyframe.shape],
             "page_count": len(series.pages),
             "others": len(file.series) - 1,
+            "palette": series.keyframe.photometric == tifffile.PHOTOMETRIC.PALETTE,
             "compressed": int(series.keyframe.compression) != 1,
         }
     if said.found:  # tags that it has left out may be the voxel size
@@ -136,11 +138,9 @@ def open_images(path: Path, limit: int) -> list[Image]:
         )
     grids = [axis for axis in axes if axis not in depth + "YX" + COLORS]
     if facts["others"]:
-        warnings.warn(
-            f"{path}: only its first stack of pages of one size and type is read, not the other {facts['others']}",
-            UserWarning,
-            stacklevel=2,
-        )
+        warn(f"{path}: only its first stack of pages of one size and type is read, not the other {facts['others']}")
+    if facts["palette"]:
+        warn(f"{path}: its palette of colors is left out; voxels have the numbers of the colors")
     shape = require_three(path, (sizes_of["X"], sizes_of["Y"], sizes_of.get(depth, 1)))
     count = int(np.prod([sizes_of[axis] for axis in grids], dtype=object))
     # The pages, by grid and z; those in one piece are read without tifffile.
@@ -216,8 +216,11 @@ def _scale(file: Any) -> tuple[list[float], str, dict[str, Any]]:
         pixels = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)
         found = dict(re.findall(r'\b(PhysicalSize[XYZ](?:Unit)?)="([^"]*)"', pixels.group(0) if pixels else ""))
         steps = [float(found.get(f"PhysicalSize{axis}", 1.0)) for axis in "XYZ"]
-        units = {found.get(f"PhysicalSize{axis}Unit", "um") for axis in "XYZ" if f"PhysicalSize{axis}" in found}
-        unit = units.pop() if len(units) == 1 else ""
+        known = [at for at, axis in enumerate("XYZ") if f"PhysicalSize{axis}" in found]
+        units = [found.get(f"PhysicalSize{'XYZ'[at]}Unit", "um") for at in known]
+        factors, unit = one_unit(Path(file.filename), [UNITS.get(text, text) for text in units])
+        for at, factor in zip(known, factors.tolist(), strict=True):
+            steps[at] *= factor
         described = re.search(r"<(?:\w+:)?Description>([^<]*)<", text)
         note = note_of(described.group(1).replace("&quot;", '"')) if described else {}
     elif (facts := file.imagej_metadata) is not None:

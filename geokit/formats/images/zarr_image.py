@@ -23,12 +23,12 @@ from geokit.core.content_limit import require_content
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import (
-    METERS,
     Image,
     fitting_codec,
     grids_of,
     note_of,
     noted,
+    one_unit,
     reading,
     require_straight,
     require_three,
@@ -108,8 +108,9 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
     steps, shifts = _transforms(scale, len(sizes))
     matrix[: len(spatial), : len(spatial)] = np.diag(steps[spatial])
     matrix[: len(spatial), 3] = shifts[spatial]
-    units = {str(axes[at].get("unit", "")) for at in spatial} if axes else {""}
-    unit = UNITS.get(text := units.pop(), text) if len(units) == 1 else ""
+    told = [UNITS.get(text := str(axes[at].get("unit") or ""), text) for at in spatial] if axes else []
+    factors, unit = one_unit(path, told)
+    matrix[: len(factors)] *= factors[:, None]
     # The first axis of the array is the one whose chunks are read a row at a time.
     slow = min(spatial)
     count = int(np.prod([sizes[at] for at in others], dtype=object)) if others else 1
@@ -143,7 +144,7 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
         axis=spatial.index(slow),
         components=sizes[last[0]] if last else 1,
         name=name,
-        unit=unit if unit in METERS else "",
+        unit=unit,
         space=str(note.get("space", "")),
         background=fill if isinstance(fill, np.generic) and not last else None,
         packed=True,

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 
 __all__ = ["collected", "warn_of"]
@@ -45,7 +46,7 @@ def collected() -> Iterator[list[str]]:
 def warn_of(path: Path, found: Iterable[str]) -> None:
     """Pass on what a reader has warned of. Libraries quote the file, whatever bytes stand there."""
     for text in found:
-        warnings.warn(f"{path}: {in_one_line(text)}", UserWarning, stacklevel=2)
+        warn(f"{path}: {in_one_line(text)}")
 
 
 class _Handler(logging.Handler):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.require import described, require_choice
 from geokit.core.snapshot import snapshot
@@ -86,22 +86,18 @@ def resolve_surface(
         if kept:
             surface, kept = _trimmed(surface, kept, LEFT_INSIDE * detail)
         if kept:
-            warnings.warn(
+            warn(
                 f"{surface.mesh.name or 'mesh'}: bodies touch or overlap, and surface inside of the solid stays in the "
-                f'field, because {kept}; interior="keep" is silent',
-                UserWarning,
-                stacklevel=4,
+                f'field, because {kept}; interior="keep" is silent'
             )
     method = "none" if sign == "none" else surface._method(sign)
     # Who asks for a method has looked at the mesh; for "auto" the audit has been made.
     open_edges = surface._signs.audit.boundary_edge_count if sign == "auto" else 0
     if open_edges:
-        warnings.warn(
+        warn(
             f"{surface.mesh.name or 'mesh'}: is open ({open_edges} boundary edges), and so is its field: in a hole the "
             "sign changes as far as the band reaches, and mesh.from_volume ends there; a larger half_width closes "
-            "holes of that size, thickness makes a solid shell, a sign method by name is silent",
-            UserWarning,
-            stacklevel=4,
+            "holes of that size, thickness makes a solid shell, a sign method by name is silent"
         )
     return surface, method, offset
 
@@ -176,8 +172,8 @@ def grid_head(shape: BandShape, lattice: Lattice, name: str) -> Any:
     return checked_head("float", shape.exterior, inside, lattice.transform, name, grid_class)
 
 
-def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]:
-    """Metadata of the fields that are built from a band; ``warn`` warns of mesh components that the band has lost."""
+def band_metadata(band: Band, sign: str, *, say_lost: bool = True) -> dict[str, Any]:
+    """Metadata of the fields that are built from a band; ``say_lost`` warns of mesh components that it has lost."""
     surface, method = band.lattice.surface, band.shape.method
     reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
     metadata: dict[str, Any] = {
@@ -192,16 +188,14 @@ def band_metadata(band: Band, sign: str, *, warn: bool = True) -> dict[str, Any]
         lost = lost_components(band, *_pieces_of(surface.mesh))
         if lost:
             metadata["geokit:lost_components"] = " ".join(map(str, lost))
-        if lost and warn:
+        if lost and say_lost:
             pairs = surface._signs.audit.back_to_back_count
             why, remedy = f"too thin for voxels of {band.lattice.voxel_size:g}", "smaller voxels, or thickness"
             if pairs:
                 why, remedy = f"too thin, or {pairs} pairs of faces back to back that bound no volume,", "thickness"
-            warnings.warn(
+            warn(
                 f"{surface.mesh.name or 'mesh'}: {len(lost)} of its pieces are {why} and have no inside in the grid "
-                f'(the first is {lost[0]}); use {remedy}; metadata "geokit:lost_components" lists them',
-                UserWarning,
-                stacklevel=3,
+                f'(the first is {lost[0]}); use {remedy}; metadata "geokit:lost_components" lists them'
             )
     return metadata
 

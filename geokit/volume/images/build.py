@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.content_limit import require_content
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
@@ -217,7 +217,7 @@ def _counted(
             count += block.size - int(np.count_nonzero(np.isfinite(block)))
         yield block, place
     if count:
-        warnings.warn(f"{path}: {count} values are not finite and become the background", UserWarning, stacklevel=2)
+        warn(f"{path}: {count} values are not finite and become the background")
 
 
 def _all(

@@ -7,7 +7,6 @@ import ctypes
 import math
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import atomic_path, extension, is_there
 from geokit.core.private_folder import private_folder
 from geokit.errors import FileAccessError, GeokitError, InputError
@@ -102,7 +102,7 @@ def save_image(
         },
     )
     if kind == ".npy" and not np.array_equal(image.transform, np.eye(4)):
-        warnings.warn(f"{path}: .npy holds no place and no voxel size; left out", UserWarning, stacklevel=4)
+        warn(f"{path}: .npy holds no place and no voxel size; left out")
     with _atomic_folder(Path(path)) if kind == ".zarr" else atomic_path(path) as part:
         stem: Any = {"stem": Path(path).with_suffix("")} if FORMATS[kind].references else {}
         try:

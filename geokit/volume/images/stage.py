@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import atomic_path, extension, in_one_line
 from geokit.core.private_folder import private_folder, temporary_parent
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
@@ -94,7 +94,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
     """
     facts, arrays = _facts(path, limit, is_trusted)
     if facts["notes"]:
-        warnings.warn(f"{path}: {in_one_line('; '.join(facts['notes']), None)}", UserWarning, stacklevel=5)
+        warn(f"{path}: {in_one_line('; '.join(facts['notes']), None)}")
     if not facts["fields"]:
         shapes = ", ".join(facts["shapes"])
         what = f"; it holds {shapes}: load it with geokit.mesh.load" if shapes else ""

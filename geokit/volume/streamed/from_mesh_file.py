@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from typing import Any
 
 import numpy as np
 
+from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.content_limit import working_memory
@@ -179,11 +179,9 @@ def from_mesh_file(
         }
         against = write_band(part, source, known, bands, metadata, executor, report)
     if against:
-        warnings.warn(
+        warn(
             f"{path}: {against} voxels near the surface have a negative winding number: parts of the mesh are "
-            "inside out, or folded over; there all is outside. Orient the mesh if it has an inside there",
-            UserWarning,
-            stacklevel=2,
+            "inside out, or folded over; there all is outside. Orient the mesh if it has an inside there"
         )
     return file.inspect(target)[0]
 

@@ -118,7 +118,7 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
     band = make_band(lattice, shape)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
     # No warning about thin parts: no voxel may lie inside them, but the interpolant may still keep the tolerance.
-    volume = volume_from_built(build_band(band, head), band_metadata(band, search.sign, warn=False))
+    volume = volume_from_built(build_band(band, head), band_metadata(band, search.sign, say_lost=False))
     if setting.option.codec == "float":
         return volume
     share = setting.option.share
