@@ -66,7 +66,7 @@ def renormalize(
     return with_widths(redistance(volume, voxel_size, widths.widest, device=device), voxel_size, widths)
 
 
-@needs(lambda volume, *_, **__: 30700 * leaf_count(volume))
+@needs(lambda volume, *_, **__: 48500 * leaf_count(volume))
 def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> SparseVolume:
     """Move the surface of a level set by a signed distance: outwards if positive, inwards if negative.
 
@@ -114,7 +114,7 @@ def _bytes(for_each_leaf: int) -> Any:
     return estimate
 
 
-@needs(_bytes(30700))
+@needs(_bytes(48500))
 def dilate(
     volume: SparseVolume,
     distance: float | None = None,
