@@ -139,7 +139,8 @@ void parallel_for(const Range& range, const Body& body, Rest&&... rest)
         if (pulse != nullptr) {
             const size_t most = piece_of(range);
             First first;
-            const auto pulsed = [&body, &first, pulse, most](const Range& part) {
+            // TBB gives each task a copy of the body, which may hold what threads cannot share, such as accessors.
+            const auto pulsed = [body, &first, pulse, most](const Range& part) {
                 const PulseScope scope(pulse);
                 in_pieces(part, most, *pulse, first, body);
             };
