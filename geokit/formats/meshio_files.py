@@ -1,4 +1,4 @@
-"""Fluent .msh and .xdmf through meshio, which reads in a separate process; also writes .vtu and .msh."""
+"""Gmsh's and Fluent's .msh and .xdmf, read in a separate process, Fluent's by meshio, which also writes .vtu."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["holds_type", "named", "prepare", "read_mesh", "write_mesh"]
 
 _SURFACE = {"triangle", "quad", "polygon"}
-# meshio's dimensions of second-order cells are right, but the cells themselves are not polygons.
+# Cells of dimension 0 and 1.
 _LESS = ("points", "lines")
 # Numbers that a row may have; .vtu takes any.
 _WIDTHS = {".msh": (1, 3, 9), ".xdmf": (1, 2, 3, 6, 9)}

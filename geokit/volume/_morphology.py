@@ -287,7 +287,7 @@ def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device:
     widths = widths_of(volume, voxel_size)
     half_width = widths.widest
     for step, following in zip(steps, [*steps[1:], 0.0], strict=True):
-        # Sharp edges are rounded by a step within the band: a band extended from round ones is right.
+        # Sharp edges are rounded by a step within the band: one that is extended from round edges is off less often.
         first = widths_of(volume, voxel_size).narrowest - MARGIN
         if LEAST_STEP <= first < step:
             volume = redistance(volume, voxel_size, half_width, isovalue=first, device=device)

@@ -72,8 +72,11 @@ class Question:
         import warp as wp
 
         home = import_array(self._rows[0], "rows").device
-        others = [one for one in self._devices if one.is_cuda and home.is_cuda and one != home]
-        return all(wp.is_peer_access_supported(home, one) for one in others)
+        return all(wp.is_peer_access_supported(home, one) for one in self._other_gpus(home))
+
+    def _other_gpus(self, home: "wp.Device") -> list["wp.Device"]:
+        """Those beside the GPU that has the rows; none if a CPU has them."""
+        return [one for one in self._devices if one.is_cuda and home.is_cuda and one != home]
 
     def of_host_rows(self) -> Any:
         """The answer to arrays of NumPy."""
@@ -101,9 +104,8 @@ class Question:
         rows = [import_array(value, "rows") for value in self._rows]
         rows = [value if value.is_contiguous else value.contiguous() for value in rows]
         home, total = rows[0].device, len(rows[0])
-        for device in self._devices:
-            if home.is_cuda and device.is_cuda and device != home:
-                open_memory(home, device)
+        for device in self._other_gpus(home):
+            open_memory(home, device)
         parts = [list(part) for part in self._parts(home, total)]
         whole = _Whole(self._ask(0, rows, 0, 0), total, home)
         if home.is_cuda:

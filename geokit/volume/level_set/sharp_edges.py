@@ -29,7 +29,7 @@ def hold_beyond_edges(
     known: "wp.array",
     held: "wp.array",
 ) -> None:
-    """Give the voxels outside of an eroded body the distances from its sharp edges.
+    """Give the voxels outside of an eroded body, or inside of one that grew, the distances from its sharp edges.
 
     Distances on the side from which the surface came are those of the field. Beyond edges, each voxel starts from the
     nearest point of the surface as a mesh that keeps edges; tangent planes around that point then bound the body.

@@ -75,6 +75,13 @@ def test_closing_of_boxes(distance, pose):
     assert found(closing(level_set(box), distance), box).max() < 0.6
 
 
+def test_the_worst_closing_that_was_found():
+    box, distance = random_box(234, (7.0, 12.0), (0.5, 6.0))
+    errors = found(closing(level_set(box), distance), box)
+    assert errors.max() < 1.5
+    assert np.mean(errors > 0.7) < 2e-4
+
+
 def test_dilation_within_the_band():
     box = turned(cuboid(np.array([12.0, 10.5, 9.3])), *ODD)
     assert found(dilate(level_set(box), 1.0), lambda p: box(p) - 1.0).max() < 0.3
