@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import re
 import shutil
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from geokit.core.printable import printable
-from geokit.core.private_folder import private_folder
+from geokit.core.private_folder import ATTEMPTS, private_folder
 from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
@@ -156,27 +157,25 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     Held by: tests/core/test_files.py
     """
     target = require_path(target)
+    part = None
     try:
         real, _ = _followed(target)
         if not real.parent.is_dir():
             raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
-        with contextlib.ExitStack() as stack:
-            try:
-                folder = stack.enter_context(private_folder(real.parent))
-                suffix = target.name[-size:] if 0 < (size := len(extension(target))) <= LONGEST_SUFFIX else ""
-                part = folder / f"part{suffix}"
-                # Created here, so that umask and the folder's rules give a new file its mode.
-                os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
-                mode = part.stat().st_mode
-            except OSError as error:
-                raise FileAccessError(
-                    f"{target}: cannot write there ({error.strerror}); choose another folder"
-                ) from error
+        with private_folder(real.parent) as folder:
+            suffix = target.name[-size:] if 0 < (size := len(extension(target))) <= LONGEST_SUFFIX else ""
+            name = folder / f"part{suffix}"
+            # Created here, so that umask and the folder's rules give a new file its mode.
+            with io.FileIO(name, "xb") as file:
+                mode = os.fstat(file.fileno()).st_mode
+            part = name
             yield part
             _publish(part, mode, target)
     except OSError as error:
         if isinstance(error, FileAccessError):
             raise
+        if part is None:
+            raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another folder") from error
         raise FileAccessError(f"{target}: writing failed ({error.strerror or error}); check the disk") from error
 
 
@@ -235,6 +234,19 @@ def _publish(part: Path, mode: int, target: Path) -> None:
 
 
 def _copy_over(part: Path, real: Path) -> None:
+    interrupt = None
+    for _ in range(ATTEMPTS):
+        try:
+            _copy(part, real)
+            break
+        # Half of a file is none: copying starts again, and the interrupt goes on afterwards.
+        except KeyboardInterrupt as error:
+            interrupt = error
+    if interrupt is not None:
+        raise interrupt
+
+
+def _copy(part: Path, real: Path) -> None:
     with open(part, "rb") as source, open(real, "rb+") as file:
         before, after = os.fstat(file.fileno()).st_size, os.fstat(source.fileno()).st_size
         if after > before:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import io
 import os
-import shutil
+import secrets
 import tempfile
 import time
 import zlib
@@ -31,6 +32,8 @@ FOREIGN_SECONDS = 24 * 3600.0
 # When to look again, by parent folder.
 _next_look: dict[str, float] = {}
 _REMEMBERED = 1000
+# How often work that must not be left half done is tried while interrupts come.
+ATTEMPTS = 5
 
 
 @contextlib.contextmanager
@@ -47,16 +50,23 @@ def private_folder(parent: str | os.PathLike[str]) -> Iterator[Path]:
     """
     parent = Path(parent)
     _remove_abandoned(parent)
-    folder, lock = _made(parent)
+    made: list[_Made] = []
     try:
-        yield folder
+        yield _make(parent, made)
     finally:
+        # Ctrl-C may come at any call, also in here. Then removing starts again, and the interrupt goes on afterwards.
+        interrupt, left = None, ATTEMPTS
+        while left:
+            try:
+                _remove(made)
+                left = 0
+            except BaseException as error:
+                interrupt, left = error, left - 1
         try:
-            os.unlink(folder / LOCK)
-            os.rmdir(folder)
-        except OSError:
-            shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+            if interrupt is not None:
+                raise interrupt
+        finally:
+            del interrupt  # its traceback holds this frame
 
 
 def temporary_parent() -> str:
@@ -73,24 +83,53 @@ def temporary_parent() -> str:
         ) from None
 
 
-def _made(parent: Path) -> tuple[Path, int]:
+class _Made:
+    """A folder from before it is there: an interrupt may come before its maker is told that it is."""
+
+    def __init__(self, parent: Path) -> None:
+        self.path = parent / f"{PREFIX}{_machine()}-{secrets.token_hex(8)}"
+        self.lock: io.FileIO | None = None
+
+
+def _make(parent: Path, made: list[_Made]) -> Path:
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{_machine()}-", dir=parent))
+        one = _Made(parent)
+        made.append(one)
+        os.mkdir(one.path, 0o700)
         try:
-            lock = _open_lock(folder)
+            # An object that closes itself: a number would be lost with an interrupt, and the lock kept.
+            one.lock = io.FileIO(one.path / LOCK, "ab")
         except FileNotFoundError:
             if parent.is_dir():
                 continue  # another process has taken the folder for an abandoned one, before it was locked
             raise
+        with contextlib.suppress(OSError):
+            fcntl.flock(one.lock, fcntl.LOCK_EX)
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.stat(one.path / LOCK), os.fstat(one.lock.fileno())):
+                return one.path
+
+
+def _remove(made: list[_Made]) -> None:
+    for one in made:
+        try:
+            os.unlink(one.path / LOCK)
+            os.rmdir(one.path)
         except OSError:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
-        with contextlib.suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        with contextlib.suppress(OSError):
-            if os.path.samestat(os.stat(folder / LOCK), os.fstat(lock)):
-                return folder, lock
-        os.close(lock)
+            _remove_folder(one.path)
+        if one.lock is not None:
+            one.lock.close()
+
+
+def _remove_folder(folder: str | os.PathLike[str]) -> None:
+    """What can be removed of a folder. shutil.rmtree() may close a descriptor twice where an interrupt comes."""
+    for place, folders, files in os.walk(folder, topdown=False):
+        for name in (*files, *folders):
+            path = os.path.join(place, name)
+            with contextlib.suppress(OSError):
+                (os.rmdir if name in folders and not os.path.islink(path) else os.unlink)(path)
+    with contextlib.suppress(OSError):
+        os.rmdir(folder)
 
 
 def _open_lock(folder: str | os.PathLike[str]) -> int:
@@ -127,6 +166,6 @@ def _remove_if_abandoned(entry: os.DirEntry[str]) -> None:
     lock = _open_lock(entry.path)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(entry.path, ignore_errors=True)
+        _remove_folder(entry.path)
     finally:
         os.close(lock)

@@ -189,6 +189,24 @@ def test_hard_links_keep_the_old_content_without_room(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bin", "b.bin"]
 
 
+def test_hard_links_get_the_whole_new_content_despite_an_interrupt(tmp_path, monkeypatch):
+    target, other = tmp_path / "a.bin", tmp_path / "b.bin"
+    target.write_bytes(b"old")
+    os.link(target, other)
+    copy = shutil.copyfileobj
+
+    def interrupted(source, file, size):
+        file.write(source.read(100))
+        monkeypatch.setattr(shutil, "copyfileobj", copy)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "copyfileobj", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_path(target) as part:
+        part.write_bytes(b"n" * 5000)
+    assert other.read_bytes() == b"n" * 5000
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bin", "b.bin"]
+
+
 def test_fifos_and_devices_are_refused_by_name(tmp_path):
     fifo = tmp_path / "fifo.ply"
     os.mkfifo(fifo)

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from geokit.core import private_folder as module
+from geokit.core.files import atomic_path
 from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder, temporary_parent
 from geokit.errors import FileAccessError
 
@@ -144,3 +145,61 @@ def test_no_folder_for_temporary_files_is_named(monkeypatch):
     monkeypatch.setattr(tempfile, "gettempdir", none)
     with pytest.raises(FileAccessError, match=r"temporary files: No usable .*TMPDIR"):
         temporary_parent()
+
+
+class _Interrupt:
+    """Raises KeyboardInterrupt at the call of a given number, where Python looks for signals: as a function of Python
+    is entered, or as one of C has returned."""
+
+    def __init__(self, number):
+        self.left = number
+
+    def __call__(self, frame, event, argument):
+        if event in ("call", "c_return") and frame.f_code.co_filename != __file__:
+            self.left -= 1
+            if self.left < 0:
+                sys.setprofile(None)
+                raise KeyboardInterrupt
+
+
+def _interrupted(number, block):
+    try:
+        sys.setprofile(_Interrupt(number))
+        block()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.setprofile(None)
+    return False
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_at_any_call_leaves_nothing(tmp_path):
+    def block():
+        with private_folder(tmp_path) as folder, open(folder / "part", "w") as file:
+            file.write("x")
+
+    number = 0
+    while _interrupted(number, block):
+        assert list(tmp_path.iterdir()) == [], number
+        number += 1
+    assert number > 50
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_at_any_call_leaves_the_old_file_or_the_new_one(tmp_path):
+    def block():
+        with atomic_path(target) as part:
+            part.write_text("new")
+
+    number, target, found = 0, tmp_path / "target", set()
+    while True:
+        target.write_text("old")
+        whole = not _interrupted(number, block)
+        assert [one.name for one in tmp_path.iterdir()] == ["target"], number
+        found.add(target.read_text())
+        number += 1
+        if whole:
+            break
+    assert found == {"old", "new"}
+    assert number > 100

@@ -135,14 +135,9 @@ def _atomic_folder(target: Path) -> Iterator[Path]:
     real = Path(os.path.realpath(target))
     if not real.parent.is_dir():
         raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
+    part = None
     try:
-        with contextlib.ExitStack() as stack:
-            try:
-                folder = stack.enter_context(private_folder(real.parent))
-            except OSError as error:
-                raise FileAccessError(
-                    f"{target}: cannot write there ({error.strerror}); choose another folder"
-                ) from error
+        with private_folder(real.parent) as folder:
             part = folder / "part.zarr"
             yield part
             for one in (*part.rglob("*"), part):
@@ -151,14 +146,26 @@ def _atomic_folder(target: Path) -> Iterator[Path]:
                     os.fsync(descriptor)
                 finally:
                     os.close(descriptor)
-            if real.exists() and not _exchanged(part, real):
-                os.replace(real, folder / "old")
-            if part.exists() and not real.exists():
-                os.replace(part, real)
+            _replace_folder(part, real, folder / "old")
     except OSError as error:
         if isinstance(error, FileAccessError):
             raise
+        if part is None:
+            raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another folder") from error
         raise FileAccessError(f"{target}: writing failed ({error.strerror or error}); check the disk") from error
+
+
+def _replace_folder(part: Path, real: Path, old: Path) -> None:
+    if real.exists() and _exchanged(part, real):
+        return
+    try:
+        if real.exists():
+            os.replace(real, old)
+        os.replace(part, real)
+    finally:
+        # An interrupt or a full disk between the two must not take what was there.
+        if old.exists() and not real.exists():
+            os.replace(old, real)
 
 
 def _exchanged(one: Path, other: Path) -> bool:

@@ -104,8 +104,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
     said = {UP_AXIS: facts["up_axis"], UNIT: unit, METERS_PER_UNIT: meters if unit is None else None}
     metadata = {key: value for key, value in said.items() if value is not None}
     fields, packed = [], iter(arrays)
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(private_folder(temporary_parent())) if arrays else None
+    with private_folder(temporary_parent()) if arrays else contextlib.nullcontext() as folder:
         for number, field in enumerate(facts["fields"]):
             file = Path(field["file"])
             if folder is not None and not field["file"]:

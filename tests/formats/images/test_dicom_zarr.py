@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.volume.images import save
 from tests.formats.images.test_places import INDICES, LPS, STRAIGHT, VALUES, assert_there, at, turned, volume_at, world
 
 pydicom = pytest.importorskip("pydicom")
@@ -213,3 +214,25 @@ def test_chunks_of_zarr_are_held_to_the_limit(tmp_path: Path) -> None:
         gk.volume.load(_array(tmp_path / "a.zarr", chunks=[2000] * 3))
     with pytest.raises(gk.FileFormatError, match="chunks of"):
         gk.volume.load(_array(tmp_path / "a.zarr", chunks=[0] * 3))
+
+
+def test_a_folder_that_cannot_be_exchanged_in_one_step_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.zarr"
+    old, new = (gk.volume.from_dense(VALUES * factor) for factor in (1.0, 2.0))
+    gk.volume.save(path, old)
+    monkeypatch.setattr(save, "_exchanged", lambda *_: False)
+    replace = os.replace
+
+    def interrupted(source: Path, target: Path) -> None:
+        if target == path:
+            monkeypatch.setattr(os, "replace", replace)
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        gk.volume.save(path, new)
+    assert gk.volume.to_dense(gk.volume.load(path), device="cpu").values.max() == VALUES.max()
+    gk.volume.save(path, new)
+    assert gk.volume.to_dense(gk.volume.load(path), device="cpu").values.max() == 2 * VALUES.max()
+    assert os.listdir(tmp_path) == ["a.zarr"]
