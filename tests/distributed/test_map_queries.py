@@ -12,6 +12,7 @@ import geokit as gk
 from geokit.distributed import _map_queries, map_queries
 from geokit.distributed._map_queries import _Shared
 from geokit.errors import InputError
+from tests.support.dask_cluster import cluster_client
 
 dask = pytest.importorskip("dask")
 array = pytest.importorskip("dask.array")
@@ -116,11 +117,7 @@ def test_what_cannot_be_asked_is_named(things) -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_on_a_cluster(things) -> None:
-    distributed = pytest.importorskip("distributed")
     points = array.from_array(POINTS, chunks=(50, 3))
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster),
-    ):
+    with cluster_client():
         found = dask.compute(*map_queries(things["surface"], points))
     _same(found, things["surface"].closest_point(POINTS))

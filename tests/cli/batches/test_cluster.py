@@ -10,25 +10,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from geokit.cli import main
+from tests.support.dask_cluster import cluster_client
 
-distributed = pytest.importorskip("distributed")
+pytest.importorskip("distributed")
 pytestmark = [pytest.mark.process, pytest.mark.filterwarnings("default")]
-
-
-@contextlib.contextmanager
-def cluster(count: int) -> Iterator[Any]:
-    with (
-        distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as made,
-        distributed.Client(made) as client,
-    ):
-        yield client
 
 
 def _batch(client: Any, recipe: Path, sources: list[Path], out: Path, *more: str) -> int:
@@ -38,7 +29,7 @@ def _batch(client: Any, recipe: Path, sources: list[Path], out: Path, *more: str
 
 def test_no_file_is_lost_with_its_worker_and_none_is_done_twice(corners, recipe, tmp_path, records_in) -> None:
     sources, out = corners(80), tmp_path / "out"
-    with cluster(3) as client:
+    with cluster_client(3) as client:
         killed: list[int] = []
         ended = threading.Event()
 
@@ -69,7 +60,7 @@ def test_no_file_is_lost_with_its_worker_and_none_is_done_twice(corners, recipe,
 
 def test_workers_that_differ_are_named(corners, recipe, tmp_path, capfd) -> None:
     out = tmp_path / "out"
-    with cluster(2) as client:
+    with cluster_client(2) as client:
         odd = sorted(client.nthreads())[0]
         pretend = "import geokit.cli._batches.worker as w; w.versions = lambda: {'geokit': '0.0.1', 'warp': '1.0'}"
         client.run(exec, pretend, {}, workers=[odd])
@@ -91,7 +82,7 @@ def test_no_scheduler_and_no_workers(corners, recipe, tmp_path, capfd, monkeypat
         assert f"{address}: no Dask scheduler answers there" in capfd.readouterr().err
     monkeypatch.undo()
     monkeypatch.setattr("geokit.distributed._cluster.WORKER_PATIENCE", 0.5)
-    with cluster(0) as client:
+    with cluster_client(0) as client:
         assert _batch(client, recipe, corners(1), tmp_path / "out") == 1
         assert "has no workers; start some with: dask worker tcp://" in capfd.readouterr().err
 

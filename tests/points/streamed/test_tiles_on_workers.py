@@ -15,6 +15,7 @@ import pytest
 import geokit as gk
 from geokit import InputError, WorkerError
 from geokit.points.streamed import answers, process_file
+from tests.support.dask_cluster import cluster_client
 
 
 def processes(count: int) -> ProcessPoolExecutor:
@@ -58,11 +59,7 @@ def test_the_file_has_the_same_bytes(
 
 @pytest.mark.slow
 def test_dask_s_client_is_one(scan: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with cluster_client() as client:
         assert processed(scan, client) == processed(scan)
 
 

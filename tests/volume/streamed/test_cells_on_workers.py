@@ -16,6 +16,7 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, InputError, WorkerError
 from geokit.volume.streamed import band_file, cell_band
+from tests.support.dask_cluster import cluster_client
 
 
 def processes(count: int) -> ProcessPoolExecutor:
@@ -68,21 +69,13 @@ def test_so_it_has_if_cells_are_split_there(scan: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_dask_s_client_is_one(scan: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with cluster_client() as client:
         assert banded(scan, client) == banded(scan)
 
 
 @pytest.mark.slow
 def test_dask_s_worker_that_is_killed_costs_nothing(scan: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with cluster_client() as client:
         killed: list[int] = []
 
         def kill(at: int, _: int) -> None:
