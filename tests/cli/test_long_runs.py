@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.effort import of_all
 from tests.support.limits.long_runs import convert_many
 
 # Growth after the first tenth of the files [bytes].
@@ -13,7 +14,7 @@ MOST_GROWTH = 50 << 20
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize("jobs", of_all([3], [1, 3]))
 def test_many_files_leave_nothing(tmp_path: Path, jobs: int) -> None:
     found = convert_many(150, tmp_path, jobs=jobs)
     assert found["exit"] == 1  # one file is damaged

@@ -16,6 +16,7 @@ import pytest
 
 from geokit import DeviceMemoryError, FileFormatError, mesh, points, volume
 from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
+from tests.support.effort import spread
 
 pytestmark = pytest.mark.slow
 
@@ -115,7 +116,7 @@ except DeviceMemoryError as error:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BOMBS)
+@pytest.mark.parametrize("name", spread(BOMBS, 5))
 def test_bombs_are_refused_with_the_estimate(tmp_path, name):
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])

@@ -17,7 +17,7 @@ from tests.fuzz.campaign import Worker, run
 from tests.fuzz.originals import TARGETS, Target
 from tests.support.effort import of_all
 
-MUTANTS = of_all(30, 200)
+MUTANTS = of_all(15, 200)
 
 pytestmark = pytest.mark.slow
 
@@ -40,9 +40,11 @@ def test_every_mutant_ends_well(target: Target, idle: list[Worker]) -> None:
     if FORMATS[target.kind].extra == "cad" and not importlib.util.find_spec("OCP"):
         pytest.skip("needs cadquery-ocp-novtk")
     need(target.kind)
-    tally = run(target, range(MUTANTS), idle=idle)
+    # Nearly all damage of .usdc is noticed: so few of its mutants load that more are needed to meet one.
+    count = max(MUTANTS, 30) if target.kind == ".usdc" else MUTANTS
+    tally = run(target, range(count), idle=idle)
     assert not tally.faults
     refused = sum(count for end, count in tally.ends.items() if end.startswith("refused"))
     # The mutants would prove nothing if they were all whole, or all no files of their format.
-    assert refused >= MUTANTS // 10
-    assert tally.ends["same"] + tally.ends["differs"] > MUTANTS // 20
+    assert refused >= count // 10
+    assert tally.ends["same"] + tally.ends["differs"] > count // 20

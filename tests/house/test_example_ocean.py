@@ -98,7 +98,7 @@ def test_no_wind_makes_no_waves(ocean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("density", of_all([0.15, 0.9], [0.15, 0.5, 0.9]))
+@pytest.mark.parametrize("density", of_all([0.15], [0.15, 0.5, 0.9]))
 def test_cube_and_sphere_settle_at_archimedes_depth(ocean, density):
     """What is below the water, counted by winding numbers of points, is the density's share."""
     scene = calm(ocean, cube_and_ball(density), [0, 1], [[0.0, 0.0, 0.8], [4.0, 0.0, 0.8]])
@@ -124,7 +124,7 @@ def test_energy_does_not_grow_without_wind(ocean):
     x = x[solid.closest_point(x).distance > 1.6]
     scene = calm(ocean, ocean.kinds(), np.arange(len(x)) % 7, x, solid=solid)
     energies = [energy(ocean, scene)]
-    for _ in range(80):
+    for _ in range(of_all(40, 80)):
         go_on(scene, 0.1)
         energies.append(energy(ocean, scene))
     assert len(x) > 15
@@ -134,7 +134,7 @@ def test_energy_does_not_grow_without_wind(ocean):
     scene = calm(ocean, ocean.kinds(), np.arange(len(x)) % 7, x, solid=solid)
     scene.w.drag, scene.w.damping, scene.w.friction = 0.0, 0.0, 0.0
     kept = []
-    for _ in range(80):
+    for _ in range(of_all(40, 80)):
         go_on(scene, 0.1)
         kept.append(energy(ocean, scene))
     assert max(kept) < 1.05 * energies[0]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from tests.support.effort import of_all
+from tests.support.effort import of_all, spread
 
 pytestmark = pytest.mark.slow
 
@@ -97,7 +97,7 @@ def parts_of(answer: Any) -> list[Any]:
     return list(answer) if isinstance(answer, tuple) else [answer]
 
 
-@pytest.mark.parametrize("kind", OBJECTS)
+@pytest.mark.parametrize("kind", spread(OBJECTS, 5))
 def test_three_threads(kind: str) -> None:
     make, questions = OBJECTS[kind]
     expected = {name: parts_of(ask(make())) for name, ask in questions.items()}

@@ -12,6 +12,7 @@ import warp as wp
 
 import geokit as gk
 from tests.support.devices import DEVICES
+from tests.support.effort import of_all
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,7 +60,7 @@ def test_every_item_is_one_thread_s(device, threads, count, block):
 
 # More threads than processors, too.
 @pytest.mark.slow
-@pytest.mark.parametrize("threads", [1, 2, 3, 8, 24])
+@pytest.mark.parametrize("threads", of_all([2, 24], [1, 2, 3, 8, 24]))
 def test_no_thread_passes_a_barrier_early(threads):
     start = np.random.default_rng(7).integers(0, 1000003, 96)
     values = wp.array(np.stack([start, np.zeros(96, np.int64)]), dtype=wp.int64, device="cpu")

@@ -21,6 +21,7 @@ from geokit.volume._statistics import statistics
 from geokit.volume._topology import clip, prune
 from geokit.volume.tree.leaves import leaves_of
 from tests.support.analytic_volumes import active_voxels, ball, field, level_set
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -40,7 +41,7 @@ REAL = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("codec", ["fp4", "fp8", "fp16", "fpn"])
+@pytest.mark.parametrize("codec", of_all(["fp4", "fpn"], ["fp4", "fp8", "fp16", "fpn"]))
 @pytest.mark.parametrize("name", REAL)
 def test_quantized_grids_become_float(name, codec):
     body = level_set(BALL, leaves=2)

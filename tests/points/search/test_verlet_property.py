@@ -42,7 +42,7 @@ def require_same_answers(moved, points, radius, cell):
 @pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("cell", [None, BOX, SHEARED], ids=["open", "box", "sheared"])
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", of_all([np.float32], [np.float64, np.float32]))
 def test_moved_points_are_answered_as_by_a_new_grid(device, cell, dtype):
     random = np.random.default_rng(3)
     points, radius, skin = random.random((2500, 3)).astype(dtype), 0.11, 0.03

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
 import os
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import geokit as gk
 from geokit import InputError, WorkerError
 from geokit.points.streamed import answers, process_file
 from tests.support.dask_cluster import cluster_client
+from tests.support.effort import of_all
 
 
 def processes(count: int) -> ProcessPoolExecutor:
@@ -40,8 +42,16 @@ def processed(scan: Path, executor: Any = None, **how: Any) -> bytes:
     return out.read_bytes()
 
 
-@pytest.mark.parametrize("pool", [processes, ThreadPoolExecutor])
-@pytest.mark.parametrize("how", [{}, {"voxel_size": 0.06, "normals": {"radius": 0.2}}], ids=["all", "thinned"])
+THINNED: dict[str, Any] = {"voxel_size": 0.06, "normals": {"radius": 0.2}}
+
+
+@pytest.mark.parametrize(
+    ("pool", "how"),
+    of_all(
+        [(processes, THINNED), (ThreadPoolExecutor, {})],
+        list(itertools.product([processes, ThreadPoolExecutor], [{}, THINNED])),
+    ),
+)
 def test_the_file_has_the_same_bytes(
     pool: Callable[[int], Executor], how: dict[str, Any], scan: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -66,7 +66,10 @@ def worst(field: AdaptiveSDF, mesh: TriangleMesh, parts: list[TriangleMesh], wit
 
 @pytest.mark.parametrize(
     ("order", "codec"),
-    [(1, "float"), (1, "fp4"), (1, None), (2, "fp8"), (2, "fpn"), (3, "fp16"), (3, "fpn"), (3, None)],
+    of_all(
+        [(1, "fp4"), (2, "fpn"), (3, None)],
+        [(1, "float"), (1, "fp4"), (1, None), (2, "fp8"), (2, "fpn"), (3, "fp16"), (3, "fpn"), (3, None)],
+    ),
 )
 def test_the_tolerance_holds_at_every_order_and_codec(order, codec):
     mesh, cube = ball_and_cube(0.1)
@@ -79,7 +82,7 @@ def test_the_tolerance_holds_at_every_order_and_codec(order, codec):
     assert 0.2 * TOLERANCE < error <= TOLERANCE
 
 
-@pytest.mark.parametrize("size", of_all([0.3, 0.003], [0.3, 0.1, 0.03, 0.01, 0.003]))
+@pytest.mark.parametrize("size", of_all([0.003], [0.3, 0.1, 0.03, 0.01, 0.003]))
 def test_the_tolerance_holds_while_a_detail_shrinks(size):
     mesh, cube = ball_and_cube(size)
     field = adaptive_from_mesh(mesh, TOLERANCE, interior="keep", device="cpu")

@@ -18,7 +18,10 @@ CURVED = [mesh for mesh in OPEN if mesh.name != "sheet"]
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("across", "half_width"),
-    [(7.0, 1.0), (40.3, (4.0, 1.5)), (90.7, 1.0), *of_all([], [(24.0, (1.5, 4.0)), (64.0, 3.0)])],
+    of_all(
+        [(7.0, 1.0), (40.3, (4.0, 1.5))],
+        [(7.0, 1.0), (40.3, (4.0, 1.5)), (90.7, 1.0), (24.0, (1.5, 4.0)), (64.0, 3.0)],
+    ),
 )
 @pytest.mark.parametrize("mesh", [*OPEN, *map(turned, OPEN)], ids=lambda mesh: mesh.name)
 def test_every_resolution_and_width(mesh, across, half_width):
@@ -27,7 +30,11 @@ def test_every_resolution_and_width(mesh, across, half_width):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", mesh_catalog.BROKEN)
-@pytest.mark.parametrize("mesh", [mesh_catalog.icosphere(3), mesh_catalog.torus()], ids=lambda mesh: mesh.name)
+@pytest.mark.parametrize(
+    "mesh",
+    of_all([mesh_catalog.torus()], [mesh_catalog.icosphere(3), mesh_catalog.torus()]),
+    ids=lambda mesh: mesh.name,
+)
 def test_damaged_meshes(mesh, name):
     damaged = mesh_catalog.BROKEN[name](mesh)
     require_signs(damaged, float(np.ptp(damaged.bounds, axis=0).max()) / 70.3, half_width=2.0)
@@ -35,7 +42,7 @@ def test_damaged_meshes(mesh, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["marching_cubes", "surface_nets"])
-@pytest.mark.parametrize("across", of_all([20, 110], [20, 50, 110]))
+@pytest.mark.parametrize("across", of_all([20], [20, 50, 110]))
 @pytest.mark.parametrize(
     "mesh", [m for shape in OPEN if shape.name != "sheet" for m in (shape, turned(shape))], ids=lambda m: m.name
 )

@@ -20,7 +20,7 @@ SMOOTH, EDGES, NARROW, ROUNDED = 0.1, 0.5, 1.0, 0.5
 
 
 @pytest.mark.parametrize("gap", GAPS)
-@pytest.mark.parametrize("radius", [6.0, 4.0])
+@pytest.mark.parametrize("radius", of_all([4.0], [6.0, 4.0]))
 def test_balls(gap, radius):
     rng = np.random.default_rng(int(10 * gap))
     for way in directions(2, rng):
@@ -57,7 +57,7 @@ def turned_cuboid(half, center, turn, rounding):
     return lambda points: core((points - center) @ turn) - rounding
 
 
-@pytest.mark.parametrize("gap", [1.1, 1.8, 3.5, 4.5])
+@pytest.mark.parametrize("gap", of_all([1.1, 4.5], [1.1, 1.8, 3.5, 4.5]))
 @pytest.mark.parametrize("rounding", [0.0, 3.0, 4.0])
 def test_turned_boxes(gap, rounding):
     half = (6.0, 5.0, 4.5)
@@ -80,7 +80,7 @@ def test_turned_boxes(gap, rounding):
         assert max(errors(bodies)) < (wide if gap >= 3.0 else narrow), (gap, rounding, seed)
 
 
-@pytest.mark.parametrize("gap", [1.1, 1.8, 2.5, 3.5])
+@pytest.mark.parametrize("gap", of_all([1.1, 3.5], [1.1, 1.8, 2.5, 3.5]))
 @pytest.mark.parametrize(("radius", "narrow"), [(4.0, SMOOTH), (3.0, ROUNDED)])
 def test_tubes(gap, radius, narrow):
     def tube(middle, along):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ import geokit as gk
 from geokit.mesh import TriangleMesh, box, sphere
 from geokit.volume import SparseVolume
 from tests.support.assemblies import concatenated, turned
+from tests.support.effort import spread
 
 pytest.importorskip("geokit.native.operations")
 LOW, HIGH = box(center=(0.5, 0.5, 0.5)), box(center=(0.5, 0.5, 1.5))
@@ -26,8 +29,7 @@ def off_by(found: SparseVolume, expected: SparseVolume, voxel_size: float) -> ND
     return np.abs(values[0] - values[1]) / voxel_size
 
 
-@pytest.mark.parametrize("seed", [None, 1, 2])
-@pytest.mark.parametrize("voxel_size", [0.05, 0.047, 0.0331])
+@pytest.mark.parametrize(("voxel_size", "seed"), spread(itertools.product([0.05, 0.047, 0.0331], [None, 1, 2]), 4))
 def test_a_union_of_bodies_that_touch_is_one_body(voxel_size: float, seed: int | None) -> None:
     low, high = (LOW, HIGH) if seed is None else (turned(LOW, seed), turned(HIGH, seed))
     whole = field(gk.mesh.union(concatenated(low, high)), voxel_size)

@@ -11,6 +11,7 @@ from geokit.mesh import Surface, TriangleMesh
 from geokit.volume._morphology import closing, dilate, erode, opening
 from tests.support.analytic_volumes import active_voxels, level_set
 from tests.support.edged_bodies import cuboid, extruded, outline, polygon, revolved, turned
+from tests.support.effort import of_all
 
 pytestmark = [pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"), pytest.mark.slow]
 
@@ -150,7 +151,7 @@ def polyhedron(seed):
     return eroded, rng.uniform(0.5, 4.5)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", of_all([0, 5], range(6)))
 def test_polyhedra_of_many_faces(seed):
     eroded, distance = polyhedron(seed)
     body, core = level_set(eroded(0.0)), eroded(distance)

@@ -15,6 +15,7 @@ from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, FileAccessError, FileFormatError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.volume.streamed import cell_band
+from tests.support.effort import spread
 
 CPU = {"device": "cpu"}
 # Along no face of a mesh of the catalog, so that no voxel lies on the surface and every sign is certain.
@@ -59,7 +60,7 @@ def test_the_grid_is_that_in_memory(mesh: TriangleMesh, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_cells")
-@pytest.mark.parametrize("mesh", [make() for make in mesh_catalog.CLOSED], ids=lambda mesh: mesh.name)
+@pytest.mark.parametrize("mesh", [make() for make in spread(mesh_catalog.CLOSED, 4)], ids=lambda mesh: mesh.name)
 def test_so_it_is_in_cells(mesh: TriangleMesh, tmp_path: Path) -> None:
     """Also inside a large solid, in tiles of 8^3, 128^3 and 4096^3 voxels far from all triangles."""
     same_grid(*both(saved(mesh, tmp_path / "a.ply"), sized(mesh, 150.7)))
