@@ -63,7 +63,7 @@ def test_without_detail_it_takes_no_more_than_one_voxel_size(mesh, share):
 
 
 def test_with_detail_in_one_place_it_takes_clearly_less():
-    levels, one, rows = both(ball_and_cube(0.05)[0], of_all(1e-3, 5e-4))
+    levels, one, rows = both(ball_and_cube(0.05)[0], 5e-4)
     assert levels.level_count > 1
     assert levels.byte_count < 0.6 * one
     assert rows[0].method == "adaptive_from_mesh"
