@@ -230,6 +230,36 @@ def test_groups_of_some_entities_and_steps_of_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.corner_data["c"], np.array(ELEMENTS)[:, None] + [0.25, 0.5, 0.75])
 
 
+def test_names_of_groups_are_those_of_parts(tmp_path: Path) -> None:
+    mesh = loaded(tmp_path / "a.msh", gmsh("4.1").replace("$Nodes", f"{ENTITIES.replace('2 4 9 0', '1 9 0')}$Nodes", 1))
+    assert [(part.name, part.first_face, part.face_count) for part in mesh.parts] == [("roof", 0, 5), ("", 5, 7)]
+    # In version 2 elements have their groups, and a name may have any signs.
+    names = '$PhysicalNames\n3\n1 7 "edge"\n2 7 "top \xe4 side"\n2 8 ""\n$EndPhysicalNames\n'
+    text = gmsh("2.2").replace(" 2 2 1 1 ", " 2 2 7 1 ", 5).replace(" 2 2 1 1 ", " 2 2 8 1 ")
+    mesh = loaded(tmp_path / "a.msh", text.replace("$Nodes", f"{names}$Nodes", 1))
+    assert [(part.name, part.face_count) for part in mesh.parts] == [("top \xe4 side", 5), ("8", 7)]
+    assert mesh.face_data["physical"].tolist() == [7] * 5 + [8] * 7
+    # One group is the whole mesh.
+    assert not loaded(tmp_path / "a.msh", gmsh("2.2").replace("$Nodes", f"{names}$Nodes", 1)).parts
+    (tmp_path / "a.msh").write_text(text.replace("$Nodes", f"{names.replace('2 7', 'two 7')}$Nodes", 1))
+    with pytest.raises(gk.FileFormatError, match="where the name of a group belongs"):
+        gk.mesh.load(tmp_path / "a.msh")
+
+
+def test_names_of_groups_whose_faces_alternate_are_told(tmp_path: Path) -> None:
+    many = 1200
+    cells = "".join(f"{row + 1} 2 2 {1 + row % 2} 1 10 3 77\n" for row in range(many))
+    nodes = gmsh("2.2").partition("$Elements")[0]
+    names = '$PhysicalNames\n2\n2 1 "a"\n2 2 "b"\n$EndPhysicalNames\n'
+    (tmp_path / "a.msh").write_text(
+        nodes.replace("$Nodes", f"{names}$Nodes", 1) + f"$Elements\n{many}\n{cells}$EndElements\n"
+    )
+    with pytest.warns(UserWarning, match="groups are left out, for their faces alternate: 1 'a', 2 'b'"):
+        mesh = gk.mesh.load(tmp_path / "a.msh")
+    assert not mesh.parts
+    assert mesh.face_data["physical"][:3].tolist() == [1, 2, 1]
+
+
 def test_groups_of_partitions(tmp_path: Path) -> None:
     parts = "$PartitionedEntities\n2\n0\n0 0 2 0\n1 2 5 1 1 0 0 0 1 1 1 1 4 0\n2 2 5 1 2 0 0 0 1 1 1 1 4 0\n"
     mesh = loaded(tmp_path / "a.msh", gmsh("4.1").replace("$Nodes", f"{parts}$EndPartitionedEntities\n$Nodes", 1))

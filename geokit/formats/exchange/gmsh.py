@@ -34,6 +34,8 @@ _TYPES = {
 _CORNERS = {2: 3, 3: 4}
 # Rows of text that are first compared with the one before; longer words are no numbers.
 _FEWEST_ALIKE, _LONGEST_WORD = 64, 64
+# Parts of a mesh that has its groups in turns say nothing; names in a message.
+_MOST_RUNS, _SHOWN = 1000, 10
 
 
 class _Layout(NamedTuple):
@@ -75,11 +77,15 @@ def is_gmsh(path: Path) -> bool:
 
 
 def read_gmsh(path: Path) -> list[Body]:
-    """Triangles and quads, with the arrays of nodes, elements and corners and the physical groups as ``physical``."""
+    """Triangles and quads, with the arrays of nodes, elements and corners and the physical groups as ``physical``.
+
+    Faces of named groups that stand together are groups of the body too.
+    """
     content = _Content(path)
     nodes: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
     elements: _Elements | None = None
     groups: dict[tuple[int, int], NDArray[np.int64]] = {}
+    names: dict[int, str] = {}
     arrays: dict[tuple[str, str], list[_Array]] = {}
     unread: dict[str, None] = {}
     while name := content.next_section():
@@ -87,6 +93,8 @@ def read_gmsh(path: Path) -> list[Body]:
             nodes = _nodes(content, name == "ParametricNodes")
         elif name == "Elements":
             elements = _elements(content)
+        elif name == "PhysicalNames":
+            names = _names(content)
         elif name in ("Entities", "PartitionedEntities"):
             groups.update(_groups(content, name == "PartitionedEntities"))
         elif name in ("NodeData", "ElementData", "ElementNodeData"):
@@ -97,7 +105,7 @@ def read_gmsh(path: Path) -> list[Body]:
         content.end_section(name)
     if nodes is None or elements is None:
         raise FileFormatError(f"{path}: has no section {'Elements' if nodes else 'Nodes'}; get a whole copy")
-    return [_body(path, *nodes, elements, groups, arrays, list(unread))]
+    return [_body(path, *nodes, elements, groups, names, arrays, list(unread))]
 
 
 # --- The text and the numbers -----------------------------------------------------------------------------------------
@@ -375,6 +383,19 @@ def _groups(content: _Content, partitioned: bool) -> dict[tuple[int, int], NDArr
     return found
 
 
+def _names(content: _Content) -> dict[int, str]:
+    """Names of the physical groups of surfaces, which are text in binary files too."""
+    found = {}
+    for _ in range(content.integer()):
+        line = content.line()
+        match = re.match(rb"(\d+)\s+(-?\d+)\s+(.*)", line)
+        if match is None:
+            raise content.damaged(f"has {line[:40]!r} where the name of a group belongs")
+        if int(match[1]) == 2:
+            found[int(match[2])] = match[3].decode("utf-8", "replace").strip().strip('"')
+    return found
+
+
 class _Array(NamedTuple):
     """A section of data: tags, and a row for each; of corners a row for each node of each of the tags."""
 
@@ -418,6 +439,7 @@ def _body(
     places: NDArray[np.float64],
     elements: _Elements,
     groups: dict[tuple[int, int], NDArray[np.int64]],
+    names: dict[int, str],
     arrays: dict[tuple[str, str], list[_Array]],
     unread: list[str],
 ) -> Body:
@@ -449,6 +471,8 @@ def _body(
         several = np.repeat([len(found) > 1 for found in of_entities], counts)[faces].sum()
         if several:
             notes.append(f"{several} faces are of several physical groups, and the first is kept")
+    parts_of, said = _runs(physical[faces], names)
+    notes += said
     starts = np.concatenate([[0], np.cumsum(sizes)])
     tags = np.concatenate([np.empty(0, np.int64), *(rows.ravel() for rows in elements.nodes)])
     widths = sizes[faces]
@@ -492,8 +516,32 @@ def _body(
             notes.append(f"the array {name!r} is left out: it has no values on the surface")
     vertex, polygon, corner = (from_columns(found) for found in data.values())
     return Body(
-        places, widths, indices, vertex_data=vertex, polygon_data=polygon, corner_data=corner, notes=tuple(notes)
+        places,
+        widths,
+        indices,
+        groups=parts_of,
+        vertex_data=vertex,
+        polygon_data=polygon,
+        corner_data=corner,
+        notes=tuple(notes),
     )
+
+
+def _runs(physical: NDArray[np.int64], names: dict[int, str]) -> tuple[tuple[tuple[str, int, int], ...], list[str]]:
+    """(name, first, count) of faces of one group that stand together, and a note where the names are left out."""
+    if not any(names.get(number) for number in np.unique(physical).tolist()):
+        return (), []
+    first = np.flatnonzero(np.diff(physical, prepend=physical[0] - 1))
+    if len(first) == 1:
+        return (), []
+    if len(first) > _MOST_RUNS:
+        listed = ", ".join(f"{number} {name!r}" for number, name in sorted(names.items())[:_SHOWN])
+        return (), [f"the names of its physical groups are left out, for their faces alternate: {listed}"]
+    counts = np.diff(first, append=len(physical)).tolist()
+    numbers = physical[first].tolist()
+    # Faces of no group are a part without a name.
+    labels = [names.get(number) or (str(number) if number else "") for number in numbers]
+    return tuple(zip(labels, first.tolist(), counts, strict=True)), []
 
 
 class _Tags:
