@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import from_columns
 from geokit.formats.body import Body
+from geokit.formats.text_files.decimal import plain_rows
 
 __all__ = ["is_gmsh", "read_gmsh"]
 
@@ -32,6 +33,10 @@ _TYPES = {
     93: (125, 3, "hexahedron125"),
 }  # fmt: skip
 _CORNERS = {2: 3, 3: 4}
+# What separates words, as one number on each line, which the fast parser takes; commas separate none here.
+_ON_LINES, _COMMAS = bytes.maketrans(b" \t\r\v\f", b"\n" * 5), re.compile(rb"[,;]")
+# Larger integers are no float64.
+_LARGEST_EXACT = 1 << 53
 # Rows of text that are first compared with the one before; longer words are no numbers.
 _FEWEST_ALIKE, _LONGEST_WORD = 64, 64
 # Parts of a mesh that has its groups in turns say nothing; names in a message.
@@ -117,6 +122,8 @@ class _Content:
     def __init__(self, path: Path) -> None:
         self.path, self.data, self.at = path, path.read_bytes(), 0
         self.is_text, self.order, self.word_at = True, "<", 0
+        # Those of the rest of a section of text: as numbers if all are plain, else as words.
+        self.plain: NDArray[np.float64] | None = None
         self.words: list[bytes] = []
         first = self.next_section()
         while first and first != "MeshFormat":
@@ -166,14 +173,14 @@ class _Content:
             if self.data[self.at :].strip():
                 raise self.damaged(f"has {self.data[self.at :].strip()[:20]!r} where a section begins")
             return ""
-        self.at, self.words = found.end(), []
+        self.at, self.words, self.plain = found.end(), [], None
         return found[1].decode()
 
     def end_section(self, name: str) -> None:
         end = re.compile(rb"\$(End|END)%s[ \t\r]*(\n|\Z)" % name.encode()).search(self.data, self.at)
         if end is None:
             raise self.damaged(f"ends within its section {name}")
-        self.at, self.words = end.end(), []
+        self.at, self.words, self.plain = end.end(), [], None
 
     def numbers(self, kind: str, count: int) -> NDArray[Any]:
         """The next numbers, as int64 or float64."""
@@ -181,13 +188,17 @@ class _Content:
         if count < 0:
             raise self.damaged(f"has a count of {count}")
         if self.is_text:
-            if not self.words:
-                self.words, self.word_at = self._rest().split(), 0
-            found = self.words[self.word_at : self.word_at + count]
+            if self.plain is None and not self.words:
+                self._split()
+            place = slice(self.word_at, self.word_at + count)
+            values = None if self.plain is None else _as_kind(self.plain[place], wide)
+            if values is None:
+                self.words, self.plain = self.words or self._rest().split(), None
+                values = self._parsed(self.words[place], wide)
             self.word_at += count
-            if len(found) < count:
+            if len(values) < count:
                 raise self.damaged("ends within a section")
-            return self._parsed(found, wide)
+            return values
         dtype = np.dtype(self.order + self.kinds[kind])
         if count * dtype.itemsize > len(self.data) - self.at:
             raise self.damaged("ends within a section")
@@ -197,7 +208,17 @@ class _Content:
 
     def all_integers(self) -> NDArray[np.int64]:
         """Those of the rest of a section of text."""
-        return self._parsed(self._rest().split(), np.int64)
+        self._split()
+        found = None if self.plain is None else _as_kind(self.plain, np.int64)
+        return self._parsed(self.words or self._rest().split(), np.int64) if found is None else found
+
+    def _split(self) -> None:
+        rest = self._rest()
+        # With a comma, one line would hold several.
+        lines = b"" if _COMMAS.search(rest) else rest.translate(_ON_LINES)
+        table = plain_rows(lines, 0, len(lines))
+        self.plain = None if table is None else table.ravel()
+        self.words, self.word_at = [] if table is not None else rest.split(), 0
 
     def _rest(self) -> bytes:
         end = self.data.find(b"$End", self.at)
@@ -223,7 +244,10 @@ class _Content:
             words, at, found = self.numbers("f8", count * width).reshape(count, width), 0, []
             for kind, number in columns:
                 part = words[:, at : at + number]
-                found.append(part if kind == "f8" else part.astype(np.int64))
+                values = _as_kind(part, np.float64 if kind == "f8" else np.int64)
+                if values is None:
+                    raise self.damaged("has a number that is not whole, or is too large, where a tag belongs")
+                found.append(values)
                 at += number
             return found
         record = np.dtype(
@@ -237,6 +261,16 @@ class _Content:
             table[str(place)].astype(np.float64 if kind == "f8" else np.int64)
             for place, (kind, _) in enumerate(columns)
         ]
+
+
+def _as_kind(values: NDArray[np.float64], wide: Any) -> NDArray[Any] | None:
+    """Numbers as integers, if that is the type; None if they are none, or none that float64 holds exactly."""
+    if wide is np.float64:
+        return values
+    with np.errstate(invalid="ignore"):
+        whole = values.astype(np.int64)
+    is_exact = bool(((whole == values) & (np.abs(values) < _LARGEST_EXACT)).all())
+    return whole if is_exact else None
 
 
 # --- Sections ---------------------------------------------------------------------------------------------------------
