@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import warnings
 
+from geokit.core.printable import in_one_line
+
 __all__ = ["warn"]
 
 # Packages through which geokit calls itself; their frames are no caller's. From Python 3.12 on, warnings.warn can skip
@@ -13,7 +15,10 @@ _PASSED = {"contextlib", "functools", "geokit", "jax", "torch", "warp"}
 
 
 def warn(message: str) -> None:
-    """Issue a UserWarning at the innermost line outside of geokit."""
+    """Issue a UserWarning at the innermost line outside of geokit.
+
+    Messages quote files, whatever stands there: they become one line that every terminal prints.
+    """
     frame = sys._getframe(1)
     outside = frame
     while str(outside.f_globals.get("__name__")).partition(".")[0] in _PASSED:
@@ -24,7 +29,7 @@ def warn(message: str) -> None:
         outside = outside.f_back
     place = outside.f_globals
     warnings.warn_explicit(
-        message,
+        in_one_line(message, None),
         UserWarning,
         outside.f_code.co_filename,
         outside.f_lineno,

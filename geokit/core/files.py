@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.core.printable import printable
+from geokit.core.printable import in_one_line
 from geokit.core.private_folder import ATTEMPTS, private_folder
 from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
@@ -285,14 +284,3 @@ def named_damage(path: Path) -> Iterator[None]:
         raise FileFormatError(
             f"{path}: cannot be read{kind} ({reason}); the file is damaged, export it again"
         ) from error
-
-
-def in_one_line(text: str, most: int | None = 300) -> str:
-    """Text that may come from a damaged file, as one line that every terminal prints as it stands.
-
-    Args:
-        text: Any text: line ends, control characters and bytes in no encoding (surrogates) are escaped.
-        most: Number of characters after which it is cut; None for all.
-    """
-    shown = re.sub(r"\s*[\r\n]\s*", " ", text.strip())[:most]
-    return printable(shown, escape_bytes=True)

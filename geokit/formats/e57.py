@@ -26,6 +26,8 @@ _COLORS = ("colorRed", "colorGreen", "colorBlue")
 # No color has a limit beyond this.
 WIDEST = 65535
 _SIGNATURE = b"ASTM-E57"
+# Names of scans in a message.
+_SHOWN = 10
 
 
 def prepare() -> None:
@@ -39,7 +41,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     Points that the file declares invalid are left out. Coordinates and scaled integers are float64, other numbers have
     the file's type. ``rgb`` (N, 3) is uint8 or uint16, or shares of full where the file has floats, full at its limits
     of colors; ``normals`` turn with the pose, and ``scan`` is the number of the scan where there are several. Images,
-    and what not all scans have, are left out with a warning.
+    names of several scans, and what not all scans with points have, are left out with a warning.
 
     Raises:
         FileFormatError: The file is damaged, or holds no scan.
@@ -53,6 +55,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         pictures = file.root()["images2D"].childCount() if file.root().isDefined("images2D") else 0
         listed = file.root()["data3D"] if file.root().isDefined("data3D") else ()
         scans = [_scan(libe57, file, listed[at]) for at in range(len(listed))]
+        names = [str(listed[at]["name"].value()) if listed[at].isDefined("name") else "" for at in range(len(listed))]
     except libe57.E57Exception as error:
         # What follows is for developers of the library.
         reason = in_one_line(str(error).partition("****")[0])
@@ -60,13 +63,18 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     if not scans:
         raise FileFormatError(f"{path}: holds no scan; export the points themselves")
     points = np.concatenate([found for found, _ in scans])
-    shared = [name for name in scans[0][1] if all(name in data for _, data in scans)]
-    left = sorted({name for _, data in scans for name in data} - set(shared))
+    # A scan without points lacks nothing.
+    columned = [data for found, data in scans if len(found)] or [scans[0][1]]
+    shared = [name for name in columned[0] if all(name in data for data in columned)]
+    left = sorted({name for data in columned for name in data} - set(shared))
     if left:
         warn(f"not all scans have {', '.join(left)}; left out")
     if pictures:
         warn(f"its {'image is' if pictures == 1 else f'{pictures} images are'} left out")
-    parts = {name: [data[name] for _, data in scans] for name in shared}
+    if len(scans) > 1 and any(names):
+        listed_names = ", ".join(f"{number} {name!r}" for number, name in enumerate(names[:_SHOWN]))
+        warn(f"the names of its scans are left out, whose numbers are in 'scan': {in_one_line(listed_names)}")
+    parts = {name: [data[name] for data in columned] for name in shared}
     if "rgb" in parts:
         parts["rgb"] = _alike(parts["rgb"])
     columns: Columns = {name: np.concatenate(found) for name, found in parts.items()}

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
 from geokit.formats.body import Body, FileMaterial
@@ -138,7 +137,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
         _blame(data, path)
         raise
     for note in notes:
-        warn(f"{path}: {in_one_line(note, None)}")
+        warn(f"{path}: {note}")
     return points, {} if colors is None else {"rgb": colors}
 
 

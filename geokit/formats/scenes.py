@@ -20,7 +20,7 @@ from geokit.formats.attributes import gltf
 from geokit.formats.attributes.columns import utf8
 from geokit.formats.body import Body, FileMaterial
 from geokit.formats.references import LONGEST, require_inside
-from geokit.formats.scene_content.gltf import require_whole, understood
+from geokit.formats.scene_content.gltf import is_animated, require_whole, understood
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -41,6 +41,7 @@ def prepare() -> None:
 def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     """Read each mesh at each of its places in the scene graph; nothing is merged.
 
+    Skins and morph targets have the pose of the file's nodes and weights; animations are left out, with a note.
     Attributes are those of the file; materials have a name, a base color and its texture. Buffers and images in other
     files are read from the file's own folder and from ``folders``.
     """
@@ -86,6 +87,8 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         content = gltf.renamed(header, chunks, binary=kind == ".glb")
         materials, notes = gltf.materials_of(header, chunks, Folders().get)
         notes = tuple(note.replace(f"{path}: ", "") for note in notes)
+        if is_animated(header):
+            notes += ("its animations are left out: it is read as it stands without them",)
         source = {"file_obj": io.BytesIO(content), "file_type": kind[1:]}
     try:
         scene = trimesh.load_scene(**source, process=False, resolver=Folders())

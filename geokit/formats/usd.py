@@ -16,6 +16,7 @@ from geokit.errors import FileAccessError, FileFormatError, GeokitError
 from geokit.formats.body import Body
 from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
+from geokit.formats.scene_content.usd_times import is_animated, time_of, value_of
 
 if TYPE_CHECKING:
     from geokit.formats.scene_content.usd_materials import Bound, Materials
@@ -60,7 +61,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     folder, and from ``folders``.
     """
     require_package("pxr")
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
     from geokit.formats.scene_content.usd_materials import Materials
 
@@ -72,11 +73,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         is_shape = str(prim.GetTypeName()) in SHAPES
         # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
         columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
-        body = (
-            _shape(prim, columns, Usd.TimeCode.EarliestTime(), materials)
-            if is_shape
-            else _body(UsdGeom.Mesh(prim), columns, materials)
-        )
+        body = _shape(prim, columns, materials) if is_shape else _body(UsdGeom.Mesh(prim), columns, materials)
         if body is not None:
             bodies.append(body)
     if bodies and stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
@@ -103,13 +100,16 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
 
 
 def _left_out(stage: Any) -> list[str]:
-    """Notes on visible geometry that is no mesh."""
+    """Notes on visible geometry that is no mesh, and on what moves."""
     from pxr import UsdGeom
 
     kinds = {str(prim.GetTypeName()) for prim in visible(stage) if prim.IsA(UsdGeom.Gprim)}
     others = sorted(kinds - {"Mesh", "Volume", *SHAPES})
     said = ["its volumes are left out; geokit.volume.load reads them"] if "Volume" in kinds else []
-    return [*said, f"its prims of type {', '.join(others)} are left out"] if others else said
+    said += [f"its prims of type {', '.join(others)} are left out"] if others else []
+    if any(map(is_animated, visible(stage))):
+        said.append("its animations are left out: it is read at the default time, or at the first sample without one")
+    return said
 
 
 def open_stage(path: Path, folders: Sequence[Path]) -> Any:
@@ -238,11 +238,12 @@ def _hidden(imageable: Any) -> bool:
 
 
 def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple[Any, Any]]:
-    from pxr import Usd
-
-    time = Usd.TimeCode.Default()
-    if instancer.GetProtoIndicesAttr().Get(time) is None:
-        time = Usd.TimeCode.EarliestTime()
+    time = time_of(
+        instancer.GetProtoIndicesAttr(),
+        instancer.GetPositionsAttr(),
+        instancer.GetOrientationsAttr(),
+        instancer.GetScalesAttr(),
+    )
     indices = instancer.GetProtoIndicesAttr().Get(time)
     targets = instancer.GetPrototypesRel().GetForwardedTargets()
     if not indices or not targets:
@@ -271,30 +272,28 @@ def _instances(instancer: Any, transforms: Any, base: Any, path: Path) -> Iterat
         yield from _placed(prototype, transforms, above * placement * world, path)
 
 
-def _shape(prim: Any, matrix: list[list[float]], time: Any, materials: Materials) -> Body:
-    body = shape_body(prim, matrix, time)
+def _shape(prim: Any, matrix: list[list[float]], materials: Materials) -> Body:
+    body = shape_body(prim, matrix)
     bound = materials.of_faces(prim, len(body.counts))
-    _, polygon, _, notes = _primvars(prim, time, (0, len(body.counts), 0), bound)
+    _, polygon, _, notes = _primvars(prim, (0, len(body.counts), 0), bound)
     return body._replace(polygon_data=polygon, notes=notes)
 
 
 def _body(mesh: Any, matrix: list[list[float]], materials: Materials) -> Body | None:
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    points = mesh.GetPointsAttr().Get()
-    time = Usd.TimeCode.Default()
-    if points is None:
-        time = Usd.TimeCode.EarliestTime()
-        points = mesh.GetPointsAttr().Get(time)
-    counts = mesh.GetFaceVertexCountsAttr().Get(time)
-    indices = mesh.GetFaceVertexIndicesAttr().Get(time)
+    points = value_of(mesh.GetPointsAttr())
+    counts = value_of(mesh.GetFaceVertexCountsAttr())
+    indices = value_of(mesh.GetFaceVertexIndicesAttr())
     if not points:
         return None
     counts, indices = memoryview(counts or array("i")), memoryview(indices or array("i"))
     bound = materials.of_faces(mesh.GetPrim(), len(counts))
     sizes = len(points), len(counts), len(indices)
-    vertex, polygon, corner, notes = _primvars(mesh.GetPrim(), time, sizes, bound)
-    holes = mesh.GetHoleIndicesAttr().Get(time)
+    vertex, polygon, corner, notes = _primvars(mesh.GetPrim(), sizes, bound)
+    if any(mesh.GetPrim().HasAttribute(name) for name in ("primvars:skel:jointIndices", "skel:blendShapes")):
+        notes += ("its skinned meshes are read as they are stored, without their skeletons and blend shapes",)
+    holes = value_of(mesh.GetHoleIndicesAttr())
     if holes:
         counts, indices, polygon, corner = _without_holes(holes, counts, indices, polygon, corner)
     return Body(
@@ -331,13 +330,12 @@ def _without_holes(
 
 
 def _primvars(
-    prim: Any, time: Any, sizes: tuple[int, int, int], bound: Bound
+    prim: Any, sizes: tuple[int, int, int], bound: Bound
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], tuple[str, ...]]:
     """Normals, primvars and materials of vertices, polygons and corners, and notes on those that do not fit.
 
     Args:
         prim: A mesh or a shape.
-        time: When it is read.
         sizes: Numbers of vertices, polygons and corners.
         bound: Its materials.
     """
@@ -348,7 +346,7 @@ def _primvars(
     rows = {} if bound.rows is None else {"material": bound.rows}
     notes: list[str] = []
     mesh = UsdGeom.Mesh(prim)
-    normals = mesh.GetNormalsAttr().Get(time) if mesh else None
+    normals = value_of(mesh.GetNormalsAttr()) if mesh else None
     primvars = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
     if not normals and not primvars:
         return {}, rows, {}, ()
@@ -392,7 +390,7 @@ def _primvars(
         if mapped and label == mapped[0].GetPrimvarName():
             is_uv = primvar == mapped[0] or str(primvar.GetTypeName()).startswith("texCoord2")
             name = "uv" if is_uv else name
-        values = primvar.ComputeFlattened(time)
+        values = primvar.ComputeFlattened(time_of(*filter(None, (primvar.GetAttr(), primvar.GetIndicesAttr()))))
         if values is not None:
             add(name, primvar.GetInterpolation(), values)
     for data in found:

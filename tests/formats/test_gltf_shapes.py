@@ -200,6 +200,29 @@ class TestMorphTargets:
         np.testing.assert_array_equal(mesh.vertices, BOX.vertices)
         np.testing.assert_allclose(mesh.vertex_data["normal"], np.tile([0.5**0.5, 0.0, 0.5**0.5], (8, 1)), atol=1e-6)
 
+    def test_other_attributes_move_too(self, scene: Scene, tmp_path: Path) -> None:
+        """Texture coordinates under the name that the file gives them, colors within their range, and tangents."""
+        texture = {"index": 0, "texCoord": 1}
+        scene.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
+        scene.tree["textures"], scene.tree["images"] = [{"source": 0}], [{"uri": "data:;base64," + PNG_TEXT}]
+        given = {
+            "POSITION": BOX.vertices, "TEXCOORD_0": np.full((8, 2), 0.5), "TEXCOORD_1": np.full((8, 2), 0.25),
+            "COLOR_0": np.tile([0.5, 0.5, 0.0, 1.0], (8, 1)), "TANGENT": np.tile([1.0, 0, 0, -1.0], (8, 1)),
+        }  # fmt: skip
+        move = {
+            "TEXCOORD_1": np.tile([0.5, 0.0], (8, 1)), "COLOR_0": np.tile([0.25, 9.0, 0, 0], (8, 1)),
+            "TANGENT": np.tile([0.0, 1.0, 0.0], (8, 1)),
+        }  # fmt: skip
+        attributes, target = ({name: scene.accessor(rows) for name, rows in part.items()} for part in (given, move))
+        faces = scene.accessor(BOX.faces.ravel(), "u2")
+        scene.mesh(attributes=attributes, indices=faces, targets=[target], material=0)
+        scene.tree["meshes"][0]["weights"] = [1.0]
+        mesh = scene.load(tmp_path)
+        # Rows of images go down there.
+        np.testing.assert_allclose(mesh.vertex_data["uv"], np.tile([0.75, 0.75], (8, 1)))
+        np.testing.assert_allclose(mesh.vertex_data["color"], np.tile([0.75, 1.0, 0.0, 1.0], (8, 1)))
+        np.testing.assert_allclose(mesh.vertex_data["TANGENT"], np.tile([1.0, 1.0, 0.0, -1.0], (8, 1)))
+
     def test_no_weights_are_zeros(self, scene: Scene, moves: np.ndarray, tmp_path: Path) -> None:
         scene.box(targets=[{"POSITION": scene.accessor(move)} for move in moves])
         np.testing.assert_array_equal(scene.load(tmp_path).vertices, BOX.vertices)
@@ -241,6 +264,33 @@ class TestSkins:
         mesh = scene.load(tmp_path)
         np.testing.assert_allclose(mesh.vertices, expected, atol=2e-6)
         assert not [name for name in mesh.vertex_data if "JOINT" in name.upper() or "WEIGHT" in name.upper()]
+
+    def test_move_only_what_has_joints(self, scene: Scene, tmp_path: Path) -> None:
+        """A primitive without joints stands at its node, vertices whose weights are 0 stand in the world."""
+        points, faces = scene.accessor(BOX.vertices), scene.accessor(BOX.faces.ravel(), "u2")
+        weights = np.tile([1.0, 0, 0, 0], (8, 1))
+        weights[0] = 0.0
+        joints = {"JOINTS_0": scene.accessor(np.zeros((8, 4)), "u1"), "WEIGHTS_0": scene.accessor(weights)}
+        scene.mesh(attributes={"POSITION": points, **joints}, indices=faces)
+        scene.tree["meshes"][0]["primitives"].append({"attributes": {"POSITION": points}, "indices": faces})
+        # A quarter turn, rounded.
+        bone = {"translation": [0.0, 0.0, 50.0], "rotation": [0.0, 0.0, 0.7, 0.7]}
+        scene.tree["nodes"] = [{"mesh": 0, "skin": 0, "translation": [10.0, 0, 0]}, bone]
+        scene.tree["scenes"][0]["nodes"] = [0, 1]
+        scene.tree["skins"] = [{"joints": [1]}]
+        moved = placed(BOX.vertices, matrix(np.pi / 2, [0.0, 0.0, 50.0]))
+        moved[0] = BOX.vertices[0]
+        expected = bodies([BOX.vertices + np.array([10.0, 0, 0]), moved])
+        np.testing.assert_allclose(bodies(scene.load(tmp_path)), expected, atol=1e-5)
+
+    def test_with_too_few_bind_matrices_are_refused(self, scene: Scene, tmp_path: Path) -> None:
+        joints = {"JOINTS_0": scene.accessor(np.zeros((8, 4)), "u1"), "WEIGHTS_0": scene.accessor(np.ones((8, 4)))}
+        scene.box()
+        scene.tree["meshes"][0]["primitives"][0]["attributes"].update(joints)
+        scene.tree["nodes"] = [{"mesh": 0, "skin": 0}, {}, {}]
+        scene.tree["skins"] = [{"joints": [1, 2], "inverseBindMatrices": scene.accessor([columns(np.eye(4))])}]
+        with pytest.raises(gk.FileFormatError, match="1 inverse bind matrices for 2 joints"):
+            scene.load(tmp_path)
 
     def test_in_the_bind_pose_are_the_mesh(self, scene: Scene, tmp_path: Path) -> None:
         """Far from the origin: positions are kept relative to the joints."""
@@ -311,6 +361,37 @@ class TestInstances:
         turn = scene.accessor([[0, 0, 32767, 0]], "i2", normalized=True)
         scene.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {"ROTATION": turn}}}
         np.testing.assert_allclose(scene.load(tmp_path).vertices, BOX.vertices * [-1, -1, 1], atol=1e-6)
+
+    def test_that_mirror_keep_their_outside(self, scene: Scene, tmp_path: Path) -> None:
+        """Below a node that mirrors too, with turns of bytes, sparse places without a buffer, and a morphed mesh."""
+        normals = BOX.vertices / np.linalg.norm(BOX.vertices, axis=1, keepdims=True)
+        attributes = {"POSITION": scene.accessor(BOX.vertices), "NORMAL": scene.accessor(normals)}
+        # Twice as long along x.
+        target = {"POSITION": scene.accessor(BOX.vertices * [1, 0, 0])}
+        scene.mesh(attributes=attributes, indices=scene.accessor(BOX.faces.ravel(), "u2"), targets=[target])
+        scene.tree["meshes"][0]["weights"] = [1.0]
+        instances = {
+            "ROTATION": scene.accessor([[0, 0, 90, 90], [0, 0, 127, 0], [90, 0, 0, 90]], "i1", normalized=True),
+            "SCALE": scene.accessor([[1, 1, -1], [-2, -1, -1], [1, 1, 1]]),
+            "TRANSLATION": scene.sparse(3, [1, 2], [[10, 0, 0], [20, 0, 0]]),
+        }
+        scene.tree["nodes"][0]["scale"] = [1, -3, 1]
+        scene.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": instances}}
+        mesh = scene.load(tmp_path)
+        assert mesh.volume == pytest.approx(12.0 * 3 * (1 + 2 + 1))
+        middles = np.repeat(mesh.vertices.reshape(3, 8, 3).mean(axis=1), 8, axis=0)
+        np.testing.assert_allclose(np.sort(middles[::8, 0]), [0, 10, 20], atol=1e-6)
+        outward = mesh.vertices - middles
+        assert (np.einsum("ij,ij->i", outward, mesh.vertex_data["normal"]) > 0).all()
+
+    def test_without_places_are_as_many_as_their_numbers(self, scene: Scene, tmp_path: Path) -> None:
+        scene.box()
+        attributes = {"_ID": scene.accessor([4, 5], "u2")}
+        scene.tree["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+        np.testing.assert_array_equal(scene.load(tmp_path).vertices, np.tile(BOX.vertices, (2, 1)))
+        attributes["SCALE"] = scene.accessor(np.ones((3, 3)))
+        with pytest.raises(gk.FileFormatError, match="attributes of 2 and 3 instances of one node"):
+            scene.load(tmp_path)
 
     def test_of_a_skin_are_refused(self, scene: Scene, tmp_path: Path) -> None:
         scene.box()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.formats.text_files.decimal import SMALLEST
 
 pytestmark = pytest.mark.slow
 
@@ -230,6 +231,36 @@ def test_groups_of_some_entities_and_steps_of_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.corner_data["c"], np.array(ELEMENTS)[:, None] + [0.25, 0.5, 0.75])
 
 
+def test_names_of_groups_are_those_of_parts(tmp_path: Path) -> None:
+    mesh = loaded(tmp_path / "a.msh", gmsh("4.1").replace("$Nodes", f"{ENTITIES.replace('2 4 9 0', '1 9 0')}$Nodes", 1))
+    assert [(part.name, part.first_face, part.face_count) for part in mesh.parts] == [("roof", 0, 5), ("", 5, 7)]
+    # In version 2 elements have their groups, and a name may have any signs.
+    names = '$PhysicalNames\n3\n1 7 "edge"\n2 7 "top \xe4 side"\n2 8 ""\n$EndPhysicalNames\n'
+    text = gmsh("2.2").replace(" 2 2 1 1 ", " 2 2 7 1 ", 5).replace(" 2 2 1 1 ", " 2 2 8 1 ")
+    mesh = loaded(tmp_path / "a.msh", text.replace("$Nodes", f"{names}$Nodes", 1))
+    assert [(part.name, part.face_count) for part in mesh.parts] == [("top \xe4 side", 5), ("8", 7)]
+    assert mesh.face_data["physical"].tolist() == [7] * 5 + [8] * 7
+    # One group is the whole mesh.
+    assert not loaded(tmp_path / "a.msh", gmsh("2.2").replace("$Nodes", f"{names}$Nodes", 1)).parts
+    (tmp_path / "a.msh").write_text(text.replace("$Nodes", f"{names.replace('2 7', 'two 7')}$Nodes", 1))
+    with pytest.raises(gk.FileFormatError, match="where the name of a group belongs"):
+        gk.mesh.load(tmp_path / "a.msh")
+
+
+def test_names_of_groups_whose_faces_alternate_are_told(tmp_path: Path) -> None:
+    many = 1200
+    cells = "".join(f"{row + 1} 2 2 {1 + row % 2} 1 10 3 77\n" for row in range(many))
+    nodes = gmsh("2.2").partition("$Elements")[0]
+    names = '$PhysicalNames\n2\n2 1 "a"\n2 2 "b"\n$EndPhysicalNames\n'
+    (tmp_path / "a.msh").write_text(
+        nodes.replace("$Nodes", f"{names}$Nodes", 1) + f"$Elements\n{many}\n{cells}$EndElements\n"
+    )
+    with pytest.warns(UserWarning, match="groups are left out, for their faces alternate: 1 'a', 2 'b'"):
+        mesh = gk.mesh.load(tmp_path / "a.msh")
+    assert not mesh.parts
+    assert mesh.face_data["physical"][:3].tolist() == [1, 2, 1]
+
+
 def test_groups_of_partitions(tmp_path: Path) -> None:
     parts = "$PartitionedEntities\n2\n0\n0 0 2 0\n1 2 5 1 1 0 0 0 1 1 1 1 4 0\n2 2 5 1 2 0 0 0 1 1 1 1 4 0\n"
     mesh = loaded(tmp_path / "a.msh", gmsh("4.1").replace("$Nodes", f"{parts}$EndPartitionedEntities\n$Nodes", 1))
@@ -268,6 +299,61 @@ def test_gmsh_files_that_are_not_read_are_refused_by_name(tmp_path: Path, text: 
     (tmp_path / "a.msh").write_text(text)
     with pytest.raises(gk.FileFormatError, match=message):
         gk.mesh.load(tmp_path / "a.msh")
+
+
+def long_text(version: str, side: int, first: int) -> tuple[str, np.ndarray, np.ndarray]:
+    """A grid of triangles whose tags are in no order and begin with ``first``, its positions and its faces."""
+    random = np.random.default_rng(9)
+    places = random.normal(size=(side * side, 3)) * 10.0 ** random.integers(-9, 9, (side * side, 1))
+    tags = first + random.permutation(side * side)
+    at = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate([np.stack([at, at + 1, at + side], 1), np.stack([at + 1, at + side + 1, at + side], 1)])
+    corners, count = tags[faces].tolist(), len(places)
+    if version == "2.2":
+        nodes = f"{count}\n" + lines([[tag, *place] for tag, place in zip(tags.tolist(), places.tolist(), strict=True)])
+        cells = f"{len(faces)}\n" + lines([[row + 1, 2, 2, 3, 1, *face] for row, face in enumerate(corners)])
+    else:
+        nodes = f"1 {count} 1 {count}\n2 1 0 {count}\n" + lines([[tag] for tag in tags.tolist()])
+        nodes += lines(places.tolist())
+        cells = f"1 {len(faces)} 1 9\n2 1 2 {len(faces)}\n" + lines(
+            [[row + 1, *face] for row, face in enumerate(corners)]
+        )
+    text = f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n$Nodes\n{nodes}$EndNodes\n$Elements\n{cells}$EndElements\n"
+    return text, places, faces
+
+
+@pytest.mark.parametrize(("version", "first"), [("2.2", 1), ("4.1", 1), ("4.1", (1 << 53) + 1)])
+def test_long_text_is_read_as_short_text_is(tmp_path: Path, version: str, first: int) -> None:
+    """By the parser of plain numbers, but for tags that float64 does not hold."""
+    text, places, faces = long_text(version, 30, first)
+    assert len(text) > 4 * SMALLEST
+    for end in ("\n", "\r\n", " \t\n"):
+        (tmp_path / "a.msh").write_bytes(text.replace("\n", end).encode())
+        mesh = gk.mesh.load(tmp_path / "a.msh", trusted=True)
+        np.testing.assert_array_equal(mesh.vertices, places)
+        np.testing.assert_array_equal(mesh.faces, faces)
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+@pytest.mark.parametrize(
+    ("section", "word", "message"),
+    [
+        ("Nodes", "x1", "has words among its numbers"),
+        ("Elements", "x1", "has words among its numbers"),
+        ("Elements", "1,5", "has words among its numbers"),
+        ("Elements", "1.5", "has words among its numbers|is not whole"),
+        ("Elements", "nan", "has words among its numbers|is not whole"),
+        ("Elements", "", "ends within"),
+    ],
+)
+def test_damage_in_long_text_is_named(tmp_path: Path, version: str, section: str, word: str, message: str) -> None:
+    head, found, rest = long_text(version, 30, 1)[0].partition(f"${section}\n")
+    body, end, tail = rest.partition(f"$End{section}")
+    rows = body.split("\n")
+    rows[-2] = " ".join([*rows[-2].split()[:-1], word])
+    (tmp_path / "a.msh").write_text(head + found + "\n".join(rows) + end + tail)
+    with pytest.raises(gk.FileFormatError, match=rf"a\.msh: .*({message})"):
+        gk.mesh.load(tmp_path / "a.msh", trusted=True)
 
 
 # --- XDMF -------------------------------------------------------------------------------------------------------------

@@ -576,7 +576,9 @@ def test_usd_with_time_samples_only(tmp_path):
     move.Set((1, 0, 0), 3.0)
     move.Set((9, 0, 0), 4.0)
     stage.GetRootLayer().Export(str(tmp_path / "moving.usdc"))
-    np.testing.assert_array_equal(gk.mesh.load(tmp_path / "moving.usdc").vertices, MESH.vertices + np.array([1, 0, 0]))
+    with pytest.warns(UserWarning, match="its animations are left out"):
+        mesh = gk.mesh.load(tmp_path / "moving.usdc")
+    np.testing.assert_array_equal(mesh.vertices, MESH.vertices + np.array([1, 0, 0]))
 
 
 @pytest.mark.slow

@@ -36,6 +36,67 @@ def test_scans_are_joined_at_their_poses(tmp_path):
     np.testing.assert_allclose(cloud.data["intensity"], np.tile(np.arange(20) * 1e-4, 2), rtol=0, atol=1e-15)
 
 
+def rows(count, *names):
+    """Columns of as many rows: AXES, and others that count."""
+    return {
+        **{name: values[:count] for name, values in AXES.items()},
+        **{name: np.arange(count) * 1.0 for name in names},
+    }
+
+
+def test_scans_without_points_lack_nothing(tmp_path):
+    pytest.importorskip("pye57")
+    path = tmp_path / "a.e57"
+    write_e57(path, [rows(0)])
+    assert gk.points.load(path).points.shape == (0, 3)
+    write_e57(path, [rows(0), rows(2, "time"), rows(1, "time")])
+    cloud = gk.points.load(path)
+    np.testing.assert_array_equal(cloud.points, XYZ[[0, 1, 0]])
+    assert cloud.data["time"].tolist() == [0.0, 1.0, 0.0]
+    assert cloud.data["scan"].tolist() == [1, 1, 2]
+
+
+def test_names_of_several_scans_are_told(tmp_path):
+    pytest.importorskip("pye57")
+    path = tmp_path / "a.e57"
+    write_e57(path, [rows(1), rows(1)], names=["hall", "roof\n2"])
+    with pytest.warns(UserWarning, match=r"names of its scans are left out.*'scan': 0 'hall', 1 'roof\\n2'"):
+        gk.points.load(path)
+    write_e57(path, [rows(1)], names=["hall"])
+    assert not gk.points.load(path).data
+
+
+def test_angles_states_and_numbers_of_all_widths(tmp_path):
+    libe57 = pytest.importorskip("pye57").libe57
+    path = tmp_path / "a.e57"
+    # Twice as long as a unit quaternion, a half turn about z.
+    pose = ([0, 0, 0, 2], [1, 1, 1])
+    names = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+    echoes = dict(zip(names, np.array([[2.0, 3.0], [np.pi / 2, 0.0], [0.0, 0.0]]), strict=True))
+    write_e57(path, [{**echoes, "sphericalInvalidState": np.array([0, 1], np.uint8)}], poses=[pose])
+    np.testing.assert_allclose(gk.points.load(path).points, [[1.0, -1.0, 1.0]], atol=1e-15)
+
+    ends = np.array([-(2**63), 2**63 - 1])
+    scaled = {name: np.array([100.5, 99.5]) for name in AXES}
+    nodes = {name: lambda file: libe57.ScaledIntegerNode(file, 0, -1000, 1000, 0.5, 100.0) for name in AXES}
+    nodes["flag"] = lambda file: libe57.IntegerNode(file, 0, 0, 1)
+    nodes["wide"] = lambda file: libe57.IntegerNode(file, 0, -(2**63), 2**63 - 1)
+    nodes["same"] = lambda file: libe57.IntegerNode(file, 7, 7, 7)
+    more = {"flag": np.array([0, 1]), "wide": ends, "same": np.array([7, 7])}
+    write_e57(path, [{**scaled, **more}], nodes=nodes)
+    cloud = gk.points.load(path)
+    np.testing.assert_array_equal(cloud.points, [[100.5] * 3, [99.5] * 3])
+    for name, values in more.items():
+        np.testing.assert_array_equal(cloud.data[name], values)
+
+
+def test_a_scan_of_colors_only_is_refused_by_name(tmp_path):
+    pytest.importorskip("pye57")
+    write_e57(tmp_path / "a.e57", [{"colorRed": np.array([1], np.uint8)}])
+    with pytest.raises(gk.FileFormatError, match="a scan has no coordinates; its columns are colorRed"):
+        gk.points.load(tmp_path / "a.e57")
+
+
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.int64])
 def test_whole_numbers_of_each_size(tmp_path, kind):
     pytest.importorskip("pye57")

@@ -74,3 +74,9 @@ def test_geokit_warns_in_no_other_way() -> None:
         path.name for path in package.rglob("*.py") if re.search(r"warnings\.warn(_explicit)?\(", path.read_text())
     ]
     assert direct == ["_warn.py"]
+
+
+def test_what_files_say_is_one_line_that_prints() -> None:
+    with pytest.warns(UserWarning, match="left out") as said:
+        warn("a.obj: 'wall\x1b[2J\r\n  roof \udce9 é' is left out\n")
+    assert str(said[0].message) == r"a.obj: 'wall\x1b[2J roof \udce9 é' is left out"

@@ -182,6 +182,8 @@ def write_e57(
     poses: Sequence[Any] | None = None,
     limits: Sequence[tuple[float, float] | None] | None = None,
     images: int = 0,
+    names: Sequence[str] = (),
+    nodes: dict[str, Any] | None = None,
 ) -> None:
     """Scans with float64 coordinates, scaled integers for "intensity", and integers for everything else.
 
@@ -191,6 +193,8 @@ def write_e57(
         poses: Quaternion (w, x, y, z) and translation of each scan; None writes no poses.
         limits: Limits of the colors of each scan; None writes none.
         images: Number of images, which are empty.
+        names: Names of the first scans.
+        nodes: What makes the nodes of some columns from the file.
     """
     import pye57
     from pye57 import libe57
@@ -201,6 +205,8 @@ def write_e57(
     for number, columns in enumerate(scans):
         scan = libe57.StructureNode(file)
         scan.set("guid", libe57.StringNode(file, f"scan {number}"))
+        if number < len(names):
+            scan.set("name", libe57.StringNode(file, names[number]))
         if poses is not None:
             pose = libe57.StructureNode(file)
             for name, parts, values in zip(("rotation", "translation"), ("wxyz", "xyz"), poses[number], strict=True):
@@ -218,7 +224,9 @@ def write_e57(
             scan.set("colorLimits", ends)
         prototype = libe57.StructureNode(file)
         for name, values in columns.items():
-            if values.dtype.kind == "f" and name == "intensity":
+            if nodes and name in nodes:
+                node = nodes[name](file)
+            elif values.dtype.kind == "f" and name == "intensity":
                 node = libe57.ScaledIntegerNode(file, 0, 0, 2**16 - 1, 1e-4, 0.0)
             elif values.dtype.kind == "f":
                 node = libe57.FloatNode(file, 0.0, libe57.E57_DOUBLE)
@@ -228,6 +236,8 @@ def write_e57(
         points = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
         scan.set("points", points)
         whole.data3d.append(scan)
+        if not len(next(iter(columns.values()))):
+            continue
         buffers = libe57.VectorSourceDestBuffer()
         # It knows wide integers as C's long long only.
         wide = {np.dtype(kind): np.longlong for kind in (np.int32, np.int64)}

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.files import in_one_line
 from geokit.formats.body import Body, FileMaterial
 from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
 from geokit.mesh.attributes.derived import turned_normals
@@ -70,7 +69,7 @@ class JoinedData:
         if self._notes:
             said = list(self._notes)[:MOST_NOTES]
             more = [f"and {len(self._notes) - MOST_NOTES} more"] if len(self._notes) > MOST_NOTES else []
-            warn(f"{path}: {in_one_line('; '.join([*said, *more]), None)}")
+            warn(f"{path}: {'; '.join([*said, *more])}")
         return {name: value for name, value in found.items() if value}
 
     def _material(self, given: FileMaterial) -> Material:

@@ -23,6 +23,7 @@ __all__ = ["prepare", "read_mesh"]
 # Elements without which the geometry is whole.
 _VIEWS = ("library_animations", "library_animation_clips", "library_cameras", "library_lights", "instance_camera",
           "instance_light")  # fmt: skip
+_MOVING = "its animations are left out: it is read as it stands without them"
 _LOOKS = ("library_effects", "library_images", "library_materials", "bind_material")
 
 
@@ -47,6 +48,9 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         document = _opened(path, notes)
+    # The element of a channel, not the library: this may be empty.
+    if document.xmlnode.find(f".//{document.tag('channel')}") is not None:
+        notes[_MOVING] = None
     for error in map(str, document.errors):
         if error.endswith("}skew"):
             raise FileFormatError(f"{path}: has a node that is skewed, which is not read; export it with matrices")
@@ -104,6 +108,8 @@ def _opened(path: Path, notes: dict[str, None]) -> Any:
         for parent in list(tree.iter()):
             for child in list(parent):
                 if child.tag.rpartition("}")[2] in left_out:
+                    if child.find(".//{*}channel") is not None:
+                        notes[_MOVING] = None
                     parent.remove(child)
         try:
             document = Collada(io.BytesIO(ElementTree.tostring(tree, "utf-8")), ignore=[DaeUnsupportedError])

@@ -75,6 +75,8 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     lost = [mesh for mesh in _items(scene.meshes) if mesh.element_id not in placed]
     if lost:
         notes[f"{len(lost)} of its meshes belong to no node and are left out"] = None
+    if len(_keep(scene.anim_curves)):
+        notes["its animations are left out: it is read as it stands without them"] = None
     settings = _keep(scene.settings)
     up = _keep(settings.axes).up.name
     bodies[0] = bodies[0]._replace(

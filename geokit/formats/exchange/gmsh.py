@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import from_columns
 from geokit.formats.body import Body
+from geokit.formats.text_files.decimal import plain_rows
 
 __all__ = ["is_gmsh", "read_gmsh"]
 
@@ -32,8 +33,14 @@ _TYPES = {
     93: (125, 3, "hexahedron125"),
 }  # fmt: skip
 _CORNERS = {2: 3, 3: 4}
+# What separates words, as one number on each line, which the fast parser takes; commas separate none here.
+_ON_LINES, _COMMAS = bytes.maketrans(b" \t\r\v\f", b"\n" * 5), re.compile(rb"[,;]")
+# Larger integers are no float64.
+_LARGEST_EXACT = 1 << 53
 # Rows of text that are first compared with the one before; longer words are no numbers.
 _FEWEST_ALIKE, _LONGEST_WORD = 64, 64
+# Parts of a mesh that has its groups in turns say nothing; names in a message.
+_MOST_RUNS, _SHOWN = 1000, 10
 
 
 class _Layout(NamedTuple):
@@ -75,11 +82,15 @@ def is_gmsh(path: Path) -> bool:
 
 
 def read_gmsh(path: Path) -> list[Body]:
-    """Triangles and quads, with the arrays of nodes, elements and corners and the physical groups as ``physical``."""
+    """Triangles and quads, with the arrays of nodes, elements and corners and the physical groups as ``physical``.
+
+    Faces of named groups that stand together are groups of the body too.
+    """
     content = _Content(path)
     nodes: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
     elements: _Elements | None = None
     groups: dict[tuple[int, int], NDArray[np.int64]] = {}
+    names: dict[int, str] = {}
     arrays: dict[tuple[str, str], list[_Array]] = {}
     unread: dict[str, None] = {}
     while name := content.next_section():
@@ -87,6 +98,8 @@ def read_gmsh(path: Path) -> list[Body]:
             nodes = _nodes(content, name == "ParametricNodes")
         elif name == "Elements":
             elements = _elements(content)
+        elif name == "PhysicalNames":
+            names = _names(content)
         elif name in ("Entities", "PartitionedEntities"):
             groups.update(_groups(content, name == "PartitionedEntities"))
         elif name in ("NodeData", "ElementData", "ElementNodeData"):
@@ -97,7 +110,7 @@ def read_gmsh(path: Path) -> list[Body]:
         content.end_section(name)
     if nodes is None or elements is None:
         raise FileFormatError(f"{path}: has no section {'Elements' if nodes else 'Nodes'}; get a whole copy")
-    return [_body(path, *nodes, elements, groups, arrays, list(unread))]
+    return [_body(path, *nodes, elements, groups, names, arrays, list(unread))]
 
 
 # --- The text and the numbers -----------------------------------------------------------------------------------------
@@ -109,6 +122,8 @@ class _Content:
     def __init__(self, path: Path) -> None:
         self.path, self.data, self.at = path, path.read_bytes(), 0
         self.is_text, self.order, self.word_at = True, "<", 0
+        # Those of the rest of a section of text: as numbers if all are plain, else as words.
+        self.plain: NDArray[np.float64] | None = None
         self.words: list[bytes] = []
         first = self.next_section()
         while first and first != "MeshFormat":
@@ -158,14 +173,14 @@ class _Content:
             if self.data[self.at :].strip():
                 raise self.damaged(f"has {self.data[self.at :].strip()[:20]!r} where a section begins")
             return ""
-        self.at, self.words = found.end(), []
+        self.at, self.words, self.plain = found.end(), [], None
         return found[1].decode()
 
     def end_section(self, name: str) -> None:
         end = re.compile(rb"\$(End|END)%s[ \t\r]*(\n|\Z)" % name.encode()).search(self.data, self.at)
         if end is None:
             raise self.damaged(f"ends within its section {name}")
-        self.at, self.words = end.end(), []
+        self.at, self.words, self.plain = end.end(), [], None
 
     def numbers(self, kind: str, count: int) -> NDArray[Any]:
         """The next numbers, as int64 or float64."""
@@ -173,13 +188,17 @@ class _Content:
         if count < 0:
             raise self.damaged(f"has a count of {count}")
         if self.is_text:
-            if not self.words:
-                self.words, self.word_at = self._rest().split(), 0
-            found = self.words[self.word_at : self.word_at + count]
+            if self.plain is None and not self.words:
+                self._split()
+            place = slice(self.word_at, self.word_at + count)
+            values = None if self.plain is None else _as_kind(self.plain[place], wide)
+            if values is None:
+                self.words, self.plain = self.words or self._rest().split(), None
+                values = self._parsed(self.words[place], wide)
             self.word_at += count
-            if len(found) < count:
+            if len(values) < count:
                 raise self.damaged("ends within a section")
-            return self._parsed(found, wide)
+            return values
         dtype = np.dtype(self.order + self.kinds[kind])
         if count * dtype.itemsize > len(self.data) - self.at:
             raise self.damaged("ends within a section")
@@ -189,7 +208,17 @@ class _Content:
 
     def all_integers(self) -> NDArray[np.int64]:
         """Those of the rest of a section of text."""
-        return self._parsed(self._rest().split(), np.int64)
+        self._split()
+        found = None if self.plain is None else _as_kind(self.plain, np.int64)
+        return self._parsed(self.words or self._rest().split(), np.int64) if found is None else found
+
+    def _split(self) -> None:
+        rest = self._rest()
+        # With a comma, one line would hold several.
+        lines = b"" if _COMMAS.search(rest) else rest.translate(_ON_LINES)
+        table = plain_rows(lines, 0, len(lines))
+        self.plain = None if table is None else table.ravel()
+        self.words, self.word_at = [] if table is not None else rest.split(), 0
 
     def _rest(self) -> bytes:
         end = self.data.find(b"$End", self.at)
@@ -215,7 +244,10 @@ class _Content:
             words, at, found = self.numbers("f8", count * width).reshape(count, width), 0, []
             for kind, number in columns:
                 part = words[:, at : at + number]
-                found.append(part if kind == "f8" else part.astype(np.int64))
+                values = _as_kind(part, np.float64 if kind == "f8" else np.int64)
+                if values is None:
+                    raise self.damaged("has a number that is not whole, or is too large, where a tag belongs")
+                found.append(values)
                 at += number
             return found
         record = np.dtype(
@@ -229,6 +261,16 @@ class _Content:
             table[str(place)].astype(np.float64 if kind == "f8" else np.int64)
             for place, (kind, _) in enumerate(columns)
         ]
+
+
+def _as_kind(values: NDArray[np.float64], wide: Any) -> NDArray[Any] | None:
+    """Numbers as integers, if that is the type; None if they are none, or none that float64 holds exactly."""
+    if wide is np.float64:
+        return values
+    with np.errstate(invalid="ignore"):
+        whole = values.astype(np.int64)
+    is_exact = bool(((whole == values) & (np.abs(values) < _LARGEST_EXACT)).all())
+    return whole if is_exact else None
 
 
 # --- Sections ---------------------------------------------------------------------------------------------------------
@@ -375,6 +417,19 @@ def _groups(content: _Content, partitioned: bool) -> dict[tuple[int, int], NDArr
     return found
 
 
+def _names(content: _Content) -> dict[int, str]:
+    """Names of the physical groups of surfaces, which are text in binary files too."""
+    found = {}
+    for _ in range(content.integer()):
+        line = content.line()
+        match = re.match(rb"(\d+)\s+(-?\d+)\s+(.*)", line)
+        if match is None:
+            raise content.damaged(f"has {line[:40]!r} where the name of a group belongs")
+        if int(match[1]) == 2:
+            found[int(match[2])] = match[3].decode("utf-8", "replace").strip().strip('"')
+    return found
+
+
 class _Array(NamedTuple):
     """A section of data: tags, and a row for each; of corners a row for each node of each of the tags."""
 
@@ -418,6 +473,7 @@ def _body(
     places: NDArray[np.float64],
     elements: _Elements,
     groups: dict[tuple[int, int], NDArray[np.int64]],
+    names: dict[int, str],
     arrays: dict[tuple[str, str], list[_Array]],
     unread: list[str],
 ) -> Body:
@@ -449,6 +505,8 @@ def _body(
         several = np.repeat([len(found) > 1 for found in of_entities], counts)[faces].sum()
         if several:
             notes.append(f"{several} faces are of several physical groups, and the first is kept")
+    parts_of, said = _runs(physical[faces], names)
+    notes += said
     starts = np.concatenate([[0], np.cumsum(sizes)])
     tags = np.concatenate([np.empty(0, np.int64), *(rows.ravel() for rows in elements.nodes)])
     widths = sizes[faces]
@@ -492,8 +550,32 @@ def _body(
             notes.append(f"the array {name!r} is left out: it has no values on the surface")
     vertex, polygon, corner = (from_columns(found) for found in data.values())
     return Body(
-        places, widths, indices, vertex_data=vertex, polygon_data=polygon, corner_data=corner, notes=tuple(notes)
+        places,
+        widths,
+        indices,
+        groups=parts_of,
+        vertex_data=vertex,
+        polygon_data=polygon,
+        corner_data=corner,
+        notes=tuple(notes),
     )
+
+
+def _runs(physical: NDArray[np.int64], names: dict[int, str]) -> tuple[tuple[tuple[str, int, int], ...], list[str]]:
+    """(name, first, count) of faces of one group that stand together, and a note where the names are left out."""
+    if not any(names.get(number) for number in np.unique(physical).tolist()):
+        return (), []
+    first = np.flatnonzero(np.diff(physical, prepend=physical[0] - 1))
+    if len(first) == 1:
+        return (), []
+    if len(first) > _MOST_RUNS:
+        listed = ", ".join(f"{number} {name!r}" for number, name in sorted(names.items())[:_SHOWN])
+        return (), [f"the names of its physical groups are left out, for their faces alternate: {listed}"]
+    counts = np.diff(first, append=len(physical)).tolist()
+    numbers = physical[first].tolist()
+    # Faces of no group are a part without a name.
+    labels = [names.get(number) or (str(number) if number else "") for number in numbers]
+    return tuple(zip(labels, first.tolist(), counts, strict=True)), []
 
 
 class _Tags:

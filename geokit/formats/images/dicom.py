@@ -3,7 +3,7 @@
 Lengths are in mm, the world in LPS: x to the left, y to the back, z up.
 
 Slices are sorted by their positions, which need to be evenly spaced. Values are rescaled as the files say (Hounsfield
-units). Pixels need to be uncompressed.
+units), also where these are shown inverted (MONOCHROME1). Pixels need to be uncompressed, and to be no indices.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ _TAGS = [
     "SeriesInstanceUID", "SeriesDescription", "InstanceNumber", "Rows", "Columns", "SamplesPerPixel", "BitsAllocated",
     "BitsStored", "PixelRepresentation", "NumberOfFrames", "PixelSpacing", "ImageOrientationPatient",
     "ImagePositionPatient", "SliceThickness", "RescaleSlope", "RescaleIntercept", "PixelPaddingValue",
-    "PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence",
+    "PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "PhotometricInterpretation",
+    "ModalityLUTSequence",
 ]  # fmt: skip
 
 
@@ -93,6 +94,12 @@ def _slices(header: Any, file: Path, path: Path) -> Iterator[_Slice]:
                 return item[name].value
         return header.get(name)
 
+    if header.get("ModalityLUTSequence"):
+        raise FileFormatError(
+            f"{path}: {file.name} has values by a table (Modality LUT), which is not read; apply that"
+        )
+    if header.get("PhotometricInterpretation") == "PALETTE COLOR":
+        raise FileFormatError(f"{path}: {file.name} has colors by a palette, which is not read; convert it to RGB")
     bits, signed = int(header.BitsAllocated), int(header.get("PixelRepresentation", 0))
     if bits not in (8, 16, 32):
         raise FileFormatError(f"{path}: {file.name} has {bits} bits for a pixel; geokit reads 8, 16 and 32")

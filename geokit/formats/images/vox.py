@@ -1,7 +1,8 @@
 """MagicaVoxel's models (.vox): colors of voxels (rgba8), by a reader of geokit's own. z points up, voxels are 1 long.
 
-Every model is a grid, at the place that the scene gives it; turned or repeated models are refused. Voxel (0, 0, 0) of a
-file without a scene fills the unit cube at the origin.
+Every visible model is a grid, at the place that the scene gives it; turned or repeated models are refused. Voxel
+(0, 0, 0) of a file without a scene fills the unit cube at the origin. The order in which the palette is shown (IMAP)
+does not change the colors.
 
 Source:
     https://github.com/ephtracy/voxel-model, MagicaVoxel-file-format-vox.txt and its extension.
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.content_limit import require_content
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
@@ -26,6 +28,10 @@ from geokit.formats.images.image import Image, affine, reading, require_three
 __all__ = ["open_images"]
 
 LARGEST_SIDE = 256
+# Shades of the palette of files without one: its first colors are all of three of these, but for black, from white on;
+# then come ten of red, green, blue and gray.
+CUBE = (0xFF, 0xCC, 0x99, 0x66, 0x33, 0x00)
+RAMP = (0xEE, 0xDD, 0xBB, 0xAA, 0x88, 0x77, 0x55, 0x44, 0x22, 0x11)
 # The node that does not turn: its first row is x, the second y, none is negative.
 UPRIGHT = 0b0000100
 
@@ -40,6 +46,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
         sizes: list[tuple[int, int, int]] = []
         palette = None
         nodes: dict[int, tuple[str, bytes]] = {}
+        hidden: set[int] = set()
         at = 20
         while at < len(data):
             kind, size, inner = struct.unpack_from("<4sii", data, at)
@@ -59,17 +66,28 @@ def open_images(path: Path, limit: int) -> list[Image]:
                 palette = np.frombuffer(content, np.uint8, 1024).reshape(256, 4)
             elif kind in (b"nTRN", b"nGRP", b"nSHP"):
                 nodes[struct.unpack_from("<i", content)[0]] = kind.decode(), content
+            elif kind == b"LAYR" and _dictionary(content, 4)[0].get("_hidden") == "1":
+                hidden.add(struct.unpack_from("<i", content)[0])
             at += 12 + size
         if not models:
             raise FileFormatError(f"{path}: holds no model; export it again")
         if palette is None:
-            raise FileFormatError(f"{path}: has no palette; save it with MagicaVoxel again")
-        places = _places(nodes, len(models), path) if nodes else {}
-    need = 4 * sum(x * y * z for (x, y, z), _ in models)
+            palette = _default_palette()
+        places = _places(nodes, hidden, len(models), path) if nodes else {}
+        if nodes and len(places) < len(models):
+            lost = len(models) - len(places)
+            if not places:
+                raise FileFormatError(
+                    f"{path}: its models are hidden, or not in its scene; show them, and save it again"
+                )
+            warn(f"{path}: {lost} of its {len(models)} models are hidden, or not in its scene, and left out")
+    shown = [number for number in range(len(models)) if number in places or not nodes]
+    need = 4 * sum(x * y * z for (x, y, z), _ in (models[number] for number in shown))
     require_content(path, need, limit)
     colors = np.vstack([np.zeros((1, 4), np.uint8), palette[:255]])
     found = []
-    for number, (shape, voxels) in enumerate(models):
+    for number in shown:
+        shape, voxels = models[number]
         place, name = places.get(number, (np.zeros(3), ""))
         # A model's middle lies at its place.
         origin = place - np.array(shape) // 2 if number in places else np.zeros(3)
@@ -92,8 +110,21 @@ def _whole(shape: tuple[int, int, int], voxels: NDArray[np.uint8], colors: NDArr
     yield values
 
 
-def _places(nodes: dict[int, tuple[str, bytes]], count: int, path: Path) -> dict[int, tuple[NDArray[np.float64], str]]:
-    """Place and name of each model, from the root of the scene."""
+def _default_palette() -> NDArray[np.uint8]:
+    """Colors of the indices 1 to 255, and one more, of a file that has none."""
+    cube = [(red, green, blue) for red in CUBE for green in CUBE for blue in CUBE][:-1]
+    ramps = [
+        tuple(shade * part for part in parts)
+        for parts in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1))
+        for shade in RAMP
+    ]
+    return np.array([(*color, 255) for color in (*cube, *ramps, (0, 0, 0))], np.uint8)
+
+
+def _places(
+    nodes: dict[int, tuple[str, bytes]], hidden: set[int], count: int, path: Path
+) -> dict[int, tuple[NDArray[np.float64], str]]:
+    """Place and name of each visible model, from the root of the scene; ``hidden`` are numbers of layers."""
     found: dict[int, tuple[NDArray[np.float64], str]] = {}
     waiting: list[tuple[int, NDArray[np.float64], str]] = [(0, np.zeros(3), "")]
     seen: set[int] = set()
@@ -105,7 +136,9 @@ def _places(nodes: dict[int, tuple[str, bytes]], count: int, path: Path) -> dict
         kind, content = nodes[node]
         facts, at = _dictionary(content, 4)
         if kind == "nTRN":
-            child, _, _, frames = struct.unpack_from("<4i", content, at)
+            child, _, layer, frames = struct.unpack_from("<4i", content, at)
+            if facts.get("_hidden") == "1" or layer in hidden:
+                continue
             if frames != 1:
                 raise FileFormatError(f"{path}: holds an animation of {frames} frames; export one")
             frame, _ = _dictionary(content, at + 16)

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from geokit._warn import warn
-from geokit.core.files import in_one_line
 
 __all__ = ["collected", "warn_of"]
 
@@ -44,9 +43,9 @@ def collected() -> Iterator[list[str]]:
 
 
 def warn_of(path: Path, found: Iterable[str]) -> None:
-    """Pass on what a reader has warned of. Libraries quote the file, whatever bytes stand there."""
+    """Pass on what a reader has warned of."""
     for text in found:
-        warn(f"{path}: {in_one_line(text)}")
+        warn(f"{path}: {text}")
 
 
 class _Handler(logging.Handler):

@@ -17,7 +17,7 @@ from geokit.formats.scene_content.gltf_accessors import Accessors
 from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, needs_writing_out, write_out
 
-__all__ = ["require_whole", "understood"]
+__all__ = ["is_animated", "require_whole", "understood"]
 
 # Extensions that do not change the shape, by the beginnings of their names.
 _LOOKS = (
@@ -27,6 +27,8 @@ _LOOKS = (
 _WRITTEN_OUT = ("KHR_mesh_quantization", INSTANCES, VISIBILITY)
 # Extensions that change the shape of a file even where it does not require them.
 _SHAPES = {"MSFT_lod": "levels of detail"}
+# What animations change of a shape; with a pointer it may be anything.
+_MOVES = ("translation", "rotation", "scale", "weights", "pointer")
 _DECOMPRESS = "export it without compression, or decompress it with gltf-transform copy"
 _REMEDIES = dict.fromkeys(
     ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"), _DECOMPRESS
@@ -69,6 +71,12 @@ def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
     text += b" " * (-len(text) % 4)
     parts = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BINARY) + binary
     return struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts
+
+
+def is_animated(tree: dict[str, Any]) -> bool:
+    """Whether animations move nodes, joints or morph targets."""
+    channels = [channel for one in objects(tree.get("animations")) for channel in objects(one.get("channels"))]
+    return any(object_of(channel.get("target")).get("path") in _MOVES for channel in channels)
 
 
 def require_whole(path: Path, read: Callable[[str], bytes]) -> None:

@@ -12,6 +12,7 @@ Source:
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -47,8 +48,6 @@ def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
     done: dict[tuple[str, int], int] = {}
     for primitive in primitives_of(tree):
         _plain(tree, primitive, accessors, done)
-        if _has_other_uv(tree, primitive):
-            _base_uv(tree, primitive, accessors, done)
     hidden = [number for number, node in enumerate(tree.get("nodes", ())) if _is_hidden(node)]
     for number in _reached(tree, hidden):
         tree["nodes"][number].pop("mesh", None)
@@ -67,6 +66,10 @@ def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
         extensions = object_of(node.get("extensions"))
         if INSTANCES in extensions:
             _instantiate(tree, node, extensions.pop(INSTANCES), accessors)
+    # Morph targets move the coordinates under their own names.
+    for primitive in primitives_of(tree):
+        if _has_other_uv(tree, primitive):
+            _base_uv(tree, primitive, accessors, done)
     for name in ("extensionsUsed", "extensionsRequired"):
         if name in tree:
             tree[name] = [entry for entry in tree[name] if entry not in (INSTANCES, VISIBILITY)]
@@ -183,15 +186,19 @@ def _morphed(tree: dict[str, Any], number: int, weights: list[float], accessors:
         targets = changed.pop("targets", [])
         if len(targets) != len(weights):
             raise ValueError(f"{len(weights)} weights for {len(targets)} morph targets")
-        for name in ("POSITION", "NORMAL"):
+        for name in changed["attributes"]:
             moved = [(w, t[name]) for w, t in zip(weights, targets, strict=True) if w and name in t]
-            if not moved or name not in changed["attributes"]:
+            if not moved:
                 continue
             values = accessors.numbers(changed["attributes"][name])
             for weight, index in moved:
-                values = values + float(weight) * accessors.numbers(index)
+                steps = accessors.numbers(index)
+                # The fourth number of a tangent is a side.
+                values[:, : steps.shape[1]] += float(weight) * steps
             if name == "NORMAL":
                 values = _unit(values)
+            elif name.startswith("COLOR_"):
+                values = np.clip(values, 0.0, 1.0)
             changed["attributes"][name] = accessors.add(values.astype("<f4"))
         mesh["primitives"].append(changed)
     tree["meshes"].append(mesh)
@@ -206,13 +213,24 @@ def _skin(tree: dict[str, Any], number: int, poses: list[NDArray[np.float64]], a
     if "inverseBindMatrices" in skin:
         # Columns come first in the file.
         inverse = accessors.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        if len(inverse) < len(joints):
+            raise ValueError(f"{len(inverse)} inverse bind matrices for {len(joints)} joints")
         joints = joints @ inverse[: len(joints)]
     # Positions are float32: they are kept relative to the joints' middle.
     middle = joints[:, :3, 3].mean(axis=0)
     joints[:, :3, 3] -= middle
-    mesh = dict(tree["meshes"][node.pop("mesh")])
-    mesh["primitives"] = [_skinned(primitive, joints, accessors) for primitive in mesh["primitives"]]
-    tree["meshes"].append(mesh)
+    given = tree["meshes"][node.pop("mesh")]
+    parts: dict[bool, list[Any]] = {False: [], True: []}
+    for primitive in given["primitives"]:
+        parts[any(name.startswith(_WEIGHT) for name in primitive["attributes"])].append(primitive)
+    if parts[False]:
+        # What has no joints stays with the node.
+        tree["meshes"].append({**given, "primitives": parts[False]})
+        node["mesh"] = len(tree["meshes"]) - 1
+    if not parts[True]:
+        return
+    moved = [_skinned(primitive, joints, middle, accessors) for primitive in parts[True]]
+    tree["meshes"].append({**given, "primitives": moved})
     placed = {"name": node["name"]} if "name" in node else {}
     tree["nodes"].append({**placed, "mesh": len(tree["meshes"]) - 1, "translation": middle.tolist()})
     for scene in objects(tree.get("scenes")):
@@ -220,11 +238,12 @@ def _skin(tree: dict[str, Any], number: int, poses: list[NDArray[np.float64]], a
             scene["nodes"] = [*scene["nodes"], len(tree["nodes"]) - 1]
 
 
-def _skinned(primitive: dict[str, Any], joints: NDArray[np.float64], accessors: Accessors) -> dict[str, Any]:
+def _skinned(
+    primitive: dict[str, Any], joints: NDArray[np.float64], middle: NDArray[np.float64], accessors: Accessors
+) -> dict[str, Any]:
+    """A primitive where its joints are, relative to their middle; vertices without weights stay in the world."""
     attributes = dict(primitive["attributes"])
     sets = sorted(name.removeprefix(_WEIGHT) for name in attributes if name.startswith(_WEIGHT))
-    if not sets:
-        return primitive
     weights = np.concatenate([accessors.numbers(attributes[_WEIGHT + name]) for name in sets], axis=1)
     numbers = np.concatenate([accessors.stored(attributes[_JOINT + name]) for name in sets], axis=1)
     # Programs round weights; their sum is meant to be 1.
@@ -232,7 +251,9 @@ def _skinned(primitive: dict[str, Any], joints: NDArray[np.float64], accessors: 
     weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
     numbers = np.where(weights > 0.0, numbers, 0).astype(np.int64)
     blended = np.einsum("vk,vkij->vij", weights, joints[numbers])
-    blended[total[:, 0] <= 0.0] = np.eye(4)
+    resting = np.eye(4)
+    resting[:3, 3] = -middle
+    blended[total[:, 0] <= 0.0] = resting
     points = accessors.numbers(attributes["POSITION"])
     moved = np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3]
     attributes["POSITION"] = accessors.add(moved.astype("<f4"))
@@ -254,11 +275,15 @@ def _instantiate(tree: dict[str, Any], node: dict[str, Any], instances: dict[str
     names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
     found = object_of(instances.get("attributes"))
     placed = {names[name]: accessors.numbers(index).tolist() for name, index in found.items() if name in names}
-    if not placed:
+    counts = {tree["accessors"][index]["count"] for index in found.values()}
+    if not counts:
         return
+    if len(counts) > 1:
+        raise ValueError(f"attributes of {' and '.join(map(str, sorted(counts)))} instances of one node")
     mesh = node.pop("mesh")
     first = len(tree["nodes"])
-    rows: Iterator[Any] = zip(*placed.values(), strict=True)
+    # Without a place, as with numbers only, instances are all at the node.
+    rows: Iterator[Any] = zip(*placed.values(), strict=True) if placed else itertools.repeat((), *counts)
     tree["nodes"].extend({"mesh": mesh, **dict(zip(placed, row, strict=True))} for row in rows)
     node["children"] = [*node.get("children", ()), *range(first, len(tree["nodes"]))]
 
@@ -284,7 +309,9 @@ def _poses(tree: dict[str, Any]) -> list[NDArray[np.float64]]:
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64)
+    turned = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64)
+    # Programs round quaternions, whose length is meant to be 1.
+    x, y, z, w = turned / (np.linalg.norm(turned) or 1.0)
     matrix = np.eye(4)
     turn = np.array(
         [

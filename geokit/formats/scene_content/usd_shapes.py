@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from geokit.formats.body import Body
+from geokit.formats.scene_content.usd_times import value_of
 
 __all__ = ["SHAPES", "shape_body"]
 
@@ -20,19 +21,16 @@ AROUND, RINGS = 64, 16
 Outline = list[tuple[float, float]]
 
 
-def shape_body(prim: Any, matrix: list[list[float]], time: Any) -> Body:
+def shape_body(prim: Any, matrix: list[list[float]]) -> Body:
     """Polygons of a Cube, Sphere, Cylinder, Cone, Capsule or Plane prim; its vertices lie on the shape.
 
     Args:
         prim: The prim.
         matrix: From the prim's frame to the world, for column vectors.
-        time: When its attributes are read.
     """
 
     def read(name: str) -> Any:
-        attribute = prim.GetAttribute(name)
-        found = attribute.Get()
-        return attribute.Get(time) if found is None else found
+        return value_of(prim.GetAttribute(name))
 
     kind = str(prim.GetTypeName())
     points, polygons = SHAPES[kind](read)

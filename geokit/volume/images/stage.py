@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.files import atomic_path, extension, in_one_line
+from geokit.core.files import atomic_path, extension
 from geokit.core.private_folder import private_folder, temporary_parent
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.images.image import METERS
@@ -94,7 +94,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
     """
     facts, arrays = _facts(path, limit, is_trusted)
     if facts["notes"]:
-        warn(f"{path}: {in_one_line('; '.join(facts['notes']), None)}")
+        warn(f"{path}: {'; '.join(facts['notes'])}")
     if not facts["fields"]:
         shapes = ", ".join(facts["shapes"])
         what = f"; it holds {shapes}: load it with geokit.mesh.load" if shapes else ""

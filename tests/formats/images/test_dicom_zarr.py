@@ -131,6 +131,51 @@ def test_what_is_no_series_is_refused_by_name(tmp_path: Path) -> None:
         path.unlink()
 
 
+def test_values_by_a_table_or_a_palette_are_refused(tmp_path: Path) -> None:
+    table = pydicom.Dataset()
+    table.LUTDescriptor, table.ModalityLUTType, table.LUTData = [2, 0, 16], "HU", bytes(4)
+    write_series(tmp_path / "lut", STRAIGHT, ModalityLUTSequence=pydicom.Sequence([table]))
+    with pytest.raises(gk.FileFormatError, match=r"lut: s\d\.dcm has values by a table \(Modality LUT\)"):
+        gk.volume.load(tmp_path / "lut")
+    write_series(tmp_path / "palette", STRAIGHT, PhotometricInterpretation="PALETTE COLOR")
+    with pytest.raises(gk.FileFormatError, match=r"palette: s\d\.dcm has colors by a palette"):
+        gk.volume.load(tmp_path / "palette")
+
+
+def test_frames_have_places_and_slopes_of_their_own(tmp_path: Path) -> None:
+    """An enhanced file: signed pixels shown inverted, frames in no order on oblique planes."""
+    turn = turned()
+    write_series(tmp_path / "ct", turn)
+    data = pydicom.dcmread(tmp_path / "ct" / "s0.dcm")
+    order = [3, 0, 2, 1]
+    shared, frames = pydicom.Dataset(), []
+    plane, measures = pydicom.Dataset(), pydicom.Dataset()
+    plane.ImageOrientationPatient, measures.PixelSpacing = data.ImageOrientationPatient, data.PixelSpacing
+    measures.SliceThickness = "99"
+    shared.PlaneOrientationSequence = pydicom.Sequence([plane])
+    shared.PixelMeasuresSequence = pydicom.Sequence([measures])
+    for k in order:
+        frame, place, values = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
+        place.ImagePositionPatient = [f"{one:.12g}" for one in turn[:3, 3] + k * turn[:3, 2]]
+        values.RescaleSlope, values.RescaleIntercept = f"{k + 1}", f"{-10 * k}"
+        frame.PlanePositionSequence = pydicom.Sequence([place])
+        frame.PixelValueTransformationSequence = pydicom.Sequence([values])
+        frames.append(frame)
+    for name in ("ImageOrientationPatient", "ImagePositionPatient", "PixelSpacing", "RescaleSlope", "RescaleIntercept"):
+        delattr(data, name)
+    data.SharedFunctionalGroupsSequence = pydicom.Sequence([shared])
+    data.PerFrameFunctionalGroupsSequence = pydicom.Sequence(frames)
+    data.NumberOfFrames, data.PixelRepresentation, data.PhotometricInterpretation = len(order), 1, "MONOCHROME1"
+    data.BitsStored, data.HighBit = 16, 15
+    signed = STORED[:, :, :4].astype(np.int16) - 700
+    data.PixelData = np.stack([signed[:, :, k].T for k in order]).tobytes()
+    data.save_as(tmp_path / "a.dcm")
+    volume = gk.volume.load(tmp_path / "a.dcm", background=-1e9)
+    expected = signed * np.arange(1.0, 5.0) - 10.0 * np.arange(4)
+    np.testing.assert_allclose(gk.volume.to_dense(volume, device="cpu").values, expected, rtol=1e-6)
+    np.testing.assert_allclose(volume.info.transform, turn, atol=1e-5)
+
+
 @pytest.mark.parametrize("version", [2, 3])
 def test_arrays_of_zarr(tmp_path: Path, version: int) -> None:
     array = zarr.create_array(str(tmp_path / "a.zarr"), data=VALUES, chunks=(2, 4, 4), zarr_format=version)

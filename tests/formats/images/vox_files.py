@@ -27,8 +27,22 @@ def palette() -> np.ndarray:
     return np.random.default_rng(5).integers(1, 256, (256, 4)).astype(np.uint8)
 
 
-def vox_of(count: int, moves: dict[int, str] | None = None, turn: str | None = None) -> bytes:
-    """A file with ``count`` models, placed by a scene at ``moves``."""
+def vox_of(
+    count: int,
+    moves: dict[int, str] | None = None,
+    turn: str | None = None,
+    hidden: tuple[int, ...] = (),
+    more: bytes = b"",
+) -> bytes:
+    """A file with ``count`` models, placed by a scene at ``moves``, each in a layer of its number.
+
+    Args:
+        count: Number of models.
+        moves: Place of each; None writes no scene.
+        turn: Rotation of all.
+        hidden: Models whose nodes are hidden.
+        more: Chunks in place of the palette.
+    """
     body = b""
     for _ in range(count):
         body += chunk(b"SIZE", struct.pack("<3i", *SHAPE))
@@ -41,10 +55,11 @@ def vox_of(count: int, moves: dict[int, str] | None = None, turn: str | None = N
         )
         for at, move in moves.items():
             frame = dictionary(_t=move, **({"_r": turn} if turn else {}))
-            head = struct.pack("<i", 2 + 2 * at) + dictionary(_name=f"part {at}")
-            body += chunk(b"nTRN", head + struct.pack("<4i", 3 + 2 * at, -1, 0, 1) + frame)
+            facts = {"_name": f"part {at}", **({"_hidden": "1"} if at in hidden else {})}
+            head = struct.pack("<i", 2 + 2 * at) + dictionary(**facts)
+            body += chunk(b"nTRN", head + struct.pack("<4i", 3 + 2 * at, -1, at, 1) + frame)
             body += chunk(
                 b"nSHP", struct.pack("<i", 3 + 2 * at) + dictionary() + struct.pack("<2i", 1, at) + dictionary()
             )
-    body += chunk(b"RGBA", palette().tobytes())
+    body += more or chunk(b"RGBA", palette().tobytes())
     return b"VOX " + struct.pack("<i", 150) + chunk(b"MAIN", b"", body)
