@@ -50,15 +50,20 @@ _NODES = {name: count for count, name in _MIXED.values()}
 
 def read_grid(path: Path, folders: Sequence[Path], step: int | None) -> tuple[Any, int, list[str]]:
     """The grid as meshio has it, the number of its first vertex, and notes on what is left out."""
+    from xml.etree import ElementTree
+
     meshio = require_package("meshio")
-    root = _one_grid(path, step)
+    root = ElementTree.parse(path).getroot()
+    # Also those that are not in the chosen step.
+    items = list(root.iter())
+    _choose_grid(path, root, step)
     if root.tag != "Xdmf":
         raise FileFormatError(f"{path}: its outermost element is {root.tag[:40]}, not Xdmf")
     version = root.get("Version", "3")
     if version.split(".")[0] not in ("2", "3"):
         raise FileFormatError(f"{path}: is of version {version[:20]} of XDMF; export version 2 or 3")
     first, notes = _numbering(path, root)
-    _check_arrays(path, folders)
+    _check_arrays(path, folders, items)
     grid = root.find("Domain/Grid")
     geometry, topology = (None, None) if grid is None else (grid.find("Geometry"), grid.find("Topology"))
     if grid is None or geometry is None or topology is None:
@@ -238,16 +243,13 @@ def _hdf5(path: Path, text: str) -> NDArray[Any]:
 _POINTED = re.compile(r"""Grid(?:\[@Name=["']([^"']*)["']\])?(?:\[(\d+)\])?""")
 
 
-def _one_grid(path: Path, step: int | None) -> Any:
-    """The content of an .xdmf with one grid; of a time series that of a step.
+def _choose_grid(path: Path, root: Any, step: int | None) -> None:
+    """Leave one grid in the content of an .xdmf: the only one, or that of a step of a time series.
 
     Raises:
         FileFormatError: It holds a series of times and no step is given, or not that one; several grids; or a geometry
             of separate arrays for each axis.
     """
-    from xml.etree import ElementTree
-
-    root = ElementTree.parse(path).getroot()
     domain = next((item for item in root.iter() if item.tag == "Domain"), None)
     series = [] if domain is None else [grid for grid in domain.findall("Grid") if _is_series(grid)]
     if step is not None and domain is not None:
@@ -284,7 +286,6 @@ def _one_grid(path: Path, step: int | None) -> Any:
             f"{path}: holds {len(grids)} grids, and geokit reads one; save each as a file of its own, or join them "
             "first"
         )
-    return root
 
 
 def _numbering(path: Path, root: Any) -> tuple[int, list[str]]:
@@ -358,11 +359,9 @@ def _pointed_at(root: Any, pointer: str) -> Any:
     return None if found is root else found
 
 
-def _check_arrays(path: Path, folders: Sequence[Path]) -> None:
+def _check_arrays(path: Path, folders: Sequence[Path], items: list[Any]) -> None:
     """Check every file that the items of an .xdmf name, before one is opened."""
-    from xml.etree import ElementTree
-
-    for item in ElementTree.parse(path).iter():
+    for item in items:
         # References may lead to items of other tags.
         kind, text = item.get("Format", "XML").upper(), (item.text or "").strip()
         if kind == "XML" or "Reference" in item.attrib:
