@@ -15,6 +15,7 @@ import resource
 import shutil
 import stat
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -150,9 +151,22 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
         raise OSError(errno.EIO, "the digest is missing", str(binary))
     if announce and not (binary.exists() and meta.exists()):
         announce(module.name)
-    warp_private.load_module(module, device, block_dim)
-    if known is None:
-        _keep(record, digest_of(binary, meta))
+    try:
+        warp_private.load_module(module, device, block_dim)
+        if known is None:
+            _keep(record, digest_of(binary, meta))
+    except BaseException as error:
+        if not isinstance(error, Exception):  # an interrupt
+            _forget_half(binary, record)
+        raise
+
+
+def _forget_half(binary: Path, record: Path) -> None:
+    """Remove what this thread has not finished. An object without a digest would count as damaged the next time."""
+    for draft in binary.parent.parent.glob(f"{binary.parent.name}_p{os.getpid()}_t{threading.get_ident()}"):
+        shutil.rmtree(draft, ignore_errors=True)
+    if not record.is_file():
+        binary.unlink(missing_ok=True)
 
 
 def _keep(record: Path, text: str) -> None:
@@ -160,8 +174,11 @@ def _keep(record: Path, text: str) -> None:
     try:
         draft.write_text(text)
         draft.replace(record)
-    except OSError:  # read-only or full: the module is loaded, and compiled again the next time
+    except BaseException as error:
         draft.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
+        # Read-only or full: the module is loaded, and compiled again the next time.
 
 
 def _cure(module: Any, block_dim: int, error: Exception) -> None:
