@@ -124,16 +124,18 @@ class Calls:
         self._errors: dict[int, BaseException] = {}
         self._woken: SimpleQueue[None] = SimpleQueue()
 
-    def wait(self, threads: Sequence[int] = ()) -> None:
+    def wait(self, threads: Sequence[int] = (), *, hold: bool = False) -> None:
         """Wait until all calls are made, and raise the error of the first item that has one.
 
         Args:
             threads: Native ids of the threads that make them, to be moved off shared processors.
+            hold: Calls hold all that they use: after an interrupt they are left to themselves.
         """
         try:
             self._wait(threads)
         except BaseException:
-            self.drop()
+            if not hold:
+                self.drop()
             raise
         errors, self._errors = self._errors, {}
         if errors:
