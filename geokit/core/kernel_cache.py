@@ -26,7 +26,7 @@ from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
-from geokit.core.private_folder import temporary_parent
+from geokit.core.private_folder import remove_folder, temporary_parent
 from geokit.errors import DeviceMemoryError, FileAccessError
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
 def _forget_half(binary: Path, record: Path) -> None:
     """Remove what this thread has not finished. An object without a digest would count as damaged the next time."""
     for draft in binary.parent.parent.glob(f"{binary.parent.name}_p{os.getpid()}_t{threading.get_ident()}"):
-        shutil.rmtree(draft, ignore_errors=True)
+        remove_folder(draft)
     if not record.is_file():
         binary.unlink(missing_ok=True)
 
@@ -191,7 +191,7 @@ def _cure(module: Any, block_dim: int, error: Exception) -> None:
     elif folder is None or warp_private.has_failed_to_build(module):
         raise error
     else:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_folder(folder)
         if folder.exists():
             _replace_folder(wp, error)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import signal
@@ -65,5 +66,6 @@ def children() -> set[int]:
     """Processes of this one that run, or were not waited for."""
     found: set[int] = set()
     for task in os.listdir("/proc/self/task"):
-        found |= set(map(int, Path("/proc/self/task", task, "children").read_text().split()))
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended
+            found |= set(map(int, Path("/proc/self/task", task, "children").read_text().split()))
     return found
