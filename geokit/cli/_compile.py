@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import subprocess
 import sys
@@ -65,10 +66,16 @@ def compile_all(report: Callable[[str], None]) -> dict[str, Any]:
 
     count = min(launcher.thread_count(), len(modules))
     builders = [threading.Thread(target=_build_all, args=(waiting, devices, finished)) for _ in range(count)]
-    for builder in builders:
-        builder.start()
-    for builder in builders:
-        builder.join()
+    try:
+        for builder in builders:
+            builder.start()
+        for builder in builders:
+            builder.join()
+    except BaseException:  # Ctrl-C, which in a terminal has ended the processes too: no other module is compiled
+        with contextlib.suppress(queue.Empty):
+            while True:
+                waiting.get_nowait()
+        raise
     return {
         "modules": len(modules) - len(failed),
         "devices": devices,

@@ -7,9 +7,9 @@ pages that are touched for the first time, at 1.5 to 10 GB/s; the bus delivers 5
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, wait
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from geokit.core import launcher
 from geokit.core.forks import renew_after_fork
 from geokit.core.memory.host_array import row_of
 from geokit.core.memory.memory_pool import MemoryPool
+from geokit.core.running.thread_placement import Calls
 
 if TYPE_CHECKING:
     import warp as wp
@@ -86,10 +87,23 @@ def download_into(target: np.ndarray, array: "wp.array") -> None:
 def release() -> int:
     """Free idle pinned memory, and staging memory that no thread uses; return the bytes of the former."""
     for alias, stage in list(_stages.items()):
-        if stage.lock.acquire(blocking=False):
-            _stages.pop(alias, None)
-            stage.lock.release()
+        with _if_free(stage.lock) as free:
+            if free:
+                _stages.pop(alias, None)
     return _pool.release()
+
+
+@contextlib.contextmanager
+def _if_free(lock: threading.Lock) -> Iterator[bool]:
+    """Take a lock unless another thread has it; whether it was taken."""
+    taken: list[bool] = []
+    try:
+        # Taken and noted in one step: no interrupt comes between.
+        taken.extend(map(lock.acquire, (False,)))
+        yield taken[0]
+    finally:
+        if taken and taken[0]:
+            lock.release()
 
 
 def _download_pooled(arrays: tuple["wp.array", ...], pool: MemoryPool) -> list[np.ndarray] | None:
@@ -120,13 +134,10 @@ def _through_stage(arrays: tuple["wp.array", ...], results: list[np.ndarray]) ->
     """Copy the arrays into ``results``; False if another thread is using the staging memory."""
     device = arrays[0].device
     stage = _stages.setdefault(device.alias, _Stage(device))
-    if not stage.lock.acquire(blocking=False):
-        return False
-    try:
-        stage.copy(arrays, results)
-    finally:
-        stage.lock.release()
-    return True
+    with _if_free(stage.lock) as free:
+        if free:
+            stage.copy(arrays, results)
+        return free
 
 
 class _Stage:
@@ -168,7 +179,7 @@ class _Half:
         self._filled: Any = wp.Event(device) if device.is_cuda else None
         self._stream: Any = None
         self._parts: list[tuple[np.ndarray, int]] = []
-        self._jobs: list[Future[None]] = []
+        self._copies: Calls | None = None
 
     def fill(self, arrays: Any, results: list[np.ndarray], pieces: list[tuple[int, int, int]]) -> None:
         """Start copying the pieces (array, first byte, bytes) into this half."""
@@ -198,19 +209,19 @@ class _Half:
             for k in range(0, len(target), share)
         ]
         self._parts = []
-        self._jobs = [launcher.pool().submit(np.copyto, *one) for one in shares[1:]]
-        np.copyto(*shares[0])
-        self.wait()
-
-    def wait(self) -> None:
-        jobs, self._jobs = self._jobs, []
-        wait(jobs)
-        for job in jobs:
-            job.result()
+        self._copies = launcher.pool().start(_copy, shares[1:], len(shares) - 1) if shares[1:] else None
+        _copy(shares[0])
+        if self._copies is not None:
+            self._copies.wait()
 
     def forget(self) -> None:
-        wait(self._jobs)
-        self._jobs, self._parts = [], []
+        if self._copies is not None:
+            self._copies.drop()
+        self._copies, self._parts = None, []
+
+
+def _copy(pair: tuple[np.ndarray, np.ndarray]) -> None:
+    np.copyto(*pair)
 
 
 def _pieces(sizes: list[int]) -> Iterator[list[tuple[int, int, int]]]:

@@ -264,6 +264,8 @@ def _copy(part: Path, real: Path) -> None:
 def named_damage(path: Path) -> Iterator[None]:
     """Context in which a file is read: NumPy says nothing of bytes that are no numbers, and errors are named.
 
+    Messages are one line of printable text, whatever bytes of the file they quote.
+
     Args:
         path: The file.
     Raises:
@@ -276,7 +278,14 @@ def named_damage(path: Path) -> Iterator[None]:
         # Casts of signaling NaN warn; what is not finite is found and named after reading.
         with np.errstate(invalid="ignore", over="ignore"):
             yield
-    except (GeokitError, MemoryError, Warning):
+    except GeokitError as error:
+        # Names of columns, elements and layers are the file's.
+        said = str(error.args[0]) if error.args else ""
+        start = str(path) if said.startswith(str(path)) else ""
+        if not said[len(start) :].isprintable():
+            error.args = (start + in_one_line(said[len(start) :], None), *error.args[1:])
+        raise
+    except (MemoryError, Warning):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {in_one_line(str(error))}"

@@ -15,6 +15,7 @@ import resource
 import shutil
 import stat
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +26,7 @@ from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
-from geokit.core.private_folder import temporary_parent
+from geokit.core.private_folder import remove_folder, temporary_parent
 from geokit.errors import DeviceMemoryError, FileAccessError
 
 if TYPE_CHECKING:
@@ -150,9 +151,22 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
         raise OSError(errno.EIO, "the digest is missing", str(binary))
     if announce and not (binary.exists() and meta.exists()):
         announce(module.name)
-    warp_private.load_module(module, device, block_dim)
-    if known is None:
-        _keep(record, digest_of(binary, meta))
+    try:
+        warp_private.load_module(module, device, block_dim)
+        if known is None:
+            _keep(record, digest_of(binary, meta))
+    except BaseException as error:
+        if not isinstance(error, Exception):  # an interrupt
+            _forget_half(binary, record)
+        raise
+
+
+def _forget_half(binary: Path, record: Path) -> None:
+    """Remove what this thread has not finished. An object without a digest would count as damaged the next time."""
+    for draft in binary.parent.parent.glob(f"{binary.parent.name}_p{os.getpid()}_t{threading.get_ident()}"):
+        remove_folder(draft)
+    if not record.is_file():
+        binary.unlink(missing_ok=True)
 
 
 def _keep(record: Path, text: str) -> None:
@@ -160,8 +174,11 @@ def _keep(record: Path, text: str) -> None:
     try:
         draft.write_text(text)
         draft.replace(record)
-    except OSError:  # read-only or full: the module is loaded, and compiled again the next time
+    except BaseException as error:
         draft.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
+        # Read-only or full: the module is loaded, and compiled again the next time.
 
 
 def _cure(module: Any, block_dim: int, error: Exception) -> None:
@@ -174,7 +191,7 @@ def _cure(module: Any, block_dim: int, error: Exception) -> None:
     elif folder is None or warp_private.has_failed_to_build(module):
         raise error
     else:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_folder(folder)
         if folder.exists():
             _replace_folder(wp, error)
         else:

@@ -18,7 +18,7 @@ from geokit.core.launches import launch_cache, replay, warp_private
 from geokit.core.memory import needs
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.require import described
-from geokit.core.thread_placement import Pool, wait_for
+from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,10 +111,9 @@ def _silenced_stderr() -> Iterator[None]:
     except OSError:  # the process has no stderr
         yield
         return
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    os.close(null)
     try:
+        with open(os.devnull, "wb") as null:
+            os.dup2(null.fileno(), 2)
         yield
     finally:
         os.dup2(saved, 2)
@@ -185,8 +184,7 @@ def _require_cuda() -> None:
 
 def _after_fork() -> None:
     """In a forked child: forget the thread pools, whose threads were not copied, and CUDA."""
-    global _load_lock, _has_lost_cuda
-    _load_lock = threading.RLock()
+    global _has_lost_cuda
     _pool.cache_clear()
     _has_lost_cuda = bool(_warp.cache_info().currsize and _warp().get_cuda_device_count())
 
@@ -211,9 +209,11 @@ def _pool(threads: int) -> Pool:
 
 
 if hasattr(os, "register_at_fork"):
+    # The lock's own methods: an interrupt between two of Python would leave it taken.
     os.register_at_fork(
-        before=lambda: _load_lock.acquire(), after_in_parent=lambda: _load_lock.release(), after_in_child=_after_fork
+        before=_load_lock.acquire, after_in_parent=_load_lock.release, after_in_child=_load_lock.release
     )
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def pool() -> Pool:
@@ -294,14 +294,11 @@ def launch(
         launch_cache.run(kernel, count, arguments, device, 1)
         return
     replay.refuse()
-    firsts = iter(range(0, count, size))  # shared by the threads; the GIL makes taking the next one safe
 
-    def run_slices() -> None:
-        for first in firsts:
-            launch_cache.run(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)
+    def run_slice(first: int) -> None:
+        launch_cache.run(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)
 
-    workers = _pool(threads)
-    wait_for([workers.submit(run_slices) for _ in range(min(threads, -(-count // size)))], workers.ids)
+    _pool(threads).run(run_slice, range(0, count, size), min(threads, -(-count // size)))
 
 
 def launch_queries(

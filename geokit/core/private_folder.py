@@ -19,7 +19,7 @@ from pathlib import Path
 
 from geokit.errors import FileAccessError
 
-__all__ = ["private_folder", "temporary_parent"]
+__all__ = ["private_folder", "remove_folder", "temporary_parent"]
 
 PREFIX = ".geokit-"
 LOCK = "lock"
@@ -116,12 +116,12 @@ def _remove(made: list[_Made]) -> None:
             os.unlink(one.path / LOCK)
             os.rmdir(one.path)
         except OSError:
-            _remove_folder(one.path)
+            remove_folder(one.path)
         if one.lock is not None:
             one.lock.close()
 
 
-def _remove_folder(folder: str | os.PathLike[str]) -> None:
+def remove_folder(folder: str | os.PathLike[str]) -> None:
     """What can be removed of a folder. shutil.rmtree() may close a descriptor twice where an interrupt comes."""
     for place, folders, files in os.walk(folder, topdown=False):
         for name in (*files, *folders):
@@ -166,6 +166,6 @@ def _remove_if_abandoned(entry: os.DirEntry[str]) -> None:
     lock = _open_lock(entry.path)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _remove_folder(entry.path)
+        remove_folder(entry.path)
     finally:
         os.close(lock)

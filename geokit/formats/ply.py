@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
+from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.body import Body
@@ -327,7 +328,8 @@ def _property(words: list[str]) -> _Property:
 
 def _truncated(path: Path, element: _Element) -> FileFormatError:
     return FileFormatError(
-        f"{path}: ends within the {element.count} {element.name} entries it declares; it is truncated, get a whole copy"
+        f"{path}: ends within the {element.count} {in_one_line(element.name)} entries it declares; it is truncated, "
+        "get a whole copy"
     )
 
 
@@ -489,7 +491,9 @@ class _Binary:
         except struct.error:
             raise _truncated(self.path, element) from None
         if not isinstance(size, int) or size < 0 or size > len(self.data):
-            raise FileFormatError(f"{self.path}: a list of {size} {item.name} in a {element.name}; the file is damaged")
+            raise FileFormatError(
+                f"{self.path}: a list {item.name!r} of {size} in a {element.name!r}; the file is damaged"
+            )
         return size
 
     def _integers(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -68,14 +68,8 @@ _window = _Window()
 
 
 @contextmanager
-def _reports() -> Iterator[Any]:
-    """Collect VTK's messages, which would otherwise only be printed to stderr."""
-    with _window.lock, _collected() as said:
-        yield said
-
-
-@contextmanager
 def _collected() -> Iterator[Any]:
+    """Collect VTK's messages, which would otherwise only be printed to stderr; the window's lock is taken before."""
     from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
 
     before, said = vtkOutputWindow.GetInstance(), vtkStringOutputWindow()
@@ -107,7 +101,7 @@ def read_mesh(path: Path) -> list[Body]:
     require_package("vtkmodules")
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    with _reports() as said:
+    with _window.lock, _collected() as said:
         data = _data_set(path)
     # VTK reports a damaged file only as text and returns what it has read so far.
     message = reported(said)
@@ -343,7 +337,7 @@ def _write(writer: Any, data: Any, path: Path) -> None:
             array.SetName(xml_name(array.GetName()))
     writer.SetInputData(data)
     writer.SetWriteToOutputString(True)
-    with _reports() as said:
+    with _window.lock, _collected() as said:
         written = writer.Write()
     if not written or writer.GetErrorCode():
         raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
@@ -377,7 +371,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
     reader = vtkXMLPolyDataReader()
     name: Any = os.fsencode(path)  # VTK's stubs know text only
     reader.SetFileName(name)
-    with _reports() as said:
+    with _window.lock, _collected() as said:
         reader.Update()
     message = reported(said)
     found = reader.GetOutput()

@@ -126,7 +126,8 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
         stays, goes_to = merge_near_points(mesh.vertices[kept], tolerance)
         kept, group = kept[stays], goes_to[group]
     mesh = moved_to_corners(mesh, kept, group)
-    return derived(mesh, mesh.vertices[kept], group[mesh.faces], vertex_source=kept)
+    # NumPy ends the process where indices of 32 bits find no memory for their cast; take() says so.
+    return derived(mesh, mesh.vertices[kept], group.take(mesh.faces), vertex_source=kept)
 
 
 @needs(lambda mesh, **_: 36 * mesh.face_count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,10 @@ from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.queries import poisson_disk
 
-__all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas"]
+__all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas", "total_area"]
+
+# Their corners fit into the caches.
+FACES_AT_A_TIME = 1 << 14
 
 METHODS = ("uniform", "poisson_disk")
 # A point with its triangle, weights and corners, and the copies while they are made (220 measured). Not less: where
@@ -153,16 +157,35 @@ def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | 
 
 def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:
     """A power of two that scales the mesh to about unit size, and the areas (F,) of its triangles at that size."""
+    scale, areas, first = _scale_of(mesh), np.empty(len(mesh.faces)), 0
+    for block in _area_blocks(mesh, scale):
+        areas[first : first + len(block)] = block
+        first += len(block)
+    return scale, areas
+
+
+def total_area(mesh: TriangleMesh) -> tuple[float, float]:
+    """The scale of :func:`scaled_areas`, and the sum of the areas, in little memory: for estimates where it ran out."""
+    scale = _scale_of(mesh)
+    return scale, sum(float(block.sum()) for block in _area_blocks(mesh, scale))
+
+
+def _scale_of(mesh: TriangleMesh) -> float:
     lower, upper = mesh.bounds
     # Halved before the difference: boxes as large as float64 must not overflow.
     half = float(np.max(upper * 0.5 - lower * 0.5)) if len(mesh.faces) else 0.0
-    scale = math.ldexp(1.0, -math.frexp(half)[1]) if half > 0.0 else 1.0
-    # Axis by axis: numpy.cross over rows of three is many times slower.
-    axes = [np.ascontiguousarray(axis) * scale for axis in mesh.vertices.T]
-    a, b, c = ([axis.take(corner) for axis in axes] for corner in mesh.faces.T)
-    (ux, uy, uz), (vx, vy, vz) = ([end - start for end, start in zip(ends, a, strict=True)] for ends in (b, c))
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return scale, 0.5 * np.sqrt(x * x + y * y + z * z)
+    return math.ldexp(1.0, -math.frexp(half)[1]) if half > 0.0 else 1.0
+
+
+def _area_blocks(mesh: TriangleMesh, scale: float) -> Iterator[NDArray[np.float64]]:
+    """Areas of the scaled triangles, some thousands at a time."""
+    for first in range(0, len(mesh.faces), FACES_AT_A_TIME):
+        corners = mesh.faces[first : first + FACES_AT_A_TIME].T
+        # Axis by axis: numpy.cross over rows of three is many times slower.
+        a, b, c = (np.ascontiguousarray(mesh.vertices.take(corner, axis=0).T) * scale for corner in corners)
+        (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        yield 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
 def _draw(

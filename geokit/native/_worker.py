@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.private_folder import temporary_parent
+from geokit.core.running.interrupts import child_process
 from geokit.errors import FileAccessError, FileFormatError, WorkerError
 from geokit.native._metadata import raw
 
@@ -72,13 +73,12 @@ def run_worker(
     """
     cpu_seconds = int(time_limit * min(os.cpu_count() or 1, _MAX_THREADS)) + 2
     command: list[str | bytes] = [str(worker), verb, str(memory_limit), str(cpu_seconds), os.fsencode(path)]
-    process = subprocess.Popen(
+    with child_process(
         command + [raw(argument) for argument in arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-    )
-    with process:
+    ) as process:
         try:
             output, _ = process.communicate(timeout=time_limit)
         except subprocess.TimeoutExpired:
@@ -86,8 +86,6 @@ def run_worker(
                 f"{path}: reading took more than {time_limit:g} s and was stopped; the file is damaged, or pass a "
                 "larger time_limit"
             ) from None
-        finally:
-            process.kill()  # an interrupt must not leave it running; no effect if it has ended
     return _parse(path, output, process.returncode)
 
 

@@ -10,6 +10,7 @@ from geokit.core import launcher
 from geokit.core.forks import renew_after_fork
 from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items
+from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
 
 __all__ = ["Team"]
@@ -65,7 +66,7 @@ class Team:
         self._meeting.zero_()  # a launch of the parent may have been under way
         # One thread makes the launches, one after the other. The caller's thread must not: if it were interrupted after
         # starting some of the threads only, these would wait at their barrier forever.
-        self._first = ThreadPoolExecutor(1, thread_name_prefix="geokit-team")
+        self._first = Pool(1, "geokit-team")
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="geokit-team")
 
     def record(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> Callable[[], None]:
@@ -116,7 +117,7 @@ class Team:
             if threads == 1:
                 calls[0]()
             else:
-                self._first.submit(self._run_all, calls).result()
+                self._first.start(self._run_all, [calls], 1).wait(hold=True)
 
         return run
 

@@ -10,7 +10,7 @@ from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_text
 from geokit.errors import InputError
-from geokit.mesh._sample_surface import scaled_areas
+from geokit.mesh._sample_surface import total_area
 from geokit.volume._model import SparseVolume
 from geokit.volume.band.band import BandShape, build_band, build_triangle_ids, make_band
 from geokit.volume.band.fields import (
@@ -83,9 +83,9 @@ def _band_bytes(mesh: TriangleMesh | Surface, voxel_size: float, half_width: Any
     # A Surface has its tree already.
     given: Any = getattr(mesh, "mesh", None)
     made = BYTES_PER_SIGNED_FACE * mesh.face_count if given is None else 0  # type: ignore[union-attr]
-    scale, areas = scaled_areas(mesh if given is None else given)  # type: ignore[arg-type]
+    scale, area = total_area(mesh if given is None else given)  # type: ignore[arg-type]
     # A plane crosses one and a half tiles for each of its own area on average over all directions.
-    leaves = float(areas.sum()) / (8.0 * voxel_size * scale) ** 2 * (1.5 + both / 8.0)
+    leaves = area / (8.0 * voxel_size * scale) ** 2 * (1.5 + both / 8.0)
     return made + leaves * leaf_bytes
 
 

@@ -28,6 +28,11 @@ def test_errors_that_are_not_the_file_s(error):
     assert caught.value is error
 
 
+def test_text_of_the_file_in_a_named_error_is_escaped():
+    with pytest.raises(FileFormatError, match=r"^folder/a.PLY: has no 'x\\x00\\u2028'$"), named_damage(PATH):
+        raise FileFormatError(f"{PATH}: has no 'x\0\u2028'")
+
+
 def test_numpy_says_nothing():
     signaling = np.array([0x7FA00001], np.uint32).view(np.float32)
     with named_damage(PATH):

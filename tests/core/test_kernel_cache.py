@@ -6,10 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from geokit.core import kernel_cache
+from geokit.core.launches import warp_private
 from tests.support.effort import of_all
 
 pytestmark = pytest.mark.slow
@@ -277,3 +281,34 @@ def test_where_no_folder_can_be_written_to(tmp_path):
     _, err = started.communicate(timeout=120)
     assert "FileAccessError: kernel cache: /dev/null/cache" in err.splitlines()[-1]
     assert "WARP_CACHE_PATH" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("leaves", ["draft", "object", "both"])
+def test_what_an_interrupt_leaves_is_removed(tmp_path, monkeypatch, leaves):
+    # At whichever call of the compiler's it comes: an object without its digest would count as damaged.
+    folder = tmp_path / "wp_square_kernels_0"
+    draft = tmp_path / f"{folder.name}_p{os.getpid()}_t{threading.get_ident()}"
+
+    def load(*_: object) -> None:
+        for place in {"draft": [draft], "object": [folder], "both": [folder, draft]}[leaves]:
+            place.mkdir()
+            (place / "square.o").write_bytes(b"object")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(warp_private, "module_files", lambda *_: (folder / "square.o", folder / "square.meta"))
+    monkeypatch.setattr(warp_private, "load_module", load)
+    module = SimpleNamespace(name="square")
+    with pytest.raises(KeyboardInterrupt):
+        kernel_cache._load_checked(module, SimpleNamespace(), 1, None)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    assert not draft.exists()
+
+
+def test_an_interrupt_while_the_digest_is_kept_leaves_no_draft(tmp_path, monkeypatch):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        kernel_cache._keep(tmp_path / "square.blake2", "digest")
+    assert list(tmp_path.iterdir()) == []

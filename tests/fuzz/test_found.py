@@ -22,6 +22,7 @@ FILES = {
     "escape.xyz": ("points", False),  # the message would have colored the terminal
     "escape.pcd": ("points", False),
     "two_names.ply": ("points", False),  # NumPy's ValueError: a field occurs more than once
+    "name_of_zeros.ply": ("mesh", False),  # the message held the zeros of a name of a list
     "long_map_name.vdb": ("volume", False),  # line ends and other bytes of the file stood in the message
     "long_name.mha": ("volume", False),  # the message did not name the file
     "long_plane.mrc": ("volume", False),  # memory was taken for the first of its planes

@@ -13,7 +13,6 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,8 @@ from geokit.cli._batches.recipe import Recipe, output_names
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of
 from geokit.cli._batches.worker import versions
 from geokit.core.files import atomic_path
+from geokit.core.private_folder import remove_folder
+from geokit.core.running.thread_placement import Pool
 from geokit.errors import FileAccessError, FileFormatError, InputError
 
 __all__ = ["Manifest", "merge", "read_manifest", "write_failures"]
@@ -67,7 +68,7 @@ class Manifest:
             ) from error
         except OSError:  # the file system has no locks
             pass
-        self._pool = ThreadPoolExecutor(MOVERS, "batch-moves")
+        self._pool = Pool(MOVERS, "batch-moves")
         try:
             found, self.records, end = _parsed(self.path, LEFT_OUT)
             if found is not None and found["recipe_hash"] != recipe.hash:
@@ -76,7 +77,7 @@ class Manifest:
                 self.file.truncate(end)  # a line that a killed process did not end
                 if found is None:
                     self._write([{**header, "versions": versions()}])
-                shutil.rmtree(self.staging / WORK, ignore_errors=True)
+                remove_folder(self.staging / WORK)
                 for name in (WORK, DONE):
                     (self.staging / name).mkdir(parents=True, exist_ok=True)
                 self.add(json.loads((left / RECORD).read_text()) for left in sorted((self.staging / DONE).iterdir()))
@@ -89,8 +90,7 @@ class Manifest:
 
     def __exit__(self, error: object, *_: object) -> None:
         if error is None:
-            shutil.rmtree(self.staging, ignore_errors=True)
-        self._pool.shutdown()
+            remove_folder(self.staging)
         self.file.close()
 
     def is_done(self, source: str, retry: bool) -> bool:
@@ -129,7 +129,7 @@ class Manifest:
             written, ended = [], list(records)
             folders = [self.staging / DONE / key_of(record["input"]) for record in ended]
             # Several at a time: on file systems of many machines each operation waits for an answer.
-            committed = list(self._pool.map(self._place, ended, folders))
+            committed = self._pool.map(lambda pair: self._place(*pair), zip(ended, folders, strict=True))
             for record, there in zip(ended, committed, strict=True):
                 # A worker that was thought lost may finish what another one has done: its copy is dropped.
                 if record["status"] == "done" and not there:
@@ -138,7 +138,7 @@ class Manifest:
                     self.records[record["input"]] = _without(record, LEFT_OUT)
                     written.append(record)
             self._write(written)
-            list(self._pool.map(self._drop, folders))
+            self._pool.map(self._drop, folders)
 
     def _place(self, record: dict[str, Any], folder: Path) -> bool:
         """Move outputs to their place; False if there is no work to be found."""

@@ -121,6 +121,9 @@ class _Process:
                 # A session of its own, so that processes that it starts end with it.
                 pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
                 self.running = subprocess.Popen(command, env=self.environment, **pipes)  # type: ignore[call-overload]
+                if self.closed:  # since it was looked at; nobody else ends this process
+                    self.stop()
+                    break
             answer, end = self._ask(json.dumps(job).encode() + b"\n", batch["memory"])
             if answer:
                 return dict(json.loads(answer))

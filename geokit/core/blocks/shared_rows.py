@@ -14,13 +14,13 @@ import functools
 import itertools
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geokit.core.blocks.peer_copies import copy_rows, copy_stream, open_memory
 from geokit.core.interop.arrays import exporter_like, import_array
+from geokit.core.running.thread_placement import Pool
 
 if TYPE_CHECKING:
     import warp as wp
@@ -154,9 +154,7 @@ class Question:
 
 
 def _at_once(calls: Sequence[Callable[[], None]]) -> None:
-    with ThreadPoolExecutor(len(calls)) as pool:
-        for job in [pool.submit(call) for call in calls]:
-            job.result()
+    Pool(len(calls), "device").run(lambda call: call(), calls, len(calls))
 
 
 @contextlib.contextmanager

@@ -114,17 +114,31 @@ class _Guest:
         self._lock, self._running = threading.Lock(), 0
 
     def __enter__(self) -> None:
-        with self._lock:
-            if not self._running:
-                self._was_on = bool(self._core.wp_is_error_output_enabled())
-                self._core.wp_set_error_output_enabled(0)
-            self._running += 1
-        if self._context is not None:
-            self._core.wp_cuda_context_push_current(self._context)
+        counted, pushed = False, list[Any]()
+        try:
+            with self._lock:
+                if not self._running:
+                    self._was_on = bool(self._core.wp_is_error_output_enabled())
+                self._running += 1
+                counted = True
+                if self._running == 1:
+                    self._core.wp_set_error_output_enabled(0)
+            if self._context is not None:
+                # Pushed and noted in one step: no interrupt comes between.
+                pushed.extend(map(self._core.wp_cuda_context_push_current, (self._context,)))
+        except BaseException:
+            if pushed:
+                self._core.wp_cuda_context_pop_current()
+            if counted:
+                self._leave()
+            raise
 
     def __exit__(self, *_: object) -> None:
         if self._context is not None:
             self._core.wp_cuda_context_pop_current()
+        self._leave()
+
+    def _leave(self) -> None:
         with self._lock:
             self._running -= 1
             if not self._running:

@@ -45,15 +45,18 @@ class allocating:
         self._had_error = False
         if not self._device.is_cuda:
             return
-        _one_at_a_time.acquire()
+        taken: list[bool] = []
         try:
+            # Taken and noted in one step: no interrupt comes between.
+            taken.extend(map(_one_at_a_time.acquire, (True,)))
             self._had_error = bool(last_noted_error())
             if self._fatal or self._had_error:
                 import warp as wp
 
                 wp.empty(self._size, dtype=wp.uint8, device=self._device)
         except BaseException:
-            _one_at_a_time.release()
+            if taken:
+                _one_at_a_time.release()
             raise
 
     def __exit__(self, kind: object, *_: object) -> None:

@@ -26,7 +26,7 @@ from geokit.formats.images.image import (
     stored_type,
 )
 from geokit.formats.reader import process as reader_process
-from geokit.formats.vtk import _reports, _without_pointers, reported
+from geokit.formats.vtk import _collected, _window, _without_pointers, reported
 
 __all__ = ["open_images", "prepare", "read_grids", "write_image"]
 
@@ -57,7 +57,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
         if b"</VTKFile>" not in file.read():
             raise FileFormatError(f"{path}: is no whole VTK file (its last tag is missing); get a whole copy")
-    with _reports() as said:
+    with _window.lock, _collected() as said:
         reader: Any = vtkXMLImageDataReader()
         reader.SetFileName(os.fsencode(path))
         reader.Update()

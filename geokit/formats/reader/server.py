@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import io
 import os
 import resource
 import select
@@ -34,6 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.running.interrupts import child_process
 from geokit.formats.reader import worker as reader_worker
 
 __all__ = ["Ended", "Exchange", "TimeExpired", "exchange", "status_name"]
@@ -166,29 +168,23 @@ def exchange(module: str, request: dict[str, Any], seconds: float) -> Iterator[E
 @contextlib.contextmanager
 def _passed(module: str, seconds: float) -> Iterator[Exchange]:
     """Pass the ends of a new connection to the server of the module."""
-    with _lock:
-        control = _server(module)
-        try:
-            channel, theirs = socket.socketpair()
-        except OSError as error:
-            raise Ended(False, str(error)) from None
-        with theirs:
+    with contextlib.ExitStack() as ends:
+        with _lock, contextlib.ExitStack() as theirs:
+            control = _server(module)
             try:
-                status, told = os.pipe()
+                channel, other = socket.socketpair()
+                ends.enter_context(channel)
+                theirs.enter_context(other)
+                # Numbers would be lost with an interrupt, and stay open: nobody would see the other side's end.
+                status, told = map(io.FileIO, os.pipe(), "rw")
+                ends.enter_context(status)
+                theirs.enter_context(told)
             except OSError as error:
-                channel.close()
                 raise Ended(False, str(error)) from None
-            try:
-                # The server has ended if this fails, and nobody will take the other ends.
-                with contextlib.suppress(OSError):
-                    socket.send_fds(control, [b"f"], [theirs.fileno(), told])
-            finally:
-                os.close(told)
-    try:
-        with channel:
-            yield Exchange(control, channel, status, time.monotonic() + seconds)
-    finally:
-        os.close(status)
+            # The server has ended if this fails, and nobody will take the other ends.
+            with contextlib.suppress(OSError):
+                socket.send_fds(control, [b"f"], [other.fileno(), told.fileno()])
+        yield Exchange(control, channel, status.fileno(), time.monotonic() + seconds)
 
 
 def _environment() -> dict[str, str]:
@@ -227,22 +223,22 @@ def _start(module: str, control: socket.socket, environment: dict[str, str]) -> 
     """Start a server; the process that is started here forks it and ends, so that it is no child of the caller."""
     command = [sys.executable, "-c", _START, str(Path(__file__).resolve().parents[3]), module]
     try:
-        done = subprocess.run(
+        with child_process(
             command,
             stdin=control.fileno(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            timeout=START_SECONDS,
             env=environment,
             start_new_session=True,  # Ctrl-C in a terminal is for the caller
-        )
+        ) as starter:
+            _, said = starter.communicate(timeout=START_SECONDS)
     except subprocess.TimeoutExpired:
         raise Ended(False, f"its libraries were not imported within {START_SECONDS:.0f} s") from None
     except OSError as error:
         raise Ended(False, str(error)) from None
-    if done.returncode:
-        last = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:] or ["no message"]
-        raise Ended(False, f"{status_name(done.returncode)}: {last[0][:200]}")
+    if starter.returncode:
+        last = said.decode("utf-8", "replace").strip().splitlines()[-1:] or ["no message"]
+        raise Ended(False, f"{status_name(starter.returncode)}: {last[0][:200]}")
 
 
 def status_name(status: int) -> str:

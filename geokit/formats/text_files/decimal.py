@@ -61,22 +61,10 @@ def parse(data: bytes, start: int, stop: int, chunk: int = CHUNK) -> NDArray[np.
 def _in_threads(work: Callable[[int], int], count: int) -> list[int]:
     """Results of ``work(0) .. work(count - 1)``, computed in threads if there are several."""
     from geokit.core import launcher
-    from geokit.core.thread_placement import wait_for
 
-    threads = min(launcher.thread_count(), count)
-    if threads == 1:
+    if min(launcher.thread_count(), count) == 1:
         return [work(at) for at in range(count)]
-    results = [0] * count
-    # Shared by the threads: each takes the next number when it has finished its last.
-    numbers = iter(range(count))
-
-    def several() -> None:
-        for at in numbers:
-            results[at] = work(at)
-
-    pool = launcher.pool()
-    wait_for([pool.submit(several) for _ in range(threads)], pool.ids)
-    return results
+    return launcher.pool().map(work, range(count))
 
 
 def _shape_of_first(data: bytes, start: int, stop: int) -> tuple[int, int] | None:

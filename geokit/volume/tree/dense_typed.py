@@ -6,14 +6,13 @@ Floats have their own kernels (``volume/tree/dense_tiles.py``).
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.launcher import thread_count
+from geokit.core.launcher import pool
 from geokit.core.memory import available_memory
 from geokit.core.require import described, read_array
 from geokit.errors import DeviceMemoryError, InputError
@@ -91,20 +90,19 @@ def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule
     """
     tiles, layout, background = _Tiles(dense, start, rule), rule.layout, rule.background
     # NumPy releases the GIL in most of these passes.
-    with ThreadPoolExecutor(thread_count()) as pool:
-        states = np.concatenate([np.zeros((0, *tiles.count[1:]), np.uint8), *pool.map(tiles.states, tiles.layers)])
-        places = np.argwhere(states == LEAF)
-        need = len(places) * (LEAF_VOXELS * layout.background.itemsize + layout.leaf_size + 256)
-        have = available_memory.available_host()
-        if need > have:
-            raise DeviceMemoryError(
-                f"values: {len(places)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger "
-                "tolerance, or parts of the array",
-                need=need,
-            )
-        values = np.empty((len(places), LEAF_VOXELS, *background.shape), background.dtype)
-        masks = np.empty((len(places), LEAF_VOXELS // 8), np.uint8)
-        list(pool.map(lambda x: tiles.fill(x, places, values, masks), tiles.layers))
+    states = np.concatenate([np.zeros((0, *tiles.count[1:]), np.uint8), *pool().map(tiles.states, tiles.layers)])
+    places = np.argwhere(states == LEAF)
+    need = len(places) * (LEAF_VOXELS * layout.background.itemsize + layout.leaf_size + 256)
+    have = available_memory.available_host()
+    if need > have:
+        raise DeviceMemoryError(
+            f"values: {len(places)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger "
+            "tolerance, or parts of the array",
+            need=need,
+        )
+    values = np.empty((len(places), LEAF_VOXELS, *background.shape), background.dtype)
+    masks = np.empty((len(places), LEAF_VOXELS // 8), np.uint8)
+    pool().map(lambda x: tiles.fill(x, places, values, masks), tiles.layers)
     tree = tree_of_leaves(layout, background, tiles.origins_of(places), masks, values)
     return replace(tree, lower=_inside(tiles.origins_of(np.argwhere(states == INSIDE)), background))
 

@@ -10,7 +10,6 @@ Source:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -208,9 +207,9 @@ def unpack(packed: NDArray[np.uint8], bits: int) -> NDArray[np.uint16]:
 
 def in_tasks(first: int, stop: int, work: Callable[[int, int], float]) -> float:
     """The largest of ``work(begin, end)`` over blocks of leaves, in threads: NumPy releases the GIL in most of it."""
-    with ThreadPoolExecutor(launcher.thread_count()) as pool:
-        begins = range(first, stop, LEAVES_PER_TASK)
-        return max(pool.map(lambda begin: work(begin, min(begin + LEAVES_PER_TASK, stop)), begins), default=0.0)
+    begins = range(first, stop, LEAVES_PER_TASK)
+    found = launcher.pool().map(lambda begin: work(begin, min(begin + LEAVES_PER_TASK, stop)), begins)
+    return max(found, default=0.0)
 
 
 def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.launcher import thread_count
+from geokit.core.launcher import pool
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import (
@@ -287,8 +286,7 @@ def write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]
     if leaf.count <= LEAVES_AT_A_TIME:
         return items, write(0)
     # NumPy releases the GIL in most of these passes.
-    with ThreadPoolExecutor(thread_count()) as pool:
-        return items, sum(pool.map(write, range(0, leaf.count, LEAVES_AT_A_TIME)))
+    return items, sum(pool().map(write, range(0, leaf.count, LEAVES_AT_A_TIME)))
 
 
 def _write_root(

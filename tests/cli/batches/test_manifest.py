@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
 from pathlib import Path
@@ -15,6 +16,10 @@ from geokit.cli._batches.manifest import Manifest, merge, read_manifest, write_f
 from geokit.cli._batches.recipe import read_recipe
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, key_of
 from geokit.errors import FileAccessError, FileFormatError, InputError
+from tests.support.effort import of_all
+from tests.support.interrupts import interrupted
+
+PARTS = ("manifest.py", "shutil.py", "thread_placement.py", "interrupts.py", "contextlib.py")
 
 
 def _record(source: Path, status: str = "done", output: str = "a.off") -> dict[str, Any]:
@@ -34,6 +39,29 @@ def _commit(staging: Path, record: dict[str, Any]) -> None:
 
 class Killed(BaseException):
     pass
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_at_any_call_is_gone_on_from(tmp_path, corners, recipe, records_in) -> None:
+    (source,), read, number = corners(1), read_recipe(recipe), 0
+
+    def block() -> None:
+        with Manifest(out, read, None) as manifest:
+            _commit(manifest.staging, _record(source))
+            manifest.add([{**_record(source), "worker": "w"}])
+
+    # Files with the steps; that of a worker, in pathlib.py, is not among them.
+    for number in itertools.count(0, of_all(13, 1)):
+        out = tmp_path / str(number)
+        going_on = interrupted(number, block, PARTS)
+        with Manifest(out, read, None) as manifest:
+            done = manifest.is_done(str(source), False)
+        assert sorted(path.name for path in out.iterdir()) == (["a.off"] if done else []) + ["manifest.jsonl"], number
+        assert len(records_in(out / "manifest.jsonl")) == done, number
+        if not going_on:
+            break
+    assert done
+    assert number > 100
 
 
 @pytest.mark.parametrize(

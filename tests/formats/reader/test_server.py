@@ -20,6 +20,8 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.formats.reader import process as reader_process
 from geokit.formats.reader import server as reader_server
+from tests.support.effort import of_all
+from tests.support.interrupts import interrupts
 
 pytestmark = pytest.mark.process
 
@@ -39,6 +41,8 @@ def read_mesh(path):
     return [Body(corners, array.array("q", [3]), array.array("q", [0, 1, 2]), name=str(names["said"]))]
 """
 LIMIT = 1 << 24
+# Files with what happens between a caller and its server.
+SENDERS = ("server.py", "interrupts.py", "socket.py", "subprocess.py", "contextlib.py", "selectors.py")
 PIDS = "said = f'{os.getpid()} {os.getppid()}'"
 
 
@@ -177,6 +181,37 @@ def test_a_caller_that_gives_up_leaves_no_process(make):
     with reader_server.exchange("reader_of_programs", request, 60.0):
         process = announced(pid)
     assert ends(process)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.slow
+@pytest.mark.parametrize("starts", [False, True])
+def test_an_interrupt_at_any_call_leaves_no_process_and_the_next_file_is_read(make, starts):
+    path, number, before = make(), 0, set(children(os.getpid()))
+
+    def block():
+        if starts:
+            reader_server._forget_all()
+        read(path)
+
+    read(path)
+    # Starting takes long: a few calls stand for all, others by each run of all tests.
+    for number in interrupts(block, SENDERS, step=of_all(101, 5) if starts else of_all(37, 1)):
+        assert set(children(os.getpid())) == before, number
+        process, server = pids(path)
+        # The reader of the interrupted call has ended too: beside the one that waits there is no other.
+        assert ends(process), number
+        assert alone(server), number
+    assert number > 100
+
+
+def alone(server: int) -> bool:
+    """Whether a server has soon no more than the process that waits for the next file."""
+    for _ in range(200):
+        if len(children(server)) <= 1:
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def children(process: int) -> list[int]:

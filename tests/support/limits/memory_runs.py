@@ -91,8 +91,7 @@ def ready() -> None:
     from geokit.core import launcher
 
     forget_pools()
-    for _ in launcher.pool().map(lambda _: bytearray(1 << 16), range(64)):
-        pass
+    launcher.pool().map(lambda _: bytearray(1 << 16), range(64))
 
 
 def peak_of(call: Call) -> dict[str, Any]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
+import signal
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import launcher, thread_placement
-from geokit.core.thread_placement import Pool, wait_for
+from geokit.core import launcher
+from geokit.core.running import thread_placement
+from geokit.core.running.thread_placement import Pool
+from tests.support.effort import of_all
+from tests.support.interrupts import interrupts
 
 wp.set_module_options({"enable_backward": False})
 processors = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
@@ -31,31 +35,98 @@ def busy_kernel(first: int, turns: int, out: wp.array(dtype=float)):
 
 
 def test_all_are_waited_for():
-    with ThreadPoolExecutor(3) as pool:
-        jobs = [pool.submit(time.sleep, seconds) for seconds in (0.0, 0.002, 0.02)]
-        wait_for(jobs, [])
-        assert all(job.done() for job in jobs)
+    done = []
+    Pool(3, "test").run(lambda seconds: (time.sleep(seconds), done.append(seconds)), [0.0, 0.002, 0.02, 0.0], 3)
+    assert sorted(done) == [0.0, 0.0, 0.002, 0.02]
 
 
-def test_errors_are_raised():
-    def fail():
-        raise KeyError("slice")
+def test_the_error_of_the_first_item_is_raised():
+    def fail(at):
+        if at in (3, 5):
+            time.sleep(0.002 * (5 - at))
+            raise KeyError(f"slice {at}")
 
-    with ThreadPoolExecutor(2) as pool, pytest.raises(KeyError, match="slice"):
-        wait_for([pool.submit(time.sleep, 0.005), pool.submit(fail)], [])
+    pool = Pool(2, "test")
+    for _ in range(5):
+        with pytest.raises(KeyError, match="slice 3"):
+            pool.run(fail, range(8), 2)
+    assert pool.map(str, range(3)) == ["0", "1", "2"]
 
 
 def test_a_pool_knows_its_threads():
     pool = Pool(3, "test")
     together = threading.Barrier(3)
 
-    def meet():
+    def meet(_):
         together.wait()
         return threading.get_native_id()
 
-    jobs = [pool.submit(meet) for _ in range(3)]
-    wait_for(jobs, pool.ids)
-    assert sorted(job.result() for job in jobs) == sorted(pool.ids)
+    assert sorted(pool.map(meet, range(3))) == sorted(pool.ids)
+
+
+def test_a_call_may_give_more_to_its_own_pool():
+    pool = Pool(2, "test")
+    assert pool.map(lambda at: sum(pool.map(int, range(at))), range(6)) == [0, 0, 1, 3, 6, 10]
+
+
+def test_without_memory_for_threads_the_caller_does_the_work(monkeypatch):
+    monkeypatch.setattr(thread_placement, "available_host", lambda: 0)
+    pool = Pool(2, "test")
+    assert set(pool.map(lambda _: threading.get_ident(), range(4))) == {threading.get_ident()}
+    assert not pool.ids
+
+
+def test_the_threads_of_a_pool_end_with_it():
+    pool = Pool(2, "test")
+    pool.map(time.sleep, [0.001, 0.001])
+    threads = list(pool._threads)
+    del pool
+    gc.collect()
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_after_an_interrupt_nothing_runs_any_more():
+    begun, ended = [], []
+
+    def call(at):
+        begun.append(at)
+        if at == 2:
+            os.kill(os.getpid(), signal.SIGINT)  # of a process: its main thread takes it
+        time.sleep(0.02)
+        ended.append(at)
+
+    with pytest.raises(KeyboardInterrupt):
+        Pool(2, "test").run(call, range(100), 2)
+    assert sorted(ended) == sorted(begun)
+    assert len(begun) < 10
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_at_any_call_leaves_the_pool_usable():
+    begun, ended = [], []
+
+    def call(at):
+        begun.append(at)
+        ended.append(at)
+
+    def block():
+        nonlocal pool
+        pool = Pool(2, "test")
+        pool.run(call, range(4), 2)
+        pool.run(call, range(4), 2)
+
+    def ask():
+        found.append(pool.map(str, range(4)))
+
+    pool, number = Pool(2, "test"), 0
+    for number in interrupts(block, step=of_all(7, 1)):
+        assert len(begun) == len(ended), number
+        found = []
+        asking = threading.Thread(target=ask, daemon=True)
+        asking.start()
+        asking.join(30)
+        assert found == [["0", "1", "2", "3"]], number
+    assert number > 100
 
 
 @pytest.mark.skipif(len(processors) < 2, reason="needs two processors")
