@@ -8,6 +8,7 @@ import warp as wp
 
 from geokit import native
 from geokit.core.memory import available_memory
+from geokit.core.running.thread_placement import Pool
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume._dense import from_dense, to_dense
 from geokit.volume._io import load, save
@@ -222,7 +223,8 @@ def test_parts_and_threads_do_not_matter(grid_type, monkeypatch):
     made = from_dense(values, **options).nanovdb
     for numbers, threads in ((1, 1), (9000, 3), (1 << 30, 2)):
         monkeypatch.setattr("geokit.volume.tree.dense_typed.NUMBERS_AT_A_TIME", numbers)
-        monkeypatch.setattr("geokit.volume.tree.dense_typed.thread_count", lambda threads=threads: threads)
+        workers = Pool(threads, "test")
+        monkeypatch.setattr("geokit.volume.tree.dense_typed.pool", lambda workers=workers: workers)
         np.testing.assert_array_equal(from_dense(values, **options).nanovdb, made)
 
 
