@@ -139,11 +139,12 @@ def write_fbx(path: Path, *, bodies: Sequence[str] = ("cube", "box"), image: str
     )
 
 
-def write_cad(path: Path, *, radius: float = 1.0, unit: str = "MM") -> None:
-    """A cylinder of height 3 around the z axis, and a cube of size 2 that begins at (5, 0, 0).
+def write_cad(path: Path, *shapes: Any, radius: float = 1.0, unit: str = "MM") -> None:
+    """A cylinder of height 3 around the z axis and a cube of size 2 that begins at (5, 0, 0), or other shapes.
 
     Args:
         path: A .step or .iges file.
+        shapes: Of Open CASCADE, instead.
         radius: Radius of the cylinder.
         unit: Unit of a .step file.
     """
@@ -160,8 +161,13 @@ def write_cad(path: Path, *, radius: float = 1.0, unit: str = "MM") -> None:
     Message.DefaultMessenger_s().RemovePrinters(Message_PrinterOStream.get_type_descriptor_s())
     whole, builder = TopoDS_Compound(), BRep_Builder()
     builder.MakeCompound(whole)
-    builder.Add(whole, BRepPrimAPI_MakeCylinder(radius, 3.0).Shape())
-    builder.Add(whole, BRepPrimAPI_MakeBox(gp_Pnt(5.0, 0.0, 0.0), 2.0, 2.0, 2.0).Shape())
+    if not shapes:
+        shapes = (
+            BRepPrimAPI_MakeCylinder(radius, 3.0).Shape(),
+            BRepPrimAPI_MakeBox(gp_Pnt(5.0, 0.0, 0.0), 2.0, 2.0, 2.0).Shape(),
+        )
+    for shape in shapes:
+        builder.Add(whole, shape)
     if path.suffix in (".iges", ".igs"):
         writer = IGESControl_Writer()
         assert writer.AddShape(whole)
