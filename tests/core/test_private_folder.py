@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import itertools
 import os
 import signal
 import stat
@@ -19,6 +20,7 @@ from geokit.core import private_folder as module
 from geokit.core.files import atomic_path
 from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder, temporary_parent
 from geokit.errors import FileAccessError
+from tests.support.interrupts import interrupted, interrupts
 
 HOLDER = """
 import sys, time
@@ -147,32 +149,6 @@ def test_no_folder_for_temporary_files_is_named(monkeypatch):
         temporary_parent()
 
 
-class _Interrupt:
-    """Raises KeyboardInterrupt at the call of a given number, where Python looks for signals: as a function of Python
-    is entered, or as one of C has returned."""
-
-    def __init__(self, number):
-        self.left = number
-
-    def __call__(self, frame, event, argument):
-        if event in ("call", "c_return") and frame.f_code.co_filename != __file__:
-            self.left -= 1
-            if self.left < 0:
-                sys.setprofile(None)
-                raise KeyboardInterrupt
-
-
-def _interrupted(number, block):
-    try:
-        sys.setprofile(_Interrupt(number))
-        block()
-    except KeyboardInterrupt:
-        return True
-    finally:
-        sys.setprofile(None)
-    return False
-
-
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_at_any_call_leaves_nothing(tmp_path):
     def block():
@@ -180,9 +156,8 @@ def test_an_interrupt_at_any_call_leaves_nothing(tmp_path):
             file.write("x")
 
     number = 0
-    while _interrupted(number, block):
+    for number in interrupts(block):
         assert list(tmp_path.iterdir()) == [], number
-        number += 1
     assert number > 50
 
 
@@ -192,14 +167,13 @@ def test_an_interrupt_at_any_call_leaves_the_old_file_or_the_new_one(tmp_path):
         with atomic_path(target) as part:
             part.write_text("new")
 
-    number, target, found = 0, tmp_path / "target", set()
-    while True:
+    target, found = tmp_path / "target", set()
+    for number in itertools.count():
         target.write_text("old")
-        whole = not _interrupted(number, block)
+        interrupt = interrupted(number, block)
         assert [one.name for one in tmp_path.iterdir()] == ["target"], number
         found.add(target.read_text())
-        number += 1
-        if whole:
+        if not interrupt:
             break
     assert found == {"old", "new"}
     assert number > 100

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.volume.tolerance.interpolation_errors import STENCILS, axis_weights
+from geokit.volume.tolerance.interpolation_errors import STENCILS
 
 if TYPE_CHECKING:
     import warp as wp
@@ -37,7 +37,7 @@ CELLS_AT_A_TIME = 1 << 18
 SPREAD_SHARE = 0.35
 # Points tested on an edge of the mesh, per edge length of a cell.
 CREASE_POINTS = 8
-# Points of edges that are tested at a time at order 1; fewer at higher orders, which read more voxels.
+# Points of edges that are tested at a time.
 POINTS_AT_A_TIME = 1 << 20
 # Cells whose error exceeds this share of the limit are sampled most densely, because between the first sample points
 # the error is up to half as large again.
@@ -177,20 +177,19 @@ class _Stencils(NamedTuple):
     Attributes:
         order: Order of interpolation.
         values: Exact distances of all voxels, float64, on the surface's device.
-        host: The same, float32.
         rows: The first voxel of each row along z of each cell's stencil, as a row of ``values``, (N, width^2) int32.
             The others of a row follow it.
     """
 
     order: int
     values: "wp.array"
-    host: NDArray[np.float32]
     rows: NDArray[np.int32]
 
-    def of(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Values of the stencils of some cells, shape (n, width, width, width)."""
-        width = STENCILS[self.order][1]
-        return self.host[self.rows[cells][:, :, None] + np.arange(width)].reshape(-1, width, width, width)
+    def rows_on(self, device: "wp.Device", chosen: NDArray[np.int64] | None = None) -> "wp.array":
+        """The rows of all cells, or of some, on a device."""
+        import warp as wp
+
+        return wp.array(self.rows if chosen is None else self.rows[chosen], dtype=wp.int32, device=device)
 
 
 def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order: int) -> NDArray[np.float64]:
@@ -208,11 +207,11 @@ def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order
     exact = lattice.distances(cells_of(voxels))
     values, closest = _on(device, *exact)
     rows = np.searchsorted(voxels, keys[:, None] + begin).astype(np.int32)
-    stencils = _Stencils(order, values, exact[0].astype(np.float32), rows)
+    stencils = _Stencils(order, values, rows)
     middle = _on(device, *lattice.distances(cells + 0.5))
     place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(lattice.within)]
     error, spread = (wp.empty(len(cells), dtype=wp.float64, device=device) for _ in range(2))
-    where = [_cells_on(device, cells), wp.array(rows, dtype=wp.int32, device=device), order]
+    where = [_cells_on(device, cells), stencils.rows_on(device), order]
     launcher.launch(examine_kernel, len(cells), [*where, values, closest, *middle, *place], [error, spread], device)
     errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, stencils, limit))
     suspect = (errors <= limit) & (SPREAD_SHARE * lattice.size * spread.numpy() > limit)
@@ -247,8 +246,8 @@ def _inspect(
         some = slice(start, start + step)
         index = (cells[some][:, None] + inner).reshape(-1, 3)
         asked = _on(device, *lattice.distances(index))
-        rows = [_cells_on(device, cells[some]), wp.array(stencils.rows[chosen[some]], dtype=wp.int32, device=device)]
-        where = wp.array(lattice.positions(index), dtype=wp.vec3d, device=device)
+        rows = [_cells_on(device, cells[some]), stencils.rows_on(device, chosen[some])]
+        where = _points_on(device, lattice.positions(index))
         worst = wp.empty(len(cells[some]), dtype=wp.float64, device=device)
         inputs = [*rows, stencils.order, stencils.values, len(inner), where, *asked, *place]
         launcher.launch(inspect_kernel, len(worst), inputs, [worst], device)
@@ -262,56 +261,40 @@ def _crease_errors(
     """Largest error of each cell on creases of the distance: on edges of the mesh and on their bisecting planes.
 
     On an edge the distance is 0. The crease that leaves it, halfway between its faces, lies inside at convex edges and
-    outside at concave ones.
+    outside at concave ones. A point up to BORDER beyond a cell's border counts for that cell too.
     """
-    errors = np.zeros(len(cells))
+    import warp as wp
+
+    from geokit.volume.adaptive.crease_kernels import crease_kernel, touched_kernel
+
+    device = lattice.surface._device
     keys = keys_of(cells)
     order = np.argsort(keys)
-    at_a_time = POINTS_AT_A_TIME if stencils.order == 1 else POINTS_AT_A_TIME // 8
-    for points, between in _crease_points(lattice, limit, at_a_time):
+    lookup = [wp.array(keys[order], device=device), wp.array(order.astype(np.int32), device=device)]
+    place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(BORDER)]
+    read = [stencils.rows_on(device), stencils.order, stencils.values, *place]
+    reach = wp.float64(lattice.within * (1.0 + BORDER))
+    # As bits, negative: see crease_kernel.
+    worst = wp.zeros(len(cells), dtype=wp.int64, device=device)
+    most = -_bits(limit)
+    for points, between in _crease_points(lattice, limit, POINTS_AT_A_TIME):
         for depth in CREASE_DEPTHS:
             asked = points + between * (depth * lattice.within)
-            row, cell, fraction = _touched(lattice, asked, keys, order)
+            exact, open_from = np.zeros(len(asked)), np.iinfo(np.int64).min
             if depth > 0.0:
-                open_yet = errors[cell] <= limit
-                row, cell, fraction = row[open_yet], cell[open_yet], fraction[open_yet]
-                found, inverse = np.unique(row, return_inverse=True)
-                exact = lattice.surface.signed_distance(asked[found], sign=lattice.sign).distance[inverse]
-            else:
-                exact = np.zeros(len(row))
-            value = stencils.of(cell).astype(np.float64)
-            for axis in (2, 1, 0):
-                value = np.einsum("n...i,ni->n...", value, axis_weights(stencils.order, fraction[:, axis]))
-            error = np.where(np.abs(exact) <= lattice.within * (1.0 + BORDER), np.abs(value - exact), 0.0)
-            np.maximum.at(errors, cell, error)
-    return errors
+                touched, open_from = wp.empty(len(asked), dtype=wp.uint8, device=device), most
+                inputs = [_points_on(device, asked), *lookup, worst, most, *place]
+                launcher.launch(touched_kernel, len(asked), inputs, [touched], device)
+                asked = asked[touched.numpy() != 0]
+                exact = lattice.surface.signed_distance(asked, sign=lattice.sign).distance
+            # What is open is decided before, so that no answer depends on which thread comes first.
+            inputs = [*_on(device, exact, asked)[::-1], *lookup, wp.clone(worst), open_from, *read, reach]
+            launcher.launch(crease_kernel, len(asked), inputs, [worst], device)
+    return np.asarray((-worst.numpy()).view(np.float64))
 
 
-def _touched(
-    lattice: CellLattice, points: NDArray[np.float64], keys: NDArray[np.int64], order: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Pairs of a point and a cell that contains it, up to BORDER beyond the cell's border.
-
-    Args:
-        lattice: Lattice of the cells.
-        points: Positions [world], shape (N, 3).
-        keys: Keys of the cells, in any order.
-        order: Permutation that sorts the keys.
-    Returns:
-        Rows of the points, rows of the cells, and the points' fractions in the cells, (P, 3).
-    """
-    index = (points - lattice.origin) / lattice.size
-    border = np.abs(index - np.round(index)) < BORDER
-    below = np.where(border, np.round(index), np.floor(index))
-    pairs = []
-    for back in CORNERS:
-        some = np.flatnonzero((border | (back == 0)).all(axis=1))
-        cell = (below[some] - back).astype(np.int64)
-        wanted = keys_of(cell)
-        row = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
-        there = keys[row] == wanted
-        pairs.append((some[there], row[there], (index[some] - cell)[there]))
-    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))  # type: ignore[return-value]
+def _bits(value: float) -> int:
+    return int(np.float64(value).view(np.int64))
 
 
 def _crease_points(
@@ -367,13 +350,16 @@ def _find_creases(mesh: TriangleMesh) -> _Creases:
     return _Creases(mesh.vertices[edges], sharpness, between)
 
 
-def _on(device: "wp.Device", distance: NDArray[np.float64], closest: NDArray[np.float64]) -> list["wp.array"]:
+def _on(device: "wp.Device", distance: NDArray[np.float64], points: NDArray[np.float64]) -> list["wp.array"]:
     import warp as wp
 
-    return [
-        wp.array(distance, dtype=wp.float64, device=device),
-        wp.array(np.ascontiguousarray(closest), dtype=wp.vec3d, device=device),
-    ]
+    return [wp.array(distance, dtype=wp.float64, device=device), _points_on(device, points)]
+
+
+def _points_on(device: "wp.Device", points: NDArray[np.float64]) -> "wp.array":
+    import warp as wp
+
+    return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=device)
 
 
 def _cells_on(device: "wp.Device", cells: NDArray[np.int64]) -> "wp.array":
