@@ -17,7 +17,7 @@ from tests.fuzz.campaign import Worker, run
 from tests.fuzz.originals import TARGETS, Target
 from tests.support.effort import of_all
 
-MUTANTS = of_all(15, 200)
+MUTANTS = of_all(10, 200)
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,6 @@
 """Every argument of every public function, spoiled with every bad value: a named error, or a value that may be given.
 
-A full run is some 30,000 calls, one in sixteen by default.
+A full run is some 30,000 calls, one in twenty-four by default.
 ``python -m tests.house.test_arguments NAME`` prints what the calls of one name do.
 """
 
@@ -29,7 +29,7 @@ from tests.support.public_calls import Call, Scene, kinds_of, public_calls, publ
 LONGEST, DEADLINE = 5.0, 120.0
 PARTS = 24
 # One in so many calls is made in the inner loop, and by default.
-SAMPLE, SHARE = 401, of_all(16, 1)
+SAMPLE, SHARE = 401, of_all(24, 1)
 # Functions that answer NaN by contract, and where.
 NOT_A_NUMBER = {
     "mesh.Surface.closest_point": "misses",

@@ -20,8 +20,8 @@ SECONDS = 1800 if int(LIMITS) <= 3 else 20_000
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 def test_operations_under_limits() -> None:
-    # By default every third form of a function, in the one that does most, under one limit.
-    part, *least = (3, 60, 6) if int(LIMITS) == 1 else (1, 130, 16)
+    # By default every sixth function, in the form that does most, under one limit.
+    part, *least = (6, 30, 3) if int(LIMITS) == 1 else (1, 130, 16)
     settings = (
         {"SCALE": "0.1", "ONCE": "1" if part > 1 else "", "PART": f"0/{part}"}
         if int(LIMITS) <= 3
