@@ -83,8 +83,9 @@ def load(
     Args:
         path: {formats}.
         name: The mesh's name; None is the file's name without its extension.
-        tolerance: Of .step and .iges: largest distance between a curved face and its triangles [mm], by Open CASCADE's
-            estimate; None for 1e-4 of the diagonal of the file's box.
+        tolerance: Of .step and .iges: largest distance between a curved face and its triangles [mm], for which Open
+            CASCADE, whose estimate may be half of it, is asked for 0.4 of it; None for 1e-4 of the diagonal of the
+            file's box.
         step: Of an .xdmf with a time series: which one, from 0, or from -1 back from the last; None reads files of one
             mesh only.
         reference_folders: Further folders in which files may lie that this one refers to.
