@@ -22,6 +22,8 @@ __all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas", 
 
 # Their corners fit into the caches.
 FACES_AT_A_TIME = 1 << 14
+# So many take a hundred kilobytes.
+FEW_FACES = 1 << 9
 
 METHODS = ("uniform", "poisson_disk")
 # A point with its triangle, weights and corners, and the copies while they are made (220 measured). Not less: where
@@ -158,7 +160,7 @@ def _checked(count: Any, method: str, radius: Any) -> tuple[int | None, float | 
 def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:
     """A power of two that scales the mesh to about unit size, and the areas (F,) of its triangles at that size."""
     scale, areas, first = _scale_of(mesh), np.empty(len(mesh.faces)), 0
-    for block in _area_blocks(mesh, scale):
+    for block in _area_blocks(mesh, scale, FACES_AT_A_TIME):
         areas[first : first + len(block)] = block
         first += len(block)
     return scale, areas
@@ -167,7 +169,7 @@ def scaled_areas(mesh: TriangleMesh) -> tuple[float, NDArray[np.float64]]:
 def total_area(mesh: TriangleMesh) -> tuple[float, float]:
     """The scale of :func:`scaled_areas`, and the sum of the areas, in little memory: for estimates where it ran out."""
     scale = _scale_of(mesh)
-    return scale, sum(float(block.sum()) for block in _area_blocks(mesh, scale))
+    return scale, sum(float(block.sum()) for block in _area_blocks(mesh, scale, FEW_FACES))
 
 
 def _scale_of(mesh: TriangleMesh) -> float:
@@ -177,10 +179,10 @@ def _scale_of(mesh: TriangleMesh) -> float:
     return math.ldexp(1.0, -math.frexp(half)[1]) if half > 0.0 else 1.0
 
 
-def _area_blocks(mesh: TriangleMesh, scale: float) -> Iterator[NDArray[np.float64]]:
-    """Areas of the scaled triangles, some thousands at a time."""
-    for first in range(0, len(mesh.faces), FACES_AT_A_TIME):
-        corners = mesh.faces[first : first + FACES_AT_A_TIME].T
+def _area_blocks(mesh: TriangleMesh, scale: float, count: int) -> Iterator[NDArray[np.float64]]:
+    """Areas of the scaled triangles, so many at a time."""
+    for first in range(0, len(mesh.faces), count):
+        corners = mesh.faces[first : first + count].T
         # Axis by axis: numpy.cross over rows of three is many times slower.
         a, b, c = (np.ascontiguousarray(mesh.vertices.take(corner, axis=0).T) * scale for corner in corners)
         (ux, uy, uz), (vx, vy, vz) = b - a, c - a

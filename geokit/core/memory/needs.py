@@ -70,8 +70,8 @@ def needs(
 
         @functools.wraps(function)
         def guarded(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-            if not late:
-                require_free(bytes_of(*args, **kwargs), what, always=fatal)
+            stated = 0 if late else bytes_of(*args, **kwargs)
+            require_free(stated, what, always=fatal)
             if _native is None:
                 _look_for_torch()
             try:
@@ -80,14 +80,16 @@ def needs(
                 with _native:
                     return function(*args, **kwargs)
             except DeviceMemoryError as error:
-                _restate(error, what, bytes_of(*args, **kwargs))
+                _restate(error, what, stated or bytes_of(*args, **kwargs))
                 raise
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
                 # What the operation has made so far is freed, so that there is memory for the message.
                 traceback.clear_frames(error.__traceback__)
-                raise _refusal(what, bytes_of(*args, **kwargs), available_memory.available_host()) from error
+                # Where memory has run out, the estimate may not be found a second time.
+                need = stated or bytes_of(*args, **kwargs)
+                raise _refusal(what, need, available_memory.available_host()) from error
 
         guarded._geokit_bytes = bytes_of  # type: ignore[attr-defined]
         return guarded
