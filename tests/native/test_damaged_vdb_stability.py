@@ -101,7 +101,8 @@ def test_every_truncation_is_refused(
 ) -> None:
     content = samples[compression]
     path = tmp_path / "short.vdb"
-    sizes = sorted({0, 1, 7, 8, 30, 60, 100, 200, len(content) - 1, *np.linspace(0, len(content) - 2, of_all(6, 24)).astype(int)})
+    steps = np.linspace(0, len(content) - 2, of_all(6, 24)).astype(int)
+    sizes = sorted({0, 1, 7, 8, 30, 60, 100, 200, len(content) - 1, *steps})
     for size in sizes:
         path.write_bytes(content[:size])
         assert outcome(path) == "refused", f"{size} of {len(content)} bytes"
