@@ -4,29 +4,40 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 
 __all__ = ["ForkServer"]
 
 ROOT = Path(__file__).resolve().parents[2]
+MOST = 1 << 17
 
-# Each request is a line of JSON; the answer is the exit code. A fork finds the environment as a new process would.
-_SERVER = """
-import atexit, json, os, sys, tempfile, traceback
-exec(sys.argv[1])
-for line in sys.stdin:
-    script, words, environment, out, err = json.loads(line)
+# A request is JSON, with pipes for what is printed; the answer is the exit code. A fork finds the environment and the
+# streams that a new process would find.
+_SERVER = f"""
+import atexit, json, os, socket, sys, tempfile, traceback
+server = socket.socket(fileno=int(sys.argv[1]))
+exec(sys.argv[2])
+while True:
+    data, streams, _, _ = socket.recv_fds(server, {MOST}, 2)
+    if not data:
+        break
+    script, words, environment = json.loads(data)
     process = os.fork()
     if process:
-        print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+        for stream in streams:
+            os.close(stream)
+        server.send(b"%d" % os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]))
         continue
-    for number, path in ((1, out), (2, err)):
-        os.dup2(os.open(path, os.O_WRONLY), number)
+    server.close()
+    for number, stream in enumerate(streams, 1):
+        os.dup2(stream, number)
+        os.close(stream)
     os.environ.clear()
     os.environ.update(environment)
     sys.path[:0] = [folder for folder in environment.get("PYTHONPATH", "").split(os.pathsep) if folder]
@@ -34,7 +45,7 @@ for line in sys.stdin:
     tempfile.tempdir = None
     code = 0
     try:
-        exec(compile(script, "<script>", "exec"), {"__name__": "__main__"})
+        exec(compile(script, "<script>", "exec"), {{"__name__": "__main__"}})
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else bool(error.code)
     except BaseException:
@@ -55,14 +66,16 @@ class ForkServer:
     """
 
     def __init__(self, imports: str) -> None:
-        self._server = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-c", _SERVER, imports],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            cwd=ROOT,
-        )
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._server = subprocess.Popen(
+                [sys.executable, "-W", "ignore", "-c", _SERVER, str(theirs.fileno()), imports],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                cwd=ROOT,
+            )
 
     def __enter__(self) -> ForkServer:
         return self
@@ -70,7 +83,8 @@ class ForkServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._server.__exit__(kind, error, trace)
+        self._socket.close()
+        self._server.wait()
 
     def run(
         self, script: str, *words: object, environment: Mapping[str, object] | None = None
@@ -78,10 +92,17 @@ class ForkServer:
         """What ``python -c script words ...`` does where ``environment`` is added to that of this process."""
         given = {**os.environ, **{name: str(value) for name, value in (environment or {}).items()}}
         told = [str(word) for word in words]
-        with tempfile.NamedTemporaryFile("r") as out, tempfile.NamedTemporaryFile("r") as err:
-            assert self._server.stdin is not None
-            assert self._server.stdout is not None
-            self._server.stdin.write(json.dumps([script, told, given, out.name, err.name]) + "\n")
-            self._server.stdin.flush()
-            code = int(self._server.stdout.readline())
-            return subprocess.CompletedProcess(["-c", *told], code, out.read(), err.read())
+        pipes = [os.pipe() for _ in range(2)]
+        try:
+            socket.send_fds(self._socket, [json.dumps([script, told, given]).encode()], [end for _, end in pipes])
+        finally:
+            for _, end in pipes:
+                os.close(end)
+        with ThreadPoolExecutor(2) as pool:
+            out, err = pool.map(_read, [start for start, _ in pipes])
+        return subprocess.CompletedProcess(["-c", *told], int(self._socket.recv(64)), out, err)
+
+
+def _read(pipe: int) -> str:
+    with open(pipe, encoding="utf-8", errors="replace") as file:
+        return file.read()
