@@ -305,7 +305,7 @@ def _inputs() -> None:
     random = np.random.default_rng(1)
     ring = mesh_catalog.torus(24, 12)
     colors = {"color": random.integers(0, 256, (ring.vertex_count, 3), np.uint8)}
-    gk.mesh.save("bunny.usd", gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces, vertex_data=colors))
+    gk.mesh.save("bunny.usd", gk.mesh.TriangleMesh(ring.vertices * 0.06, ring.faces, vertex_data=colors))
     gk.mesh.save("hollow.stl", mesh_catalog.torus())
     for name in ("scans/one.ply", "scans/two.ply"):
         Path(name).parent.mkdir(exist_ok=True)

@@ -110,14 +110,14 @@ def test_every_public_call_compiles_nothing(objects, tmp_path):
 
 
 @pytest.mark.slow
-def test_objects_are_byte_for_byte_what_is_compiled_here(objects, tmp_path):
+def test_objects_are_byte_for_byte_what_is_compiled_here(objects, server, tmp_path):
     answer, err = run(ASK_FEW, WARP_CACHE_PATH=tmp_path / "cache", GEOKIT_KERNELS="")
     made = compiled(tmp_path / "cache")
     assert len(made) >= 3
     for path in made:
         assert path.read_bytes() == (objects / path.name).read_bytes(), path.name
     assert err.count("compiling kernels") == 1
-    assert run(ASK_FEW, WARP_CACHE_PATH=tmp_path / "other", GEOKIT_KERNELS=objects) == (answer, "")
+    assert ran(server, ASK_FEW, WARP_CACHE_PATH=tmp_path / "other", GEOKIT_KERNELS=objects) == (answer, "")
     assert compiled(tmp_path / "other") == []
 
 

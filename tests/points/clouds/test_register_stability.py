@@ -94,7 +94,7 @@ def test_what_only_the_sampling_determines_does_not_count(name, count, noise, gi
 @pytest.mark.parametrize("noise", of_all([0.0, 0.3], [0.0, 0.1, 0.3]))
 @pytest.mark.parametrize("given", of_all([False], [True, False]))
 def test_bodies_keep_their_rank(name, noise, given):
-    for count, seed in ((1500, 0), (1500, 1), (4000, 2)):
+    for count, seed in spread([(1500, 0), (1500, 1), (4000, 2)], 2):
         assert rank(FULL[name], count, seed, noise, given) == 6
 
 
