@@ -287,7 +287,8 @@ def test_the_examples_of_the_documents_in_order(run: Callable[..., Done], tmp_pa
     blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     lines = [line for block in blocks for line in block.splitlines() if line.startswith("geokit ")]
     assert len(lines) > 25
-    # Each driver takes a second to try.
+    # Each worker, and each driver that is tried, takes a second.
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
     monkeypatch.setattr("geokit.cli.doctor._try_opengl", lambda _: "works")
     # Their own tests run these, with less work.
     heavy = ("geokit bench", "geokit demo", "geokit doctor --")

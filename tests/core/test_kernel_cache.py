@@ -16,7 +16,7 @@ import pytest
 from geokit.core import kernel_cache
 from geokit.core.launches import warp_private
 from tests.support.effort import of_all
-from tests.support.fork_server import ForkServer
+from tests.support.forked import ForkServer
 
 pytestmark = pytest.mark.slow
 

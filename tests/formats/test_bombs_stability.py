@@ -16,7 +16,7 @@ import pytest
 from geokit import DeviceMemoryError, FileFormatError, mesh, points, volume
 from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
 from tests.support.effort import spread
-from tests.support.fork_server import ForkServer
+from tests.support.forked import ForkServer
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from geokit import FileFormatError, mesh, points
 from geokit.formats.table import FORMATS
 from tests.support.all_writers import OLD, holds, place, writers
 from tests.support.effort import of_all, spread
-from tests.support.fork_server import ForkServer
+from tests.support.forked import ForkServer
 
 TRIANGLE = mesh.TriangleMesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2]])
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from geokit.core.compiled import cpu_level, shipped
-from tests.support.fork_server import ForkServer
+from tests.support.forked import ForkServer
 
 ROOT = Path(__file__).resolve().parents[3]
 HERE = cpu_level.level()
