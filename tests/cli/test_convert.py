@@ -62,7 +62,9 @@ def test_mesh_to_volume_block_after_block(geokit, cube: Path, tmp_path: Path, mo
     assert "--scheduler: goes with --stream" in done.stderr
     there = tmp_path / "there" / target.name
     there.parent.mkdir()
-    done = geokit("convert", plain, there, "--voxel-size", "0.13", *limit, "--scheduler", "local")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.cpu_count", lambda: 1)  # workers: each takes two seconds to start
+        done = geokit("convert", plain, there, "--voxel-size", "0.13", *limit, "--scheduler", "local")
     assert done.returncode == 0, done.stderr
     assert there.read_bytes() == target.read_bytes()
 

@@ -16,20 +16,31 @@ from geokit import native
 from geokit.accuracy.reference import mesh as reference
 from geokit.cli._demo.input import camera_rays, points_on
 from geokit.mesh import TriangleMesh
+from tests.support.effort import ALL
 
 ROOT = Path(__file__).resolve().parents[2]
+IS_SET_UP = Path(sys.prefix) == ROOT / ".venv"
 
 
 @pytest.fixture(scope="module", params=[pytest.param("demo", marks=pytest.mark.slow)])
 def demo(geokit, tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("demo") / "out"
-    if Path(sys.prefix) == ROOT / ".venv":
+    if ALL and IS_SET_UP:
         # The README's own command, whose set-up has nothing left to do here.
         done = subprocess.run([ROOT / "dev", "demo", folder, "--json"], capture_output=True, text=True)
     else:
         done = geokit("demo", "--out", folder, "--json")
     assert done.returncode == 0, done.stderr
     return folder, json.loads(done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not IS_SET_UP, reason="not in the environment that ./dev makes")
+def test_the_readme_s_command_leads_there(tmp_path: Path) -> None:
+    done = subprocess.run([ROOT / "dev", "demo", tmp_path / "out", "--help"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "Usage: geokit demo" in done.stdout
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_step_is_right(demo) -> None:

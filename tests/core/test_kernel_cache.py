@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import pytest
 from geokit.core import kernel_cache
 from geokit.core.launches import warp_private
 from tests.support.effort import of_all
+from tests.support.forked import ForkServer
 
 pytestmark = pytest.mark.slow
 
@@ -30,12 +32,14 @@ def square_kernel(first: int, values: wp.array(dtype=int), out: wp.array(dtype=i
     out[i] = values[i] * values[i]
 """
 
+# Half of the time of compiling goes into warp's own headers, which its processes do not share: here they do.
 SCRIPT = """
-import sys
+import os
 import numpy as np
 from geokit.core import launcher
 device = launcher.resolve_device("cpu")
 import warp as wp
+wp._src.context.runtime.get_clang_pch_dir = lambda: os.environ["HEADERS"]
 from square_kernels import square_kernel
 values = wp.array(np.arange(10, dtype=np.int32), device=device)
 out = wp.empty(10, dtype=int, device=device)
@@ -48,6 +52,9 @@ print(wp.config.kernel_cache_dir)
 class Cache:
     """A cache folder with one compiled module, and processes that use it."""
 
+    server: ForkServer
+    headers: Path
+
     def __init__(self, folder: Path) -> None:
         self.root, self.temporary, self.code = folder / "cache", folder / "temporary", folder / "code"
         self.notices: list[str] = []
@@ -55,24 +62,31 @@ class Cache:
         self.code.mkdir()
         (self.code / "square_kernels.py").write_text(KERNEL)
 
-    def start(self, before: str = "", **environment: str) -> subprocess.Popen[str]:
+    def given(self, **environment: str) -> dict[str, str]:
         path = os.pathsep.join([str(self.code), *filter(None, [os.environ.get("PYTHONPATH")])])
-        given = {"WARP_CACHE_PATH": str(self.root), "TMPDIR": str(self.temporary), "PYTHONPATH": path, **environment}
+        folders = {"WARP_CACHE_PATH": self.root, "TMPDIR": self.temporary, "HEADERS": self.headers}
+        return {"PYTHONPATH": path, **{name: str(folder) for name, folder in folders.items()}, **environment}
+
+    def start(self) -> subprocess.Popen[str]:
+        """A process of its own; the others are forks of one."""
         return subprocess.Popen(
-            [sys.executable, "-c", before + SCRIPT],
+            [sys.executable, "-c", SCRIPT],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, **given},
+            env={**os.environ, **self.given()},
         )
 
-    def run(self, **environment: str) -> tuple[Path, str]:
-        """The folder that was used, and stderr without the notice that kernels are compiled."""
-        return self.finish(self.start(**environment))
+    def script(self, before: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        return self.server.run(before + SCRIPT, environment=self.given(**environment))
 
-    def finish(self, process: subprocess.Popen[str]) -> tuple[Path, str]:
-        out, err = process.communicate(timeout=120)
-        assert process.returncode == 0, f"status {process.returncode}: {err}"
+    def run(self, before: str = "", **environment: str) -> tuple[Path, str]:
+        """The folder that was used, and stderr without the notice that kernels are compiled."""
+        done = self.script(before, **environment)
+        return self.finished(done.returncode, done.stdout, done.stderr)
+
+    def finished(self, code: int | None, out: str, err: str) -> tuple[Path, str]:
+        assert code == 0, f"status {code}: {err}"
         self.notices = [line for line in err.splitlines() if "compiling kernels" in line]
         return Path(out.strip()), "".join(line for line in err.splitlines(True) if "compiling kernels" not in line)
 
@@ -85,6 +99,13 @@ class Cache:
         files = sorted(self.folder.glob(f"*{suffix}"))
         assert files
         return files
+
+
+@pytest.fixture(scope="module", autouse=True)
+def server(tmp_path_factory) -> Iterator[None]:
+    Cache.headers = tmp_path_factory.mktemp("headers")
+    with ForkServer("import numpy, warp, geokit.core.launcher, geokit.core.kernel_cache") as Cache.server:
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +197,7 @@ def test_damage_before_the_first_digest(cache, damage):
         file.unlink()
     for file in cache.files(".o"):
         damage(file)
-    assert "compiled again" in cache.run()[1]
+    assert "compiled again" in cache.run("from geokit.core import kernel_cache; kernel_cache.PATIENCE = 0.1\n")[1]
     assert cache.run()[1] == ""
 
 
@@ -189,9 +210,9 @@ def test_missing_files_are_made_again(cache):
 
 
 def test_too_little_stack_is_named(cache):
-    started = cache.start(before="import resource; resource.setrlimit(resource.RLIMIT_STACK, (1 << 18, 1 << 18))")
-    _, err = started.communicate(timeout=120)
-    assert started.returncode == 1
+    done = cache.script("import resource; resource.setrlimit(resource.RLIMIT_STACK, (1 << 18, 1 << 18))\n")
+    err = done.stderr
+    assert done.returncode == 1
     assert (
         "DeviceMemoryError: kernels of square_kernels: need 1024 kB of stack, and the limit is 256 kB (ulimit -s)"
         in err
@@ -225,11 +246,13 @@ def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
     assert not used.is_relative_to(cache.temporary)
 
 
+@pytest.mark.usefixtures("filled")  # the headers are compiled
 def test_two_processes_with_an_empty_cache(tmp_path):
     cache = Cache(tmp_path)
     started = [cache.start() for _ in range(2)]
     for process in started:
-        _, err = cache.finish(process)
+        out, err = process.communicate(timeout=120)
+        _, err = cache.finished(process.returncode, out, err)
         assert err == ""
 
 
@@ -268,8 +291,7 @@ tempfile.gettempdir = unknown
 
 def test_where_python_knows_no_folder_for_temporary_files(tmp_path):
     cache = Cache(tmp_path)
-    started = cache.start(READ_ONLY.format(folders=[str(cache.temporary)]), WARP_CACHE_PATH="/dev/null/cache")
-    _, err = started.communicate(timeout=120)
+    err = cache.script(READ_ONLY.format(folders=[str(cache.temporary)]), WARP_CACHE_PATH="/dev/null/cache").stderr
     assert f"{cache.temporary}/geokit-kernels-{os.getuid()} is used instead" in err
     # Without compiled kernels that folder does not help.
     assert "FileAccessError: temporary files: No usable" in err.splitlines()[-1]
@@ -277,8 +299,7 @@ def test_where_python_knows_no_folder_for_temporary_files(tmp_path):
 
 
 def test_where_no_folder_can_be_written_to(tmp_path):
-    started = Cache(tmp_path).start(READ_ONLY.format(folders=[]), WARP_CACHE_PATH="/dev/null/cache")
-    _, err = started.communicate(timeout=120)
+    err = Cache(tmp_path).script(READ_ONLY.format(folders=[]), WARP_CACHE_PATH="/dev/null/cache").stderr
     assert "FileAccessError: kernel cache: /dev/null/cache" in err.splitlines()[-1]
     assert "WARP_CACHE_PATH" in err.splitlines()[-1]
 

@@ -118,6 +118,6 @@ def test_what_cannot_be_asked_is_named(things) -> None:
 @pytest.mark.filterwarnings("default")
 def test_on_a_cluster(things) -> None:
     points = array.from_array(POINTS, chunks=(50, 3))
-    with cluster_client():
+    with cluster_client(1):
         found = dask.compute(*map_queries(things["surface"], points))
     _same(found, things["surface"].closest_point(POINTS))

@@ -31,7 +31,7 @@ def meshes(draw, numbers=FINITE) -> TriangleMesh:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [".obj", ".off", ".ply"])
-@settings(max_examples=of_all(30, 60), deadline=None)
+@settings(max_examples=of_all(15, 60), deadline=None)
 @given(mesh=meshes())
 def test_every_bit_returns(kind, mesh):
     with tempfile.TemporaryDirectory() as folder:
@@ -43,7 +43,7 @@ def test_every_bit_returns(kind, mesh):
 
 
 @pytest.mark.slow
-@settings(max_examples=of_all(30, 60), deadline=None)
+@settings(max_examples=of_all(15, 60), deadline=None)
 @given(mesh=meshes(FLOAT32))
 def test_stl_keeps_the_corners_and_merges_equal_ones(mesh):
     with tempfile.TemporaryDirectory() as folder:
@@ -55,7 +55,7 @@ def test_stl_keeps_the_corners_and_merges_equal_ones(mesh):
     assert len(again.vertices) == len(np.unique(mesh.vertices[mesh.faces].reshape(-1, 3) + 0.0, axis=0))
 
 
-@settings(max_examples=of_all(50, 100), deadline=None)
+@settings(max_examples=of_all(25, 100), deadline=None)
 @given(st.lists(st.tuples(*[st.integers(-3, 3)] * 3), max_size=40))
 def test_merging_rows_is_the_slow_way_done_fast(rows):
     table = np.array(rows, np.int64).reshape(-1, 3)
@@ -81,7 +81,7 @@ def test_merging_points_tells_neighbors_apart():
     assert merge_equal_points(points)[1].tolist() == [0, 1, 0]
 
 
-@settings(max_examples=of_all(30, 60), deadline=None)
+@settings(max_examples=of_all(15, 60), deadline=None)
 @given(st.lists(st.integers(3, 8), min_size=1, max_size=6), st.integers(0, 2**32 - 1))
 def test_star_polygons_are_covered_once(sizes, seed):
     # Star-shaped outlines around the origin, at random radii: simple, and mostly concave.
@@ -104,7 +104,7 @@ def test_star_polygons_are_covered_once(sizes, seed):
         assert areas[polygon == number].sum() == pytest.approx(expected, rel=1e-12)
 
 
-@settings(max_examples=of_all(30, 60), deadline=None)
+@settings(max_examples=of_all(15, 60), deadline=None)
 @given(meshes(st.integers(-2, 2).map(float)), st.integers(0, 2**32 - 1))
 def test_audit_does_not_depend_on_numbering(mesh, seed):
     random = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -330,6 +331,7 @@ def test_backend_follows_the_variable_and_names_what_is_missing() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="torch brought no triton")
 def test_triton_is_imported_after_a_figure(tmp_path: Path) -> None:
     """torch imports triton late. After Mesa's LLVM that ended the process, wherever torch brought triton."""
     code = (

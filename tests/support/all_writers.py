@@ -2,7 +2,8 @@
 
 Run as ``python -m tests.support.all_writers FOLDER HOW``. HOW is "limits" to write each file whole and then under
 limits on the size of files, "vanished" to remove the folder before each save, or "plain". If a writer ends the
-process, lines are missing.
+process, lines are missing. With HOW "killed NAME ...", only the writers of these names save again and again, and are
+killed some time after a third save has begun.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ from __future__ import annotations
 import atexit
 import contextlib
 import json
+import os
 import resource
 import shutil
+import signal
 import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -24,22 +28,22 @@ from geokit import mesh, points, render, volume
 from geokit.cli._results import deliver
 from geokit.formats.blocks.points import KINDS
 from geokit.formats.table import FORMATS, SPARSE
-from tests.support.effort import of_all
+from tests.support.effort import of_all, spread
 
 __all__ = ["OLD", "holds", "place", "writers"]
 
 OLD = b"the old file"
-SIDE = 120
+SIDE = 80
 
 
 def writers() -> dict[str, Callable[[Path], object]]:
-    """Writers by the name of the file that they write; each writes more than 8 KiB."""
+    """Writers by the name of the file that they write; each writes more than 64 KiB."""
     rng = np.random.default_rng(7)
     cells = np.arange((SIDE - 1) * SIDE).reshape(SIDE - 1, SIDE)[:, :-1].ravel()
     faces = np.concatenate([cells[:, None] + [0, 1, SIDE], cells[:, None] + [1, SIDE + 1, SIDE]])
     surface = mesh.TriangleMesh(rng.random((SIDE * SIDE, 3)), faces)
-    cloud = rng.random((20000, 3))
-    grid = volume.from_dense(rng.random((40, 40, 40), np.float32), voxel_size=0.1, background=0.0)
+    cloud = rng.random((10000, 3))
+    grid = volume.from_dense(rng.random((32, 32, 32), np.float32), voxel_size=0.1, background=0.0)
     scan = Path(tempfile.mkdtemp()) / "scan.ply"
     atexit.register(shutil.rmtree, scan.parent)
     points.save(scan, cloud)
@@ -130,5 +134,50 @@ def _main(folder: Path, how: str) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
+def _sizes(target: Path) -> list[tuple[str, int]]:
+    files = sorted(target.rglob("*")) if target.is_dir() else [target]
+    return [(str(file.relative_to(target)), file.stat().st_size) for file in files]
+
+
+def _ended(process: int) -> int:
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+
+def _save(write: Callable[[Path], object], target: Path) -> None:
+    """Once, in a fork: a process that has written is not forked."""
+    if not (process := os.fork()):
+        write(target)
+        os._exit(0)
+    assert _ended(process) == 0
+
+
+def _kill(target: Path, write: Callable[[Path], object]) -> None:
+    _save(write, target)
+    whole = _sizes(target)
+    for round_ in spread(range(6), 3):
+        begun, say = os.pipe()
+        if not (process := os.fork()):
+            while True:
+                os.write(say, b".")
+                write(target)
+        os.close(say)
+        for _ in range(3):
+            os.read(begun, 1)
+        os.close(begun)
+        time.sleep(0.004 * round_)
+        os.kill(process, signal.SIGKILL)
+        code, kept = _ended(process), _sizes(target) == whole
+        _save(write, target)
+        line = {"name": target.name, "ended": code, "kept": kept, "left": os.listdir(target.parent)}
+        print(json.dumps(line), flush=True)
+
+
 if __name__ == "__main__":
-    _main(Path(sys.argv[1]), sys.argv[2])
+    if sys.argv[2] == "killed":
+        made = writers()
+        for name in sys.argv[3:]:
+            of_name = Path(sys.argv[1], f"of {name}")
+            of_name.mkdir()
+            _kill(of_name / name, made[name])
+    else:
+        _main(Path(sys.argv[1]), sys.argv[2])

@@ -16,7 +16,7 @@ from tests.support.effort import of_all, spread
 pytestmark = pytest.mark.slow
 
 CPU = {"device": "cpu"}
-ROUNDS = of_all(60, 150)
+ROUNDS = of_all(30, 150)
 RNG = np.random.default_rng(11)
 POINTS, DIRECTIONS, CLOUD = RNG.uniform(-1.5, 1.5, (300, 3)), RNG.normal(size=(300, 3)), RNG.uniform(-1, 1, (2000, 3))
 TORUS = gk.mesh.torus()

@@ -7,12 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from geokit.core.compiled import cpu_level, shipped
+from tests.support.forked import ForkServer
 
 ROOT = Path(__file__).resolve().parents[3]
 HERE = cpu_level.level()
@@ -70,14 +72,27 @@ def compiled(cache: Path) -> list[Path]:
 def objects(tmp_path_factory) -> Path:
     """All objects for this machine's level. What the cache of the tests has is copied from there."""
     folder = tmp_path_factory.mktemp("objects")
-    run("packaging/kernels.py", folder, "--cpu", HERE, "--jobs", 2)
+    run("packaging/kernels.py", folder, "--cpu", HERE, "--jobs", 1)
     return folder
 
 
 @pytest.fixture(scope="module")
-def whole(objects) -> str:
+def server() -> Iterator[ForkServer]:
+    with ForkServer("import numpy, warp, geokit.core.launcher, geokit.core.kernel_cache") as server:
+        yield server
+
+
+def ran(server: ForkServer, script: str, **environment: object) -> tuple[str, str]:
+    """The same in a fork of one process, which has imported warp."""
+    done = server.run(script, environment=environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def whole(objects, server) -> str:
     """The answer with all objects as they were brought."""
-    answer, err = run(ASK, GEOKIT_KERNELS=objects)
+    answer, err = ran(server, ASK, GEOKIT_KERNELS=objects)
     assert err == ""
     return answer
 
@@ -95,14 +110,14 @@ def test_every_public_call_compiles_nothing(objects, tmp_path):
 
 
 @pytest.mark.slow
-def test_objects_are_byte_for_byte_what_is_compiled_here(objects, tmp_path):
+def test_objects_are_byte_for_byte_what_is_compiled_here(objects, server, tmp_path):
     answer, err = run(ASK_FEW, WARP_CACHE_PATH=tmp_path / "cache", GEOKIT_KERNELS="")
     made = compiled(tmp_path / "cache")
     assert len(made) >= 3
     for path in made:
         assert path.read_bytes() == (objects / path.name).read_bytes(), path.name
     assert err.count("compiling kernels") == 1
-    assert run(ASK_FEW, WARP_CACHE_PATH=tmp_path / "other", GEOKIT_KERNELS=objects) == (answer, "")
+    assert ran(server, ASK_FEW, WARP_CACHE_PATH=tmp_path / "other", GEOKIT_KERNELS=objects) == (answer, "")
     assert compiled(tmp_path / "other") == []
 
 
@@ -127,16 +142,16 @@ def lost_objects(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spoil", [for_another_warp, damaged_index, damaged_objects, lost_objects])
-def test_what_does_not_fit_is_not_used(whole, copied, spoil):
+def test_what_does_not_fit_is_not_used(whole, copied, server, spoil):
     """The cache of the tests is used, so that nothing is compiled anew."""
     spoil(copied)
-    again, err = run(ASK, GEOKIT_KERNELS=copied)
+    again, err = ran(server, ASK, GEOKIT_KERNELS=copied)
     assert again == whole
     assert ("is damaged and not used" in err) is (spoil in (damaged_objects, lost_objects))
 
 
 @pytest.mark.slow
-def test_another_processor_does_not_use_them(objects, tmp_path):
+def test_another_processor_does_not_use_them(objects, server):
     script = f"""
 import geokit.core.launcher as launcher, warp as wp
 from geokit.core.compiled import cpu_level, modules, shipped
@@ -144,20 +159,20 @@ from geokit.core.compiled import cpu_level, modules, shipped
 cpu_level.choose(module)
 print(shipped.find(module, launcher.resolve_device("cpu"), 1) is not None)
 """
-    assert run(script, GEOKIT_KERNELS=objects)[0] == "True\n"
-    assert run(script, GEOKIT_KERNELS=objects, GEOKIT_CPU="native")[0] == "False\n"
+    assert ran(server, script, GEOKIT_KERNELS=objects)[0] == "True\n"
+    assert ran(server, script, GEOKIT_KERNELS=objects, GEOKIT_CPU="native")[0] == "False\n"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cache", ["/dev/null/cache", "/proc/nowhere"])
-def test_without_a_folder_for_compiled_kernels(objects, tmp_path, cache):
-    _, err = run(ASK, GEOKIT_KERNELS=objects, WARP_CACHE_PATH=cache, HOME="/nonexistent", TMPDIR=tmp_path)
+def test_without_a_folder_for_compiled_kernels(objects, server, tmp_path, cache):
+    _, err = ran(server, ASK, GEOKIT_KERNELS=objects, WARP_CACHE_PATH=cache, HOME="/nonexistent", TMPDIR=tmp_path)
     assert err.count("\n") == 1
     assert "WARP_CACHE_PATH" in err
 
 
 @pytest.mark.slow
-def test_objects_for_gpus_are_found_whatever_the_processor(tmp_path):
+def test_objects_for_gpus_are_found_whatever_the_processor(server, tmp_path):
     """They are compiled here and not run: that takes a GPU."""
     run("packaging/kernels.py", tmp_path, "--cuda", "90", "80-ptx", "--only", MODULE)
     script = f"""
@@ -172,7 +187,7 @@ for arch in (75, 86, 90, 100):
     print(found and (found.arch, found.binary.suffix))
 """
     for level in (HERE, cpu_level.NATIVE):
-        out, _ = run(script, GEOKIT_KERNELS=tmp_path, GEOKIT_CPU=level)
+        out, _ = ran(server, script, GEOKIT_KERNELS=tmp_path, GEOKIT_CPU=level)
         assert out.splitlines() == ["None", "(80, '.ptx')", "(90, '.cubin')", "(80, '.ptx')"]
 
 

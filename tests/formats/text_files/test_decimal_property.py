@@ -38,7 +38,7 @@ def bits(values) -> np.ndarray:
 
 
 @pytest.mark.slow
-@settings(max_examples=of_all(75, 150), deadline=None)
+@settings(max_examples=of_all(40, 150), deadline=None)
 @given(st.lists(WORDS, min_size=1, max_size=40), st.integers(1, 3), st.sampled_from([" ", "\t", ",", " ; "]))
 def test_each_number_is_the_one_that_python_reads(words, columns, separator):
     words = words[: max(len(words) // columns, 1) * columns]

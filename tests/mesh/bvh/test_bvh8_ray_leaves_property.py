@@ -8,6 +8,7 @@ import pytest
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
+from tests.support.effort import spread
 
 RAYS = 20_000
 
@@ -78,7 +79,7 @@ def test_corners_are_within_half_a_quantum(name, offset):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("distance", [1e-3, 1.0, 1e5])
+@pytest.mark.parametrize("distance", spread([1e-3, 1.0, 1e5], 2))
 @pytest.mark.parametrize("name", [*SOLIDS, *MAKERS])
 def test_what_a_ray_is_aimed_at_is_not_passed_by(name, distance):
     mesh = mesh_of(name)

@@ -47,7 +47,7 @@ def check(t, u):
     return table, found
 
 
-@settings(max_examples=of_all(40, 80), deadline=None)
+@settings(max_examples=of_all(20, 80), deadline=None)
 @given(SOUP, SOUP, st.tuples(*[st.integers(-4, 4)] * 3))
 def test_lattice_soups(one, other, offset):
     t, u = np.array(one, float), np.array(other, float) + offset
@@ -58,7 +58,7 @@ def test_lattice_soups(one, other, offset):
         assert [found.triangle_id, found.other_triangle_id] == np.argwhere(table == 0.0)[0].tolist()
 
 
-@settings(max_examples=of_all(40, 80), deadline=None)
+@settings(max_examples=of_all(20, 80), deadline=None)
 @given(SEED, st.sampled_from([1.0, 1e-3, 1e-6, 1e-9, 1e-12]), st.sampled_from([0.0, 1.0, 1e4]))
 def test_nearly_parallel_edges_and_slivers(seed, tilt, far):
     """Edges that cross at a small angle and triangles that are that thin, also far from the origin."""
@@ -77,7 +77,7 @@ def test_nearly_parallel_edges_and_slivers(seed, tilt, far):
     check(t + far, u + far)
 
 
-@settings(max_examples=of_all(20, 40), deadline=None)
+@settings(max_examples=of_all(10, 40), deadline=None)
 @given(SEED)
 def test_random_soups(seed):
     rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def test_no_pair_is_missed_by_the_tree(pair, away):
     assert back.distance == pytest.approx(found.distance, rel=1e-12, abs=1e-13)
 
 
-@settings(max_examples=of_all(20, 40), deadline=None)
+@settings(max_examples=of_all(10, 40), deadline=None)
 @given(SEED)
 def test_order_of_faces_changes_no_distance(seed):
     rng = np.random.default_rng(seed)

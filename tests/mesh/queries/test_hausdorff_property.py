@@ -15,7 +15,7 @@ from tests.support.effort import of_all
 pytestmark = pytest.mark.slow
 
 # The first call of a process loads the kernels, which takes longer than any single example.
-relaxed = settings(deadline=None, max_examples=of_all(40, 80))
+relaxed = settings(deadline=None, max_examples=of_all(20, 80))
 
 LATTICE = np.array([[i, j, 40 - i - j] for i in range(41) for j in range(41 - i)]) / 40
 # closest_point is good to 1e-12 of a diagonal.

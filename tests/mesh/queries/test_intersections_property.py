@@ -26,7 +26,7 @@ def surface(corners):
     return gk.mesh.Surface(mesh, device="cpu")
 
 
-@settings(max_examples=of_all(75, 150), deadline=None)
+@settings(max_examples=of_all(40, 150), deadline=None)
 @given(LATTICE)
 def test_self_intersections_on_a_lattice(points):
     corners = triangles(points)
@@ -35,7 +35,7 @@ def test_self_intersections_on_a_lattice(points):
     assert surface(corners)._has_self_intersections() == bool(expected)
 
 
-@settings(max_examples=of_all(50, 100), deadline=None)
+@settings(max_examples=of_all(25, 100), deadline=None)
 @given(LATTICE, LATTICE)
 def test_intersecting_triangles_on_a_lattice(points, others):
     one, other = triangles(points), triangles(others)
@@ -43,7 +43,7 @@ def test_intersecting_triangles_on_a_lattice(points, others):
     assert surface(one).intersecting_triangles(surface(other)).tolist() == expected
 
 
-@settings(max_examples=of_all(50, 100), deadline=None)
+@settings(max_examples=of_all(25, 100), deadline=None)
 @given(LATTICE, st.integers(0, 10_000))
 def test_moved_by_one_rounding(points, seed):
     """The lattice rotated and moved, each coordinate off by some last bits: nearly degenerate everywhere, never

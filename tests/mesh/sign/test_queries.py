@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -33,16 +35,22 @@ def is_inside(mesh, points):
     return reference.winding_number(mesh.vertices, mesh.faces, points) > 0.5
 
 
+@functools.cache
+def clean(make):
+    """A surface, points, and which of them are inside."""
+    mesh = make()
+    points = points_of(mesh)
+    return gk.mesh.Surface(mesh, device="cpu"), points, is_inside(mesh, points)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", ["pseudonormal", "winding", "parity", "auto"])
 @pytest.mark.parametrize("make", CLEAN)
 def test_signs_of_clean_meshes(make, sign):
-    mesh = make()
-    surface = gk.mesh.Surface(mesh, device="cpu")
-    points = points_of(mesh)
+    surface, points, inside = clean(make)
     found = surface.signed_distance(points, sign=sign)
-    far = np.abs(found.distance) > 1e-6 * mesh.diagonal
-    np.testing.assert_array_equal(found.distance[far] < 0, is_inside(mesh, points)[far])
+    far = np.abs(found.distance) > 1e-6 * surface.mesh.diagonal
+    np.testing.assert_array_equal(found.distance[far] < 0, inside[far])
     np.testing.assert_array_equal(np.abs(found.distance), surface.closest_point(points).distance)
     np.testing.assert_array_equal(surface.contains(points, sign=sign), found.distance < 0)
 

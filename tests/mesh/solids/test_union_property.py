@@ -35,7 +35,7 @@ def counted(spans: list[tuple[tuple[int, int], ...]]) -> tuple[TriangleMesh, flo
 
 
 @pytest.mark.slow
-@settings(max_examples=of_all(75, 150))
+@settings(max_examples=of_all(40, 150))
 @example(spans=[*[UNIT] * 4, ((0, 1), (0, 1), (0, 2), False), ((0, 1), (1, 1), (1, 1), False)], way="turned")
 @given(spans=BOXES, way=st.sampled_from(["own vertices", "welded", "turned", "turned and welded", "float32"]))
 def test_boxes_have_the_volume_and_the_area_of_their_cells(spans: list, way: str) -> None:
@@ -71,7 +71,7 @@ def body(kind: str, seed: int) -> TriangleMesh:
 
 
 @pytest.mark.slow
-@settings(max_examples=of_all(50, 100), deadline=None)
+@settings(max_examples=of_all(25, 100), deadline=None)
 @given(shapes=SHAPES, welded=st.booleans())
 def test_inside_is_what_is_inside_of_any_body(shapes: list[tuple[str, int]], welded: bool) -> None:
     bodies = [body(*shape) for shape in shapes]
@@ -90,7 +90,7 @@ def test_inside_is_what_is_inside_of_any_body(shapes: list[tuple[str, int]], wel
 
 
 @pytest.mark.slow
-@settings(max_examples=of_all(50, 100), deadline=None)
+@settings(max_examples=of_all(25, 100), deadline=None)
 @given(spans=BOXES, seed=st.integers(0, 3))
 def test_walls_that_are_there_once_are_removed_or_the_mesh_is_open(spans: list, seed: int) -> None:
     mesh, volume, area = counted(spans)

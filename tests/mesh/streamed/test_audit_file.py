@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,13 @@ def same(found: MeshAudit, path: Path) -> None:
             np.testing.assert_array_equal(one, other, field.name)
 
 
-@pytest.mark.parametrize("kind", [".stl", ".ply"])
-@pytest.mark.parametrize("at", spread(range(len(MESHES)), 8))
+@pytest.mark.parametrize(
+    ("at", "kind"),
+    of_all(
+        list(zip(spread(range(len(MESHES)), 8), itertools.cycle([".stl", ".ply"]), strict=False)),
+        list(itertools.product(range(len(MESHES)), [".stl", ".ply"])),
+    ),
+)
 def test_the_audit_is_that_in_memory(at: int, kind: str, in_parts: list[int], tmp_path: Path) -> None:
     mesh, path = MESHES[at], tmp_path / f"a{kind}"
     gk.mesh.save(path, mesh)
@@ -85,7 +91,7 @@ def test_so_it_is_in_one_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_parts")
-@settings(max_examples=of_all(30, 60), deadline=None)
+@settings(max_examples=of_all(15, 60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), side=st.integers(1, 5), count=st.integers(1, 400))
 def test_soups_on_a_lattice(seed: int, side: int, count: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Corners that coincide everywhere: edges and faces of any number, fans of any kind, many components."""

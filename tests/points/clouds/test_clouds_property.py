@@ -16,10 +16,11 @@ from geokit.points._cluster import cluster
 from geokit.points._density import density
 from geokit.points._normals import normals
 from geokit.points._outliers import outliers
+from tests.support.effort import of_all
 from tests.support.reference import density_clusters
 
 # The first call of a process loads the kernels, which takes longer than any single example.
-relaxed = settings(deadline=None, max_examples=30)
+relaxed = settings(deadline=None, max_examples=of_all(15, 30))
 
 AXES = list(itertools.permutations(range(3)))
 # The docstring gives some 1e-13 for the gaps of these surfaces, and rotated coordinates are rounded; sums need less.

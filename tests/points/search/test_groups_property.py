@@ -19,8 +19,9 @@ from geokit.points.search import radius as radius_search
 from geokit.points.search.cells_kernels import GATHER_GROUPS
 from geokit.points.search.radius_cuda_kernels import count_in_groups_kernel, fill_in_groups_kernel
 from tests.support.devices import DEVICES
+from tests.support.effort import of_all
 
-relaxed = settings(deadline=None, max_examples=25)
+relaxed = settings(deadline=None, max_examples=of_all(12, 25))
 
 
 def packed(random, count, most):

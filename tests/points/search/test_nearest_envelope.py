@@ -8,6 +8,7 @@ import warp as wp
 
 from geokit.points.search.nearest import build_tree, nearest
 from geokit.points.search.nearest_tree_kernels import LEAF
+from tests.support.effort import spread
 from tests.support.reference import k_nearest
 
 POINTS = np.random.default_rng(21).random((1500, 3)) - 0.5
@@ -69,13 +70,13 @@ def crowd(kind, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-150, 1e-6, 1e-3, 1.0, 1e3, 1e9, 1e150])
+@pytest.mark.parametrize("scale", spread([1e-150, 1e-6, 1e-3, 1.0, 1e3, 1e9, 1e150], 3))
 def test_scale(scale):
     assert_exact(POINTS * scale, 8)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [1.0, 1e3, 1e6, 1e9, 1e15, 1e17])
+@pytest.mark.parametrize("offset", spread([1.0, 1e3, 1e6, 1e9, 1e15, 1e17], 3))
 def test_offset(offset):
     # The last ones leave few different coordinates, or a single one: nothing but ties.
     assert_exact(POINTS + offset, 8)
@@ -83,7 +84,7 @@ def test_offset(offset):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("aspect", [1e-3, 1e-9, 1e-15, 1e-300, 0.0])
+@pytest.mark.parametrize("aspect", spread([1e-3, 1e-9, 1e-15, 1e-300, 0.0], 3))
 def test_flat_and_thin(aspect):
     assert_exact(POINTS * [1, 1, aspect], 8)
     assert_exact(POINTS * [1, aspect, aspect], 8)
@@ -146,7 +147,7 @@ def test_work_of_crowds(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [2_000, 20_000, 200_000])
+@pytest.mark.parametrize("count", spread([2_000, 20_000, 200_000], 2))
 def test_work_does_not_grow_with_the_number_of_points(count):
     assert leaves_per_query(crowd("half in a hundredth", count), 8, queries=200) < EVEN_LEAVES
 

@@ -13,7 +13,7 @@ from geokit.points import NeighborGrid
 from tests.support.devices import DEVICES
 from tests.support.effort import of_all
 
-relaxed = settings(deadline=None, max_examples=of_all(20, 40))
+relaxed = settings(deadline=None, max_examples=of_all(12, 40))
 
 
 def images_within(points, queries, cell, radius):

@@ -11,7 +11,7 @@ from geokit.points import NeighborGrid
 from tests.support.devices import DEVICES
 from tests.support.effort import of_all
 
-relaxed = settings(deadline=None, max_examples=of_all(30, 60))
+relaxed = settings(deadline=None, max_examples=of_all(15, 60))
 BOX = np.diag([1.0, 0.8, 1.2])
 SHEARED = np.array([[1.0, 0.0, 0.0], [0.4, 1.0, 0.0], [0.2, -0.3, 1.1]])
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import geokit as gk
 from geokit.points.streamed import process_file
+from tests.support.effort import of_all
 
 
 @st.composite
@@ -32,7 +33,7 @@ def clouds(draw: st.DrawFn) -> np.ndarray:
 
 
 @pytest.mark.slow
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=of_all(15, 30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(points=clouds(), k=st.integers(3, 20), share=st.sampled_from([0.02, 0.1, 0.7]), least=st.sampled_from([60, 400]))
 def test_bytes_are_those_of_the_calls_in_memory(
     points: np.ndarray, k: int, share: float, least: int, tmp_path: Path

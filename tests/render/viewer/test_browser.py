@@ -40,17 +40,18 @@ class Shown:
         self.wait("return document.documentElement.dataset.ready === 'yes'")
 
     def wait(self, script: str) -> None:
-        for _ in range(200):
+        for _ in range(500):
             if self.browser.run(script):
                 return
-            time.sleep(0.05)
+            time.sleep(0.02)
         raise AssertionError(self.browser.run("return document.getElementById('message').textContent") or script)
 
     def pixels(self) -> np.ndarray:
         """The canvas after what was asked for is drawn, from the top, (H, W, 3)."""
         from PIL import Image
 
-        self.browser.run("return new Promise(done => setTimeout(() => requestAnimationFrame(() => done(1)), 220))")
+        # What moved is drawn once more after 150 ms, in full; a later timer ends later.
+        self.browser.run("return new Promise(done => setTimeout(() => requestAnimationFrame(() => done(1)), 165))")
         address = self.browser.run("return document.getElementById('canvas').toDataURL('image/png')")
         data = base64.b64decode(address.partition(",")[2])
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
