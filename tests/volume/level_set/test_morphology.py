@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.catalog.mesh_catalog import torus
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
+from geokit.volume._from_mesh import from_mesh
 from geokit.volume._morphology import closing, dilate, erode, offset, opening, renormalize
 from geokit.volume.level_set.operands import with_band
 from tests.support.analytic_volumes import SHEARED, TURNED, active_voxels, ball, box, dense, field, level_set
 from tests.support.effort import of_all
+from tests.support.lying_grids import lying
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -160,6 +163,11 @@ class TestMorphology:
         body = level_set(BALL)
         np.testing.assert_array_equal(dilate(body, 1.5).nanovdb, offset(body, 1.5).nanovdb)
         np.testing.assert_array_equal(erode(body, 1.5).nanovdb, offset(body, -1.5).nanovdb)
+
+    def test_erosion_of_everything_in_a_band_without_end(self):
+        # The width is that of the background, which a damaged file may have made the largest of all.
+        body = lying(from_mesh(torus(), 0.25, device="cpu"), "background 3.4e38")
+        assert erode(body, 0.5, device="cpu").info.active_voxel_count == 0
 
     def test_erosion_of_everything(self):
         result = erode(level_set(ball(5.2)), 7.0)
