@@ -18,7 +18,7 @@ from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
 from geokit.volume.tree.typed_writer import rebuilt
 
 # Voxels of the box that the dense arrays cover: it holds everything but inactive background, with room to grow.
-LOW, HIGH = -40, 56
+LOW, HIGH = -32, 40
 METADATA = MappingProxyType({"author": "tests", "seed": 7})
 TRANSFORM = np.array([[0.5, 0.1, 0.0, 3.0], [0.0, 0.4, 0.0, -2.0], [0.0, 0.0, 0.3, 1.0], [0.0, 0.0, 0.0, 1.0]])
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 import warp as wp
@@ -15,6 +17,7 @@ from geokit.volume.band import signs, tiles
 from geokit.volume.isosurface import surface_nets
 from geokit.volume.tree import device_writer
 from tests.support.devices import DEVICES
+from tests.support.effort import of_all
 
 
 @pytest.fixture
@@ -43,10 +46,16 @@ MESHES = {
 }
 
 
+OPTIONS = [{}, {"half_width": (2.0, 4.0)}, {"sign": "winding"}, {"sign": "parity"}, {"thickness": 0.3}]
+# Each mesh with its own sign and with one of the others.
+SOME = [(name, number) for k, name in enumerate(MESHES) for number in (0, 1 + k % 4)]
+CASES = of_all(SOME, [*product(MESHES, range(len(OPTIONS)))])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 @pytest.mark.parametrize(
-    "options", [{}, {"half_width": (2.0, 4.0)}, {"sign": "winding"}, {"sign": "parity"}, {"thickness": 0.3}]
+    ("mesh", "options"),
+    [pytest.param(MESHES[name], OPTIONS[number], id=f"{name}-{number}") for name, number in CASES],
 )
 def test_bands(mesh, options, gpu_ways):
     voxel = mesh.diagonal / 57.0

@@ -14,10 +14,11 @@ from geokit.volume._morphology import offset, renormalize
 from geokit.volume._resample import resample
 from geokit.volume._topology import clip, prune
 from tests.support.analytic_volumes import active_voxels, ball, cubes, dense, field, level_set
+from tests.support.effort import of_all
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
-EXAMPLES = settings(max_examples=8, deadline=None)
+EXAMPLES = settings(max_examples=of_all(4, 8), deadline=None)
 centers = st.tuples(*3 * [st.floats(-6.0, 6.0)])
 radii = st.floats(4.0, 8.0)
 bodies = st.builds(ball, radii, centers)

@@ -142,7 +142,8 @@ class Band:
         # A band that cannot fit is refused before hours of growth.
         self.leaves.require_memory(least_leaves(len(self.feet), end - start))
         still = self._still(enclosed, chosen)
-        at = start
+        # Without a feature nothing is reached, however wide the band: a damaged background may promise 1e38 voxels.
+        at = start if len(self.feet) else end
         while at < end:
             step = min(STAGE, end - at)
             at += step

@@ -17,14 +17,14 @@ pytestmark = pytest.mark.slow
 EQUAL = 1.15
 
 
-def both(mesh, share):
+def both(mesh, share, **options):
     """Bytes of the adaptive field and of one voxel size, levels of the former, and the rows of a plan."""
     surface = Surface(mesh, device="cpu")
     tolerance = share * float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))
-    levels = adaptive_from_mesh(surface, tolerance)
-    one = from_mesh(surface, tolerance=tolerance)
+    levels = adaptive_from_mesh(surface, tolerance, **options)
+    one = from_mesh(surface, tolerance=tolerance, **options)
     assert max(levels.achieved_error, one.info.achieved_error) <= tolerance
-    rows = plan(surface, tolerance)
+    rows = plan(surface, tolerance, **options)
     adaptive = [row for row in rows if row.method == "adaptive_from_mesh"]
     assert len(adaptive) == 1
     assert adaptive[0].level_count == levels.level_count
@@ -37,33 +37,42 @@ def both(mesh, share):
 
 TORUS, BALL = mesh_catalog.torus(), mesh_catalog.icosphere(4)
 OPEN = mesh_catalog.half_shell(mesh_catalog.icosphere())
+PLATE = mesh_catalog.box((0, 0, 0), (1, 0.7, 0.01))
+# A search among all orders and codecs takes three times as long, and tests/volume/tolerance has one.
+FEW = {"order": 1, "codec": "fp8"}
 CASES = {
-    # That of the largest ratio, 1.11.
-    "plate-0.001": (mesh_catalog.box((0, 0, 0), (1, 0.7, 0.01)), 1e-3),
-    "open-0.02": (OPEN, 2e-2),
+    "plate-0.005-few": (PLATE, 5e-3, {"order": 2}),
+    "open-0.02-few": (OPEN, 2e-2, FEW),
     **of_all(
         {},
         {
-            "torus-0.01": (TORUS, 1e-2),
-            "torus-0.001": (TORUS, 1e-3),
-            "ball-0.01": (BALL, 1e-2),
-            "ball-0.001": (BALL, 1e-3),
-            "open-0.01": (OPEN, 1e-2),
+            # That of the largest ratio, 1.11.
+            "plate-0.001": (PLATE, 1e-3, {}),
+            "open-0.02": (OPEN, 2e-2, {}),
+            "torus-0.01": (TORUS, 1e-2, {}),
+            "torus-0.001": (TORUS, 1e-3, {}),
+            "ball-0.01": (BALL, 1e-2, {}),
+            "ball-0.001": (BALL, 1e-3, {}),
+            "open-0.01": (OPEN, 1e-2, {}),
         },
     ),
 }
 
 
-@pytest.mark.parametrize(("mesh", "share"), CASES.values(), ids=CASES)
-def test_without_detail_it_takes_no_more_than_one_voxel_size(mesh, share):
-    levels, one, rows = both(mesh, share)
+@pytest.mark.parametrize(("mesh", "share", "options"), CASES.values(), ids=CASES)
+def test_without_detail_it_takes_no_more_than_one_voxel_size(mesh, share, options):
+    levels, one, rows = both(mesh, share, **options)
     assert levels.byte_count <= EQUAL * one
     if levels.level_count == 1:
         assert rows[0].method == "from_mesh"
 
 
-def test_with_detail_in_one_place_it_takes_clearly_less():
-    levels, one, rows = both(ball_and_cube(0.05)[0], 5e-4)
+@pytest.mark.parametrize(
+    ("size", "share", "options"),
+    [(0.1, 1e-3, {"order": 3, "codec": "fp16"}), *of_all([], [(0.05, 5e-4, {})])],
+)
+def test_with_detail_in_one_place_it_takes_clearly_less(size, share, options):
+    levels, one, rows = both(ball_and_cube(size)[0], share, **options)
     assert levels.level_count > 1
     assert levels.byte_count < 0.6 * one
     assert rows[0].method == "adaptive_from_mesh"
@@ -73,8 +82,6 @@ def test_with_detail_in_one_place_it_takes_clearly_less():
 
 
 def test_a_plan_of_what_has_no_levels_has_no_row_for_them():
-    torus = mesh_catalog.torus()
+    box = mesh_catalog.box()
     for options in ({"thickness": 0.1}, {"half_width": 3.0}, {"sign": "none"}):
-        assert {row.method for row in plan(torus, 0.03, order=1, codec="float", device="cpu", **options)} == {
-            "from_mesh"
-        }
+        assert {row.method for row in plan(box, 0.1, order=1, codec="float", device="cpu", **options)} == {"from_mesh"}

@@ -67,7 +67,7 @@ def worst(field: AdaptiveSDF, mesh: TriangleMesh, parts: list[TriangleMesh], wit
 @pytest.mark.parametrize(
     ("order", "codec"),
     of_all(
-        [(1, "fp4"), (2, "fpn"), (3, None)],
+        [(1, "fp8"), (2, "fpn"), (3, None)],
         [(1, "float"), (1, "fp4"), (1, None), (2, "fp8"), (2, "fpn"), (3, "fp16"), (3, "fpn"), (3, None)],
     ),
 )

@@ -138,12 +138,12 @@ def test_triangles_and_tolerances_follow():
     both = volume.from_mesh_with_triangles(surface, 0.06)
     alone = volume.from_mesh(surface, 0.06)
     np.testing.assert_array_equal(both.distance.nanovdb, alone.nanovdb)
-    fine = volume.from_mesh(surface, tolerance=0.01)
+    fine = volume.from_mesh(surface, tolerance=0.02, order=1, codec="float")
     size, start = float(fine.info.voxel_size[0]), fine.info.transform[:3, 3]
     points = start + size * np.random.default_rng(9).integers(-4, np.ceil(2.2 / size), (40000, 3))
     expected = surface.signed_distance(points).distance
     found = fine.sample(points, order=0, device="cpu")
-    clear = np.abs(expected) > 0.02
+    clear = np.abs(expected) > 0.04
     assert ((found < 0) != (expected < 0))[clear].mean() <= WRONG_SHARE
 
 

@@ -12,8 +12,8 @@ from tests.support.two_bodies import cuboid, directions, errors
 
 pytestmark = pytest.mark.slow
 
-# Those of the largest errors, narrow and wide, and of the least.
-GAPS = of_all((1.0, 1.5, 3.0, 6.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 4.5, 5.0, 6.0))
+# Those of the largest errors, narrow and wide.
+GAPS = of_all((1.0, 3.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 4.5, 5.0, 6.0))
 # What the docstring of segment promises, in voxels: smooth bodies, boxes with wide gaps, boxes with narrow ones, and
 # edges rounded by 3 or 4 voxels with narrow gaps.
 SMOOTH, EDGES, NARROW, ROUNDED = 0.1, 0.5, 1.0, 0.5
@@ -63,7 +63,7 @@ def test_turned_boxes(gap, rounding):
     half = (6.0, 5.0, 4.5)
     steps = np.arange(-12.0, 12.0, 0.6)
     around = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    for seed in range(of_all(2, 5)):
+    for seed in range(of_all(1, 5)):
         rng = np.random.default_rng(7 * seed + int(10 * gap))
         one, other = (Rotation.random(random_state=seed + step).as_matrix() for step in (0, 50))
         way = directions(1, rng)[3]
@@ -90,7 +90,7 @@ def test_tubes(gap, radius, narrow):
 
         return distance
 
-    for seed in range(of_all(2, 4)):
+    for seed in range(of_all(1, 4)):
         rng = np.random.default_rng(seed + int(10 * gap))
         way, one, other = directions(3, rng)[3:]
         middle, reach = rng.uniform(-0.5, 0.5, 3), radius + gap / 2.0

@@ -13,6 +13,7 @@ from geokit.mesh._from_volume import from_volume
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import sample
 from geokit.volume.nanovdb.header import info_of
+from tests.support.effort import of_all
 
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 VOXELS = np.array(list(np.ndindex(8, 8, 8)))
@@ -68,7 +69,7 @@ def is_sound(mesh):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=of_all(12, 25), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     share=st.sampled_from([0.2, 0.6, 1.0]),
@@ -115,7 +116,7 @@ def test_marching_cubes_lie_on_the_interpolant(seed, isovalue, sheared):
 
 
 @pytest.mark.slow
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=of_all(6, 15), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), dead=st.sampled_from([0.3, 0.7, 0.95]))
 def test_faces_that_are_left_where_voxels_are_not_active_are_those_of_the_whole(seed, dead):
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from itertools import product
 
 import numpy as np
 import pytest
@@ -45,6 +46,7 @@ def cube(half_width, half=2.0, **options):
     return gk.volume.from_mesh(gk.mesh.box(3 * [2 * half]), SIZE, half_width=half_width, **options)
 
 
+@functools.cache
 def far_ball():
     ball = gk.mesh.sphere(0.5, center=(5.0, 0.0, 0.0))
     return gk.volume.from_mesh(ball, SIZE, half_width=3.0)
@@ -140,7 +142,11 @@ class TestWidths:
 
 
 class TestOperations:
-    @pytest.mark.parametrize("name", spread(OPERATIONS, 8))
+    # By default each with one of the pairs.
+    @pytest.mark.parametrize(
+        ("name", "pair"),
+        of_all([(name, PAIRS[k % 2]) for k, name in enumerate(spread(OPERATIONS, 8))], [*product(OPERATIONS, PAIRS)]),
+    )
     def test_both_widths_stay_and_distances_are_right_in_both(self, band, pair, name):
         result = OPERATIONS[name](band)
         size = float(result.info.voxel_size[0])

@@ -29,7 +29,7 @@ def off_by(found: SparseVolume, expected: SparseVolume, voxel_size: float) -> ND
     return np.abs(values[0] - values[1]) / voxel_size
 
 
-@pytest.mark.parametrize(("voxel_size", "seed"), spread(itertools.product([0.05, 0.047, 0.0331], [None, 1, 2]), 4))
+@pytest.mark.parametrize(("voxel_size", "seed"), spread(itertools.product([0.05, 0.047, 0.0331], [None, 1, 2]), 2))
 def test_a_union_of_bodies_that_touch_is_one_body(voxel_size: float, seed: int | None) -> None:
     low, high = (LOW, HIGH) if seed is None else (turned(LOW, seed), turned(HIGH, seed))
     whole = field(gk.mesh.union(concatenated(low, high)), voxel_size)
@@ -66,14 +66,14 @@ def test_a_thin_overlap_is_no_wall(overlap: float) -> None:
 
 
 def test_cavities_that_touch_are_one_in_a_difference() -> None:
-    block = box((3.0, 3.0, 4.0), center=(0.5, 0.5, 1.0))
+    block = box((2.0, 2.0, 3.0), center=(0.5, 0.5, 1.0))
     whole = field(gk.mesh.union(concatenated(LOW, HIGH)), 0.05)
     expected = gk.volume.difference(field(block, 0.05), whole)
     found = gk.volume.difference(field(block, 0.05), field(LOW, 0.05), field(HIGH, 0.05))
     assert off_by(found, expected, 0.05).max() < 0.8
     narrower = gk.mesh.from_volume(gk.volume.offset(found, 0.1), device="cpu")
     assert len(gk.mesh.split(narrower)) == 2
-    assert narrower.volume == pytest.approx(3.2 * 3.2 * 4.2 - 0.8 * 0.8 * 1.8, rel=0.01)
+    assert narrower.volume == pytest.approx(2.2 * 2.2 * 3.2 - 0.8 * 0.8 * 1.8, rel=0.01)
 
 
 def test_an_intersection_of_complements_is_one_cavity() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, HalfspaceIntersection
@@ -46,9 +48,11 @@ def angle_section(distance):
     return turned(extruded(outline(start, end, arcs, inside), 11.0 - distance), *ODD)
 
 
-@pytest.mark.parametrize("distance", [1.0, 2.6, 4.0])
-@pytest.mark.parametrize("size", [(13.0, 22.0), (12.5, 15.0)])
-def test_cones(distance, size):
+@pytest.mark.parametrize(
+    ("size", "distance"),
+    of_all([((13.0, 22.0), 4.0), ((12.5, 15.0), 1.0)], [*product([(13.0, 22.0), (12.5, 15.0)], [1.0, 2.6, 4.0])]),
+)
+def test_cones(size, distance):
     body = level_set(cone(0.0, *size))
     true = cone(distance, *size)
     assert found(erode(body, distance), true).max() < 0.4
@@ -69,7 +73,7 @@ def test_less_than_a_voxel_is_left():
     assert found(opening(body, 2.6), lambda p: core(p) - 2.6).max() < 1.0
 
 
-@pytest.mark.parametrize("distance", [1.0, 4.0, 6.0])
+@pytest.mark.parametrize("distance", of_all([6.0], [1.0, 4.0, 6.0]))
 @pytest.mark.parametrize("pose", [ODD, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
 def test_closing_of_boxes(distance, pose):
     box = turned(cuboid(np.array([12.0, 10.5, 9.3])), *pose)
@@ -111,7 +115,7 @@ def test_the_worst_dilations_beyond_the_band_that_were_found(seed):
     assert np.mean(errors > 0.3) < 0.001
 
 
-@pytest.mark.parametrize(("distance", "most"), [(0.8, 0.3), (2.0, 0.3), (4.5, 0.7)])
+@pytest.mark.parametrize(("distance", "most"), of_all([(4.5, 0.7)], [(0.8, 0.3), (2.0, 0.3), (4.5, 0.7)]))
 def test_a_room_that_becomes_smaller(distance, most):
     """Concave edges and corners, which stay sharp where the body grows."""
     room = np.array([9.0, 8.0, 10.5])
@@ -125,7 +129,7 @@ def test_a_room_that_becomes_smaller(distance, most):
     assert found(dilate(body, distance), grown).max() < most
 
 
-@pytest.mark.parametrize("distance", [1.3, 4.2])
+@pytest.mark.parametrize("distance", of_all([4.2], [1.3, 4.2]))
 def test_dilated_tori(distance):
     def torus(tube):
         return turned(lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - 32.0, p[:, 2]) - tube, *ODD)
@@ -151,7 +155,7 @@ def polyhedron(seed):
     return eroded, rng.uniform(0.5, 4.5)
 
 
-@pytest.mark.parametrize("seed", of_all([0, 5], range(6)))
+@pytest.mark.parametrize("seed", of_all([5], range(6)))
 def test_polyhedra_of_many_faces(seed):
     eroded, distance = polyhedron(seed)
     body, core = level_set(eroded(0.0)), eroded(distance)

@@ -28,7 +28,7 @@ def pose_and_distance(seed):
     return (tuple(rng.uniform(-3.0, 3.0, 3)), tuple(rng.uniform(-0.5, 0.5, 3))), rng.uniform(0.5, 5.0)
 
 
-@pytest.mark.parametrize("seed", range(of_all(4, 20)))
+@pytest.mark.parametrize("seed", range(of_all(2, 20)))
 def test_boxes_in_random_poses(seed):
     pose, distance = pose_and_distance(seed)
     body, core = turned(cuboid(HALF), *pose), turned(cuboid(HALF - distance), *pose)
@@ -36,7 +36,7 @@ def test_boxes_in_random_poses(seed):
     assert worst(opening(level_set(body), distance), lambda p: core(p) - distance) < OPENED
 
 
-@pytest.mark.parametrize("seed", range(20, of_all(23, 26)))
+@pytest.mark.parametrize("seed", range(20, of_all(21, 26)))
 def test_cylinders_in_random_poses(seed):
     pose, distance = pose_and_distance(seed)
 
@@ -48,7 +48,7 @@ def test_cylinders_in_random_poses(seed):
     assert worst(opening(level_set(body(0.0)), distance), lambda p: body(distance)(p) - distance) < OPENED
 
 
-@pytest.mark.parametrize("thickness", [1.2, 1.8, 2.4])
+@pytest.mark.parametrize("thickness", of_all([1.2], [1.2, 1.8, 2.4]))
 def test_plates_that_stay_thin(thickness):
     pose = (0.31, 0.47, 0.73), (0.3, 0.2, -0.1)
     half = np.array([12.0, 11.0, 2.6 + thickness / 2])

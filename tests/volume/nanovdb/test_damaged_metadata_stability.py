@@ -14,6 +14,7 @@ from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.file import inspect, read
 from geokit.volume.nanovdb.header import BLIND_DATA, info_of
 from geokit.volume.nanovdb.write import write
+from tests.support.effort import of_all
 
 METADATA = {"text": "some text", "number": 12345, "double": 0.125, "bytes": b"abc"}
 ACCEPTED = (FileFormatError, UnsupportedGridError)
@@ -48,7 +49,7 @@ def test_no_flip_changes_metadata_unnoticed(tmp_path, sound):
     data, begin = sound
     entry, text = range(begin, begin + BLIND_DATA.itemsize), range(begin + BLIND_DATA.itemsize, len(data))
     found = {}
-    for at in [*entry[:64], *entry[64::16], *text]:
+    for at in [*entry[:64], *entry[64::16], *text[:: of_all(2, 1)]]:
         for bit in (0x01, 0x80):
             broken = bytearray(data)
             broken[at] ^= bit
@@ -58,7 +59,7 @@ def test_no_flip_changes_metadata_unnoticed(tmp_path, sound):
     changed = {at for (at, _), result in found.items() if result.startswith("changed")}
     assert changed <= set(name)
     assert all(found[at, bit] == "changed to {}" for at in changed for bit in (0x01, 0x80))
-    assert sum(result == "refused" for result in found.values()) > 100
+    assert sum(result == "refused" for result in found.values()) > of_all(50, 100)
     assert not [result for result in found.values() if result.startswith("no path")]
 
 
@@ -69,7 +70,7 @@ def test_truncated_files_are_refused(tmp_path, sound):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(of_all(1, 3)))
 @pytest.mark.parametrize("codec", ["none", "zip", "blosc"])
 def test_random_damage_is_no_crash(tmp_path, seed, codec):
     volume = sphere(3.0)

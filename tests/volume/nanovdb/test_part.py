@@ -50,7 +50,7 @@ def test_of_every_type(grid_type: str, seed: int, tmp_path: Path) -> None:
     gk.volume.save(tmp_path / "a.nvdb", volume)
     low, high = volume.info.world_bounds
     rng = np.random.default_rng(seed)
-    boxes = [np.sort(rng.uniform(low, high, (2, 3)), axis=0) for _ in range(4)]
+    boxes = [np.sort(rng.uniform(low, high, (2, 3)), axis=0) for _ in range(of_all(2, 4))]
     for box in [*boxes, *BOXES]:
         require_same(gk.volume.load(tmp_path / "a.nvdb", bounds=box), gk.volume.clip(volume, box))
 

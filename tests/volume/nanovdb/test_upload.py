@@ -13,6 +13,7 @@ import geokit as gk
 from geokit.volume import SparseVolume
 from geokit.volume.nanovdb import upload
 from tests.support.devices import DEVICES
+from tests.support.effort import of_all
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -42,7 +43,7 @@ def test_first_queries_of_threads_are_those_of_one() -> None:
     expected = source.raycast(points, directions, device="cpu").t
     assert np.isfinite(expected).any()
     with ThreadPoolExecutor(3) as pool:
-        for _ in range(200):
+        for _ in range(of_all(60, 200)):
             volume = SparseVolume(source.nanovdb.copy(), source.info)
             asked = [slice(k, None, 3) for k in range(3)]
             found = pool.map(lambda rows, v=volume: v.raycast(points[rows], directions[rows], device="cpu").t, asked)

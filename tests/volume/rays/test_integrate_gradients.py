@@ -13,6 +13,7 @@ from geokit import InputError, volume  # noqa: E402
 from geokit.volume.nanovdb.header import aligned_buffer  # noqa: E402
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes  # noqa: E402
 from geokit.volume.tree.leaves import assemble, leaves_of  # noqa: E402
+from tests.support.effort import of_all  # noqa: E402
 
 
 def _rough(field, seed, low, high):
@@ -160,13 +161,16 @@ def test_an_emission_that_is_zero_has_a_slope(fog, light, rays):
     np.testing.assert_allclose((slope * values).sum() + inactive, total(values), rtol=1e-12)
 
 
+RAYS = of_all(2000, 5000)
+
+
 @pytest.mark.slow
 def test_sums_do_not_depend_on_the_order_of_rays(fog, light):
     """Whole numbers are added: also across threads, and where one ray outweighs the others by far."""
     random = np.random.default_rng(5)
-    origins = torch.tensor(3.0 * random.standard_normal((5000, 3)))
-    directions = torch.tensor(0.5 * random.standard_normal((5000, 3))) - origins
-    weights = torch.tensor(10.0 ** random.uniform(-9, 9, 5000))
+    origins = torch.tensor(3.0 * random.standard_normal((RAYS, 3)))
+    directions = torch.tensor(0.5 * random.standard_normal((RAYS, 3))) - origins
+    weights = torch.tensor(10.0 ** random.uniform(-9, 9, RAYS))
 
     def slopes(order):
         held = [torch.tensor(volume.active_voxels(grid).values, requires_grad=True) for grid in (fog, light)]
@@ -175,11 +179,11 @@ def test_sums_do_not_depend_on_the_order_of_rays(fog, light):
         loss = (weights[order] * (found.transmittance + found.emission)).sum()
         return torch.autograd.grad(loss, held)
 
-    ahead, back = slopes(torch.arange(5000)), slopes(torch.arange(5000).flip(0))
+    ahead, back = slopes(torch.arange(RAYS)), slopes(torch.arange(RAYS).flip(0))
     for one, other in zip(ahead, back, strict=True):
         assert torch.equal(one, other)
     # The same in two parts: each share is rounded to 1e-12 of the largest of its value.
-    parts = [slopes(torch.arange(begin, 5000, 2)) for begin in (0, 1)]
+    parts = [slopes(torch.arange(begin, RAYS, 2)) for begin in (0, 1)]
     for one, first, second in zip(ahead, *parts, strict=True):
         np.testing.assert_allclose(one, first + second, rtol=1e-9)
 

@@ -103,7 +103,7 @@ def test_adaptive_fields():
     from geokit import mesh
 
     body = mesh.load("data/samples/bracket.obj")
-    field = volume.adaptive_from_mesh(body, tolerance=1.0)
+    field = volume.adaptive_from_mesh(body, tolerance=1.0, order=2, codec="float")
     low, high = body.bounds
     points = tensor(low + (high - low) * np.random.default_rng(1).random((20, 3)))
     check(lambda points: field.sample(points, device="cpu"), points, second=False)

@@ -49,7 +49,7 @@ def test_the_file_has_the_same_bytes(pool: Callable[[int], Executor], scan: Path
 
 @pytest.mark.slow
 def test_so_it_has_if_cells_are_split_there(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = banded(scan, size=0.008)
+    expected = banded(scan, size=0.009)
     monkeypatch.setattr(band_file, "MOST_CELLS", 2)
     monkeypatch.setattr(cell_band, "LARGEST_SPAN", 128)
     tasks: list[int] = []
@@ -58,24 +58,20 @@ def test_so_it_has_if_cells_are_split_there(scan: Path, monkeypatch: pytest.Monk
         cell_band.CellBands, "make", lambda self, cell, folder: tasks.append(cell.span) or made(self, cell, folder)
     )
     with ThreadPoolExecutor(2) as executor:
-        assert banded(scan, executor, 0.008) == expected
+        assert banded(scan, executor, 0.009) == expected
     assert max(tasks) > 128
     assert tasks.count(128) > 4
     # So do parts of lower nodes, in the task of their node.
     monkeypatch.setattr(cell_band, "BYTES_PER_LEAF", 2_000_000)
     with processes(2) as pool:
-        assert banded(scan, pool, 0.008) == expected
+        assert banded(scan, pool, 0.009) == expected
 
 
 @pytest.mark.slow
-def test_dask_s_client_is_one(scan: Path) -> None:
+def test_dask_s_client_is_one_and_a_worker_that_is_killed_costs_nothing(scan: Path) -> None:
+    expected = banded(scan)
     with cluster_client() as client:
-        assert banded(scan, client) == banded(scan)
-
-
-@pytest.mark.slow
-def test_dask_s_worker_that_is_killed_costs_nothing(scan: Path) -> None:
-    with cluster_client() as client:
+        assert banded(scan, client) == expected
         killed: list[int] = []
 
         def kill(at: int, _: int) -> None:
@@ -83,7 +79,7 @@ def test_dask_s_worker_that_is_killed_costs_nothing(scan: Path) -> None:
                 killed.append(next(iter(client.run(os.getpid).values())))
                 os.kill(killed[0], 9)
 
-        assert banded(scan, client, progress=kill) == banded(scan)
+        assert banded(scan, client, progress=kill) == expected
         assert killed
 
 

@@ -19,8 +19,8 @@ pytestmark = pytest.mark.slow
 
 DEVICE = "cpu"
 # Of the diagonal: coarse enough for a mesh to take a second, fine enough for edges and curvature to matter.
-SHARE = 4e-3
-JUDGED = 1500
+SHARE = of_all(8e-3, 4e-3)
+JUDGED = of_all(600, 1500)
 
 
 def diagonal(mesh: TriangleMesh) -> float:

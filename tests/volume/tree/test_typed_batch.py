@@ -23,8 +23,8 @@ def tiles_of(nodes, width, span, number):
 
 
 def with_background(tree, background):
-    """The tree with inactive tiles and all other places of another background."""
-    lower = tree.lower
+    """The tree with inactive tiles and all other places of another background, without nodes of nothing else."""
+    lower = tree.lower.rows(np.flatnonzero(tree.lower.active.any(axis=1)))
     kept = lower.active.reshape(lower.active.shape + (1,) * (lower.values.ndim - 2))
     return replace(tree, background=background, lower=lower._replace(values=np.where(kept, lower.values, background)))
 
