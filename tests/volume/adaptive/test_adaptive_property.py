@@ -90,7 +90,7 @@ def _turned(seed):
 def test_the_tolerance_holds_in_any_position_and_zone(seed, share, wider):
     mesh = _turned(seed)
     tolerance = share * float((mesh.bounds[1] - mesh.bounds[0]).max())
-    field = adaptive_from_mesh(mesh, tolerance, within=wider * tolerance, **FEW, device="cpu")
+    field = adaptive_from_mesh(mesh, tolerance, within=wider * tolerance, device="cpu")
     assert _worst(mesh, field, max(wider * tolerance, 1e-12), seed) <= tolerance
 
 
