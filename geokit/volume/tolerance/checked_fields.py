@@ -98,8 +98,8 @@ def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int
     for radius in RADII:
         worst = np.argsort(errors)[-WORST:]
         around = np.repeat(points[worst], MOVES, axis=0)
-        moved = zone.moved(around, radius * setting.voxel_size, random)
-        points, exact = zone.kept(np.concatenate([points[worst], moved]))
+        step = radius * setting.voxel_size
+        points, exact = zone.near(np.concatenate([points[worst], zone.moved(around, step, random)]), step, random)
         errors = _errors(volume, points, exact, setting.option.order)
         largest = max(largest, float(errors.max()))
         found.append(points[np.argsort(errors)[-TOLD:]])

@@ -82,7 +82,14 @@ def tolerance_search(
     def seeds(count: int, seed: int) -> NDArray[np.float64]:
         return sample_surface(surface.mesh, count, seed=seed).points
 
-    zone = Zone(truth, seeds, surface.bounds, within, offset)
+    def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        foot = np.asarray(surface.closest_point(points).points)
+        away = points - foot
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        # Where there is no direction the point stays on the mesh, which is not in the zone of a shell.
+        return foot + away * (offset / np.where(length > 0.0, length, np.inf))
+
+    zone = Zone(truth, seeds, onto, surface.bounds, within, offset)
     require_extent(zone.longest)
     if tolerance < LEAST_SHARE * zone.longest:
         raise InputError(

@@ -200,7 +200,8 @@ class Search:
             if not options:
                 continue
             around = np.concatenate([worst, self.zone.moved(worst, 0.5 * level.voxel_size, random)])
-            found = self._errors(*self.zone.kept(around), level.voxel_size, options)
+            near = self.zone.near(around, 0.5 * level.voxel_size, random)
+            found = self._errors(*near, level.voxel_size, options)
             level.errors.update({o: max(level.errors[o], float(found[o].max(initial=0.0))) for o in options})
 
     def _scan(self, setting: Setting) -> None:
@@ -271,7 +272,8 @@ class Search:
             worst = np.concatenate([np.argpartition(found[o], -taken)[-taken:] for o in firsts.values()])
             self._worst = (points[np.unique(worst)], voxel_size)
             around = np.repeat(self._worst[0], AROUND, axis=0)
-            points, exact = self.zone.kept(self.zone.moved(around, 0.5 * voxel_size, random))
+            step = 0.5 * voxel_size
+            points, exact = self.zone.near(self.zone.moved(around, step, random), step, random)
             if len(points) == 0:
                 break
         level = _Level(voxel_size, errors)
@@ -311,7 +313,7 @@ class Search:
         moves = np.geomspace(voxel_size, old_size, MOVES)
         old = np.concatenate([worst, *(self.zone.moved(worst, size, random) for size in moves)])[: count // 2]
         told = [self._told, self.zone.moved(self._told, voxel_size, random)]
-        old, old_exact = self.zone.kept(np.concatenate([old, *told]))
+        old, old_exact = self.zone.near(np.concatenate([old, *told]), voxel_size, random)
         return np.concatenate([old, fresh]), np.concatenate([old_exact, exact])
 
     def _step(self, option: Option, voxel_size: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError
 
-__all__ = ["Zone", "checked_within", "require_extent"]
+__all__ = ["ROUNDING", "THIN", "Zone", "checked_within", "require_extent"]
 
 # Width of the zone of an open mesh, as a share of the tolerance. Beside the mesh's border the sign jumps, and the field
 # is off by twice the distance there.
@@ -22,6 +22,8 @@ SHORTEST, LONGEST = 1e-32, 1e32
 
 # Most draws of points; for a shell, only a small part of a draw may lie in the zone.
 DRAWS = 8
+# A zone of less than this share of how far points are moved holds next to none of them: they are brought back into it.
+THIN = 0.005
 # Rounding of a distance, as a share of the largest coordinate: some 64 units in the last place.
 ROUNDING = 1.5e-14
 
@@ -33,6 +35,7 @@ class Zone:
     Attributes:
         truth: The exact field at points (N, 3) [world], float64.
         seeds: Returns random points on the mesh's surface, from their number and a random seed.
+        onto: Returns the nearest point of the field's surface for each of some points (N, 3) [world].
         bounds: Box around the mesh [world], shape (2, 3).
         within: Distance [world] from the field's surface up to which the tolerance holds.
         offset: Distance [world] of the field's surface from the mesh: half the thickness of a shell, else 0.
@@ -40,6 +43,7 @@ class Zone:
 
     truth: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     seeds: Callable[[int, int], NDArray[np.float64]]
+    onto: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     bounds: NDArray[np.float64]
     within: float
     offset: float
@@ -58,7 +62,7 @@ class Zone:
         found = []
         for draw in range(DRAWS):
             points = self.moved(self.seeds(count, seed + draw), self.within, random, self.offset)
-            found.append(self.kept(points))
+            found.append(self.near(points, self.offset, random))
             if sum(len(points) for points, _ in found) >= count:
                 break
         points, exact = (np.concatenate(arrays)[:count] for arrays in zip(*found, strict=True))
@@ -76,9 +80,24 @@ class Zone:
     def kept(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The points that lie in the zone, and the field there."""
         exact = self.truth(points)
-        # Points on the surface are off it by the rounding of their coordinates.
-        inside = np.abs(exact) <= self.within + ROUNDING * (float(np.abs(self.bounds).max()) + self.offset)
+        inside = self._holds(exact)
         return points[inside], exact[inside]
+
+    def near(
+        self, points: NDArray[np.float64], moved_by: float, random: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As :meth:`kept`, of points that were moved so far [world]; from a thin zone they are brought back into it."""
+        exact = self.truth(points)
+        inside = self._holds(exact)
+        if self.within >= THIN * moved_by or inside.all():
+            return points[inside], exact[inside]
+        back, back_exact = self.kept(self.moved(self.onto(points[~inside]), self.within, random))
+        return np.concatenate([points[inside], back]), np.concatenate([exact[inside], back_exact])
+
+    def _holds(self, exact: NDArray[np.float64]) -> NDArray[np.bool_]:
+        # Points on the surface are off it by the rounding of their coordinates.
+        rounding = ROUNDING * (float(np.abs(self.bounds).max()) + self.offset)
+        return np.asarray(np.abs(exact) <= self.within + rounding)
 
 
 def require_extent(longest: float) -> None:
