@@ -99,7 +99,8 @@ def checked_errors(zone: Zone, volume: SparseVolume, setting: Setting, seed: int
         worst = np.argsort(errors)[-WORST:]
         around = np.repeat(points[worst], MOVES, axis=0)
         step = radius * setting.voxel_size
-        points, exact = zone.near(np.concatenate([points[worst], zone.moved(around, step, random)]), step, random)
+        near, near_exact = zone.near(zone.moved(around, step, random), step, random)
+        points, exact = np.concatenate([points[worst], near]), np.concatenate([exact[worst], near_exact])
         errors = _errors(volume, points, exact, setting.option.order)
         largest = max(largest, float(errors.max()))
         found.append(points[np.argsort(errors)[-TOLD:]])

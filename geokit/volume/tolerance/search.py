@@ -199,9 +199,10 @@ class Search:
             options = [option for option, known in level.errors.items() if known <= self.aim]
             if not options:
                 continue
-            around = np.concatenate([worst, self.zone.moved(worst, 0.5 * level.voxel_size, random)])
-            near = self.zone.near(around, 0.5 * level.voxel_size, random)
-            found = self._errors(*near, level.voxel_size, options)
+            step = 0.5 * level.voxel_size
+            near = self.zone.kept(worst), self.zone.near(self.zone.moved(worst, step, random), step, random)
+            points, exact = (np.concatenate(part) for part in zip(*near, strict=True))
+            found = self._errors(points, exact, level.voxel_size, options)
             level.errors.update({o: max(level.errors[o], float(found[o].max(initial=0.0))) for o in options})
 
     def _scan(self, setting: Setting) -> None:

@@ -22,8 +22,8 @@ SHORTEST, LONGEST = 1e-32, 1e32
 
 # Most draws of points; for a shell, only a small part of a draw may lie in the zone.
 DRAWS = 8
-# A zone of less than this share of how far points are moved holds next to none of them: they are brought back into it.
-THIN = 0.005
+# A zone is thin if it is less than this share of how far points are moved, or if it holds less than FEW of them.
+THIN, FEW = 0.005, 0.02
 # Rounding of a distance, as a share of the largest coordinate: some 64 units in the last place.
 ROUNDING = 1.5e-14
 
@@ -86,10 +86,10 @@ class Zone:
     def near(
         self, points: NDArray[np.float64], moved_by: float, random: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As :meth:`kept`, of points that were moved so far [world]; from a thin zone they are brought back into it."""
+        """As :meth:`kept`, of points that were moved so far [world]; to a thin zone they are brought back."""
         exact = self.truth(points)
         inside = self._holds(exact)
-        if self.within >= THIN * moved_by or inside.all():
+        if (self.within >= THIN * moved_by and inside.sum() >= FEW * len(points)) or inside.all():
             return points[inside], exact[inside]
         back, back_exact = self.kept(self.moved(self.onto(points[~inside]), self.within, random))
         return np.concatenate([points[inside], back]), np.concatenate([exact[inside], back_exact])
