@@ -30,29 +30,15 @@ def test_no_arguments_is_help(geokit) -> None:
     assert geokit().stdout == geokit("--help").stdout
 
 
-@pytest.fixture(scope="module")
-def helps() -> dict[str, str]:
-    """What each verb prints about itself, in one process that does nothing else."""
-    code = (
-        "import sys, geokit.cli\n"
-        "for verb in sys.argv[1:]:\n"
-        "    code = geokit.cli.main([verb, '--help'])\n"
-        "    print(end=f'\\0{code}\\0')\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *VERBS], capture_output=True, text=True, cwd=ROOT, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
-    said, codes = done.stdout.split("\0")[:-1:2], done.stdout.split("\0")[1::2]
-    assert codes == ["0"] * len(VERBS)
-    return dict(zip(VERBS, said, strict=True))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-def test_each_verb_has_help(helps: dict[str, str], verb: str) -> None:
-    assert f"geokit {verb}" in helps[verb]
-    assert f"\nExamples:\n  geokit {verb}" in helps[verb]
+def test_each_verb_has_help(geokit_process, verb: str) -> None:
+    done = geokit_process(verb, "--help")
+    assert done.returncode == 0
+    assert f"geokit {verb}" in done.stdout
+    assert f"\nExamples:\n  geokit {verb}" in done.stdout
     for question in ("closest", "signed", "ray", "sample", "neighbors") if verb == "query" else ():
-        assert question in helps[verb]
+        assert question in done.stdout
 
 
 @pytest.mark.parametrize("verb", VERBS)
