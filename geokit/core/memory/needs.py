@@ -70,8 +70,10 @@ def needs(
 
         @functools.wraps(function)
         def guarded(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-            stated = 0 if late else bytes_of(*args, **kwargs)
-            require_free(stated, what, always=fatal)
+            stated = 0
+            if not late:
+                stated = bytes_of(*args, **kwargs)
+                require_free(stated, what, always=fatal)
             if _native is None:
                 _look_for_torch()
             try:
