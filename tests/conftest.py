@@ -14,6 +14,7 @@ import os
 import random
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Generator
 from pathlib import Path
@@ -25,6 +26,7 @@ from tests.support.effort import ALL
 
 FOLDER = "GEOKIT_TEST_STACKS"
 STACKS = pytest.StashKey[int]()
+HAS_THREADS = pytest.StashKey[bool]()
 # Files named by the time that their tests take.
 SLOWEST = 60
 
@@ -71,6 +73,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         # A module stays together: what it prepares once is prepared once.
         place = {path: order.random() for path in dict.fromkeys(item.path for item in items)}
         items.sort(key=lambda item: place[item.path])
+
+
+# After pytest has taken down what the test had.
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Fail the test that imports jax, whose threads any test that forks later would meet."""
+    if "jax" in sys.modules and not item.config.stash.get(HAS_THREADS, False):
+        item.config.stash[HAS_THREADS] = True
+        pytest.fail("a test with jax runs in a process of its own, as tests/core/gradients/test_jax.py does")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatus: int) -> None:

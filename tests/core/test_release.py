@@ -23,6 +23,23 @@ def _resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
+@pytest.fixture(params=["new pages", "a free piece of the heap"])
+def memory(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Memory that the pool is given for its next array, since it has none itself."""
+    gk.release_memory()
+    if request.param == "new pages":
+        yield
+        return
+    # An array that is freed has the heap serve others of its size; what lies behind them keeps them from the end.
+    np.empty(31 << 20, np.uint8)
+    pieces = [np.ones(30 << 20, np.uint8) for _ in range(4)]
+    behind = np.ones(30 << 20, np.uint8)
+    pieces.clear()
+    yield
+    del behind
+
+
+@pytest.mark.usefixtures("memory")
 def test_idle_memory_is_given_back():
     array = host_pool.empty((1 << 23,), np.float64)
     array[:] = 1.0

@@ -77,11 +77,13 @@ def test_blocks_of_unknown_length(things) -> None:
     _same(found, things["surface"].contains(POINTS[POINTS[:, 0] > 0]))
 
 
-def test_a_tree_is_built_once_for_each_process(things, monkeypatch) -> None:
+def test_a_tree_is_built_once_for_each_process(monkeypatch) -> None:
+    # One that no other test has sent.
+    surface = gk.mesh.Surface(gk.mesh.TriangleMesh(BODY.vertices * 3.0, BODY.faces), device="cpu")
     built = []
     build = gk.mesh.Surface._build_wide_tree
     monkeypatch.setattr(gk.mesh.Surface, "_build_wide_tree", lambda self: (built.append(self), build(self)))
-    sent = pickle.dumps(_Shared(things["surface"]))
+    sent = pickle.dumps(_Shared(surface))
     first, second = pickle.loads(sent), pickle.loads(sent)
     assert first is second
     assert len(built) == 1
@@ -93,7 +95,7 @@ def test_a_tree_is_built_once_for_each_process(things, monkeypatch) -> None:
     assert len(built) == 3
     del first, second
     built.clear()
-    assert not any(key == _Shared(things["surface"]).token for key in _map_queries._here)
+    assert not any(key == _Shared(surface).token for key in _map_queries._here)
 
 
 def test_what_cannot_be_asked_is_named(things) -> None:

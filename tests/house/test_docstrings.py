@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.util
 import inspect
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,7 @@ import geokit
 
 ROOT = Path(__file__).resolve().parents[2]
 WITH_EXAMPLES = sorted(path for path in (ROOT / "geokit").rglob("*.py") if ">>>" in path.read_text(encoding="utf-8"))
+OF_JAX = [path for path in WITH_EXAMPLES if path.is_relative_to(ROOT / "geokit" / "jax")]
 PUBLIC = [
     pytest.param(getattr(namespace, name), id=f"{namespace.__name__}.{name}")
     for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.accuracy)
@@ -24,16 +28,31 @@ def test_there_are_examples():
     assert len(WITH_EXAMPLES) >= 3
 
 
+def _examples(paths: list[Path]) -> None:
+    for path in paths:
+        module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+        failed, tried = doctest.testmod(module, extraglobs={"gk": geokit, "geokit": geokit})
+        assert tried > 0
+        assert failed == 0
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(set(WITH_EXAMPLES) - set(OF_JAX)), ids=lambda path: path.stem)
 def test_examples_run(path, monkeypatch, tmp_path):
     # Some read data/samples, some write beside it.
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
-    module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    failed, tried = doctest.testmod(module, extraglobs={"gk": geokit, "geokit": geokit})
-    assert tried > 0
-    assert failed == 0
+    _examples([path])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("jax") is None, reason="needs jax")
+def test_examples_of_jax_run():
+    # In a process of their own: jax starts threads, which forks of other tests must not meet.
+    assert OF_JAX
+    script = "from tests.house import test_docstrings as t; t._examples(t.OF_JAX)"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
 
 
 @pytest.mark.parametrize("thing", PUBLIC)
