@@ -78,8 +78,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 # After pytest has taken down what the test had.
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item) -> None:
-    """Fail the test that imports jax, whose threads any test that forks later would meet."""
-    if "jax" in sys.modules and not item.config.stash.get(HAS_THREADS, False):
+    """Fail the test that starts jax, whose threads any test that forks later would meet."""
+    # Importing it starts none.
+    started = getattr(sys.modules.get("jax._src.xla_bridge"), "_backends", None)
+    if started and not item.config.stash.get(HAS_THREADS, False):
         item.config.stash[HAS_THREADS] = True
         pytest.fail("a test with jax runs in a process of its own, as tests/core/gradients/test_jax.py does")
 
