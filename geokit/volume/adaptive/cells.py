@@ -211,9 +211,10 @@ def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order
     middle = _on(device, *lattice.distances(cells + 0.5))
     place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(lattice.within)]
     error, spread = (wp.empty(len(cells), dtype=wp.float64, device=device) for _ in range(2))
-    where = [_cells_on(device, cells), stencils.rows_on(device), order]
+    all_rows = stencils.rows_on(device)
+    where = [_cells_on(device, cells), all_rows, order]
     launcher.launch(examine_kernel, len(cells), [*where, values, closest, *middle, *place], [error, spread], device)
-    errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, stencils, limit))
+    errors = np.maximum(error.numpy(), _crease_errors(lattice, cells, [all_rows, order, values], limit))
     suspect = (errors <= limit) & (SPREAD_SHARE * lattice.size * spread.numpy() > limit)
     for width, share in ((3, 0.0), (5, CLOSEST_LOOK)):
         chosen = np.flatnonzero(suspect & (errors > share * limit) & (errors <= limit))
@@ -256,7 +257,7 @@ def _inspect(
 
 
 def _crease_errors(
-    lattice: CellLattice, cells: NDArray[np.int64], stencils: _Stencils, limit: float
+    lattice: CellLattice, cells: NDArray[np.int64], stencils: list[Any], limit: float
 ) -> NDArray[np.float64]:
     """Largest error of each cell on creases of the distance: on edges of the mesh and on their bisecting planes.
 
@@ -272,7 +273,7 @@ def _crease_errors(
     order = np.argsort(keys)
     lookup = [wp.array(keys[order], device=device), wp.array(order.astype(np.int32), device=device)]
     place = [wp.vec3d(*lattice.origin.tolist()), wp.float64(lattice.size), wp.float64(BORDER)]
-    read = [stencils.rows_on(device), stencils.order, stencils.values, *place]
+    read = [*stencils, *place]
     reach = wp.float64(lattice.within * (1.0 + BORDER))
     # As bits, negative: see crease_kernel.
     worst = wp.zeros(len(cells), dtype=wp.int64, device=device)

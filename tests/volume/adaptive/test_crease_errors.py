@@ -11,6 +11,7 @@ import geokit as gk
 from geokit.volume.adaptive import cells as module
 from geokit.volume.adaptive.cells import BORDER, CREASE_DEPTHS, CellLattice, near_cells
 from geokit.volume.tolerance.interpolation_errors import STENCILS, axis_weights
+from tests.support.devices import DEVICES
 
 
 def errors_by_loops(lattice, cells, limit, order):
@@ -41,10 +42,11 @@ def errors_by_loops(lattice, cells, limit, order):
     return errors
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("share", [1e-3, 0.1])
-def test_as_loops_find_them(order, share, monkeypatch):
-    surface = gk.mesh.Surface(gk.mesh.box((1.0, 0.7, 0.4)), device="cpu")
+def test_as_loops_find_them(order, share, device, monkeypatch):
+    surface = gk.mesh.Surface(gk.mesh.box((1.0, 0.7, 0.4)), device=device)
     # The corner lies on a border of cells, others do not.
     lattice = CellLattice(surface, "pseudonormal", np.asarray(surface.bounds[0]) - 0.9, 0.3, 0.2)
     cells = np.random.default_rng(order).permutation(near_cells(lattice))

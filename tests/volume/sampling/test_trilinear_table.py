@@ -101,6 +101,8 @@ def test_kernels_of_gpus_equal_those_of_cpus(volume, kind, dtype, pairs, monkeyp
         places = np.flatnonzero(starts >= 0).astype(np.int32)
         leaf_table.add_pairs(table, wp.array(places, dtype=wp.int32, device="cpu"), memory=1 << 30)
         assert table.pairs.shape[0] > 0
+    # The constant is compiled into the kernels that are loaded after it has changed.
+    launcher.load_module(kernels.interpolate_cpu_kernel.module, CPU)
     # A group of one query, answered by the kernel that takes one.
     monkeypatch.setattr(kernels, f"{kind}_CPU", getattr(kernels, f"{kind}_CUDA"))
     monkeypatch.setattr(kernels, "GROUP", 1)
