@@ -26,7 +26,7 @@ from geokit.volume._sample import gradient as volume_gradient
 from geokit.volume._sample import sample as volume_sample
 from geokit.volume.adaptive.build import build_band_level, build_finer_level
 from geokit.volume.adaptive.cells import CellLattice
-from geokit.volume.adaptive.check import DRAWN_POINTS, check_points, rounding_of
+from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
 from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels_or_one
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
@@ -36,7 +36,7 @@ from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.search import Search, Setting
-from geokit.volume.tolerance.zone import THIN
+from geokit.volume.tolerance.zone import THIN, rounding_of
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
@@ -497,7 +497,7 @@ def _errors_of(
             moved = lattice.surface.closest_point(moved).points
             moved = moved + random.uniform(-1.0, 1.0, moved.shape) * (lattice.within / np.sqrt(3.0))
         exact = np.asarray(lattice.surface.signed_distance(moved, sign=lattice.sign).distance)
-        kept = np.abs(exact) <= lattice.within + rounding_of(lattice)
+        kept = np.abs(exact) <= lattice.within + rounding_of(lattice.surface.bounds)
         points = np.concatenate([points, moved[kept]])
         found = np.concatenate([found, np.abs(made.sample(moved[kept], device=device) - exact[kept])])
     return found, points, drawn

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume.adaptive.cells import CellLattice
-from geokit.volume.tolerance.zone import ROUNDING
+from geokit.volume.tolerance.zone import rounding_of
 
 if TYPE_CHECKING:
     from geokit.mesh._model import TriangleMesh
 
-__all__ = ["DRAWN_POINTS", "CheckPoints", "check_points", "rounding_of"]
+__all__ = ["DRAWN_POINTS", "CheckPoints", "check_points"]
 
 # Points of a round: as many along edges as on faces, and half as many at vertices, because interpolants are worst on
 # creases. On meshes of tiny faces the three kinds hardly differ.
@@ -45,13 +45,8 @@ def check_points(lattice: CellLattice, seed: int) -> CheckPoints:
     points = on + directions * length[:, None]
     distance = lattice.surface.signed_distance(points, sign=lattice.sign).distance
     # Rounding puts points at the zone's limit outside it; with a zone of no width, nearly all.
-    kept = np.abs(distance) <= lattice.within + rounding_of(lattice)
+    kept = np.abs(distance) <= lattice.within + rounding_of(lattice.surface.bounds)
     return CheckPoints(points[kept], distance[kept])
-
-
-def rounding_of(lattice: CellLattice) -> float:
-    """By how much the distance of a point on the surface is not 0 [world]."""
-    return ROUNDING * float(np.abs(lattice.surface.bounds).max())
 
 
 def _on_faces(corners: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.float64]:

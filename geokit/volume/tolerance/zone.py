@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core import user_arrays
 from geokit.errors import InputError
 
-__all__ = ["ROUNDING", "THIN", "Zone", "checked_within", "require_extent"]
+__all__ = ["FEW", "THIN", "Zone", "checked_within", "require_extent", "rounding_of"]
 
 # Width of the zone of an open mesh, as a share of the tolerance. Beside the mesh's border the sign jumps, and the field
 # is off by twice the distance there.
@@ -96,8 +96,17 @@ class Zone:
 
     def _holds(self, exact: NDArray[np.float64]) -> NDArray[np.bool_]:
         # Points on the surface are off it by the rounding of their coordinates.
-        rounding = ROUNDING * (float(np.abs(self.bounds).max()) + self.offset)
-        return np.asarray(np.abs(exact) <= self.within + rounding)
+        return np.asarray(np.abs(exact) <= self.within + rounding_of(self.bounds, self.offset))
+
+
+def rounding_of(bounds: NDArray[np.float64], offset: float = 0.0) -> float:
+    """By how much the distance of a point on the surface may not be 0 [world].
+
+    Args:
+        bounds: Box around the mesh [world], shape (2, 3).
+        offset: Distance [world] of the field's surface from the mesh.
+    """
+    return ROUNDING * (float(np.abs(bounds).max()) + offset)
 
 
 def require_extent(longest: float) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
-from geokit.volume.tolerance.zone import Zone
+from geokit.volume.tolerance.zone import FEW, THIN, Zone
 from tests.support import reference
 from tests.support.effort import of_all
 
@@ -103,3 +103,21 @@ def test_points_are_brought_back_into_a_thin_zone():
     assert len(near) == 500
     assert np.abs(exact).max() <= 1e-4 * (1.0 + 1e-9)
     assert np.abs(exact).max() > 5e-5
+
+
+def test_points_are_brought_back_where_few_directions_lead_into_the_zone():
+    """A shell of a ball: it is as thick as what is reached straight up and down, and nowhere else."""
+    zone = Zone(
+        lambda p: np.abs(np.linalg.norm(p, axis=1) - 1.0) - 0.5, lambda n, s: np.zeros((n, 3)),
+        lambda p: p * ((1.0 + 0.5 * np.sign(np.linalg.norm(p, axis=1) - 1.0)) / np.linalg.norm(p, axis=1))[:, None],
+        np.array([[-1.0] * 3, [1.0] * 3]), 0.004, 0.5,
+    )  # fmt: skip
+    assert zone.within > THIN * zone.offset
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    random = np.random.default_rng(1)
+    moved = zone.moved(points, zone.within, random, zone.offset)
+    assert 0 < len(zone.kept(moved)[0]) < FEW * 500
+    near, exact = zone.near(moved, zone.offset, random)
+    assert len(near) == 500
+    assert np.abs(exact).max() <= zone.within * (1.0 + 1e-9)
