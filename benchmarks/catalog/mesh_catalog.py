@@ -280,6 +280,14 @@ def scaled(mesh: TriangleMesh, factor: float) -> TriangleMesh:
     return TriangleMesh(mesh.vertices * factor, mesh.faces, name=mesh.name, parts=mesh.parts)
 
 
+def turned(mesh: TriangleMesh, seed: int) -> TriangleMesh:
+    """A copy in a random pose, up to 10 along each axis from where it was: its edges lie anywhere among voxels."""
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn[0] *= np.sign(np.linalg.det(turn))
+    return TriangleMesh(mesh.vertices @ turn.T + rng.uniform(-10.0, 10.0, 3), mesh.faces, name=mesh.name)
+
+
 def far_away(mesh: TriangleMesh, distance: float = 1e6) -> TriangleMesh:
     """A copy ``distance`` from the origin, along no axis."""
     return moved(mesh, tuple(distance * np.array([2.0, -1.0, 2.0]) / 3.0))

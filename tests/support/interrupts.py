@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-__all__ = ["children", "interrupted", "interrupts"]
+__all__ = ["calls_of", "children", "interrupted", "interrupts"]
 
 TESTS = str(Path(__file__).resolve().parents[1])
 
@@ -50,6 +50,17 @@ def interrupted(number: int, block: Callable[[], object], files: tuple[str, ...]
     finally:
         sys.setprofile(None)
     return interrupt.left < 0
+
+
+def calls_of(block: Callable[[], object]) -> int:
+    """How many calls there are in a block at which it can be interrupted."""
+    counter = _Interrupt(sys.maxsize, ())
+    sys.setprofile(counter)
+    try:
+        block()
+    finally:
+        sys.setprofile(None)
+    return sys.maxsize - counter.left
 
 
 def interrupts(

@@ -9,6 +9,7 @@ give its answer within HANG_SECONDS. Long functions are interrupted a fourth as 
 from __future__ import annotations
 
 import faulthandler
+import functools
 import gc
 import hashlib
 import json
@@ -21,12 +22,11 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from tests.support.interrupts import TESTS, children, interrupted
+from tests.support.interrupts import calls_of, children, interrupted
 from tests.support.public_calls import Call, Scene, public_calls
 
 __all__ = ["faults", "runs"]
@@ -38,16 +38,6 @@ MOST_HANDLES = 2
 END_SECONDS = 3.0
 LONG_SECONDS = 2.0
 MEMORY_FOLDER = Path("/dev/shm")
-
-
-class _Counter:
-    """Counts the calls at which Python would look for signals, as :mod:`tests.support.interrupts` does."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
-        self.count += event in ("call", "c_return") and not frame.f_code.co_filename.startswith(TESTS)
 
 
 def digest(value: Any) -> str:
@@ -152,20 +142,15 @@ def runs(count: int, seed: int, names: Sequence[str] = (), part: tuple[int, int]
                 outcome(call)
                 start = time.monotonic()
                 answers = {outcome(call), outcome(call)}
-                counter = _Counter()
-                sys.setprofile(counter)
-                try:
-                    outcome(call)
-                finally:
-                    sys.setprofile(None)
+                calls = calls_of(functools.partial(outcome, call))
                 long = time.monotonic() - start > 3 * LONG_SECONDS
-                tried = rng.sample(range(counter.count), min(max(1, count // 4) if long else count, counter.count))
+                tried = rng.sample(range(calls), min(max(1, count // 4) if long else count, calls))
                 # Answers that name a time, or depend on which thread was first, have nothing to be compared with.
                 answer = answers.pop() if len(answers) == 1 else None
                 wrong = {number: _after(call, number, folder, answer) for number in tried}
                 yield {
                     "name": call.name,
-                    "calls": counter.count,
+                    "calls": calls,
                     "tried": len(tried),
                     "compared": answer is not None,
                     "wrong": {number: what for number, what in wrong.items() if what},

@@ -77,18 +77,10 @@ def test_the_tolerance_holds_on_other_points(kind):
     assert _worst(mesh, field, within, 31) <= tolerance
 
 
-def _turned(seed):
-    mesh = mesh_catalog.l_profile()
-    rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turn[0] *= np.sign(np.linalg.det(turn))
-    return TriangleMesh(mesh.vertices @ turn.T + rng.uniform(-10.0, 10.0, 3), mesh.faces)
-
-
 @EXAMPLES
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(of_all(0.01, 0.004), 0.1), wider=st.floats(0.0, 4.0))
 def test_the_tolerance_holds_in_any_position_and_zone(seed, share, wider):
-    mesh = _turned(seed)
+    mesh = mesh_catalog.turned(mesh_catalog.l_profile(), seed)
     tolerance = share * float((mesh.bounds[1] - mesh.bounds[0]).max())
     field = adaptive_from_mesh(mesh, tolerance, within=wider * tolerance, device="cpu")
     assert _worst(mesh, field, max(wider * tolerance, 1e-12), seed) <= tolerance
@@ -97,7 +89,7 @@ def test_the_tolerance_holds_in_any_position_and_zone(seed, share, wider):
 @EXAMPLES
 @given(seed=st.integers(0, 2**32 - 1), exponent=st.integers(-20, 20))
 def test_scaling_by_a_power_of_two_scales_everything(seed, exponent):
-    mesh, factor = _turned(seed), 2.0**exponent
+    mesh, factor = mesh_catalog.turned(mesh_catalog.l_profile(), seed), 2.0**exponent
     larger = TriangleMesh(mesh.vertices * factor, mesh.faces)
     fields = [adaptive_from_mesh(m, 0.1 * f, **FEW, device="cpu") for m, f in ((mesh, 1.0), (larger, factor))]
     assert fields[0].byte_count == fields[1].byte_count

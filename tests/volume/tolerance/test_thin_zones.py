@@ -12,14 +12,6 @@ from tests.support import reference
 from tests.support.effort import of_all
 
 
-def turned(seed):
-    """An L profile in a random pose: its edges and vertices lie anywhere among the voxels."""
-    mesh, rng = mesh_catalog.l_profile(), np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turn[0] *= np.sign(np.linalg.det(turn))
-    return gk.mesh.TriangleMesh(mesh.vertices @ turn.T + rng.uniform(-10.0, 10.0, 3), mesh.faces)
-
-
 def on_surface(mesh, count, seed=0):
     """Points of faces and edges, and all vertices."""
     rng = np.random.default_rng(seed)
@@ -37,7 +29,7 @@ def on_surface(mesh, count, seed=0):
 )
 def test_on_the_surface_the_tolerance_holds_at_edges_and_vertices_too(make, seed):
     """Nearly no point that is moved about stays on the surface: edges were up to 1.1 tolerances off."""
-    mesh = turned(seed)
+    mesh = mesh_catalog.turned(mesh_catalog.l_profile(), seed)
     tolerance = 0.01 * float(np.ptp(mesh.vertices, axis=0).max())
     options = {"within": 0.0, "order": 2, "codec": "fp8", "device": "cpu"}
     if make == "from_mesh":
