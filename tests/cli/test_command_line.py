@@ -125,6 +125,7 @@ def test_debug_shows_where_an_error_came_from(geokit, tmp_path: Path) -> None:
     assert done.stderr.splitlines()[-1].startswith("geokit: nowhere.obj")
 
 
+@pytest.mark.slow
 def test_an_unexpected_exception_is_one_line() -> None:
     code = (
         "import sys, geokit.cli, geokit.cli.info as info\n"
@@ -137,6 +138,7 @@ def test_an_unexpected_exception_is_one_line() -> None:
     assert done.stderr == "geokit: internal error: RuntimeError: gears jammed; GEOKIT_DEBUG=1 shows where\n"
 
 
+@pytest.mark.slow
 def test_a_missing_package_is_named(cube: Path, tmp_path: Path) -> None:
     code = (
         "import sys, geokit.cli\n"
@@ -151,6 +153,7 @@ def test_a_missing_package_is_named(cube: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_interrupt_is_code_130() -> None:
     code = (
         "import sys, geokit.cli, geokit.cli.info as info\n"
@@ -163,6 +166,7 @@ def test_an_interrupt_is_code_130() -> None:
     assert done.stderr == "geokit: interrupted\n"
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error(cube: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)

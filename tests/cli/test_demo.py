@@ -83,6 +83,7 @@ def test_the_files_are_there(demo) -> None:
     assert len((folder / "summary.md").read_text().splitlines()) == len(table) + 2
 
 
+@pytest.mark.slow
 def test_the_chart_as_lines(tmp_path: Path) -> None:
     from geokit.cli._demo.figures import accuracy_chart
     from geokit.cli._demo.steps import AccuracyPoint

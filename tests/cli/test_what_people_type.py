@@ -51,6 +51,7 @@ ORGANIZED = (
 class TestUnits:
     """Meshes in the unit and with the axis up that another program needs."""
 
+    @pytest.mark.slow
     def test_convert(self, run: Callable[..., Done], tmp_path: Path) -> None:
         start, printed = tmp_path / "a.stl", tmp_path / "b.3mf"
         gk.mesh.save(start, gk.mesh.box((1.0, 2.0, 3.0), center=(0.5, 1.0, 1.5)))
@@ -195,6 +196,7 @@ class TestKinds:
         done = run("convert", ball, tmp_path / "c.xyz", "--count", "5", "--radius", "1")
         assert (done.code, "--count: follows from --radius" in done.err) == (1, True)
 
+    @pytest.mark.slow
     def test_cloud_to_volume_and_mesh(self, run: Callable[..., Done], ball: Path, tmp_path: Path) -> None:
         cloud = gk.points.sample(gk.mesh.load(ball), 4000, method="poisson_disk")
         gk.points.save(tmp_path / "c.csv", cloud.points)

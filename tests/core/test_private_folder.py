@@ -110,6 +110,7 @@ def test_without_locks_nothing_is_removed(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == [left.name]
 
 
+@pytest.mark.slow
 def test_threads_that_make_and_remove_folders_never_lose_theirs(tmp_path):
     lost = []
 
@@ -161,6 +162,7 @@ def test_an_interrupt_at_any_call_leaves_nothing(tmp_path):
     assert number > 50
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_at_any_call_leaves_the_old_file_or_the_new_one(tmp_path):
     def block():

@@ -61,6 +61,7 @@ class TestGltf:
         scene.tree["animations"] = [{"samplers": [{"input": times, "output": values}], "channels": [channel]}]
         return scene
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("moved", ["translation", "weights"])
     def test_is_read_as_its_nodes_stand(self, tmp_path: Path, moved: str) -> None:
         scene = self.animated(Scene().box(), moved)
@@ -170,6 +171,7 @@ class TestUsd:
         assert len(told) == 1
         np.testing.assert_allclose(np.linalg.norm(read.vertices, axis=1), 3.0)
 
+    @pytest.mark.slow
     def test_each_array_has_the_first_sample_where_it_has_no_default(self, stage: Any, tmp_path: Path) -> None:
         """Positions with a default, faces and colors without; and the other way around."""
         from pxr import Sdf, UsdGeom

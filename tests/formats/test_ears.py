@@ -73,6 +73,7 @@ def test_outlines(shape: str, count: int) -> None:
     assert border == {(at, (at + 1) % len(flat)) for at in range(len(flat))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [20, 300])
 def test_outlines_that_cross_themselves_end_too(count: int) -> None:
     for flat in (RANDOM.random((count, 2)), np.zeros((count, 2)), RANDOM.integers(0, 3, (count, 2)).astype(float)):

@@ -198,6 +198,7 @@ def test_pointers_of_git_in_place_of_volumes(tmp_path: Path, kind: str) -> None:
             ask(write(tmp_path / f"b{kind}", ""))
 
 
+@pytest.mark.slow
 def test_a_pointer_in_place_of_a_buffer(tmp_path: Path) -> None:
     tree, _ = scene()
     tree["buffers"][0]["uri"] = "a.bin"

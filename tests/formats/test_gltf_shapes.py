@@ -147,6 +147,7 @@ class TestSparseAccessors:
         expected[0] = 0.0
         np.testing.assert_array_equal(scene.load(tmp_path).vertices, expected)
 
+    @pytest.mark.slow
     def test_of_indices_and_attributes(self, scene: Scene, tmp_path: Path) -> None:
         faces = BOX.faces.ravel()
         spoiled = faces.copy()

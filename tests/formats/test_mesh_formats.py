@@ -608,6 +608,7 @@ def test_usd_assets_of_warp():
     assert loaded >= 7
 
 
+@pytest.mark.slow
 def test_usd_without_meshes_is_refused(tmp_path):
     from pxr import Usd, UsdGeom
 

@@ -328,6 +328,7 @@ def test_the_command_line_takes_a_step(tmp_path: Path, capsys: pytest.CaptureFix
 # --- USD --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_holes_of_usd_are_left_out_with_their_data(tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     path = tmp_path / "a.usda"

@@ -135,6 +135,7 @@ def test_every_public_function_has_a_call(scene: Scene) -> None:
     assert {call.name.split("(")[0] for call in public_calls(scene)} == public_names()
 
 
+@pytest.mark.slow
 def test_some_bad_arguments(scene: Scene) -> None:
     found = []
     for shift, call in enumerate(public_calls(scene)):

@@ -231,6 +231,7 @@ def test_bodies_that_are_not_asked_touch_nothing(granular, alone, monkeypatch):
     assert np.all((alone[2].clear.numpy() < 0.0).mean(axis=0) > 0.01)
 
 
+@pytest.mark.slow
 def test_what_was_clear_is_forgotten_when_a_frame_is_done_again(granular):
     # A grain falls on the floor and comes up again, higher than it began: taken back, it must not trust in that height.
     w = granular.grains(bond=0.0)

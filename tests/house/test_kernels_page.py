@@ -100,6 +100,7 @@ def test_grid(tmp_path, monkeypatch):
     np.testing.assert_allclose(page.mean.numpy(), total / np.diff(found.offsets), atol=SINGLE)
 
 
+@pytest.mark.slow
 def test_moving(tmp_path, monkeypatch):
     page = run("moving", tmp_path, monkeypatch)
     points = np.random.default_rng(4).uniform(0.0, 1.0, (2000, 3))

@@ -144,6 +144,7 @@ def test_meshes_and_volumes_meet_only_where_layers_says():
         assert met <= {ROOMS[room_of(name)].meets}, f"geokit/{name} imports {met}; geokit/LAYERS does not allow it"
 
 
+@pytest.mark.slow
 def test_no_import_circle():
     graph = {
         name: {target for target, inside in targets if not (name in FORWARDING and inside)}
@@ -196,6 +197,7 @@ def test_kernel_files_import_only_warp_kernels_and_cpp():
                 assert target == "core/cpp" or str(target).endswith("_kernels"), f"{path}: imports {name}"
 
 
+@pytest.mark.slow
 def test_cpp_of_more_than_a_few_lines_stands_in_an_inl_file():
     for path in KERNEL_FILES:
         tree = ast.parse(path.read_text())

@@ -58,6 +58,7 @@ def outcome(call: Call, name: str, value: np.ndarray) -> str:
     return "" if carries(answer) and len(tape.launches) else f"{name}: a {type(answer).__name__} without gradients"
 
 
+@pytest.mark.slow
 def test_each_public_function(scene: Scene) -> None:
     tried, found = 0, {}
     for call in public_calls(scene):

@@ -24,6 +24,7 @@ def _with_lines() -> meshio.Mesh:
     return meshio.Mesh(CORNERS, [("triangle", FACES), ("line", [[0, 1]])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "verb",
     [

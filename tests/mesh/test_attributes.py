@@ -29,6 +29,7 @@ def test_attributes_are_samples_at_the_vertices():
     np.testing.assert_array_equal(nearest["a"], sample(body, mesh.vertices, order=0, device="cpu"))
 
 
+@pytest.mark.slow
 def test_attributes_are_ready_for_a_file(tmp_path):
     body = sphere(6.0)
     mesh = from_volume(body, device="cpu")

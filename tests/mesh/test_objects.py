@@ -187,6 +187,7 @@ def test_arrays_are_copies() -> None:
     np.testing.assert_array_equal(mesh.vertices, VERTICES)
 
 
+@pytest.mark.slow
 def test_nothing_is_imported_for_it() -> None:
     import subprocess
     import sys

@@ -45,6 +45,7 @@ def test_by_points_and_packed_vertices(points):
     check(_distances, tensor(VERTICES), points)
 
 
+@pytest.mark.slow
 def test_by_rays_and_packed_vertices(points):
     check(_hits, tensor(VERTICES), 3.0 * points, 0.13 - 2.9 * points)
 
@@ -64,6 +65,7 @@ def test_slopes_are_those_of_single_surfaces(points, part):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_as_many_rows_for_each_mesh(points):
     plain = gk.mesh.Surfaces([BALL, BOX], device="cpu")
     rows = points[:10].reshape(2, 5, 3)

@@ -109,6 +109,7 @@ class TestFiles:
         loaded = gk.mesh.load(tmp_path / "a.vtp")
         assert (loaded.meters_per_unit, loaded.up_axis) == (None, None)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("kind", ["glb", "gltf"])
     def test_gltf_is_in_meters_with_y_up(self, kind, tmp_path):
         path = tmp_path / f"a.{kind}"

@@ -844,6 +844,7 @@ def test_grid_types_that_nanovdb_has_not_are_named(tmp_path: Path) -> None:
     assert [header["convertible"] for header in headers] == [False, True]
 
 
+@pytest.mark.slow
 @needs_openvdb
 def test_rocks_from_warp(tmp_path: Path) -> None:
     """A real fog volume that another program wrote."""

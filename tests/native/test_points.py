@@ -113,6 +113,7 @@ def test_grids_of_other_programs(grid, count, error, trusted):
     assert sorted(cloud.data) == ["id", "odd", "pscale", "rgb", "weights"]
 
 
+@pytest.mark.slow
 def test_volumes_beside_points_are_read_as_before(tmp_path):
     assert gk.volume.load(FOREIGN, grid="density").sample([[1.0, 2.0, 3.0]], order=0) == 1.0
     assert [info.grid_type for info in gk.volume.inspect(FOREIGN)] == ["points", "float", "points"]
@@ -172,6 +173,7 @@ def test_truncated_and_flipped_files_are_refused_or_read(tmp_path):
     assert refused >= 20  # all that are cut
 
 
+@pytest.mark.slow
 def test_the_command_line_converts_points(tmp_path, capsys):
     gk.points.save(tmp_path / "a.vdb", CLOUD, data={"rgb": DATA["rgb"]})
     assert main(["convert", str(tmp_path / "a.vdb"), str(tmp_path / "a.ply")]) == 0, capsys.readouterr().err

@@ -31,6 +31,7 @@ def test_none_within_the_radius(clouds):
     check(answer, *clouds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["index", "distance", "any"])
 def test_all_within_the_radius(clouds, order):
     grid = points.NeighborGrid
@@ -48,6 +49,7 @@ def test_all_within_the_radius(clouds, order):
     assert (slope == 0.0).all()
 
 
+@pytest.mark.slow
 def test_images_within_the_radius(clouds):
     cell = [[1.0, 0.0, 0.0], [0.2, 0.9, 0.0], [0.1, -0.2, 1.1]]
 
@@ -83,6 +85,7 @@ def test_chamfer_is_that_without_gradients(clouds):
 GROUPS = [0, 10, 11, 30], [0, 5, 12, 20]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["distance", "squared"])
 def test_chamfer_of_groups(clouds, part):
     check(lambda a, b: getattr(points.chamfer(a, b, groups=GROUPS, device="cpu"), part), *clouds)
@@ -116,6 +119,7 @@ def test_hausdorff_by_its_witnesses(clouds):
     check(lambda a, b: points.hausdorff(a, b, device="cpu").max, *clouds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["cubic_spline", "wendland_c2", "poly6"])
 def test_density(clouds, kernel):
     check(lambda a, b: points.density(a, radius=0.4, kernel=kernel, queries=b, mass=2.0, device="cpu"), *clouds)

@@ -76,6 +76,7 @@ def field():
     return gk.volume.adaptive_from_mesh(mesh_catalog.torus(), tolerance=0.02)
 
 
+@pytest.mark.slow
 @WAYS
 def test_adaptive_field(send, field):
     expected = field.sample(POINTS, device="cpu")

@@ -227,6 +227,7 @@ def test_a_volume_takes_one_color(tmp_path: Path, ball) -> None:
         render.figure(tmp_path / "x.png", volume=ball, color=[1.0], size=SIZE)
 
 
+@pytest.mark.slow
 def test_slice_shows_the_zero_contour(tmp_path: Path, ball) -> None:
     target = render.slice(tmp_path / "slice.png", ball, axis="z", label="distance", size=SIZE)
     picture = pixels(target)[..., :3]
@@ -272,6 +273,7 @@ def test_chart_draws_each_series(tmp_path: Path) -> None:
     assert orange > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_flat_figures_are_lines_of_any_size(tmp_path: Path, kind: str, ball) -> None:
     lines = [render.Series("first", [1, 10, 100], [3, 2, 1])]
@@ -344,6 +346,7 @@ def test_triton_is_imported_after_a_figure(tmp_path: Path) -> None:
     assert done.stdout == "imported\n", done.stderr
 
 
+@pytest.mark.slow
 def test_triton_is_loaded_before_mesa(tmp_path: Path) -> None:
     """A stand-in for triton, so that the order is also tested where torch has none: a copy of another library."""
     native = tmp_path / "triton" / "_C"

@@ -106,6 +106,7 @@ def test_materials_without_textures_and_faces_without_materials(tmp_path: Path) 
     np.testing.assert_array_equal(_picture(tmp_path, _square(face_data={"material": [3, 0]})), plain)
 
 
+@pytest.mark.slow
 def test_seams_are_no_edges_and_normals_are_those_of_the_mesh(tmp_path: Path) -> None:
     ball = gk.mesh.sphere(1.0)
     white = np.full((ball.face_count, 3), 255, np.uint8)
@@ -147,6 +148,7 @@ def _filled(picture: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (picture < 250).any(axis=-1)
 
 
+@pytest.mark.slow
 def test_the_camera(tmp_path: Path) -> None:
     # A bar along x with one red end at +x, on the right as seen from the front, and a blue top.
     bar = gk.mesh.box((4.0, 1.0, 1.0))
@@ -166,6 +168,7 @@ def test_the_camera(tmp_path: Path) -> None:
     assert _strongest(_picture(tmp_path, mesh, elevation=90.0, up="y", azimuth=45.0)[middle]) == BLUE
 
 
+@pytest.mark.slow
 def test_edges(tmp_path: Path) -> None:
     mesh = _square()
     plain, lines = _picture(tmp_path, mesh), _picture(tmp_path, mesh, edges=True)

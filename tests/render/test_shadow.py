@@ -82,6 +82,7 @@ HALF_RED, BLUE = (1.0, 0.0, 0.0, 0.5), (0.0, 0.0, 1.0, 1.0)
 FRONT: Any = {"azimuth": 0.0, "elevation": 0.0, "up": "y"}
 
 
+@pytest.mark.slow
 def test_alpha_of_colors_is_seen_through_in_any_order(tmp_path: Path) -> None:
     found = []
     for first, second, colors in ((NEAR, FAR, (HALF_RED, BLUE)), (FAR, NEAR, (BLUE, HALF_RED))):

@@ -119,6 +119,7 @@ def test_tensors_without_rows_in_memory_are_refused():
                 make(bare, FACES)
 
 
+@pytest.mark.slow
 def test_the_first_backward_pass_does_not_wait_for_the_compiler_of_torch():
     code = f"""
 import sys, torch, geokit as gk

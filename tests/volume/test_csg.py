@@ -65,6 +65,7 @@ def test_name_metadata_and_operands_are_kept():
     np.testing.assert_array_equal(b.nanovdb, before[1])
 
 
+@pytest.mark.slow
 def test_several_operands():
     c = ball(4.2, (-12.0, 0.0, 0.0))
     points, values = active_voxels(union(level_set(A), level_set(B), level_set(c)))
@@ -73,6 +74,7 @@ def test_several_operands():
     assert np.abs(values - np.maximum(np.maximum(A(points), -B(points)), -c(points))).max() < ROUNDING
 
 
+@pytest.mark.slow
 def test_disjoint_operands():
     a, b = ball(4.3, (-12.0, 0.0, 0.0)), ball(4.3, (12.0, 0.0, 0.0))
     assert intersection(level_set(a), level_set(b)).info.active_voxel_count == 0
@@ -93,6 +95,7 @@ def test_second_operand_is_brought_to_the_first_one_s_grid(transform):
     assert np.abs(values - np.minimum(mine(points), other(points))).max() < RESAMPLED * 0.13
 
 
+@pytest.mark.slow
 def test_other_band_and_type_of_the_second_operand():
     narrow, wide = level_set(B, half_width=2.0, dtype=np.float64), level_set(B, half_width=5.0)
     result = intersection(level_set(A), wide)
@@ -129,6 +132,7 @@ class TestSmooth:
         assert signs[np.abs(smooth(points[near])) > 0.02].all()
         assert result.info.background == 3.0
 
+    @pytest.mark.slow
     def test_away_from_the_seam_nothing_changes(self):
         a, b = ball(9.3, (-4.2, 0.4, 0.1)), ball(8.7, (6.1, 0.3, -0.7))
         points, values = active_voxels(union(level_set(a), level_set(b), smooth=3.0))

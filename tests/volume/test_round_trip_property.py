@@ -60,6 +60,7 @@ def volumes(draw):
     return SparseVolume(buffer, info_of(buffer)), origins, values, masks, background
 
 
+@pytest.mark.slow
 @given(volumes())
 @SETTINGS
 def test_every_leaf_value_is_found(made):

@@ -353,6 +353,7 @@ class TestVolumeCharts:
         trial = next(iter(charts_of(fog())["isosurface"].trials()))
         assert 0.01 < trial.parameters["isovalue"] == field.isovalue < 0.5
 
+    @pytest.mark.slow
     def test_rays(self):
         trials = {
             t.parameters["codec"]: t for t in charts_of(sphere(12.0, transform=ROTATED))["volume_raycast"].trials()

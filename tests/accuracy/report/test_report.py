@@ -143,6 +143,7 @@ def test_the_page_refers_to_nothing_outside(folder, page):
     assert len(set(identifiers)) == len(identifiers)
 
 
+@pytest.mark.slow
 def test_text_is_escaped(page):
     # Parsed as a tag it would not be text; the page's own script is the only one.
     assert [tag for tag, _ in page.texts].count("script") == 1

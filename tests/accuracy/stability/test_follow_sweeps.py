@@ -138,6 +138,7 @@ def green(pixels: np.ndarray) -> int:
     return int(((middle - red > 0.08) & (middle - blue > 0.02)).sum())
 
 
+@pytest.mark.slow
 def test_figures_of_lines(tmp_path):
     for kind, head, mark in (("svg", b"<?xml", "!["), ("pdf", b"%PDF", "\n[")):
         page = write_stability(tmp_path, chosen=[sweep("one")], force=True, figure_format=kind)

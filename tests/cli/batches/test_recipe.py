@@ -70,6 +70,7 @@ def test_steps_become_command_lines(tmp_path: Path) -> None:
     assert output_names(recipe, Path("/data/run/a.obj")) == ["a.vdb", "a.csv", "a.ply", "bench-a"]
 
 
+@pytest.mark.slow
 def test_the_hash_is_of_the_steps_and_of_their_files(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("x,y,z\n0,0,0\n")
     first = _read(tmp_path, GOOD).hash

@@ -163,6 +163,7 @@ def test_what_takes_less_time_than_copies_is_asked_of_the_first(
     assert parts_asked == []
 
 
+@pytest.mark.slow
 def test_rows_on_a_gpu_are_shared_if_there_are_very_many(
     parts_asked: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

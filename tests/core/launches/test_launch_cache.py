@@ -144,6 +144,7 @@ def test_no_array_is_kept_alive():
         assert gone() is None
 
 
+@pytest.mark.slow
 def test_threads_have_launches_of_their_own():
     device = wp.get_device("cpu")
     wrong = []

@@ -192,6 +192,7 @@ def test_copies_have_recordings_of_their_own(surface):
             assert not kept(other)
 
 
+@pytest.mark.slow
 def test_recordings_end_with_their_object():
     surface = gk.mesh.Surface(mesh_catalog.icosphere(), device="cpu")
     for _ in range(4):
@@ -261,6 +262,7 @@ def test_a_recorded_call_has_its_own_answer_whatever_another_thread_asks_meanwhi
     assert np.isclose(surface.closest_point(point(0, 0, 3)).distance[0], 2.0)
 
 
+@pytest.mark.slow
 def test_an_update_meanwhile_leaves_one_of_both_states(surface):
     near, far = surface.mesh.vertices, 2.0 * surface.mesh.vertices
     stop, wrong = threading.Event(), []

@@ -45,6 +45,7 @@ def test_kernels_take_them(device):
     np.testing.assert_array_equal(inverted.numpy(), np.full((2, 8), (1 << 64) - 1, np.uint64))
 
 
+@pytest.mark.slow
 def test_an_array_keeps_the_memory_alive():
     (array,) = Scratch(wp.get_device("cpu"), ((100_000,), wp.int32), zeroed=True).arrays
     seen = array.warp

@@ -64,6 +64,7 @@ def test_arrays_that_live_do_not_overlap(pool):
         assert (array == number).all()
 
 
+@pytest.mark.slow
 def test_small_arrays_do_not_take_large_memory(pool):
     large = empty(pool, 1 << 20)
     first = place(large)
@@ -74,6 +75,7 @@ def test_small_arrays_do_not_take_large_memory(pool):
     assert place(empty(pool, (1 << 20) - 5)) == first
 
 
+@pytest.mark.slow
 def test_there_is_a_bound():
     pool = MemoryPool(heap, most_bytes=1 << 20, largest_bytes=1 << 19, smallest_bytes=1 << 10)
     assert empty(pool, (1 << 10) - 1) is None

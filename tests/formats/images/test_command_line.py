@@ -39,6 +39,7 @@ def test_whole_numbers_become_a_mesh(scan: Path) -> None:
     assert mesh.bounds[0].min() > 3.0
 
 
+@pytest.mark.slow
 def test_sparse_to_dense_and_back_and_info(scan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a.nvdb", "b.mha", "c.vti", "d.nvdb"):
         assert main(["convert", str(scan), str(scan.with_name(name))]) == 0

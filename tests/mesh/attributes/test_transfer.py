@@ -53,6 +53,7 @@ def test_one_point_has_one_answer(kind):
         np.testing.assert_array_equal(found[name], rows[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.asarray, lambda points: points.astype(np.float32)])
 def test_samples_are_those_of_the_reference(kind):
     mesh = mesh_catalog.torus(10, 6)

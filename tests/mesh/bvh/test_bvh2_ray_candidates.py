@@ -123,6 +123,7 @@ def test_any_hits_are_those_of_the_walk_in_float64(make, limits):
         assert left.mean() < (0.7 if make in mesh_catalog.OPEN else 0.1)
 
 
+@pytest.mark.slow
 def test_limits_at_the_hit_itself():
     """Hits at t_min or at the end, and a rounding beside them, are told as by first hits."""
     mesh = mesh_catalog.torus()

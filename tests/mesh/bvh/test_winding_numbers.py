@@ -111,6 +111,7 @@ def test_far_away_the_relative_error_falls_with_the_third_power_of_the_distance(
         assert error <= share * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_many_surfaces_on_top_of_each_other():
     # All nodes must be opened, about one for 16 of these: more than the queue holds.
     times = 40 * QUEUE

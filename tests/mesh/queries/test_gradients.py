@@ -48,6 +48,7 @@ def test_barycentric_over_faces(tetrahedron, points):
     check(lambda points: tetrahedron.closest_point(points).barycentric, points[inner])
 
 
+@pytest.mark.slow
 def test_first_hits(tetrahedron):
     random = np.random.default_rng(5)
     origins, targets = 3.0 * random.standard_normal((60, 3)), 0.2 + 0.2 * random.standard_normal((60, 3))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 SCRIPT = """
 import numpy as np
 import geokit as gk
@@ -15,6 +17,7 @@ surface.overlapping(corners - 0.1, corners + 0.1)
 """
 
 
+@pytest.mark.slow
 def test_lists_of_crossings_and_overlaps():
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     assert done.stdout + done.stderr == ""

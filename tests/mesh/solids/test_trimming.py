@@ -19,6 +19,7 @@ def to_outline(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.abs(prism_distance(outline, 1.0, points))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(("points", "turns"), [(5, 2), (7, 2), (7, 3)])
 def test_what_is_left_is_the_boundary(points: int, turns: int, device: str) -> None:
@@ -67,6 +68,7 @@ def test_nothing_is_lost_where_nothing_crosses() -> None:
     assert np.array_equal(source, np.arange(mesh.face_count))
 
 
+@pytest.mark.slow
 def test_pairs_are_looked_at_block_after_block(monkeypatch: pytest.MonkeyPatch) -> None:
     surface = Surface(star(), device="cpu")
     expected, sizes, crosses = trimmed(surface, 0.1), [], trimming._crosses

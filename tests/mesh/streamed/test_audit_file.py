@@ -69,6 +69,7 @@ def same(found: MeshAudit, path: Path) -> None:
             np.testing.assert_array_equal(one, other, field.name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("at", "kind"),
     of_all(
@@ -103,6 +104,7 @@ def test_soups_on_a_lattice(seed: int, side: int, count: int, tmp_path_factory: 
     same(gk.mesh.audit_file(path), path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 1000])
 def test_order_statistics(count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(order_statistics, "AT_A_TIME", 77)

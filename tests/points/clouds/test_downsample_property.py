@@ -80,6 +80,7 @@ def test_poisson_disk_subset_equals_the_reference_and_is_one(cloud, seed):
     assert tree.query(points)[0].max() < radius
 
 
+@pytest.mark.slow
 @relaxed
 @given(clouds(), st.sampled_from([2.0**-30, 2.0**30]))
 def test_scale_that_rounds_nothing(cloud, scale):

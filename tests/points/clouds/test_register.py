@@ -102,6 +102,7 @@ def test_points_of_a_surface(kind):
     assert (found.fitness, found.converged, found.rank) == (1.0, True, 6)
 
 
+@pytest.mark.slow
 def test_point_to_point_on_a_surface_takes_many_more_steps_and_gets_there():
     mesh = bent_torus()
     points = moved(gk.mesh.sample_surface(mesh, 400, seed=1).points, np.linalg.inv(POSE))

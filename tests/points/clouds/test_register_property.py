@@ -55,6 +55,7 @@ def moved(points, matrix):
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+@pytest.mark.slow
 @relaxed
 @given(st.integers(0, 99), poses(), METHODS)
 def test_a_pose_is_recovered(seed, pose, method):
@@ -81,6 +82,7 @@ def test_any_transform_is_rigid(seed, pose, method, steps):
     assert found.transform[3].tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
+@pytest.mark.slow
 @relaxed
 @given(st.integers(0, 99), poses(), poses(3.0, 5.0), METHODS)
 def test_moving_both_moves_the_pose(seed, pose, frame, method):
@@ -108,6 +110,7 @@ def test_scale(seed, pose, scale, method):
     assert other.rank == base.rank
 
 
+@pytest.mark.slow
 @relaxed
 @given(st.integers(0, 99), poses(), METHODS)
 def test_order_of_points(seed, pose, method):

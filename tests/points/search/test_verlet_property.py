@@ -149,6 +149,7 @@ def test_few_points(device, count, cell):
         grid.update(points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_long_rows(device):
     """Rows with more candidates than one buffer of the search holds, and points in one place."""

@@ -15,6 +15,7 @@ from geokit import DeviceMemoryError, FileAccessError, FileFormatError, InputErr
 from geokit.points.streamed import load_tiles
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [300, 4000, 100_000])
 def test_neighbors_are_those_of_the_whole_cloud(most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load_tiles, "BYTES_PER_POINT", ((1 << 28) - (64 << 20)) // most)

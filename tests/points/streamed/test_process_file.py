@@ -68,6 +68,7 @@ def in_memory(path: Path, points: np.ndarray, data: Columns, **how: Any) -> byte
     return path.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [
@@ -171,6 +172,7 @@ def test_few_points(count: int, tmp_path: Path) -> None:
     assert (tmp_path / "b.ply").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_points_in_one_place(in_tiles: Callable[[int], dict[str, Any]], tmp_path: Path) -> None:
     """As scanners write them for rays without an echo: they have no plane, and their voxel is theirs alone."""
     rng = np.random.default_rng(2)
@@ -183,6 +185,7 @@ def test_points_in_one_place(in_tiles: Callable[[int], dict[str, Any]], tmp_path
         gk.points.process_file(tmp_path / "a.ply", tmp_path / "b.ply", density={"radius": 0.1}, **in_tiles(500_000))
 
 
+@pytest.mark.slow
 def test_many_neighbors_of_points_in_one_place(
     in_tiles: Callable[[int], dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +335,7 @@ def test_memory_stays_below_the_limit(tmp_path: Path) -> None:
     assert max(peaks) < 1 << 28
 
 
+@pytest.mark.slow
 def test_wide_points_are_read_in_small_blocks(tmp_path: Path) -> None:
     """A header may declare points of 64 KiB each."""
     points = np.random.default_rng(0).random((500, 3))

@@ -45,6 +45,7 @@ def processed(scan: Path, executor: Any = None, **how: Any) -> bytes:
 THINNED: dict[str, Any] = {"voxel_size": 0.06, "normals": {"radius": 0.2}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pool", "how"),
     of_all(
@@ -73,6 +74,7 @@ def test_dask_s_client_is_one(scan: Path) -> None:
         assert processed(scan, client) == processed(scan)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_named_and_nothing_is_left(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(answers.TileAnswers, "of", lambda *_: os._exit(3))
     with processes(2) as executor, pytest.raises(WorkerError, match="was not done"):

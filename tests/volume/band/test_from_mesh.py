@@ -68,6 +68,7 @@ def test_every_voxel_is_exact(mesh, half_width):
     assert (distance < 0.999 * band).any()
 
 
+@pytest.mark.slow
 def test_a_large_inside_is_negative_at_every_level_of_the_tree():
     # 500 voxels across: whole tables of lower nodes lie inside.
     mesh = mesh_catalog.icosphere(2)

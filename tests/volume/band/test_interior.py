@@ -47,6 +47,7 @@ def column(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "voxel_size"),
     # Each on the lattice or off it.
@@ -76,6 +77,7 @@ def test_bodies_that_touch_but_for_rounding(made: TriangleMesh) -> None:
     assert gk.volume.sample(field, middle, device="cpu") == pytest.approx(-0.15, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_all_makers_of_fields_agree() -> None:
     """Also the other ones: their interior="keep" has the wall."""
     middle = [[0.5, 0.5, 1.0]]
@@ -135,6 +137,7 @@ def test_metadata_are_those_of_the_given_mesh() -> None:
     assert field.info.metadata["geokit:lost_components"] == "2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("points", "voxel_size"), of_all([(5, 0.05), (7, 0.047)], [*product((5, 7), (0.05, 0.047))]))
 def test_a_body_that_crosses_itself(points: int, voxel_size: float) -> None:
     outline = star_outline(points)
@@ -151,6 +154,7 @@ def test_a_body_that_crosses_itself(points: int, voxel_size: float) -> None:
     assert gk.mesh.audit(gk.mesh.from_volume(gk.volume.offset(kept, -0.05), device="cpu")).component_count > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", of_all([2], [2, 6, 10]))
 def test_a_random_tube_that_crosses_itself(seed: int) -> None:
     """Against samples of its boundary, a tenth of a voxel apart."""
@@ -173,6 +177,7 @@ def test_a_random_tube_that_crosses_itself(seed: int) -> None:
     assert too_near["keep"] > 2.0
 
 
+@pytest.mark.slow
 def test_all_makers_of_fields_leave_out_what_a_body_has_inside_of_itself() -> None:
     # A wall passes here.
     place = [[0.0, 0.309, 0.0]]
@@ -201,6 +206,7 @@ def test_a_body_too_crumpled_is_said_to_keep_its_inner_surface(monkeypatch: pyte
         gk.volume.from_mesh(star(), 0.1, interior="keep", device="cpu")
 
 
+@pytest.mark.slow
 def test_without_manifold3d_walls_go_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     for mesh in (TWO, OVERLAPPING):

@@ -19,6 +19,7 @@ def pieces(mesh: TriangleMesh, voxel_size: float, method: str, **options: object
     return len(gk.mesh.split(gk.mesh.from_volume(field, method=method, device="cpu")))
 
 
+@pytest.mark.slow
 @settings(max_examples=of_all(20, 40), deadline=None)
 @given(
     voxel_size=SIZES,

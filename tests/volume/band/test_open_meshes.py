@@ -12,6 +12,7 @@ from benchmarks.catalog import mesh_catalog
 BOWL = mesh_catalog.box_without_a_lid()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [{"voxel_size": 0.1}, {"tolerance": 0.05}])
 def test_an_open_field_is_said_to_be_open(asked: dict[str, float]) -> None:
     with pytest.warns(UserWarning, match=r"is open \(4 boundary edges\), and so is its field.*half_width.*thickness"):

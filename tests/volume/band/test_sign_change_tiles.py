@@ -70,6 +70,7 @@ def require_signs(mesh, size, device="cpu", **options):
     return grid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("across", [11.3, 33.0])
 @pytest.mark.parametrize("mesh", OPEN, ids=lambda mesh: mesh.name)
@@ -89,6 +90,7 @@ def test_signs_are_those_of_an_exact_winding_number():
     np.testing.assert_array_equal(found[clear] < 0, winding[clear] > 0.5)
 
 
+@pytest.mark.slow
 def test_the_sign_change_may_lie_exactly_between_two_tiles():
     # The rim lies between the voxel planes z = -1 and z = 0, where two tiles meet.
     cap = mesh_catalog.spherical_cap(0.5)

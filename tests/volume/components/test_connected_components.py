@@ -90,6 +90,7 @@ def test_a_leaf_beside_a_larger_tile():
         check_grid(component.nanovdb, "component")
 
 
+@pytest.mark.slow
 def test_level_sets_are_labeled_inside():
     distance = lambda p: np.minimum(ball(19.3, (-2.0, 0.0, 0.0))(p), ball(4.3, (25.0, 0.0, 0.0))(p))  # noqa: E731
     volume = level_set(distance, leaves=4)

@@ -22,6 +22,7 @@ def assert_same_components(labels, expected):
     assert pairs.shape[1] == len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == expected.max(initial=0)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.0, 1.0))
 def test_dense_random_masks(seed, share):

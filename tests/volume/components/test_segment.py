@@ -33,6 +33,7 @@ def test_a_component_does_not_see_the_other_surface():
         assert sorted(np.round(found, 6).tolist()) == [0.0, 3.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [6.0, 8.3])
 def test_bodies_whose_bands_do_not_meet_keep_every_value(gap):
     whole, bodies = pair(gap)
@@ -70,11 +71,13 @@ def test_quantized_level_sets_become_floats(codec):
     assert [component.info.grid_class for component in components] == ["level set", "level set"]
 
 
+@pytest.mark.slow
 def test_doubles_and_wide_bands():
     assert max(errors([ball(6.0, (-8.0, 0.1, 0.2)), ball(6.0, (8.0, 0.3, 0.0))], dtype=np.float64)) < 0.01
     assert max(errors([ball(5.0, (-7.0, 0.1, 0.2)), ball(5.0, (6.0, 0.3, 0.0))], half_width=8.0, leaves=4)) < 0.1
 
 
+@pytest.mark.slow
 def test_turned_voxels():
     whole, bodies = pair(2.0, transform=TURNED)
     components = segment(whole, device="cpu")

@@ -54,6 +54,7 @@ def test_vectors_tolerances_and_types(tmp_path: Path) -> None:
     assert gk.volume.load_all(path, tolerance=5.0)[""].info.active_voxel_count == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".mha", ".vti"])
 @pytest.mark.parametrize("grid_type", ["float", "double"])
 @pytest.mark.usefixtures("thickness")

@@ -62,6 +62,7 @@ def test_planes_one_by_one(method, monkeypatch):
     np.testing.assert_array_equal(found.faces, expected.faces)
 
 
+@pytest.mark.slow
 def test_a_tree_is_looked_up_once_and_forgotten_with_its_volume(monkeypatch):
     volume, found = sphere(5.0), []
     find = nodes._find_topology

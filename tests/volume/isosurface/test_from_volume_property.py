@@ -154,6 +154,7 @@ def test_a_surface_moves_with_its_grid(method, seed, step):
     assert np.abs(np.sort(here.vertices, axis=0) - np.sort(moved, axis=0)).max() <= rounding
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_all_methods_enclose_about_the_same(seed):

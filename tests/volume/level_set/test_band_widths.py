@@ -143,6 +143,7 @@ class TestWidths:
 
 class TestOperations:
     # By default each with one of the pairs.
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("name", "pair"),
         of_all([(name, PAIRS[k % 2]) for k, name in enumerate(spread(OPERATIONS, 8))], [*product(OPERATIONS, PAIRS)]),
@@ -167,6 +168,7 @@ class TestOperations:
         samples = result.sample(np.stack([0 * steps, 0 * steps + 0.013, face + steps], axis=1))
         assert samples == pytest.approx(steps, abs=0.1 * size)
 
+    @pytest.mark.slow
     def test_segments(self, pair):
         two = gk.volume.union(cube(pair, half=1.52), gk.volume.from_mesh(far_mesh(), SIZE, half_width=pair))
         parts = gk.volume.segment(two)
@@ -196,6 +198,7 @@ class TestOperations:
         points = np.stack([[0.013] * 13, [0.0] * 13, 2.0 + np.linspace(-0.6, 0.6, 13)], axis=1)
         assert wide.sample(points) == pytest.approx(points[:, 2] - 2.0, abs=0.05 * SIZE)
 
+    @pytest.mark.slow
     def test_doubles_and_turned_voxels(self, pair):
         turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
         transform = np.eye(4)
@@ -205,6 +208,7 @@ class TestOperations:
         assert moved.sample([[0.0, 0, 0]])[0] == pytest.approx(-pair[1] * SIZE, abs=1e-3)
         assert moved.sample([[0.0, 0, 2.05]])[0] == pytest.approx(0.0, abs=0.05 * SIZE)
 
+    @pytest.mark.slow
     def test_voxels_that_are_no_cubes(self, pair):
         flat = np.diag([SIZE, SIZE, 0.5 * SIZE, 1.0])
         anisotropic = gk.volume.resample(cube(pair), transform=flat)
@@ -213,6 +217,7 @@ class TestOperations:
         assert back.sample([[0.0, 0.0, 2.0]])[0] == pytest.approx(0.0, abs=0.05 * SIZE)
         assert widths_of(back, SIZE) == pytest.approx(pair, rel=0.02)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("suffix", [".vdb", ".nvdb"])
     def test_files(self, band, pair, suffix, tmp_path):
         gk.volume.save(tmp_path / f"a{suffix}", band)
@@ -220,6 +225,7 @@ class TestOperations:
         assert widths_of(loaded, SIZE) == pytest.approx(pair)
         assert gk.volume.offset(loaded, 0.01).sample([[0.0, 0, 0]])[0] == pytest.approx(-pair[1] * SIZE, abs=1e-3)
 
+    @pytest.mark.slow
     def test_meshes_and_rays(self, band):
         moved = gk.volume.offset(band, 0.03)
         audit = gk.mesh.audit(gk.mesh.from_volume(moved))

@@ -29,6 +29,7 @@ def off_by(found: SparseVolume, expected: SparseVolume, voxel_size: float) -> ND
     return np.abs(values[0] - values[1]) / voxel_size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("voxel_size", "seed"), spread(itertools.product([0.05, 0.047, 0.0331], [None, 1, 2]), 2))
 def test_a_union_of_bodies_that_touch_is_one_body(voxel_size: float, seed: int | None) -> None:
     low, high = (LOW, HIGH) if seed is None else (turned(LOW, seed), turned(HIGH, seed))
@@ -65,6 +66,7 @@ def test_a_thin_overlap_is_no_wall(overlap: float) -> None:
     assert gk.volume.sample(found, [[0.5, 0.5, 1.0 - 0.5 * overlap]], device="cpu")[0] < -0.5 * overlap + 1e-6
 
 
+@pytest.mark.slow
 def test_cavities_that_touch_are_one_in_a_difference() -> None:
     block = box((2.0, 2.0, 3.0), center=(0.5, 0.5, 1.0))
     whole = field(gk.mesh.union(concatenated(LOW, HIGH)), 0.05)
@@ -76,6 +78,7 @@ def test_cavities_that_touch_are_one_in_a_difference() -> None:
     assert narrower.volume == pytest.approx(2.2 * 2.2 * 3.2 - 0.8 * 0.8 * 1.8, rel=0.01)
 
 
+@pytest.mark.slow
 def test_an_intersection_of_complements_is_one_cavity() -> None:
     block = field(box((3.0, 3.0, 4.0), center=(0.5, 0.5, 1.0)), 0.05)
     shells = [gk.volume.difference(block, field(each, 0.05)) for each in (LOW, HIGH)]
@@ -96,6 +99,7 @@ def test_operands_that_do_not_touch_have_the_minimum_bit_for_bit(other: Triangle
     assert np.array_equal(gk.volume.active_voxels(united).values, np.minimum(*values).astype(np.float32))
 
 
+@pytest.mark.slow
 def test_two_widths_and_three_operands() -> None:
     sizes = [gk.volume.from_mesh(each, 0.05, half_width=(3.0, 5.0), device="cpu") for each in (LOW, HIGH)]
     found = gk.volume.union(*sizes, field(box(center=(0.5, 0.5, 2.5)), 0.05))

@@ -150,6 +150,7 @@ class TestOffset:
         # The grown box is rounded: outside it the distance is that of the box less the offset, also beyond its edges.
         assert np.abs(values - true)[true > 0].max() < 0.25
 
+    @pytest.mark.slow
     def test_inside_signs(self):
         values = dense(offset(level_set(BALL), 2.0), -16, 16)
         steps = np.arange(-16, 16, dtype=float)
@@ -159,6 +160,7 @@ class TestOffset:
 
 
 class TestMorphology:
+    @pytest.mark.slow
     def test_dilate_and_erode_are_offsets(self):
         body = level_set(BALL)
         np.testing.assert_array_equal(dilate(body, 1.5).nanovdb, offset(body, 1.5).nanovdb)
@@ -174,6 +176,7 @@ class TestMorphology:
         assert result.info.active_voxel_count == 0
         assert (dense(result, -8, 8) == 3.0).all()
 
+    @pytest.mark.slow
     def test_opening_takes_thin_parts(self):
         rod = lambda p: np.maximum(np.abs(p[:, 0]) - 18.0, np.hypot(p[:, 1], p[:, 2]) - 1.6)  # noqa: E731
         both = lambda p: np.minimum(BALL(p), rod(p))  # noqa: E731
@@ -182,6 +185,7 @@ class TestMorphology:
         away = np.hypot(points[:, 1], points[:, 2]) > 6.0
         assert np.abs(values - BALL(points))[away].max() < 2 * OFFSET_ERROR
 
+    @pytest.mark.slow
     def test_closing_fills_a_gap(self):
         halves = lambda p: np.maximum(box(9.3)(p), 1.2 - np.abs(p[:, 0]))  # noqa: E731
         result = closing(level_set(halves), 2.0)

@@ -35,12 +35,14 @@ class TestBox:
         )
         assert distances < 0.15
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("distance", [1.0, 4.0])
     def test_opened_edges_are_round(self, distance):
         core = turned(cuboid(HALF - distance), *ODD)
         found = errors(opening(level_set(turned(cuboid(HALF), *ODD)), distance), lambda p: core(p) - distance)
         assert max(found) < 0.2
 
+    @pytest.mark.slow
     def test_closing_changes_nothing(self):
         body = turned(cuboid(HALF), *ODD)
         assert max(errors(closing(level_set(body), 1.0), body)) < EDGE_ERROR
@@ -49,10 +51,12 @@ class TestBox:
         body = turned(cuboid(HALF), *ODD)
         assert max(errors(dilate(level_set(body), 1.0), lambda p: body(p) - 1.0)) < EDGE_ERROR
 
+    @pytest.mark.slow
     def test_erosion_is_an_offset(self):
         body = level_set(turned(cuboid(HALF), *ODD))
         np.testing.assert_array_equal(erode(body, 1.5).nanovdb, offset(body, -1.5).nanovdb)
 
+    @pytest.mark.slow
     def test_threads_do_not_change_a_bit(self, monkeypatch):
         body, results = level_set(turned(cuboid(HALF), *ODD)), []
         for threads in ("1", "2"):
@@ -70,6 +74,7 @@ def test_eroded_cylinder(distance):
     assert errors(erode(level_set(body(0.0)), distance), body(distance))[0] < 0.1
 
 
+@pytest.mark.slow
 def test_world_units_and_types():
     def body(by):
         return lambda p: 0.1 * turned(cuboid(HALF - by), *ODD)((p - TURNED[:3, 3]) * 10.0)

@@ -68,6 +68,7 @@ def test_rays_states_and_surfaces(torus: SparseVolume, behind: SparseVolume) -> 
     np.testing.assert_array_equal(made.faces, same.faces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_arrays_that_show_the_first_bytes_only(
     device: str, torus: SparseVolume, monkeypatch: pytest.MonkeyPatch

@@ -275,6 +275,7 @@ def test_damaged_headers_are_refused(field, value):
         metadata_of(buffer, "file")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_stored_is_refused(tmp_path):
     for bad in ({"a": object()}, {"a": 2**63}, {"a": [1, "x"]}):
         with pytest.raises(InputError, match="metadata 'a'"):

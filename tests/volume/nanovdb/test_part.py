@@ -43,6 +43,7 @@ def require_same(part: SparseVolume, whole: SparseVolume) -> None:
     assert dict(part.info.metadata) == dict(whole.info.metadata)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid_type", VALUE_TYPES)
 @pytest.mark.parametrize("seed", of_all([1], [0, 1]))
 def test_of_every_type(grid_type: str, seed: int, tmp_path: Path) -> None:

@@ -214,6 +214,7 @@ def lists_of_types(path: Path) -> list[tuple[int, list[str]]]:
     return found
 
 
+@pytest.mark.slow
 def test_no_other_module_lists_grid_types():
     found = {}
     for path in sorted(PACKAGE.rglob("*.py")):

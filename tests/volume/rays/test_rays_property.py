@@ -47,6 +47,7 @@ def test_first_crossings_of_any_field(monkeypatch, seed, lower, isovalue):
     assert_first_crossings(field.at, start, toward, hits.t, isovalue=isovalue, last=45.0, atol=1e-8)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, lowers, seeds)
 def test_any_transform_gives_the_same_hits(monkeypatch, seed, lower, shape):

@@ -36,6 +36,7 @@ def values(ball):
     return tensor(found + 0.01 * np.random.default_rng(8).standard_normal(len(found)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", ["world", "index"])
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_samples_and_gradients(ball, places, values, order, space):

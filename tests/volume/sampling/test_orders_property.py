@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,6 +56,7 @@ def _to_world(transform, u):
     return u @ transform[:3, :3].T + transform[:3, 3]
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, orders, origins)
 def test_quadratic_fields_are_exact_with_all_their_derivatives(seed, order, lower):
@@ -97,6 +99,7 @@ def test_cubic_fields_are_not_reproduced_but_their_slopes_half_way_are(seed):
     np.testing.assert_allclose(error, -(t * (t - 1) * (t + 1)) @ [a, b, c], rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, orders, origins)
 def test_place_in_index_space_does_not_change_the_values(seed, order, lower):
@@ -116,6 +119,7 @@ def test_place_in_index_space_does_not_change_the_values(seed, order, lower):
     )
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, orders)
 def test_gradient_is_the_derivative_of_the_sample(seed, order):
@@ -131,6 +135,7 @@ def test_gradient_is_the_derivative_of_the_sample(seed, order):
         np.testing.assert_allclose(along[:, axis], (f[0] - 8 * f[1] + 8 * f[2] - f[3]) / 1.2, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, orders)
 def test_order_of_the_points_and_their_company_do_not_matter(seed, order):
@@ -145,6 +150,7 @@ def test_order_of_the_points_and_their_company_do_not_matter(seed, order):
     np.testing.assert_array_equal(points, kept)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, orders)
 def test_samples_overshoot_by_a_bounded_share(seed, order):

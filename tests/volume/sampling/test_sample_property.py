@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -74,6 +75,7 @@ def test_linear_fields_and_their_gradients_are_exact(seed, lower, coefficients):
     np.testing.assert_allclose(found, np.broadcast_to(world_slope, found.shape), rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, origins)
 def test_orders_agree_at_voxel_centers(seed, lower):
@@ -85,6 +87,7 @@ def test_orders_agree_at_voxel_centers(seed, lower):
         np.testing.assert_array_equal(sample(volume, centers, order=order, device="cpu"), expected)
 
 
+@pytest.mark.slow
 @EXAMPLES
 @given(seeds, origins)
 def test_transform_does_not_change_the_values(seed, lower):

@@ -37,6 +37,7 @@ def banded(scan: Path, executor: Any = None, size: float = 0.011, **how: Any) ->
     return out.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pool", [processes, ThreadPoolExecutor])
 def test_the_file_has_the_same_bytes(pool: Callable[[int], Executor], scan: Path) -> None:
     done: list[int] = []
@@ -83,6 +84,7 @@ def test_dask_s_client_is_one_and_a_worker_that_is_killed_costs_nothing(scan: Pa
         assert killed
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_named_and_nothing_is_left(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_band.CellBands, "make", lambda *_: os._exit(3))
     with processes(2) as executor, pytest.raises(WorkerError, match="was not done"):
@@ -90,6 +92,7 @@ def test_a_worker_that_dies_is_named_and_nothing_is_left(scan: Path, monkeypatch
     assert [file.name for file in scan.parent.iterdir()] == [scan.name]
 
 
+@pytest.mark.slow
 def test_what_a_cell_raises_is_raised_here(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_band, "BYTES_PER_TRIANGLE", 1 << 29)
     with processes(2) as executor, pytest.raises(DeviceMemoryError, match="triangles lie near the") as error:

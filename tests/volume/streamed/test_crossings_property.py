@@ -82,6 +82,7 @@ def test_a_lattice_that_begins_inside_continues_from_what_is_known() -> None:
         np.testing.assert_array_equal(numbers.numbers(), expected[first[0] :, first[1] :, first[2] :])
 
 
+@pytest.mark.slow
 def test_planes_that_float64_cannot_tell_from_the_lattice() -> None:
     """Slanted faces through lattice points, moved by an ulp or not."""
     rng = np.random.default_rng(8)

@@ -53,6 +53,7 @@ def sized(mesh: TriangleMesh, voxels: float) -> float:
     return float((mesh.bounds[1] - mesh.bounds[0]).max()) / voxels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [make() for make in mesh_catalog.CLOSED], ids=lambda mesh: mesh.name)
 def test_the_grid_is_that_in_memory(mesh: TriangleMesh, tmp_path: Path) -> None:
     same_grid(*both(saved(mesh, tmp_path / "a.stl"), sized(mesh, 37.3)))
@@ -66,6 +67,7 @@ def test_so_it_is_in_cells(mesh: TriangleMesh, tmp_path: Path) -> None:
     same_grid(*both(saved(mesh, tmp_path / "a.ply"), sized(mesh, of_all(130.7, 150.7))))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_cells")
 @pytest.mark.parametrize(
     "how",
@@ -88,6 +90,7 @@ def test_upper_nodes_and_the_gap_between_them(tmp_path: Path) -> None:
     same_grid(found, expected)
 
 
+@pytest.mark.slow
 def test_voxels_on_the_surface_differ_in_nothing_but_the_sign_of_rounding(tmp_path: Path) -> None:
     for mesh in (mesh_catalog.box(), mesh_catalog.tetrahedron(), mesh_catalog.nested_boxes(), mesh_catalog.l_profile()):
         found, expected = both(saved(mesh, tmp_path / "a.ply", aside=False), sized(mesh, 40))
@@ -140,6 +143,7 @@ def test_the_file_is_that_of_save(tmp_path: Path) -> None:
     assert (tmp_path / "a.nvdb").read_bytes() == (tmp_path / "b.nvdb").read_bytes()
 
 
+@pytest.mark.slow
 def test_progress_and_names(tmp_path: Path) -> None:
     done: list[int] = []
     path = saved(mesh_catalog.torus(), tmp_path / "ring.stl")

@@ -199,6 +199,7 @@ def test_a_band_too_narrow_for_the_zone_is_refused_with_what_it_reaches():
         from_mesh(TORUS, tolerance=0.001, within=0.2, half_width=1.0, order=1, codec="float")
 
 
+@pytest.mark.slow
 def test_a_zone_without_width_is_checked_on_the_whole_surface():
     mesh = mesh_catalog.l_profile()
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]

@@ -136,6 +136,7 @@ class TestSegment:
         np.testing.assert_array_equal(dense(components[0], -18, 18), dense(shell, -18, 18))
         assert components[0].info.background == 3.0
 
+    @pytest.mark.slow
     def test_body_in_the_cavity_of_another(self):
         shell = difference(level_set(ball(15.3)), level_set(ball(10.3)))
         components = segment(union(level_set(ball(4.3)), shell))
