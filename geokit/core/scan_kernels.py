@@ -1,4 +1,4 @@
-"""Before and after a prefix sum on a device: wider counts, and the total."""
+"""Around a prefix sum on a device: wider counts, the total, and the part that an item belongs to."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -6,7 +6,17 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-__all__ = ["last_kernel", "widen_kernel"]
+__all__ = ["last_kernel", "part_of", "widen_kernel"]
+
+
+@wp.func
+def part_of(offsets: wp.array(dtype=int), item: int) -> int:
+    """The part that an item belongs to: ``offsets`` has the first item of each part, and their number, (parts + 1,).
+
+    Without that last entry the answer for the last part would be the one before it: ``wp.lower_bound`` never answers
+    the length of its array.
+    """
+    return wp.lower_bound(offsets, item + 1) - 1
 
 
 @wp.kernel

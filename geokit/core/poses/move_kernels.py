@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
+
 # Without fused multiply-adds a GPU gives the same bits as a CPU.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -31,5 +33,5 @@ def move_packed_kernel(
 ):
     """As move_kernel; map m has the rows from ``offsets[m]`` on."""
     i = first + wp.tid()
-    of = wp.lower_bound(offsets, i + 1) - 1
+    of = part_of(offsets, i)
     out_rows[i] = linear[of] * rows[i] + shift[of]

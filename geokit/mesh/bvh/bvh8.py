@@ -81,7 +81,7 @@ def build_wide_trees(
     references = host_pool.empty_warp(kernels.REFERENCE * count, wp.float32, device)
     sides = empty(count, wp.uint8)
     first = _int32(begin)
-    placed = [first[:-1], HostArray(origins), HostArray(scales)]
+    placed = [first, HostArray(origins), HostArray(scales)]
     launcher.launch(kernels.references_kernel, count, [vertices, faces, *placed], [references], device)
 
     counts = np.diff(begin)
@@ -148,7 +148,7 @@ def place_triangles(
 
     device, count = slot_triangle.device, len(slot_triangle)
     placed = tree_array(3 * count, wp.vec3d, device), tree_array(PLANE_ROWS * count, wp.float32, device)
-    inputs = [_int32(slots[:-1]), slot_triangle, vertices, faces, HostArray(origins), HostArray(scales)]
+    inputs = [_int32(slots), slot_triangle, vertices, faces, HostArray(origins), HostArray(scales)]
     launcher.launch(place_blocks_kernel, count // WIDTH, inputs, placed, device)
     return placed
 

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from geokit.core.cpp import cpp
+from geokit.core.scan_kernels import part_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -66,9 +67,9 @@ def references_kernel(
     scales: wp.array(dtype=wp.float64),
     out_references: wp.array(dtype=wp.float32),
 ):
-    """The reference of each triangle; ``begin`` has the first triangle of each tree."""
+    """The reference of each triangle; ``begin`` has the first triangle of each tree, and their number."""
     i = first + wp.tid()
-    tree = wp.lower_bound(begin, i + 1) - 1
+    tree = part_of(begin, i)
     write_reference(i, vertices, faces, origins[tree], scales[tree], out_references)
 
 

@@ -62,9 +62,9 @@ class Forest:
         numbers -= np.where(numbers >= 0, np.repeat(begin[:-1], np.diff(self.slots)), 0).astype(np.int32)
 
     @property
-    def first_slots(self) -> HostArray:
-        """The first slot of each tree, as kernels take it."""
-        return HostArray(self.slots[:-1].astype(np.int32))
+    def slot_offsets(self) -> HostArray:
+        """``slots``, as kernels take it."""
+        return HostArray(self.slots.astype(np.int32))
 
     def of_slots(self, array: "wp.array", each: int) -> Parts:
         """The parts of an array with ``each`` elements for each slot."""
@@ -114,7 +114,7 @@ class Forest:
 
         blocks = len(self._slot_triangle) // WIDTH
         self._ray_leaves = tree_array(LEAF_WORDS * blocks, wp.float32, self.device)
-        inputs = [self.first_slots, self._slot_triangle, self._corners, self._leaves, *self._frames]
+        inputs = [self.slot_offsets, self._slot_triangle, self._corners, self._leaves, *self._frames]
         launcher.launch(forest_ray_leaves_kernel, blocks, inputs, [self._ray_leaves], self.device)
         leaves = Parts(self._ray_leaves, LEAF_WORDS * self.slots[:-1] // WIDTH, LEAF_WORDS * np.diff(self.slots) // 8)
         table = self.table.copy()

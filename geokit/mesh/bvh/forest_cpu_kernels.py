@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.box_walk_kernels import slot_box
 from geokit.mesh.bvh.bvh8_moments_kernels import node_moments
 from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import pack_leaf
@@ -46,9 +47,9 @@ def forest_ray_leaves_kernel(
     scales: wp.array(dtype=wp.float64),
     out_leaves: wp.array(dtype=wp.float32),
 ):
-    """As ray_leaves_kernel; ``begin`` has the first slot of each tree."""
+    """As ray_leaves_kernel; ``begin`` has the first slot of each tree, and their number."""
     block = first + wp.tid()
-    tree = wp.lower_bound(begin, 8 * block + 1) - 1
+    tree = part_of(begin, 8 * block)
     pack_leaf(block, slot_triangle, corners, leaves, origins[tree], scales[tree], out_leaves)
 
 
@@ -67,8 +68,8 @@ def forest_moments_kernel(
 
 @wp.kernel
 def forest_slot_boxes_kernel(first: int, begin: wp.array(dtype=int), forest: wp.array(dtype=ForestBoxes)):
-    """As slot_boxes_kernel; ``begin`` has the first slot of each tree. Writes into the forest."""
+    """As slot_boxes_kernel; ``begin`` has the first slot of each tree, and their number. Writes into the forest."""
     slot = first + wp.tid()
-    tree = wp.lower_bound(begin, slot + 1) - 1
+    tree = part_of(begin, slot)
     one = forest[tree]
     slot_box(one.tree, slot - begin[tree], one.slot_boxes)

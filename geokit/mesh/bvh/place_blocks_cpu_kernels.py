@@ -5,6 +5,7 @@
 import warp as wp
 
 from geokit.core.cpp import cpp
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.leaf_planes_kernels import FLAT, NOWHERE, PLANE_ROWS, SHORTEST
 
 wp.set_module_options({"enable_backward": False})
@@ -40,7 +41,7 @@ def place_blocks_kernel(
     out_corners: wp.array(dtype=wp.vec3d),
     out_leaves: wp.array(dtype=wp.float32),
 ):
-    """One item is a block of slots; ``begin`` has the first slot of each tree."""
+    """One item is a block of slots; ``begin`` has the first slot of each tree, and their number."""
     block = first + wp.tid()
-    tree = wp.lower_bound(begin, WIDTH * block + 1) - 1
+    tree = part_of(begin, WIDTH * block)
     place_block(block, slot_triangle, vertices, faces, origins[tree], scales[tree], out_corners, out_leaves)

@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.queries.closest_point_kernels import REGISTERS, put_closest
 
@@ -28,7 +29,7 @@ def forest_closest_kernel(
 ):
     """As closest_point_kernel; mesh m has the queries from ``offsets[m]`` on. Only meshes that are asked answer."""
     begin = (first + wp.tid()) * group
-    mesh = wp.lower_bound(offsets, begin + 1) - 1
+    mesh = part_of(offsets, begin)
     slot = int(-1)
     for i in range(begin, wp.min(begin + group, points.shape[0])):
         while offsets[mesh + 1] <= i:

@@ -34,7 +34,7 @@ def self_intersecting(forest: Forest, meshes: NDArray[np.int64]) -> NDArray[np.b
         unit=2.0 ** -np.round(np.log2(forest.scales)),
     )
     searches = struct_array(table, ForestBoxes, device)
-    launcher.launch(forest_slot_boxes_kernel, slots, [forest.first_slots], [searches], device)
+    launcher.launch(forest_slot_boxes_kernel, slots, [forest.slot_offsets], [searches], device)
     leaves = np.diff(forest.slots)[meshes] // WIDTH
     owner = np.repeat(meshes, leaves)
     leaf = np.arange(len(owner)) - np.repeat(np.cumsum(leaves) - leaves, leaves)

@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.queries.raycast_kernels import cast_rays
 
@@ -28,7 +29,7 @@ def forest_raycast_kernel(
     """As raycast_kernel; mesh m has the rays from ``offsets[m]`` on."""
     begin = (first + wp.tid()) * group
     end = wp.min(begin + group, origins.shape[0])
-    mesh = wp.lower_bound(offsets, begin + 1) - 1
+    mesh = part_of(offsets, begin)
     while begin < end:
         while offsets[mesh + 1] <= begin:
             mesh += 1

@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, pseudonormal
 
 # The same bits as pseudonormal_sign_kernel.
@@ -25,7 +26,7 @@ def forest_pseudonormal_kernel(
 ):
     """As pseudonormal_sign_kernel; mesh m has the queries from ``offsets[m]`` on."""
     i = first + wp.tid()
-    mesh = wp.lower_bound(offsets, i + 1) - 1
+    mesh = part_of(offsets, i)
     if asked[mesh]:
         triangle = triangle_id[i]
         if triangle >= 0 and out_distance[i] < outside[mesh]:

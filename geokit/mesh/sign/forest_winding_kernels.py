@@ -4,6 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside, winding_number_at
 
@@ -23,7 +24,7 @@ def forest_winding_kernel(
 ):
     """As sign_kernel; mesh m has the queries from ``offsets[m]`` on."""
     i = first + wp.tid()
-    mesh = wp.lower_bound(offsets, i + 1) - 1
+    mesh = part_of(offsets, i)
     if asked[mesh]:
         if is_inside(trees[mesh], windings[mesh], empty[mesh], points[i]):
             out_distance[i] = -out_distance[i]
@@ -43,7 +44,7 @@ def forest_missed_kernel(
 ):
     """As missed_sign_kernel: queries that found no triangle within the search radius."""
     i = first + wp.tid()
-    mesh = wp.lower_bound(offsets, i + 1) - 1
+    mesh = part_of(offsets, i)
     if asked[mesh] and triangle_id[i] < 0:
         if winding_number_at(trees[mesh], windings[mesh], empty[mesh], points[i]) > wp.float64(0.5):
             out_distance[i] = -out_distance[i]
