@@ -34,6 +34,8 @@ LEAST_PER_THREAD = 1 << 20
 # Smaller downloads are faster without staging, and without the memory pool.
 SMALLEST_STAGED = 1 << 21
 SMALLEST_POOLED = 1 << 15
+# Bytes of a copy without staging: an array of warp has fewer than 2^31.
+LARGEST_COPY = 1 << 30
 
 # Bounds of the pool of pinned memory, for all arrays together (in use and idle) and for one array. They hold the full
 # results of four million closest points, or the mesh of a level set of 1024^3; a desktop can spare that much.
@@ -79,8 +81,10 @@ def download_into(target: np.ndarray, array: "wp.array") -> None:
 
     if array.device.is_cuda and target.nbytes >= SMALLEST_STAGED and _through_stage((array,), [target]):
         return
-    destination: Any = wp.array(target.reshape(-1).view(np.uint8), dtype=wp.uint8, device="cpu", copy=False)
-    wp.copy(destination, _bytes_of(array, 0, target.nbytes))
+    memory = target.reshape(-1).view(np.uint8)
+    for start in range(0, len(memory), LARGEST_COPY):
+        part = memory[start : start + LARGEST_COPY]
+        wp.copy(wp.array(part, dtype=wp.uint8, device="cpu", copy=False), _bytes_of(array, start, len(part)))
     wp.synchronize_device(array.device)  # the copy is asynchronous
 
 

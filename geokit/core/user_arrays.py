@@ -48,6 +48,8 @@ __all__ = [
 # have it as LARGEST of user_arrays_kernels.
 LARGEST_MEASURED = 1e150
 LARGEST_FLOAT = float(np.finfo(np.float64).max)
+# Numbers that are converted to float32 in one launch.
+NARROWED_AT_ONCE = 1 << 30
 # Up to this size, checking each number is as fast as suppressing the warnings around their sum.
 SMALL = 4096
 
@@ -439,13 +441,23 @@ def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
         return out
     if out.device.is_cpu:
         return wp.array(out.numpy().astype(np.float32), dtype=narrow, device="cpu")
+    return _narrowed_there(out, narrow)
+
+
+def _narrowed_there(out: "wp.array", narrow: Any) -> "wp.array":
+    import warp as wp
+
     from geokit.core.user_arrays_kernels import narrow_kernel
 
+    result: Any = wp.empty(out.shape, dtype=narrow, device=out.device)
     size = out.size * (3 if narrow == wp.vec3f else 1)
-    flat = reinterpreted(out, wp.float64, (size,))
-    result = wp.empty(size, dtype=wp.float32, device=out.device)
-    launcher.launch(narrow_kernel, size, [flat], [result], out.device)
-    return reinterpreted(result, narrow, out.shape)
+    # All numbers together may be more than warp counts: 8 nearest of 400 million points.
+    for first in range(0, size, NARROWED_AT_ONCE):
+        count = min(NARROWED_AT_ONCE, size - first)
+        wide: Any = wp.array(ptr=out.ptr + 8 * first, dtype=wp.float64, shape=count, device=out.device)
+        short: Any = wp.array(ptr=result.ptr + 4 * first, dtype=wp.float32, shape=count, device=out.device)
+        launcher.launch(narrow_kernel, count, [wide], [short], out.device)
+    return result
 
 
 def _on_device_of(source: "wp.array", finish: Callable[["wp.array"], Any]) -> Callable[["wp.array"], Any]:

@@ -34,13 +34,15 @@ if TYPE_CHECKING:
 
 __all__ = ["Surface"]
 
-# Triangles in a leaf of the warp Mesh. On a CPU a leaf of eight is one contiguous read; on a GPU one triangle per
-# thread diverges least.
 # Memory for building a surface, for each triangle of a closed mesh.
 BYTES_PER_FACE = 190
 BYTES_PER_FACE_CUDA = 660
 # What warp takes of it while it builds its tree on a GPU.
 WARP_BYTES_PER_FACE = 400
+# Triangles whose leaves a GPU holds: an array of warp has at most 2^31 - 1 rows, and a triangle takes 20.
+MOST_FACES_CUDA = (2**31 - 1) // 20
+# Triangles in a leaf of the warp Mesh. On a CPU a leaf of eight is one contiguous read; on a GPU one triangle per
+# thread diverges least.
 LEAF_SIZE_CPU = 8
 LEAF_SIZE_CUDA = 1
 # Triangles in a leaf of the packed nodes that GPU queries walk (made from the tree of the warp Mesh). Closest points
@@ -71,7 +73,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).
     Raises:
-        InputError: The mesh has no faces, or there is no such device.
+        InputError: The mesh has no faces, more than 107 million on a GPU, or there is no such device.
         DeviceMemoryError: The device cannot hold the mesh.
 
     Held by: tests/mesh/test_surface.py
@@ -96,6 +98,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         if mesh.face_count == 0:
             raise InputError(f"mesh: {mesh.name or 'it'} has no faces; queries need at least one triangle")
         self._device = launcher.resolve_device(device)
+        _require_numbered(mesh.face_count, self._device)
         self._set_mesh(mesh)
         size = (BYTES_PER_FACE if self._device.is_cpu else BYTES_PER_FACE_CUDA) * mesh.face_count
         try:
@@ -321,6 +324,14 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
 
     def __repr__(self) -> str:
         return f"Surface({self.mesh!r}, device={self.device!r})"
+
+
+def _require_numbered(face_count: int, device: "wp.Device") -> None:
+    if device.is_cuda and face_count > MOST_FACES_CUDA:
+        raise InputError(
+            f"mesh: {face_count} faces are more than the {MOST_FACES_CUDA} that one Surface numbers on {device.alias}; "
+            "split the mesh, or use device='cpu'"
+        )
 
 
 # First hits of fewer rays on a GPU take less time than their copies to another one.

@@ -70,6 +70,14 @@ def test_into_memory_that_is_there(count, device):
     assert not target[:8].any()
 
 
+def test_into_memory_of_more_bytes_than_one_copy_takes(monkeypatch):
+    monkeypatch.setattr(_download, "LARGEST_COPY", 1000)
+    bytes_ = np.random.default_rng(0).integers(0, 255, 3456, np.uint8)
+    target = np.zeros(3333, np.uint8)
+    download_into(target, wp.array(bytes_, dtype=wp.uint8, device="cpu"))
+    np.testing.assert_array_equal(target, bytes_[:3333])
+
+
 def test_results_are_not_the_pinned_memory(small_halves):
     stage = _Stage(wp.get_device("cpu"))
     (first,) = through(stage, wp.array(np.arange(500), dtype=wp.int32, device="cpu"))

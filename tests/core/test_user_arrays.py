@@ -436,3 +436,14 @@ def test_streams_in_order_need_no_events(torch_stream, warp_stream, is_blocking,
         cuda=types.SimpleNamespace(current_stream=lambda ordinal: types.SimpleNamespace(cuda_stream=torch_stream))
     )
     assert arrays.is_in_order(torch, device) is expected
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(("shape", "wide", "narrow"), [((50, 8), wp.float64, wp.float32), ((133,), wp.vec3d, wp.vec3f)])
+def test_more_numbers_than_one_launch_takes_become_float32(device, shape, wide, narrow, monkeypatch):
+    """8 nearest of 400 million points are more numbers than warp counts in one array of them."""
+    monkeypatch.setattr(user_arrays, "NARROWED_AT_ONCE", 37)
+    values = np.random.default_rng(0).normal(size=(*shape, 3) if wide is wp.vec3d else shape)
+    found = user_arrays._narrowed_there(wp.array(values, dtype=wide, device=device), narrow)
+    assert found.dtype is narrow
+    assert np.array_equal(found.numpy(), values.astype(np.float32))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import warp as wp
 
 from benchmarks.catalog import mesh_catalog
 from geokit import InputError
-from geokit.mesh import Surface, TriangleMesh
+from geokit.mesh import Surface, TriangleMesh, _surface
+from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS
 from tests.support import reference
 
 
@@ -212,3 +215,13 @@ def test_an_unknown_device_is_refused():
 def test_repr_says_what_it_is(box):
     assert "12 faces" in repr(box)
     assert "'cpu'" in repr(box)
+
+
+@pytest.mark.parametrize("face_count", [98_000_000, 107_374_182])
+def test_a_gpu_numbers_so_many_faces(face_count: int) -> None:
+    gpu = SimpleNamespace(is_cuda=True, alias="cuda:0")
+    _surface._require_numbered(face_count, gpu)
+    assert face_count * SLOT_WORDS < 2**31
+    with pytest.raises(InputError, match=r"mesh: 107374183 faces are more than the 107374182 .* on cuda:0; split the"):
+        _surface._require_numbered(107_374_183, gpu)
+    _surface._require_numbered(107_374_183, SimpleNamespace(is_cuda=False, alias="cpu"))

@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from geokit.core.forks import renew_after_fork
 from geokit.core.memory import available_memory
-from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError
+from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 
 __all__ = ["be_a_guest", "file_size", "is_out_of_memory", "needs", "require_free", "rows"]
 
@@ -37,9 +37,10 @@ TEXTS = (
     "without setting an exception",
     "codec configuration error",  # of Pillow, as the next
     "quantization error",
-    "must not exceed the maximum representable value",  # of warp, for arrays of more than 2^31 items
     "in function scan_device",  # warp goes on without the temporary memory that it did not get
 )
+# What warp says of an array with more rows than it numbers. That is no lack of memory.
+TOO_LONG = "must not exceed the maximum representable value"
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -85,6 +86,10 @@ def needs(
                 _restate(error, what, stated or bytes_of(*args, **kwargs))
                 raise
             except Exception as error:
+                if isinstance(error, ValueError) and TOO_LONG in str(error):
+                    raise InputError(
+                        f"{what}: a single array of this would have more than 2^31 - 1 rows; give it less at a time"
+                    ) from error
                 if not is_out_of_memory(error):
                     raise
                 # What the operation has made so far is freed, so that there is memory for the message.

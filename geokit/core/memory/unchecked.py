@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
 __all__ = ["allocating", "sort_pairs"]
 
-# What several small allocations are rounded up to, together.
+# What several small allocations are rounded up to, together, and the rows in which memory is asked for: warp counts the
+# rows of an array, not its bytes, in 31 bits.
 ROUNDING = 1 << 20
 # Warp's sorts, and its trees and hash grids, which sort, have scratch memory for each stream, which threads share. If
 # two enqueue the kernels of their sorts in turn, the one spoils the scratch of the other, whose kernels may then wait
@@ -53,7 +54,7 @@ class allocating:
             if self._fatal or self._had_error:
                 import warp as wp
 
-                wp.empty(self._size, dtype=wp.uint8, device=self._device)
+                wp.empty((-(-self._size // ROUNDING), ROUNDING), dtype=wp.uint8, device=self._device)
         except BaseException:
             if taken:
                 _one_at_a_time.release()

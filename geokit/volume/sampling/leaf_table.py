@@ -137,7 +137,7 @@ def add_pairs(table: Any, places: "wp.array", memory: int) -> None:
         return
     table.first_leaf = int(leaves.min())
     count = (int(leaves.max()) - table.first_leaf) // LEAF_ENTRIES + 1
-    if 8 * kernels.PAIRS * count > memory or kernels.PAIRS * count > np.iinfo(np.int32).max:
+    if 8 * kernels.PAIRS * count > memory or 2 * kernels.PAIRS * count > np.iinfo(np.int32).max:
         return
     corners = wp.full(count, wp.vec3i(*map(int, table.lower)), dtype=wp.vec3i, device=device)
     launcher.launch(kernels.leaf_corners_kernel, len(entries), [table, places], [corners], device)

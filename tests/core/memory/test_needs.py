@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 import geokit as gk
 from geokit.core.memory import available_memory, needs
@@ -65,6 +66,18 @@ def test_other_errors_pass(error) -> None:
     with pytest.raises(type(error)) as raised:
         failing(error)(1)
     assert raised.value is error
+
+
+@pytest.mark.parametrize("dtype", [wp.uint8, wp.float64])
+def test_a_limit_of_numbers_is_no_lack_of_memory(dtype) -> None:
+    """Warp numbers the rows of an array in 31 bits: free memory does not help, and it is not asked for."""
+
+    @needs.needs(lambda: 1 << 40, late=True)
+    def work() -> None:
+        wp.empty(1 << 31, dtype=dtype, device="cpu")
+
+    with pytest.raises(InputError, match=r"^work: a single array .* more than 2\^31 - 1 rows; give it less at a time"):
+        work()
 
 
 def test_a_library_without_room_is_named_by_the_cause() -> None:

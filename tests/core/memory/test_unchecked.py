@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -26,10 +27,12 @@ class Noted:
         monkeypatch.setattr(unchecked, "last_noted_error", lambda: self.error)
         monkeypatch.setattr(wp, "empty", self._empty)
 
-    def _empty(self, size: int, **_: object) -> None:
-        self.tried.append(size)
+    def _empty(self, shape: tuple[int, ...], *, dtype: object, **_: object) -> None:
+        assert dtype == wp.uint8
+        assert max(shape) < 1 << 31, "more than warp numbers"
+        self.tried.append(math.prod(shape))
         if self.is_full:
-            raise RuntimeError(f"Failed to allocate {size} bytes")
+            raise RuntimeError(f"Failed to allocate {self.tried[-1]} bytes")
 
 
 @pytest.fixture
@@ -59,6 +62,14 @@ def test_where_a_call_does_damage_the_memory_is_always_asked_for(noted: Noted) -
     noted.is_full = True
     with pytest.raises(RuntimeError, match="Failed to allocate"), allocating(GPU, 100, fatal=True):
         pytest.fail("the call was made")
+
+
+@pytest.mark.parametrize("size", [1, 1 << 20, (1 << 31) - 1, 400 * 98_000_000, 1 << 38])
+def test_any_size_can_be_asked_for(noted: Noted, size: int) -> None:
+    """400 bytes a triangle are more than 2^31 from 5.4 million triangles on."""
+    with allocating(GPU, size, fatal=True):
+        pass
+    assert size < noted.tried[0] <= size + 2 * unchecked.ROUNDING
 
 
 def test_an_error_of_the_call_itself_stays(noted: Noted) -> None:
