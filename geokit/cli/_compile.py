@@ -19,8 +19,8 @@ __all__ = ["compile_all"]
 # its cache. A builder reads module names from stdin and answers each with a line: "ok", or the error.
 _BUILDER = """
 import sys
-answers = sys.stdout
-sys.stdout = sys.stderr
+from geokit.core.running.answers import take_stdout
+answers = take_stdout()
 from geokit.core import launcher
 from geokit.core.compiled.modules import warp_modules
 devices = [launcher.resolve_device(alias) for alias in sys.argv[1:]]
@@ -32,7 +32,7 @@ for line in sys.stdin:
         answer = "ok"
     except Exception as error:
         answer = " ".join(f"{type(error).__name__}: {error}".split())
-    print(answer, file=answers, flush=True)
+    print(answer, file=answers)
 """
 
 

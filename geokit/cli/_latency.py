@@ -125,6 +125,8 @@ gk.volume.save(folder / "vectors.nvdb", gk.volume.gradient_field(fog, device=dev
 """
 _ASK = """
 import json
+from geokit.core.running.answers import take_stdout
+answers = take_stdout()
 from geokit.core import launcher
 compiled = []
 launcher.on_compile(compiled.append)
@@ -133,11 +135,11 @@ try:
 {inputs}
     {call}
 except gk.errors.MissingDependencyError as error:
-    sys.exit(print(json.dumps(str(error))))
+    sys.exit(print(json.dumps(str(error)), file=answers))
 first, work = time.perf_counter() - started, time.process_time() - worked
 started = time.perf_counter()
 {call}
-print(json.dumps([first, work, time.perf_counter() - started, len(compiled)]))
+print(json.dumps([first, work, time.perf_counter() - started, len(compiled)]), file=answers)
 """
 
 

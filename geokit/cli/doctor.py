@@ -25,6 +25,8 @@ WIDTH = 110
 GL_SECONDS = 60.0
 # Draws a plane and checks the pixels. It runs in a separate process, because a failing GL library may crash it.
 GL_PROBE = """
+from geokit.core.running.answers import take_stdout
+answers = take_stdout()
 import pyvista as pv
 plotter = pv.Plotter(off_screen=True, window_size=(64, 64))
 plotter.set_background("white")
@@ -32,7 +34,7 @@ plotter.add_mesh(pv.Plane(), color="black", lighting=False)
 picture = plotter.screenshot(return_img=True)
 lines = plotter.render_window.ReportCapabilities().splitlines()
 renderer = "".join(line.partition(":")[2].strip() for line in lines if line.startswith("OpenGL renderer string"))
-print(type(plotter.render_window).__name__, int(picture.min()), renderer)
+print(type(plotter.render_window).__name__, int(picture.min()), renderer, file=answers)
 """
 
 

@@ -222,6 +222,7 @@ def _read_unchecked(
     limits = _checked_limits(source, time_limit, memory_limit)
     if grids is not None and not names:
         return []
+    _worker.warn_of_version(source)
     if trusted:
         extension = _extension()
         output, buffers = _call(source, lambda: extension.read(os.fsencode(source), names))
@@ -258,6 +259,7 @@ def inspect_vdb(
     source = require_file(path)
     refuse_empty(source)
     limits = _checked_limits(path, time_limit, memory_limit)
+    _worker.warn_of_version(source)
     result = _worker.run_worker(_worker_path(), "inspect", source, [], time_limit=limits[0], memory_limit=limits[1])
     if "error" in result:
         raise_failure(result["error"], str(source))

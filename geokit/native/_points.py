@@ -24,6 +24,7 @@ from geokit.errors import InputError
 from geokit.formats.reader import process as reader_process
 from geokit.native import _call, _extension, _metadata
 from geokit.native._failures import raise_failure
+from geokit.native._worker import warn_of_version
 
 __all__ = ["prepare", "read", "read_grids", "write"]
 
@@ -73,6 +74,7 @@ def read(
     """
     _extension()
     names = [] if grid is None else [grid]
+    warn_of_version(path)
     if trusted:
         facts, arrays = read_grids(path, names)
     else:

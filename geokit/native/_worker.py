@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.private_folder import temporary_parent
 from geokit.core.running.interrupts import child_process
 from geokit.errors import FileAccessError, FileFormatError, WorkerError
 from geokit.native._metadata import raw
 
-__all__ = ["map_file", "refuse_small_files", "run_worker", "spool_folders"]
+__all__ = ["map_file", "refuse_small_files", "run_worker", "spool_folders", "warn_of_version"]
 
 # A compressed .vdb becomes a NanoVDB buffer several times its size. If shared memory has less than this times the file
 # size free, the buffers go through a folder on disk from the start.
@@ -31,6 +32,22 @@ _EXPANSION = 8
 # The kernel's CPU time limit is a second line of defense behind the wall clock. It counts all threads, so it must allow
 # for a run that keeps this many of them busy.
 _MAX_THREADS = 8
+
+# Version of the format that OpenVDB 13 writes: that of OpenVDB 10 with one more type of grids, which names itself.
+LAST_VERSION = 225
+_MAGIC = b" BDV\0\0\0\0"
+
+
+def warn_of_version(path: Path) -> None:
+    """Warn of a file whose format has a later version than those known, which is read as if it had the last of them."""
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        head = file.read(len(_MAGIC) + 4)
+        version = int.from_bytes(head[len(_MAGIC) :], "little")
+        if head.startswith(_MAGIC) and version > LAST_VERSION:
+            warn(
+                f"{path}: its format has version {version}, {LAST_VERSION} is the last that geokit knows; compare what "
+                "is read with the program that wrote it, or save it with an older OpenVDB"
+            )
 
 
 def spool_folders(file_size: int) -> list[str]:

@@ -32,6 +32,7 @@ from geokit.cli._batches.worker import versions
 from geokit.cli._console import at_end
 from geokit.cli._run import show_warning, usage_message
 from geokit.core.files import in_one_line, require_file
+from geokit.core.running.answers import take_stdout
 from geokit.errors import GeokitError
 
 __all__ = ["DONE", "OUTPUTS", "RECORD", "WORK", "key_of", "main", "run_task"]
@@ -188,9 +189,7 @@ def _failure(error: BaseException, number: int, step: Step, folder: Path) -> dic
 
 def main() -> None:
     """Run the jobs that stdin holds, one JSON object a line, and write their records to stdout."""
-    # What libraries print must not come between the records.
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
+    answers = take_stdout()
     warnings.showwarning = show_warning
     jobs: queue.SimpleQueue[str] = queue.SimpleQueue()
 
@@ -209,5 +208,4 @@ def main() -> None:
                 for step in job["steps"]
             ]
             answers.write(json.dumps(run_task(steps, job["input"], Path(job["staging"]))) + "\n")
-            answers.flush()
     os._exit(0)

@@ -11,12 +11,18 @@
 #include <cerrno>
 #include <cstring>
 #include <map>
+#include <sstream>
 
 namespace geokit {
 namespace {
 
 // Large enough that a leaf's few kilobytes do not cost a system call each.
 constexpr size_t kStreamBufferSize = size_t(1) << 20;
+
+// Before the file's metadata: the magic number, the versions of the format and of the library, whether there are
+// offsets, and an identifier of 36 characters.
+constexpr int64_t kHeaderSize = 8 + 4 + 2 * 4 + 1 + 36;
+constexpr int64_t kVersionOffset = 8;
 
 [[noreturn]] void damaged(const std::string& what) { throw BridgeError("damaged", what); }
 
@@ -55,7 +61,7 @@ void VdbFile::read_descriptors()
 {
     namespace io = openvdb::io;
     io::setStreamMetadataPtr(stream_, stream_metadata_, /*transfer=*/false);
-    readHeader(stream_);
+    read_version();
     setFormatVersion(stream_);
     setLibraryVersion(stream_);
     setDataCompression(stream_);
@@ -86,6 +92,26 @@ void VdbFile::read_descriptors()
     for (const auto& entry : entries_) {
         if (entry.descriptor.isInstance()) connectInstance(entry.descriptor, by_name);
     }
+}
+
+// OpenVDB reads later versions too, but logs that to the stdout of whoever loads a file. geokit.native warns of them, so
+// OpenVDB is shown its own version.
+void VdbFile::read_version()
+{
+    std::string header(kHeaderSize, '\0');
+    uint32_t version = 0;
+    if (file_size_ >= kHeaderSize) {
+        stream_.read(header.data(), kHeaderSize);
+        std::memcpy(&version, header.data() + kVersionOffset, sizeof version);
+    }
+    if (version <= openvdb::OPENVDB_FILE_VERSION) {
+        stream_.seekg(0);
+        readHeader(stream_);
+        return;
+    }
+    std::memcpy(header.data() + kVersionOffset, &openvdb::OPENVDB_FILE_VERSION, sizeof version);
+    std::istringstream known(header);
+    readHeader(known);
 }
 
 openvdb::io::GridDescriptor VdbFile::read_descriptor()

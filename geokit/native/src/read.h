@@ -71,6 +71,7 @@ private:
     };
 
     void read_descriptors();
+    void read_version();
     openvdb::io::GridDescriptor read_descriptor();
     void require_inside(const openvdb::io::GridDescriptor& descriptor) const;
     std::vector<size_t> select(const std::vector<std::string>& names) const;

@@ -3,7 +3,8 @@
 //   geokit_vdb_worker inspect MEMORY CPU_SECONDS FILE
 //   geokit_vdb_worker read MEMORY CPU_SECONDS FILE SPOOL_FOLDER [GRID...]
 //
-// MEMORY is in bytes. One line of JSON goes to stdout (see json.h); buffers go into files in SPOOL_FOLDER.
+// MEMORY is in bytes. One line of JSON goes to stdout (see json.h), and nothing else: what libraries print there goes to
+// stderr. Buffers go into files in SPOOL_FOLDER.
 // Exit status: 0 done, 1 the JSON holds an error, 2 wrong usage. Anything else, or a signal, is a crash.
 
 #include "bridge.h"
@@ -60,12 +61,20 @@ std::string run(const std::vector<std::string>& arguments, uint64_t memory)
     return geokit::spool_vdb(arguments[3], names, arguments[4], memory);
 }
 
-// Exits without destructors, because deleting the trees of a damaged file may crash.
-[[noreturn]] void finish(const std::string& json, int status)
+// OpenVDB logs to stdout. From here on libraries have stderr in its place, and the answer a handle of its own.
+std::FILE* take_stdout()
 {
-    std::fputs(json.c_str(), stdout);
-    std::fputc('\n', stdout);
-    std::fflush(stdout);
+    std::FILE* answer = ::fdopen(::dup(STDOUT_FILENO), "w");
+    if (answer == nullptr || ::dup2(STDERR_FILENO, STDOUT_FILENO) < 0) ::_exit(EXIT_FAILURE);
+    return answer;
+}
+
+// Exits without destructors, because deleting the trees of a damaged file may crash.
+[[noreturn]] void finish(std::FILE* answer, const std::string& json, int status)
+{
+    std::fputs(json.c_str(), answer);
+    std::fputc('\n', answer);
+    std::fflush(answer);
     ::_exit(status);
 }
 
@@ -82,17 +91,18 @@ int main(int argc, char** argv)
             stderr);
         return 2;
     }
+    std::FILE* answer = take_stdout();
     const uint64_t memory = std::strtoull(arguments[1].c_str(), nullptr, 10);
     restrain(memory, std::strtoull(arguments[2].c_str(), nullptr, 10));
     tbb::global_control threads(tbb::global_control::max_allowed_parallelism,
         std::max(1u, std::min(kMaxThreads, std::thread::hardware_concurrency())));
     try {
-        finish(run(arguments, memory), 0);
+        finish(answer, run(arguments, memory), 0);
     } catch (const geokit::BridgeError& error) {
-        finish(geokit::to_json(error), 1);
+        finish(answer, geokit::to_json(error), 1);
     } catch (const std::bad_alloc&) {
-        finish(geokit::to_json(geokit::BridgeError("memory", "it needs more memory than allowed")), 1);
+        finish(answer, geokit::to_json(geokit::BridgeError("memory", "it needs more memory than allowed")), 1);
     } catch (const std::exception& error) {
-        finish(geokit::to_json(geokit::BridgeError("damaged", error.what())), 1);
+        finish(answer, geokit::to_json(geokit::BridgeError("damaged", error.what())), 1);
     }
 }
