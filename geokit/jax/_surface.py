@@ -84,6 +84,11 @@ class Surface(Traced):
         vertices = jax.lax.stop_gradient(held_by(self)["vertices"])
         return jnp.stack([vertices.min(0), vertices.max(0)])
 
+    @property
+    def scale(self) -> Any:
+        """Half of the longest side of the bounding box [world]."""
+        return jnp.ptp(self.bounds, axis=0).max() * 0.5
+
     def made(self, **arrays: NDArray[Any]) -> mesh.Surface:
         """The surface of known vertices; see :class:`geokit.core.gradients.rules.Deferred`."""
         vertices = arrays["vertices"].astype(np.float64)

@@ -57,6 +57,27 @@ for made, other in zip(distances(vertices, points), (plain.closest_point, plain.
     assert (np.asarray(made) == other(np.asarray(points)).distance).all()
 check_grads(of_all(lambda *x: distances(*x)[1], distances), (vertices, points), order=2)
 check_grads(whole(hits), (vertices, points))
+
+# On the surface the slope of a signed distance is the outward normal, with and without vertices that jax traces.
+for turn in (1, -1):
+    wound = gk.mesh.TriangleMesh(ball.vertices, faces[:, ::turn])
+    found = gk.mesh.sample_surface(wound, 50, seed=0)
+    a, b, c = np.moveaxis(ball.vertices[faces[found.triangle_id]], 1, 0)
+    normals = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None]
+    rows = jnp.asarray(np.concatenate([found.points, ball.vertices]))
+    kept = gk.mesh.Surface(wound, device="cpu")
+    def by_points(rows):
+        return kept.signed_distance(rows).distance.sum()
+    def by_both(vertices, rows):
+        return gk.jax.Surface(vertices, wound.faces, device="cpu").signed_distance(rows).distance.sum()
+    alone = jax.grad(by_points)(rows)
+    of_vertices, among = jax.jit(jax.grad(by_both, (0, 1)))(vertices, rows)
+    np.testing.assert_allclose(alone[:50], normals, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(alone, axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(among, alone, atol=1e-9)
+    np.testing.assert_allclose(of_vertices.sum(0), -alone.sum(0), atol=1e-9)
+    single = jax.jit(jax.grad(by_both, (0, 1)))(vertices.astype("float32"), rows.astype("float32"))[1]
+    np.testing.assert_allclose(single[:50], normals, atol=1e-3)
 for ask in of_all((distances,), (distances, hits)):
     check_grads(jax.jit(ask), (vertices, points))
 def exact(vertices, points):

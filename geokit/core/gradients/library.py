@@ -26,8 +26,8 @@ class Library(NamedTuple):
         listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part.
         detach: A tensor as a constant.
         on_host: A constant tensor as a NumPy array.
-        ask: ``ask(query, points, shape)``: the floats (N, *shape) that a query without derivatives answers for constant
-            points (N, 3).
+        ask: ``ask(query, points, shape, *beside)``: the numbers (N, *shape), of the points' type, that a query without
+            derivatives answers for constant points (N, ...) and the arrays ``beside`` them.
         once: ``once(tensor, message, of)``: the tensor, whose derivative with respect to the tensors ``of`` is not
             known: asking for it is an InputError.
     """

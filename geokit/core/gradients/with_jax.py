@@ -196,12 +196,15 @@ def _constant(values: Any, like: Any) -> Any:
     return array if array.dtype == bool else array.astype(jnp.result_type(int))
 
 
-def _ask(query: Any, points: Any, shape: tuple[int, ...]) -> Any:
+def _ask(query: Any, points: Any, shape: tuple[int, ...], *beside: Any) -> Any:
     kind = jax.ShapeDtypeStruct((len(points), *shape), points.dtype)
+
     # Within jit the points are not known yet.
-    found: Any = jax.pure_callback(
-        lambda points: np.asarray(query(np.asarray(points)), kind.dtype), kind, points, vmap_method="sequential"
-    )
+    def run(*arrays: Any) -> Any:
+        return np.asarray(query(*map(np.asarray, arrays)), kind.dtype)
+
+    given = map(jax.lax.stop_gradient, (points, *beside))
+    found: Any = jax.pure_callback(run, kind, *given, vmap_method="sequential")
     return found
 
 

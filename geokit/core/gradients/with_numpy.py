@@ -281,7 +281,7 @@ LIBRARY = Library(
     listed=lambda offsets, total: np.repeat(np.arange(len(offsets) - 1), np.diff(offsets)),
     detach=plain,
     on_host=plain,
-    ask=lambda query, points, shape: query(points),
+    ask=lambda query, points, shape, *beside: query(points, *beside),
     # There are first derivatives only.
     once=lambda array, message, of: array,
 )

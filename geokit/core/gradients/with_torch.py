@@ -327,6 +327,6 @@ LIBRARY = Library(
     listed=lambda offsets, total: torch.repeat_interleave(offsets.diff(), output_size=total),
     detach=lambda tensor: tensor.detach(),
     on_host=lambda tensor: tensor.detach().cpu().numpy(),
-    ask=lambda query, points, shape: query(points),
+    ask=lambda query, points, shape, *beside: query(points, *beside),
     once=_once,
 )

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.gradients.library import Library, cross, dot, length
-from geokit.core.gradients.rules import Asked, Rule
+from geokit.core.gradients.rules import Asked, Deferred, Rule
+from geokit.mesh.queries.foot_slopes_kernels import DISTANCE_SLOPES, FOOT_SLOPES, ROUNDING, SHORT
 
 __all__ = [
     "CLOSEST_POINT",
@@ -27,6 +28,9 @@ __all__ = [
     "SIGNED_DISTANCE_OF_MANY",
     "corners_of",
 ]
+
+# ROUNDING for what is computed in float32, as jax may be set to: 64 roundings.
+ROUNDING_SINGLE = 2.0**-17
 
 
 def corners_of(library: Library, asked: Asked, triangle_id: Any) -> tuple[Any, Any, Any, Any]:
@@ -87,6 +91,42 @@ def _foot(library: Library, point: Any, corners: Any, weights: Any) -> tuple[Any
     return foot, library.where(is_face[..., None], of_face, of_edge), height, is_face
 
 
+def _bands(library: Library, point: Any, scale: Any) -> tuple[Any, Any]:
+    """Distances (N,) within which the direction from the foot is noise, and within which the sign may be."""
+    share = ROUNDING if "float64" in str(point.dtype) else ROUNDING_SINGLE
+    noise = share * (abs(library.detach(point)).sum(-1) + scale)
+    return noise, SHORT * scale + noise
+
+
+def _outward(library: Library, asked: Asked, triangle_id: Any) -> Any:
+    """1 where the winding of a triangle shows outward, -1 where it shows inward."""
+    surface, rows = asked.arguments["self"], library.where(triangle_id >= 0, triangle_id, 0)
+    if not isinstance(surface, Deferred):
+        return library.kept(surface._cache, "outward", surface._outward, triangle_id)[rows]
+    # Which faces flip is known where the vertices are.
+    bare = surface.holding({})
+    return library.ask(
+        lambda rows, vertices: bare.made(vertices=vertices)._outward[rows], rows, (), asked.tensors["vertices"]
+    )
+
+
+def _sides(
+    library: Library, asked: Asked, triangle_id: Any, distance: Any, height: Any, is_face: Any, bands: Any
+) -> tuple[Any, Any]:
+    """Whether a distance goes on along the normal of its triangle (N,), and on which side of it: 1, -1, or 0 for none.
+
+    A signed distance, which has ``bands``, goes on outward on both sides of a surface; so it does where edges and
+    vertices are too near for a direction from them. An unsigned one has a kink there.
+    """
+    side = library.where((height < 0.0) == (distance < 0.0), 1.0, -1.0)
+    if bands is None:
+        on_surface = distance == 0.0
+        return is_face | on_surface, library.where(on_surface | (height == 0.0), 0.0, side)
+    noise, near = bands
+    side = library.where(abs(distance) <= near, _outward(library, asked, triangle_id), side)
+    return is_face | (abs(distance) <= noise), side
+
+
 def _closest(library: Library, asked: Asked, triangle_id: Any, weights: Any, distance: Any, signed: bool) -> Any:
     """Foot, distance and weights of a closest point."""
     point = asked.tensors.get("points")
@@ -96,16 +136,10 @@ def _closest(library: Library, asked: Asked, triangle_id: Any, weights: Any, dis
     *corners, found = corners_of(library, asked, triangle_id)
     weights = library.where(found[..., None], weights, 1.0)
     foot, shares, height, is_face = _foot(library, point, corners, weights)
+    bands = _bands(library, point, asked.arguments["self"].scale) if signed else None
+    along, side = _sides(library, asked, triangle_id, distance, height, is_face, bands)
     outside = library.where(distance < 0.0, -1.0, 1.0)
-    # Over a face the distance is the height, which has a derivative also on the surface if it is signed.
-    side = library.where(height < 0.0, -1.0, 1.0)
-    if not signed:
-        side = library.where(height == 0.0, 0.0, side)
-    over_face = side * height * outside
-    if signed:
-        # At height 0 the sign of the distance says nothing: the normal points outwards.
-        over_face = library.where(distance == 0.0, height, over_face)
-    far = library.where(is_face, over_face, outside * length(library, point - foot))
+    far = library.where(along, side * height, outside * length(library, point - foot))
     return (
         library.where(found[..., None], foot, 0.0),
         library.where(found, far, 0.0),
@@ -125,24 +159,20 @@ def _signed_distance(library: Library, asked: Asked, answer: Any) -> tuple[Any, 
     return far, foot, None, shares
 
 
-# Below this share of the mesh's size a distance is too short for the direction between its ends.
-SHORT = 1e-7
-
-
 def _near_slopes(
-    library: Library, asked: Asked, point: Any, triangle_id: Any, weights: Any, distance: Any, *, signed: bool
+    library: Library, asked: Asked, point: Any, triangle_id: Any, weights: Any, distance: Any, *, bands: Any
 ) -> tuple[Any, Any]:
     """The derivative of distances by the points, and the weights of the feet; those of :func:`_closest`."""
     wide = {name: library.wide(library.detach(tensor)) for name, tensor in asked.tensors.items()}
-    a, b, c, _ = corners_of(library, asked._replace(tensors=wide), triangle_id)
+    asked = asked._replace(tensors=wide)
+    a, b, c, _ = corners_of(library, asked, triangle_id)
     foot, shares, height, is_face = _foot(library, point, (a, b, c), weights)
+    along, side = _sides(library, asked, triangle_id, distance, height, is_face, bands)
     outside = library.where(distance < 0.0, -1.0, 1.0)
-    side = library.where(height < 0.0, -outside, outside)
-    side = library.where(distance == 0.0, 1.0, side) if signed else library.where(height == 0.0, 0.0, side)
     normal = cross(library, b - a, c - a)
     over_face = _ratio(library, side, length(library, normal))[:, None] * normal
     over_edge = _ratio(library, outside, length(library, point - foot))[:, None] * (point - foot)
-    return library.where(is_face[:, None], over_face, over_edge), shares
+    return library.where(along[:, None], over_face, over_edge), shares
 
 
 def _quick_distance(place: int) -> Any:
@@ -161,10 +191,12 @@ def _quick_distance(place: int) -> Any:
             found[:, None], point - feet, 0.0
         )
         weights = library.where(found[:, None], weights, 0.0)
-        short = library.rows(found & (abs(distance) <= SHORT * asked.arguments["self"].scale))
+        bands = _bands(library, point, asked.arguments["self"].scale)
+        short = library.rows(found & (abs(distance) <= bands[1]))
         if len(short):
             near = (part[short] for part in (point, triangle_id, weights, distance))
-            direction, weights[short] = _near_slopes(library, asked, *near, signed=place == 0)
+            near_bands = tuple(band[short] for band in bands) if place == 0 else None
+            direction, weights[short] = _near_slopes(library, asked, *near, bands=near_bands)
             away[short] = slopes[place][short][:, None] * direction
         result = {"points": away}
         if "vertices" in wanted:
@@ -183,10 +215,8 @@ def _on_device(place: int) -> Any:
         surface, points = asked.arguments["self"], asked.tensors["points"]
         if list(totals) != ["points"] or surface._device != points.device:
             return False
-        from geokit.mesh.queries.foot_slopes_kernels import FOOT_SLOPES
-
         triangle_id, weights = answer[2:]
-        inputs = [surface._vertices, surface._faces, place == 0, points, answer[place], triangle_id, weights]
+        inputs = [*_arrays_of(surface, place), points, answer[place], triangle_id, weights]
         by = [slopes[place], slopes[1 - place], slopes[3]]
         kernel: Any = FOOT_SLOPES[answer[place].dtype]
         launcher.launch(kernel, len(points), [*inputs, *by], [totals["points"]], points.device)
@@ -201,13 +231,12 @@ def _on_tensors(place: int) -> Any:
     def on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
         surface, points = asked.arguments["self"], asked.tensors["points"]
         alone = [slope is None for slope in slopes] == [number != place for number in range(4)]
-        kept = _arrays_beside(surface, [points, answer[place]], wanted, ("points",))
-        if kept is None or (alone and _is_quick_in_torch(points)):
+        beside = _are_beside(surface, [points, answer[place]], wanted, ("points",))
+        if not beside or (alone and _is_quick_in_torch(points)):
             return None
         import warp as wp
 
         from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
-        from geokit.mesh.queries.foot_slopes_kernels import DISTANCE_SLOPES, FOOT_SLOPES
 
         (triangle_id, weights), distance, feet = answer[2:], answer[place], answer[1 - place]
         number = number_of(points)
@@ -225,7 +254,7 @@ def _on_tensors(place: int) -> Any:
                 for slope, like in zip(by, (distance, points, points), strict=True)
             ]
             given = [points, distance, triangle_id, weights, *whole]
-        inputs = [*kept, place == 0, *options, *map(TensorRows, given)]
+        inputs = [*_arrays_of(surface, place), *options, *map(TensorRows, given)]
         launch(kernel, len(points), inputs, [TensorRows(out)], surface._device)
         return {"points": out}
 
@@ -237,16 +266,22 @@ def _is_quick_in_torch(rows: Any) -> bool:
     return bool(rows.is_cpu) and rows.element_size() == 8
 
 
-def _arrays_beside(surface: Any, tensors: list[Any], wanted: list[str], known: tuple[str, ...]) -> Any:
-    """The vertices and faces where tensors lie, for a kernel that knows the derivatives by some of them.
-
-    None where others are wanted, the surface is elsewhere, or the tensors are not of one precision.
-    """
+def _are_beside(surface: Any, tensors: list[Any], wanted: list[str], known: tuple[str, ...]) -> bool:
+    """Whether tensors lie where the surface is, are of one precision, and a kernel knows the derivatives wanted."""
     if not set(known).issuperset(wanted) or any(tensor.dtype != tensors[0].dtype for tensor in tensors):
-        return None
+        return False
     from geokit.core.gradients.tensor_rows import device_of
 
-    return (surface._vertices, surface._faces) if surface._device == device_of(tensors[0]) else None
+    return bool(surface._device == device_of(tensors[0]))
+
+
+def _arrays_of(surface: Any, place: int) -> list[Any]:
+    """What the kernels of closest points take of a surface; ``place`` is that of the distance, which is signed at 0."""
+    import warp as wp
+
+    # Without signs the outward sides are not read.
+    sides = surface._outward_sides if place == 0 else surface._faces
+    return [surface._vertices, surface._faces, wp.float64(surface.scale), place == 0, sides]
 
 
 def _quick_hit(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
@@ -275,8 +310,7 @@ def _hit_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -
     if slopes[0] is None or slopes[2] is not None or directions is None:
         return None
     given = [directions, asked.tensors.get("origins", directions), answer[0]]
-    kept = _arrays_beside(surface, given, wanted, ("origins", "directions"))
-    if kept is None:
+    if not _are_beside(surface, given, wanted, ("origins", "directions")):
         return None
     from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
     from geokit.mesh.queries.hit_slopes_kernels import HIT_SLOPES
@@ -284,7 +318,7 @@ def _hit_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -
     t, triangle_id, _ = answer
     count = len(directions)
     out = {name: directions.new_empty((count if name in wanted else 0, 3)) for name in ("origins", "directions")}
-    inputs = [*kept, *map(TensorRows, (directions, t, triangle_id, slopes[0]))]
+    inputs = [surface._vertices, surface._faces, *map(TensorRows, (directions, t, triangle_id, slopes[0]))]
     outputs = list(map(TensorRows, out.values()))
     launch(HIT_SLOPES[number_of(directions)], count, inputs, outputs, surface._device)
     return {name: out[name] for name in wanted}
@@ -360,6 +394,7 @@ def _of_many(rule: Rule) -> Rule:
             mesh=SimpleNamespace(vertices=vertices, faces=faces),
             scale=library.constant(surfaces._scales[owner], like),
             _cache=surfaces._cache,
+            _outward=surfaces._signs.outward if rule is SIGNED_DISTANCE else None,
         )
         begin = library.constant(surfaces._begin[owner], like)
         rows = [part.reshape(math.prod(lead), *part.shape[len(lead) :]) for part in answer]

@@ -60,6 +60,7 @@ class ForestSigns:
         self.simple = np.zeros(count, bool)
         self._closed = np.zeros(count, bool)
         self._flipped = np.zeros(len(self._faces), bool)
+        self._flat = np.zeros(len(self._faces), bool)
         if forest is not None:
             self._find_simple()
         others = np.flatnonzero(~self.simple)
@@ -100,7 +101,8 @@ class ForestSigns:
         of_position = np.empty(topology.position_count, np.int64)
         of_position[corners.ravel()] = np.repeat(owner, 3)
         self._sound = self._closed & ~tells(of_position[topology.split_vertices()])
-        self._sound &= ~tells(owner[twice_area <= DEGENERATE_RATIO * longest_squared])
+        self._flat = twice_area <= DEGENERATE_RATIO * longest_squared
+        self._sound &= ~tells(owner[self._flat])
 
     def _positions(self, owner: NDArray[np.int64]) -> NDArray[np.int32]:
         """Corners as numbers of distinct positions of each mesh, (F, 3)."""
@@ -128,6 +130,14 @@ class ForestSigns:
         """Distance from which on all points are outside, (B,)."""
         half = (self._bounds[:, 1] * 0.5 - self._bounds[:, 0] * 0.5).max(axis=1)
         return np.where(self._closed, FAR * np.where(half > 0.0, half, 1.0), math.inf)
+
+    @cached_property
+    def outward(self) -> NDArray[np.int32]:
+        """1 for faces whose winding shows outward, -1 inward, 0 for those without area, (F,)."""
+        found = np.where(self._flat, 0, np.where(self._flipped, -1, 1)).astype(np.int32)
+        for mesh in np.flatnonzero(~self.simple):
+            found[self._begin[mesh] : self._begin[mesh + 1]] = self._surface(int(mesh))._outward
+        return found
 
     @property
     def empty(self) -> NDArray[np.float64]:

@@ -364,7 +364,37 @@ class SignQueries(PointQueries):
 
         surface: Any = type(self)
         faces = np.delete(self.mesh.faces, rows, axis=0)
-        return surface(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
+        found = surface(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
+        found._left_out = rows
+        return found
+
+    @cached_property
+    def _outward(self) -> NDArray[np.int32]:
+        """1 for faces whose winding shows outward as signs do, -1 for inward, 0 for those without area, (F,)."""
+        from geokit.mesh.sign.inner_sheets import INNER_POINT
+        from geokit.mesh.topology.measures import faces_without_area
+        from geokit.mesh.topology.normals import face_normals
+
+        mesh, fewer = self.mesh, self._single_faced or self._without_sheets
+        outward = np.where(self._orientation.flipped, -1, 1).astype(np.int32)
+        if fewer is not None:
+            rows = fewer._left_out
+            outward[np.delete(np.arange(len(outward)), rows)] = fewer._outward
+            if fewer is self._single_faced:
+                # A face that was left out lies on one that counts, wound as it or against it.
+                on = fewer.closest_point(INNER_POINT @ mesh.vertices[mesh.faces[rows]]).triangle_id
+                along = np.einsum("ij,ij->i", face_normals(mesh)[rows], face_normals(fewer.mesh)[on])
+                outward[rows] = np.where(along < 0.0, -1, 1) * fewer._outward[on]
+        outward[faces_without_area(mesh)] = 0
+        return outward
+
+    @cached_property
+    def _outward_sides(self) -> "wp.array":
+        """The same on the device, for gradients."""
+        import warp as wp
+
+        sides: Any = wp.array(self._outward, dtype=wp.int32, device=self._device)
+        return sides
 
     @property
     def is_closed(self) -> bool:
