@@ -79,6 +79,7 @@ def signed(
     /,
     *,
     output: Output = None,
+    sign: str = "auto",
     device: str | None = None,
     finite_only: FiniteOnly = True,
     columns: str | None = None,
@@ -91,6 +92,8 @@ def signed(
         mesh: A mesh file.
         points: Points ({formats}).
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
+        sign: Method that decides the sign: auto (by default; sheets, which enclose nothing, have theirs by the normals
+            of their faces), pseudonormal, winding or parity.
         device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
@@ -102,10 +105,11 @@ def signed(
     surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
     started = time.perf_counter()
     with step(f"querying {mesh}", quiet=json) as asking:
-        found = surface.signed_distance(queries, progress=asking.progress)
+        found = surface.signed_distance(queries, sign=sign, progress=asking.progress)
     summary = _summary(len(queries), started, surface.device)
     summary.update(
-        sign_method=surface.sign_method,
+        sign_method=surface.sign_method if sign == "auto" else sign,
+        sign_reason=surface.sign_reason if sign == "auto" else "asked for",
         inside=int((found.distance < 0).sum()),
         **_spread("distance", found.distance),
     )

@@ -347,7 +347,7 @@ def adaptive_from_mesh(
             order=made.order,
         ),
         "geokit:sign_method": search.sign_method,
-        "geokit:sign_reason": surface.sign_reason if sign == "auto" else "asked for",
+        "geokit:sign_reason": surface._solid_choice.reason if sign == "auto" else "asked for",
         **interior_metadata(surface.mesh),
     }
     sizes, count = made.voxel_sizes, made.level_count

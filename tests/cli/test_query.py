@@ -49,6 +49,27 @@ def test_signed_distances_on_stdout(geokit, cube: Path, points: Path) -> None:
     assert rows[2]["x"] == "-3.0"
 
 
+def test_the_sign_beside_a_sheet(geokit, points: Path, tmp_path: Path) -> None:
+    sheet, found = tmp_path / "sheet.obj", {}
+    sheet.write_text("v -9 -9 0\nv 9 -9 0\nv 9 9 0\nv -9 9 0\nf 1 2 3 4\n")
+    (tmp_path / "two.csv").write_text("x,y,z\n1,2,0.2\n1,2,-0.2\n")
+    for options in ((), ("--sign", "pseudonormal"), ("--sign", "winding")):
+        done = geokit("query", "signed", sheet, tmp_path / "two.csv", "-o", tmp_path / "out.npz", "--json", *options)
+        assert done.returncode == 0, done.stderr
+        report = json.loads(done.stdout)
+        found[report["sign_method"], report["sign_reason"][:16]] = load(tmp_path / "out.npz").data["distance"].tolist()
+        (tmp_path / "out.npz").unlink()
+    assert list(found) == [
+        ("pseudonormal", "encloses nothing"),
+        ("pseudonormal", "asked for"),
+        ("winding", "asked for"),
+    ]
+    assert list(found.values())[:2] == [[0.2, -0.2]] * 2
+    done = geokit("query", "signed", sheet, points, "--sign", "normal")
+    assert done.returncode != 0
+    assert "pseudonormal" in done.stderr
+
+
 @pytest.mark.parametrize("kind", ["vtp", "npz", "ply"])
 def test_every_output_format_holds_the_answers(geokit, cube: Path, points: Path, tmp_path: Path, kind: str) -> None:
     target = tmp_path / f"out.{kind}"

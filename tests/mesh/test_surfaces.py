@@ -12,6 +12,9 @@ from geokit.errors import InputError
 from geokit.mesh import Surface, Surfaces, TriangleMesh
 from tests.support.devices import DEVICES
 
+# Of some meshes of the catalog.
+pytestmark = pytest.mark.filterwarnings("ignore:.*signs of its distances mean nothing")
+
 
 def _catalog() -> list[TriangleMesh]:
     """Clean, inside out, open, damaged, doubled and nested meshes, in several places and sizes."""

@@ -1,4 +1,4 @@
-"""The choice behind ``sign="auto"``: pseudonormals if the mesh is proven clean, else winding numbers."""
+"""How the solid that a mesh bounds is told: by pseudonormals if the mesh is proven clean, else by winding numbers."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ WHOLE = 0.1
 
 
 class SignChoice(NamedTuple):
-    """The sign method, and the reason for it."""
+    """The sign method, the reason for it, and whether its signs mean nothing all the same."""
 
     method: str
     reason: str
+    means_nothing: bool = False
 
 
 def choose_sign(surface: Surface) -> SignChoice:

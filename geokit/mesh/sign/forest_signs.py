@@ -121,8 +121,8 @@ class ForestSigns:
         if self._forest is not None:
             sound = np.flatnonzero(self._sound)
             chosen[sound[~self_intersecting(self._forest, sound)]] = True
-        for mesh in np.flatnonzero(~self.simple):
-            chosen[mesh] = self._surface(int(mesh)).sign_method == "pseudonormal"
+        for mesh in np.flatnonzero(~(self.simple & self._closed)):
+            chosen[mesh] = self._surface(int(mesh))._method("auto") == "pseudonormal"
         return chosen
 
     @cached_property

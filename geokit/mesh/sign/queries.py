@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
@@ -79,10 +80,12 @@ class SignQueries(PointQueries):
         :func:`geokit.mesh.union`. The sign is that of the mesh wound as by
         :func:`geokit.mesh.orient` (see ``orientation``). ``sign`` selects the method:
 
-        - "auto": the method in ``sign_method``: "pseudonormal" if the mesh is proven clean, else "winding".
-          ``sign_reason`` gives the reason.
+        - "auto": the method in ``sign_method``: "pseudonormal" if the mesh is proven clean, or encloses nothing and is
+          wound alike (a terrain, a design surface, one side of a scanned wall: the distance is negative behind the
+          faces, where their corners run clockwise); else "winding". ``sign_reason`` gives the reason. A UserWarning
+          says where signs mean nothing: sheets that cannot be wound alike, that fork, or that are loose faces.
         - "pseudonormal": the angle-weighted normal at the closest face, edge or vertex, in float64. Exact on clean
-          meshes; the caller guarantees that the mesh is clean.
+          meshes and beside sheets; elsewhere the caller guarantees that the mesh is clean.
         - "winding": the generalized winding number against 1/2. On clean meshes right for points farther than 1e-6
           diagonals from the surface; on meshes with holes, flips, duplicates or overlaps it degrades gracefully.
           :meth:`sign_confidence` returns its margin.
@@ -132,7 +135,8 @@ class SignQueries(PointQueries):
             array([ True])
 
         Held by: tests/mesh/sign/test_queries.py, tests/mesh/sign/test_left_out.py,
-        tests/mesh/sign/test_sign_stability.py, tests/accuracy/stability/test_envelopes.py
+        tests/mesh/sign/test_open_sheets.py, tests/mesh/sign/test_sign_stability.py,
+        tests/accuracy/stability/test_envelopes.py
         """
         method, reach = self._method(sign), checked_radius(max_distance)
         require_measurable(self.mesh, self._frame)
@@ -296,13 +300,15 @@ class SignQueries(PointQueries):
 
     @property
     def sign_method(self) -> str:
-        """The method behind ``sign="auto"`` for this mesh: "pseudonormal" if it is proven clean, else "winding".
+        """The method behind ``sign="auto"``: "pseudonormal" if the mesh is proven clean, or a sheet, else "winding".
 
-        A mesh is proven clean if every edge joins two faces with the same winding (flipped where ``orientation`` says
+        A mesh is a sheet if it encloses nothing: the winding numbers on the two sides of its faces add up to less than
+        1/2 on the mean (0 for a plane, 0.6 for a hemisphere, 1 for closed bodies), and no part of it is closed. A mesh
+        is proven clean if every edge joins two faces with the same winding (flipped where ``orientation`` says
         so), the faces around each vertex form one fan, no face is without area, a duplicate, or intersects another one,
         and nested components are cavities. Computed at the first access.
 
-        Held by: tests/mesh/sign/test_choice.py
+        Held by: tests/mesh/sign/test_choice.py, tests/mesh/sign/test_open_sheets.py
         """
         return self._sign_choice.method
 
@@ -313,11 +319,20 @@ class SignQueries(PointQueries):
 
     @cached_property
     def _sign_choice(self) -> Any:
+        """Of queries, which tell the sides of sheets too."""
+        from geokit.mesh.sign.open_sheets import choose_side
+
+        return choose_side(self) if self._signs is self else self._with_left_out(self._signs._sign_choice)
+
+    @cached_property
+    def _solid_choice(self) -> Any:
+        """Of what the mesh encloses; a sheet encloses nothing."""
         from geokit.mesh.sign.choice import choose_sign
 
-        if self._signs is self:
-            return choose_sign(self)
-        counted, choice = self._counted, self._signs._sign_choice
+        return choose_sign(self) if self._signs is self else self._with_left_out(self._signs._solid_choice)
+
+    def _with_left_out(self, choice: Any) -> Any:
+        counted = self._counted
         for more, fewer, what in (
             (counted, self._signs, "faces of open sheets inside of bodies"),
             (self, counted, "faces back to back with others"),
@@ -447,7 +462,21 @@ class SignQueries(PointQueries):
 
     def _method(self, sign: str) -> str:
         require_choice(sign, "sign", SIGN_METHODS)
-        return self.sign_method if sign == "auto" else sign
+        if sign != "auto":
+            return sign
+        method, reason, means_nothing = self._sign_choice
+        if means_nothing and self.__dict__.setdefault("_says_so", True):
+            self.__dict__["_says_so"] = False
+            warn(
+                f"{self.mesh.name or 'mesh'}: {reason}, so that the signs of its distances mean nothing; "
+                "closest_point has distances without signs, and a sign method by name is silent"
+            )
+        return str(method)
+
+    def _solid_method(self, sign: str) -> str:
+        """The method for what the mesh encloses; that of a sheet says nothing."""
+        require_choice(sign, "sign", SIGN_METHODS)
+        return self._solid_choice.method if sign == "auto" else sign
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
         """Negate the distances of inside points in place; ``reach`` is the search radius."""

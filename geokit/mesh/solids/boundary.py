@@ -73,7 +73,11 @@ def boundary_of(surface: Surface) -> Boundary:
     distinct = _without_copies(oriented, crowded)
     has_copies = len(distinct) < len(crowded)
     crowded, alone = (distinct, alone) if len(distinct) > 1 else ([], [*alone, *distinct])
-    if crowded and given._sign_choice.method == "pseudonormal" and not _touch(read.bodies, crowded, size, make_surface):
+    if (
+        crowded
+        and given._solid_choice.method == "pseudonormal"
+        and not _touch(read.bodies, crowded, size, make_surface)
+    ):
         crowded, alone = [], read.solids
     pieces, kept = _joined(oriented, read, crowded, size) if crowded else (None, "")
     kept = kept or read.said

@@ -65,7 +65,7 @@ def verdict_of(
 
 def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.int64] | None = None) -> str:
     """What is said of closed bodies that no other one comes near, if much of their surface is inside all the same."""
-    if (rows is None and not judge._orientation.closed) or judge._sign_choice.method == "pseudonormal":
+    if (rows is None and not judge._orientation.closed) or judge._solid_choice.method == "pseudonormal":
         return ""
     # Points on all of it: a large face may lie inside in part.
     corners = mesh.vertices[mesh.faces if rows is None else mesh.faces[rows]]

@@ -90,7 +90,7 @@ def resolve_surface(
                 f"{surface.mesh.name or 'mesh'}: bodies touch or overlap, and surface inside of the solid stays in the "
                 f'field, because {kept}; interior="keep" is silent'
             )
-    method = "none" if sign == "none" else surface._method(sign)
+    method = "none" if sign == "none" else surface._solid_method(sign)
     # Who asks for a method has looked at the mesh; for "auto" the audit has been made.
     open_edges = surface._signs.audit.boundary_edge_count if sign == "auto" else 0
     if open_edges:
@@ -175,7 +175,7 @@ def grid_head(shape: BandShape, lattice: Lattice, name: str) -> Any:
 def band_metadata(band: Band, sign: str, *, say_lost: bool = True) -> dict[str, Any]:
     """Metadata of the fields that are built from a band; ``say_lost`` warns of mesh components that it has lost."""
     surface, method = band.lattice.surface, band.shape.method
-    reason = surface.sign_reason if sign == "auto" and method != "none" else "asked for"
+    reason = surface._solid_choice.reason if sign == "auto" and method != "none" else "asked for"
     metadata: dict[str, Any] = {
         **_origin(surface, band.lattice),
         "geokit:sign_method": "shell" if band.shape.offset else method,

@@ -30,7 +30,7 @@ class TrimmedSurface(Surface):
 
     def __init__(self, mesh: TriangleMesh, given: Surface) -> None:
         super().__init__(mesh, device=given._device)
-        self.__dict__.update(_single_faced=given._signs, _sign_choice=given._sign_choice)
+        self.__dict__.update(_single_faced=given._signs, _solid_choice=given._solid_choice)
 
     def contains(self, points: Any, *, sign: str = "auto", **options: Any) -> Any:
         """Whether points lie inside: also those on faces that were left out, where :class:`Surface` says no."""

@@ -44,7 +44,6 @@ def test_clean_meshes_have_pseudonormals(mesh):
 @pytest.mark.parametrize(
     ("mesh", "reason"),
     [
-        (mesh_catalog.single_triangle(), "boundary edges: 3"),
         (mesh_catalog.holed_sphere(1), "boundary edges: 3"),
         (mesh_catalog.three_on_an_edge(), "boundary edges"),
         (
