@@ -184,6 +184,24 @@ def compare_scans(made: SimpleNamespace) -> None:
 
 
 @check
+def as_built(made: SimpleNamespace) -> None:
+    assert len(made.ground) == 40_000  # without the truck
+    # Along the vertical what is left is the noise; a file of .las holds millimeters.
+    noise = made.above - made.crest + made.hollow
+    assert np.std(noise) == pytest.approx(0.015, rel=0.03)
+    assert abs(noise.mean()) < 5e-4
+    # Across a slope of 1 to 2 it is less, on level ground the same; edges of the design are left out.
+    from_crest = abs(made.seen[:, 1] - 30.0)
+    level, slope = (from_crest < 3.0) | (from_crest > 13.0), (from_crest > 5.0) & (from_crest < 11.0)
+    np.testing.assert_allclose(made.off[level], made.above[level], atol=1e-8)
+    np.testing.assert_allclose(made.off[slope], made.above[slope] * np.cos(np.arctan(0.5)), atol=1e-8)
+    assert made.cut == pytest.approx(80 * 8 * 0.08, rel=0.03)
+    # Of a bump of Gauss, what lies above a tenth of its height.
+    assert made.fill == pytest.approx(0.3 * np.pi * 3.0**2 * 0.9, rel=0.05)
+    assert np.allclose(gk.points.load("deviation.las").data["deviation"], made.off, atol=1e-6)
+
+
+@check
 def mask_to_mesh(made: SimpleNamespace) -> None:
     assert made.clean.volume == pytest.approx(np.count_nonzero(made.labels == 1) * 0.7 * 0.7 * 1.5, rel=3e-3)
     assert made.clean.volume == pytest.approx(2 * np.pi**2 * 20 * 8.0**2, rel=0.015)

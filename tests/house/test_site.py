@@ -22,8 +22,8 @@ PAGES = sorted(path for path in DOCS.rglob("*.md") if "design" not in path.parts
 RUN = ["conventions", "troubleshooting", "which/distances", "which/sign", "which/from-mesh", "which/meshing"]
 RUN += ["which/simplify", "gallery", "interop", "batch", "large-files"]
 # Of guides the results are checked too, in test_guides.py.
-GUIDES = ["hollow", "clearance", "smoke", "sdf-samples", "close-scan", "compare-scans", "mask-to-mesh"]
-GUIDES += ["vdb-library", "granular", "fit-shape", "ocean"]
+GUIDES = ["hollow", "clearance", "smoke", "sdf-samples", "close-scan", "compare-scans", "as-built"]
+GUIDES += ["mask-to-mesh", "vdb-library", "granular", "fit-shape", "ocean"]
 # What the pages call such objects.
 OBJECTS = {
     "mesh": geokit.mesh.TriangleMesh,
