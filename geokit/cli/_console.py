@@ -77,18 +77,26 @@ def print_facts(facts: dict[str, Any], *, indent: str = "") -> None:
         say(f"{indent}{name:<{width}}  {_shown(value)}")
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Any, digits: int = 6) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.{digits}g}"
     if hasattr(value, "tolist"):
-        return _shown(value.tolist())
+        return _shown(value.tolist(), _digits(value))
     if isinstance(value, (list, tuple)):
-        return "(" + ", ".join(_shown(item) for item in value) + ")"
+        return "(" + ", ".join(_shown(item, digits) for item in value) + ")"
     return "none" if value is None else printable(str(value))
+
+
+def _digits(corners: Any) -> int:
+    """So many that corners (2, 3) of a box far from the origin show its size to six digits."""
+    if getattr(corners, "shape", None) != (2, 3) or corners.dtype.kind != "f":
+        return 6
+    size, largest = float((corners[1] - corners[0]).max()), float(abs(corners).max())
+    return 6 + math.ceil(math.log10(largest / size)) if 0.0 < size < largest < math.inf else 6
 
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title: str = "") -> None:

@@ -109,10 +109,11 @@ def _joining_radius(cloud: PointCloud, device: Any) -> float:
 
 def save_cloud(target: Path, cloud: PointCloud) -> None:
     """Save a cloud with those of its arrays that the format holds; one warning names the others."""
-    from geokit.points import save
+    from geokit.points import PointCloud, save
 
     held = FORMATS[extension(target)].arrays or tuple(cloud.data)
     lost = ", ".join(repr(name) for name in cloud.data if name not in held)
     if lost:
         warn(f"{target}: {extension(target)} does not hold {lost}; left out")
-    save(target, cloud.points, data={name: values for name, values in cloud.data.items() if name in held})
+    data = {name: values for name, values in cloud.data.items() if name in held}
+    save(target, PointCloud(cloud.points, data, cloud.coordinate_system))

@@ -132,6 +132,9 @@ def _describe_cloud(path: Path, finite_only: bool, columns: str | None) -> dict[
 
     cloud = load_cloud(path, finite_only, columns=columns)
     facts: dict[str, Any] = {"point_count": len(cloud.points)}
+    system = cloud.coordinate_system
+    if system is not None and system.records:
+        facts["coordinate_system"] = system.name or "not named"
     if len(cloud.points):
         facts["bounds"] = np.stack([cloud.points.min(axis=0), cloud.points.max(axis=0)])
     facts["arrays"] = [f"{name} {tuple(values.shape)}" for name, values in cloud.data.items()]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 
@@ -116,7 +117,18 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
 
 
 def integer_colors(values: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
-    """Colors of floats from 0 to 1, as Open3D has them, rounded to integers; others as they are."""
-    if values.dtype.kind != "f" or not np.all((values >= -ROUNDED) & (values <= 1.0 + ROUNDED)):
+    """Colors as integers of a type, full in one as in the other; what is no color stays as it is.
+
+    Floats go from 0 to 1, as Open3D has them, integers of 8 and 16 bits to their largest number. Where none of 16 bits
+    is above 255, as in the .las files of many programs, they are taken for bytes, with a warning.
+    """
+    full = float(np.iinfo(kind).max)
+    if values.dtype.kind == "f" and np.all((values >= -ROUNDED) & (values <= 1.0 + ROUNDED)):
+        return np.rint(np.clip(values, 0.0, 1.0) * full).astype(kind)
+    if values.dtype not in (np.uint8, np.uint16) or values.dtype == kind:
         return values
-    return np.rint(np.clip(values, 0.0, 1.0) * float(np.iinfo(kind).max)).astype(kind)
+    given = np.iinfo(values.dtype).max
+    if given > full and 0 < values.max(initial=0) <= full:
+        warn("colors of 16 bits, none of which is above 255, are taken for bytes")
+        return values.astype(kind)
+    return np.rint(values * (full / given)).astype(kind)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,17 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, GeokitError, InputError, MissingDependencyError
 from geokit.formats.columns import Columns, integer_colors
 
-__all__ = ["PointWriter", "content_bytes", "prepare", "read_blocks", "read_points", "table_shape", "write_points"]
+__all__ = [
+    "CoordinateSystem",
+    "PointWriter",
+    "content_bytes",
+    "coordinate_system",
+    "prepare",
+    "read_blocks",
+    "read_points",
+    "table_shape",
+    "write_points",
+]
 
 # Coordinates are integers of 32 bits times a scale; a few values at the ends are reserved for rounding.
 LARGEST_STEPS = 2**31 - 8
@@ -34,6 +45,28 @@ LONGEST_NAME = 32
 _FORMATS = {(): 6, ("rgb",): 7, ("nir", "rgb"): 8}
 _COLORS = ("red", "green", "blue")
 _POSITION = ("X", "Y", "Z", "x", "y", "z")
+# Who has the records of coordinate systems, which of them are WKT, and that of keys of GeoTIFF.
+_PROJECTION, _WKT, _KEYS = "LASF_Projection", (2111, 2112), 34735
+# Keys of GeoTIFF whose value is an EPSG code, the more telling first: projected, geographic.
+_CODES = (3072, 2048)
+# Longest record before the points.
+LONGEST_VLR = 65535
+# Times of the week are below this; standard time is GPS time less 10^9 s.
+WEEK_SECONDS = 604_800
+
+
+class CoordinateSystem(NamedTuple):
+    """What coordinates and times of a .las file refer to, as the file states it.
+
+    Attributes:
+        name: That of its WKT, or "EPSG:25832" by the keys of GeoTIFF; "" if neither tells.
+        records: Number, description and content of each of its records, which .las and .laz keep.
+        standard_time: Whether ``gps_time`` is GPS time less 10^9 seconds, not that within a week.
+    """
+
+    name: str
+    records: tuple[tuple[int, str, bytes], ...]
+    standard_time: bool
 
 
 def _laspy() -> Any:
@@ -54,6 +87,52 @@ def table_shape(path: Path) -> tuple[int, int]:
     """Number of points that the header declares, and bytes of each; :func:`content_bytes` has checked it."""
     with _named(path), _laspy().open(path) as reader:
         return int(reader.header.point_count), int(reader.header.point_format.size)
+
+
+def coordinate_system(path: Path) -> CoordinateSystem | None:
+    """The records of a file about its coordinate system, before the points or behind them; None if it has none.
+
+    Call :func:`content_bytes` first.
+
+    Raises:
+        FileFormatError: A record is longer than the file.
+    """
+    found: list[tuple[int, str, bytes]] = []
+    with open(path, "rb") as file:
+        head = file.read(HEADER_SIZE_14)
+        start, points, count = struct.unpack_from("<HII", head, 94)
+        places = [(start, count, VLR_SIZE, "<H", points)]
+        if head[25] >= 4:
+            start, count = struct.unpack_from("<QI", head, 235)
+            places.append((start, count, EVLR_SIZE, "<Q", path.stat().st_size))
+        for at, number, size, width, end in places:
+            for _ in range(number):
+                file.seek(at)
+                record = file.read(size)
+                length = int.from_bytes(record[20 : 20 + struct.calcsize(width)], "little")
+                if len(record) < size or at + size + length > end:
+                    raise FileFormatError(
+                        f"{path}: a record of {length} bytes is longer than its place; get a whole copy"
+                    )
+                if record[2:18].rstrip(b"\0 ") == _PROJECTION.encode():
+                    note = record[-32:].rstrip(b"\0").decode("latin-1")
+                    found.append((int.from_bytes(record[18:20], "little"), note, file.read(length)))
+                at += size + length
+    standard = bool(head[6] & 1)
+    return CoordinateSystem(_name_of(found), tuple(found), standard) if found or standard else None
+
+
+def _name_of(records: list[tuple[int, str, bytes]]) -> str:
+    for number, _, content in records:
+        if number in _WKT and (named := re.match(rb'\s*\w+\s*\[\s*"([^"]*)"', content)):
+            return named[1].decode("utf-8", "replace")
+    for number, _, content in records:
+        if number == _KEYS:
+            keys = np.frombuffer(content[: len(content) // 8 * 8], "<u2").reshape(-1, 4)[1:]
+            codes = {int(key): int(value) for key, place, _, value in keys if place == 0 and 0 < value < 32767}
+            if code := next((codes[key] for key in _CODES if key in codes), None):
+                return f"EPSG:{code}"
+    return ""
 
 
 def prepare() -> None:
@@ -174,7 +253,12 @@ def _check_chunks(file: Any, path: Path, size: int, start: int, width: int, coun
         raise FileFormatError(f"{path}: its table of compressed chunks is missing or damaged; get a whole copy")
 
 
-def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
+def write_points(
+    path: Path,
+    points: NDArray[np.float64],
+    data: Mapping[str, NDArray[np.generic]],
+    system: CoordinateSystem | None = None,
+) -> None:
     """Write LAS 1.4, with the smallest power of ten as the scale of each axis for which integers hold the extent.
 
     Raises:
@@ -184,7 +268,7 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     # Through memory, because the backend of .laz hides the system's reason when it cannot write.
     whole = io.BytesIO()
     limits = (points.min(axis=0), points.max(axis=0)) if len(points) else None
-    with PointWriter(path, whole, data, limits) as writer:
+    with PointWriter(path, whole, data, limits, system) as writer:
         writer.write(points, data)
     path.write_bytes(whole.getbuffer())
 
@@ -197,6 +281,7 @@ class PointWriter:
         stream: Where to write.
         data: Arrays as they will come, with any number of rows.
         limits: Least and largest coordinates, (3,) each; None if there are no points.
+        system: The coordinate system of the points, if it is known.
     Raises:
         MissingDependencyError: laspy is not installed, or no backend for .laz.
         InputError: The format cannot hold a name or an array.
@@ -208,6 +293,7 @@ class PointWriter:
         stream: Any,
         data: Mapping[str, NDArray[np.generic]],
         limits: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+        system: CoordinateSystem | None = None,
     ) -> None:
         laspy = _laspy()
         compress = path.suffix.lower() == ".laz"
@@ -222,7 +308,13 @@ class PointWriter:
         extra = [_extra(laspy, name, data[name]) for name in data if name not in self._known and name != "rgb"]
         if extra:
             header.add_extra_dims(extra)
-        self._header, self._record = header, laspy.ScaleAwarePointRecord
+        behind = []
+        for number, note, content in system.records if system else ():
+            record = laspy.VLR(_PROJECTION, number, note, content)
+            (header.vlrs if len(content) <= LONGEST_VLR else behind).append(record)
+            header.global_encoding.wkt = header.global_encoding.wkt or number in _WKT
+        self._header, self._record, self._behind, self._latest = header, laspy.ScaleAwarePointRecord, behind, 0.0
+        self._is_standard = system.standard_time if system else None
         self._writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False)
 
     def __enter__(self) -> PointWriter:
@@ -230,6 +322,10 @@ class PointWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
+            if self._is_standard or (self._is_standard is None and self._latest > WEEK_SECONDS):
+                self._writer.header.global_encoding.gps_time_type = _laspy().header.GpsTimeType.STANDARD
+            if self._behind:
+                self._writer.write_evlrs(_laspy().vlrs.vlrlist.VLRList(self._behind))
             self._writer.close()
 
     def write(self, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
@@ -240,6 +336,8 @@ class PointWriter:
             record[axis] = np.rint(steps).astype(np.int32)
         for name, values in data.items():
             _fill(record, name, values, exact=name in self._known)
+        if "gps_time" in data:
+            self._latest = max(self._latest, float(np.max(data["gps_time"], initial=0.0)))
         self._writer.write_points(record)
 
 

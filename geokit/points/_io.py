@@ -20,7 +20,9 @@ from geokit.core.interop.objects import arrays_of, host, points_of
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
 from geokit.errors import FileFormatError, InputError
+from geokit.formats import las
 from geokit.formats.foreign import require_format
+from geokit.formats.las import CoordinateSystem
 from geokit.formats.table import FORMATS, module_of, with_formats
 
 __all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
@@ -43,15 +45,26 @@ class PointCloud:
         points: Positions [world], shape (N, 3), or a cloud of another library; stored as read-only float64.
         data: Numeric arrays with N rows by name, shape (N,) or (N, K); their types are kept. None takes those that a
             cloud of another library carries, colors as ``rgb`` or ``rgba``; a UserWarning names what is left out.
+        coordinate_system: That of a .las or .laz file, with its ``name`` and its ``records``; None if it is not known.
     Raises:
         InputError: points is not (N, 3) or not finite, or an array of data is not numeric or does not have N rows.
+    Example:
+        >>> cloud = PointCloud([[0, 0, 5], [1, 0, 9]], {"classification": [2, 6]})
+        >>> cloud[cloud.data["classification"] == 2]
+        PointCloud(1 points, data: classification)
     """
 
     points: NDArray[np.float64]
     data: Mapping[str, NDArray[np.generic]]
+    coordinate_system: CoordinateSystem | None = None
 
     @needs()
-    def __init__(self, points: ArrayLike, data: Mapping[str, ArrayLike] | None = None) -> None:
+    def __init__(
+        self,
+        points: ArrayLike,
+        data: Mapping[str, ArrayLike] | None = None,
+        coordinate_system: CoordinateSystem | None = None,
+    ) -> None:
         table = _points(points)
         if data is None:
             given, lost = arrays_of(points, len(table), "points")
@@ -63,9 +76,30 @@ class PointCloud:
         arrays = {name: _data(values, name, len(table)) for name, values in given.items()}
         object.__setattr__(self, "points", table)
         object.__setattr__(self, "data", MappingProxyType(arrays))
+        object.__setattr__(self, "coordinate_system", coordinate_system)
 
     def __reduce__(self) -> Any:
-        return PointCloud, (self.points, dict(self.data))
+        return PointCloud, (self.points, dict(self.data), self.coordinate_system)
+
+    def __getitem__(self, rows: ArrayLike | slice) -> PointCloud:
+        """Some of the points with their arrays, as NumPy chooses rows: a slice, a mask (N,), or numbers of rows.
+
+        Raises:
+            InputError: ``rows`` is not one of these.
+        """
+        chosen: Any = rows
+        if not isinstance(rows, slice):
+            chosen = np.asarray(rows) if np.size(rows) else np.zeros(0, np.intp)
+            is_mask = chosen.dtype.kind == "b"
+            if chosen.ndim != 1 or chosen.dtype.kind not in "biu" or (is_mask and len(chosen) != len(self)):
+                raise InputError(
+                    f"rows: {described(rows)} is not a slice, a mask of {len(self)} rows, or numbers of rows (K,)"
+                )
+        try:
+            taken = {name: values[chosen] for name, values in self.data.items()}
+            return PointCloud(self.points[chosen], taken, self.coordinate_system)
+        except IndexError as error:
+            raise InputError(f"rows: {error}; the cloud has {len(self)} points") from None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -206,7 +240,10 @@ def load_counted(
             from geokit.formats.reader import process as reader_process
 
             points, data = reader_process.read_points(path, module.__name__, limit)
-    return _finite(path, points, data, finite_only=finite_only)
+    cloud, left_out = _finite(path, points, data, finite_only=finite_only)
+    if kind in (".las", ".laz"):
+        cloud = PointCloud(cloud.points, cloud.data, las.coordinate_system(path))
+    return cloud, left_out
 
 
 def _names(columns: Any, kind: str, count: int) -> tuple[str, ...]:
@@ -315,9 +352,11 @@ def save(
     of another width becomes ``name_0, name_1, ...``. In .pcd ``normals`` become normal_x, normal_y, normal_z, and
     ``rgb`` (N, 3) and ``rgba`` (N, 4) of uint8 are packed as in PCL. .pcd coordinates are 8-byte floats, or 4-byte
     floats if points is a float32 array, the only ones that PCL and Open3D read. .pts holds only ``intensity`` and
-    ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` unchanged (LAS expects 16 bits),
-    and all others in extra dimensions. ``rgb`` of floats from 0 to 1 is rounded to 16 bits in .las and .laz, and to 8
-    bits in .pcd and .pts.
+    ``rgb`` uint8. In .las, arrays named after a dimension are stored there, ``rgb`` in 16 bits, and
+    all others in extra dimensions. Colors of .las and .laz have 16 bits, those of .pcd and .pts 8: full stays full,
+    whether ``rgb`` is of floats from 0 to 1, uint8 or uint16. .las and .laz keep the coordinate system of a cloud that
+    comes from one; ``gps_time`` beyond a week is marked as standard time. Other formats hold no coordinate system,
+    which a UserWarning says.
 
     Args:
         path: {formats}.
@@ -340,9 +379,12 @@ def save(
     if encoding is not None and (not isinstance(encoding, str) or encoding not in encodings):
         known = ", ".join(["None", *map(repr, encodings)])
         raise InputError(f"encoding: {described(encoding)} is not one of {kind}; use one of {known}")
+    system = None
     if isinstance(points, PointCloud):
-        points, data = points.points, points.data if data is None else data
+        system, data, points = points.coordinate_system, points.data if data is None else data, points.points
     cloud = PointCloud(points, data)
+    if system is not None and system.records and kind not in (".las", ".laz"):
+        warn(f"{kind} holds no coordinate system; {system.name or 'that of the cloud'} is left out")
     single = FORMATS[kind].single and _is_single(points)
     coordinates = cloud.points.astype(np.float32) if single else cloud.points
     with atomic_path(path) as part:
@@ -352,7 +394,9 @@ def save(
             vdb_points.write(part, cloud.points, cloud.data, require_path(path))
             return
         module = module_of(kind)
-        if encodings:
+        if kind in (".las", ".laz"):
+            module.write_points(part, coordinates, cloud.data, system)
+        elif encodings:
             module.write_points(part, coordinates, cloud.data, encoding or encodings[0])
         else:
             module.write_points(part, coordinates, cloud.data)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import named_damage, refuse_empty, require_extension, require_file
 from geokit.errors import FileFormatError, InputError
 from geokit.formats import las, ply
@@ -35,12 +36,14 @@ class PointFile:
         count: Number of points that it declares.
         width: Bytes of a point.
         read: Reads the points and their arrays, at most so many at a time. The first block has no points.
+        system: The coordinate system that a .las file states.
     """
 
     path: Path
     count: int
     width: int
     read: Callable[[int], Iterator[Block]]
+    system: las.CoordinateSystem | None = None
 
     def blocks(self, rows: int, *, finite_only: bool) -> Iterator[Block]:
         """Finite points and their arrays in the file's order, at most ``rows`` at a time; the first block has none.
@@ -86,7 +89,8 @@ def open_points(path: Path) -> PointFile:
         if kind == ".ply":
             return _open_ply(path)
         las.content_bytes(path)
-        return PointFile(path, *las.table_shape(path), lambda rows: las.read_blocks(path, rows))
+        system = las.coordinate_system(path)
+        return PointFile(path, *las.table_shape(path), lambda rows: las.read_blocks(path, rows), system)
 
 
 def _open_ply(path: Path) -> PointFile:
@@ -128,6 +132,7 @@ class PointFileWriter:
         data: Arrays as they will come, with any number of rows.
         count: Number of points in all.
         limits: Least and largest coordinates, (3,) each; None if there are no points.
+        system: Their coordinate system, if it is known; .ply does not hold it, which a UserWarning says.
     Raises:
         InputError: The format cannot hold a name or an array.
         MissingDependencyError: The file is .las or .laz and laspy is not installed.
@@ -140,6 +145,7 @@ class PointFileWriter:
         data: Mapping[str, NDArray[Any]],
         count: int,
         limits: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+        system: las.CoordinateSystem | None = None,
     ) -> None:
         kind = require_extension(path, KINDS, "streamed point")
         self._file = _Watched(path)
@@ -147,9 +153,11 @@ class PointFileWriter:
         try:
             if kind == ".ply":
                 self._file.write(ply.points_header(np.zeros((0, 3)), data, count))
+                if system is not None and system.records:
+                    warn(f"{kind} holds no coordinate system; {system.name or 'that of the points'} is left out")
             else:
                 with self._file:
-                    self._las = las.PointWriter(path, self._file, data, limits)
+                    self._las = las.PointWriter(path, self._file, data, limits, system)
         except BaseException:
             self._file.close()
             raise

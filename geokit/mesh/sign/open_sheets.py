@@ -40,7 +40,7 @@ def choose_side(surface: Surface) -> SignChoice:
         return solid
     nothing = f"encloses nothing ({audit.boundary_edge_count} boundary edges)"
     defects = (
-        (audit.back_to_back_count, "has faces back to back"),
+        (audit.back_to_back_count, f"has pairs of faces back to back, which cancel: {audit.back_to_back_count}"),
         (audit.non_manifold_edge_count, "has edges of three faces or more"),
         (not surface._orientation.consistent, "cannot be wound alike"),
         (

@@ -175,7 +175,7 @@ def process_file(
             points, known = kept.blocks, survey(kept.blocks(), kept.count)
         results = work.done(points(), known, folder, executor, part_of(DOWNSAMPLED, COMPUTED))
         limits = (known.lower, known.upper) if known.count else None
-        with PointFileWriter(part, {**known.data, **work.data}, known.count, limits) as file:
+        with PointFileWriter(part, {**known.data, **work.data}, known.count, limits, source.system) as file:
             for some, data in _told(points(), known.count, part_of(COMPUTED, 100)):
                 if len(some):
                     file.write(some, {**data, **results.take(len(some))} if results else data)

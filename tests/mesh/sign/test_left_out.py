@@ -80,10 +80,11 @@ def test_open_sheets_of_two_sides_have_no_inside():
     for mesh in (mesh_catalog.open_shell(), mesh_catalog.spherical_cap(0.7), mesh_catalog.single_triangle()):
         surface = Surface(mesh_catalog.doubled(mesh), device="cpu")
         points = around(mesh)
-        assert not surface.contains(points).any()
+        with pytest.warns(UserWarning, match="signs of its distances mean nothing"):
+            assert not surface.contains(points).any()
         np.testing.assert_allclose(surface.winding_number(points), 0.0, atol=0.005)
         assert surface.sign_method == "winding"
-        assert surface.sign_reason == f"pairs of faces back to back, which cancel: {len(mesh.faces)}"
+        assert surface.sign_reason.endswith(f"pairs of faces back to back, which cancel: {len(mesh.faces)}")
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def doubled(mesh: TriangleMesh) -> TriangleMesh:
         (moebius(), "cannot be wound alike"),
         (leaves(), "consists of loose faces"),
         (mesh_catalog.crossing_sheets(), "edges of three faces or more"),
-        (doubled(SHEETS["plane"]), "faces back to back"),
+        (doubled(SHEETS["plane"]), "faces back to back, which cancel: 7200"),
     ],
 )
 def test_signs_that_mean_nothing_are_said_once(mesh: TriangleMesh, reason: str) -> None:
