@@ -205,6 +205,11 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         surface._upload()
         return surface
 
+    @staticmethod
+    def _of(mesh: TriangleMesh, *, device: Any) -> Surface:
+        """A surface of another mesh; classes derived from this one may be made of something else than a mesh."""
+        return Surface(mesh, device=device)
+
     @cached_property
     def _warp_mesh(self) -> "wp.Mesh":
         """The mesh in local coordinates for warp's own queries; CPU queries do not need it, so it is built lazily."""

@@ -59,9 +59,9 @@ check_grads(of_all(lambda *x: distances(*x)[1], distances), (vertices, points), 
 check_grads(whole(hits), (vertices, points))
 
 # On the surface the slope of a signed distance is the outward normal, with and without vertices that jax traces.
-for turn in (1, -1):
-    wound = gk.mesh.TriangleMesh(ball.vertices, faces[:, ::turn])
-    found = gk.mesh.sample_surface(wound, 50, seed=0)
+for wound in (faces, faces[:, ::-1], np.concatenate([faces[:, ::-1], faces])):
+    wound = gk.mesh.TriangleMesh(ball.vertices, wound)
+    found = gk.mesh.sample_surface(ball, 50, seed=0)
     a, b, c = np.moveaxis(ball.vertices[faces[found.triangle_id]], 1, 0)
     normals = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None]
     rows = jnp.asarray(np.concatenate([found.points, ball.vertices]))

@@ -73,6 +73,77 @@ def test_a_pair_of_tensors_is_a_surface_of_them():
     assert torch.equal(*slopes)
 
 
+def _beside_a_box(vertices, faces):
+    """A box, and faces of other corners beside it."""
+    box = gk.mesh.box()
+    faces = np.concatenate([np.add(faces, len(box.vertices)), box.faces])
+    return gk.mesh.TriangleMesh(np.concatenate([box.vertices, vertices]), faces)
+
+
+BOX = gk.mesh.box()
+# Bodies whose signs are those of fewer faces.
+DECIDED_BY_FEWER = {
+    "deck": _beside_a_box([[-0.4, -0.3, 0], [0.4, -0.3, 0.1], [0.3, 0.4, 0]], [[0, 1, 2]]),
+    "sheet outside": _beside_a_box([[2.0, 0, 0], [2.0, 1, 0], [2.0, 1, 1]], [[0, 1, 2]]),
+    "no area": _beside_a_box([[2.0, 0, 0], [2.0, 0, 1], [2.0, 0, 3]], [[0, 1, 2]]),
+    "doubled": gk.mesh.TriangleMesh(BOX.vertices, np.concatenate([BOX.faces[:, ::-1], BOX.faces])),
+}
+
+
+class Named(gk.mesh.Surface):
+    """A class of a user, made of something else than a mesh."""
+
+    def __init__(self, vertices, faces):
+        super().__init__((vertices, faces), device="cpu")
+
+
+@pytest.mark.filterwarnings("ignore:mesh. 1 of its pieces are too thin")
+@pytest.mark.parametrize("body", DECIDED_BY_FEWER)
+@pytest.mark.parametrize("kind", [gk.torch.Surface, Named], ids=["torch", "of a user"])
+def test_signs_by_fewer_faces_than_there_are(body, kind):
+    mesh = DECIDED_BY_FEWER[body]
+    plain = gk.mesh.Surface(mesh, device="cpu")
+    surface = kind(tensor(mesh.vertices).requires_grad_(), mesh.faces)
+    assert surface.sign_method == plain.sign_method
+    assert surface.sign_reason == plain.sign_reason
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    for query in ("signed_distance", "contains", "winding_number", "sign_confidence"):
+        one, other = (getattr(asked, query)(rows) for asked in (surface, plain))
+        one, other = (getattr(answer, "distance", answer) for answer in (one, other))
+        assert torch.equal(torch.as_tensor(one).detach(), torch.as_tensor(other))
+    made, expected = (gk.volume.from_mesh(one, 0.2, device="cpu") for one in (surface, plain))
+    assert np.array_equal(made.nanovdb, expected.nanovdb)
+
+
+def _torch_surface(vertices, faces, rows):
+    return gk.torch.Surface(vertices, faces).signed_distance(rows)
+
+
+def _pair(vertices, faces, rows):
+    return gk.mesh.Surface((vertices, faces), device="cpu").signed_distance(rows)
+
+
+def _packed(vertices, faces, rows):
+    whole = vertices, np.concatenate([faces, faces]), [0, len(faces), 2 * len(faces)]
+    return gk.mesh.Surfaces(whole, device="cpu").signed_distance(rows, [0, 0, len(rows)])
+
+
+@pytest.mark.parametrize("ask", [_torch_surface, _pair, _packed])
+@pytest.mark.parametrize("body", DECIDED_BY_FEWER)
+def test_gradients_of_signs_by_fewer_faces(body, ask):
+    mesh = DECIDED_BY_FEWER[body]
+    held = tensor(mesh.vertices).requires_grad_()
+    found = gk.mesh.sample_surface(BOX, 100, seed=2)
+    a, b, c = np.moveaxis(BOX.vertices[BOX.faces[found.triangle_id]], 1, 0)
+    outward = np.cross(b - a, c - a)
+    rows = tensor(np.concatenate([found.points, 0.9 * found.points, 1.1 * found.points])).requires_grad_()
+    by_points, by_vertices = torch.autograd.grad(ask(held, mesh.faces, rows).distance.sum(), (rows, held))
+    assert np.allclose(by_points[:100], outward / np.linalg.norm(outward, axis=1)[:, None], atol=1e-12)
+    assert torch.allclose(by_points.norm(dim=1), torch.ones(300, dtype=torch.float64))
+    # A body that moves along with the points keeps its distances.
+    assert torch.allclose(by_points.sum(0), -by_vertices.sum(0))
+
+
 def test_half_precision_is_refused():
     with pytest.raises(gk.InputError, match=r"vertices: torch.float16 has no gradients here"):
         gk.torch.Surface(CORNERS.half().requires_grad_(), FACES)

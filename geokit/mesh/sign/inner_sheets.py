@@ -48,7 +48,7 @@ def inner_sheets(surface: Surface) -> NDArray[np.int64]:
     for bodies in closed_bodies(oriented)[::-1]:
         solid, sheets = np.flatnonzero(bodies.label >= 0), np.flatnonzero((bodies.label < 0) & ~flat)
         if len(solid) and len(sheets):
-            judge = type(surface)(TriangleMesh(oriented.vertices, oriented.faces[solid]), device=surface._device)
+            judge = surface._of(TriangleMesh(oriented.vertices, oriented.faces[solid]), device=surface._device)
             found, outer = sheets_inside(oriented, sheets, judge, CONTACT * size)
             found = np.sort(found[_leave_boundary(oriented, found, judge, CONTACT * size)])
             if not len(outer):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -54,6 +54,7 @@ class SignQueries(PointQueries):
     """Queries of a :class:`geokit.mesh.Surface` that tell inside from outside."""
 
     audit: Any
+    _of: Any
     _vertices: "wp.array"
     _faces: "wp.array"
     # Whether faces were left out that signs are still decided by.
@@ -377,9 +378,8 @@ class SignQueries(PointQueries):
     def _without(self, rows: NDArray[np.int64]) -> Any:
         from geokit.mesh._model import TriangleMesh
 
-        surface: Any = type(self)
         faces = np.delete(self.mesh.faces, rows, axis=0)
-        found = surface(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
+        found = self._of(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
         found._left_out = rows
         return found
 
@@ -440,9 +440,7 @@ class SignQueries(PointQueries):
         from geokit.mesh.topology.orientation import orient_faces
 
         surface: Any = self  # a Surface, of which this class is a base
-        return orient_faces(
-            self.mesh, lambda mesh: type(surface)(mesh, device="cpu"), surface=surface, known=self._topology
-        )
+        return orient_faces(self.mesh, partial(surface._of, device="cpu"), surface=surface, known=self._topology)
 
     @cached_property
     def _topology(self) -> Any:

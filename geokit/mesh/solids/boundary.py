@@ -67,7 +67,7 @@ def boundary_of(surface: Surface) -> Boundary:
         return unchanged._replace(kept=self_overlap(mesh, given, CONTACT * size))
     flipped = given._orientation.flipped[:, None]
     oriented = TriangleMesh(mesh.vertices, np.where(flipped, mesh.faces[:, ::-1], mesh.faces))
-    make_surface = partial(type(surface), device=surface._device)
+    make_surface = partial(surface._of, device=surface._device)
     read = read_solids(oriented, given, size, make_surface)
     crowded, alone = _by_contact(read.bodies, read.solids, CONTACT * size)
     distinct = _without_copies(oriented, crowded)

@@ -55,7 +55,7 @@ def verdict_of(
     middle = INNER_POINT @ corners
     boundary = judge.winding_number(middle + off * normals) < 0.5
     boundary &= judge.winding_number(middle - off * normals) > 0.5
-    made = type(judge)(TriangleMesh(pieces.vertices, pieces.faces), device=judge._device)
+    made = judge._of(TriangleMesh(pieces.vertices, pieces.faces), device=judge._device)
     missing = boundary.copy()
     missing[boundary] = made.closest_point(middle[boundary]).distance > ROOM * off
     if given_area[missing].sum() > WRONG_SHARE * given_area.sum():
