@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["read_mesh", "write_mesh"]
 
-_HEADER = re.compile(rb"\s*(ST)?(C)?(N)?OFF(?![A-Za-z])(?!\s*BINARY)", re.IGNORECASE)
+# Texture coordinates, colors and normals in Geomview's order, or in that of MeshLab.
+_HEADER = re.compile(rb"\s*((?:ST)?C?N?|NC?(?:ST)?|CST)OFF(?![A-Za-z])(?!\s*BINARY)", re.IGNORECASE)
 # Counts without a word before them, as the first of a file's lines.
-_COUNTS = re.compile(rb"\s*()()()(?=\d+[ \t]+\d+(?:[ \t]+\d+)?[ \t]*\n)")
+_COUNTS = re.compile(rb"\s*()(?=\d+[ \t]+\d+(?:[ \t]+\d+)?[ \t]*\n)")
 
 
 def read_mesh(path: Path) -> list[Body]:
@@ -55,7 +56,7 @@ def read_mesh(path: Path) -> list[Body]:
         raise FileFormatError(f"{path}: vertex {row} has {len(rows[row])} coordinates, not three; the file is damaged")
     points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
     notes: list[str] = []
-    has_more = any(header.groups()) or any(len(row) > 3 for row in whole)
+    has_more = bool(header[1]) or any(len(row) > 3 for row in whole)
     vertex = _vertex_data(whole, header, path, notes) if has_more else {}
     tokens: list[bytes] = []
     colors: list[list[bytes]] = []
@@ -98,7 +99,8 @@ def _vertex_data(
     rows: list[list[bytes]], header: re.Match[bytes], path: Path, notes: list[str]
 ) -> dict[str, NDArray[Any]]:
     """What stands behind the positions: normals, colors, texture coordinates, as the header says."""
-    has_uv, has_color, has_normal = map(bool, header.groups())
+    said = header[1].upper()
+    has_uv, has_color, has_normal = (letters in said for letters in (b"ST", b"C", b"N"))
     widths = {len(row) for row in rows}
     colored = max(widths, default=0) - 3 - 3 * has_normal - 2 * has_uv
     if len(widths) > 1 or colored not in ((3, 4) if has_color else (0,)):
@@ -106,10 +108,12 @@ def _vertex_data(
             notes.append("the attributes of vertices are left out: their lines are not as long as the header says")
         return {}
     data: dict[str, NDArray[Any]] = {}
+    # MeshLab names normals first, and writes colors first.
     if has_normal:
-        data["normal"] = _floats([row[3:6] for row in rows], path)
+        first = 3 + colored * said.startswith(b"NC")
+        data["normal"] = _floats([row[first : first + 3] for row in rows], path)
     if has_color:
-        first = 3 + 3 * has_normal
+        first = 3 + 3 * (has_normal and not said.startswith(b"NC"))
         data["color"] = _colors([row[first : first + colored] for row in rows], path)
     if has_uv:
         data["uv"] = _floats([row[-2:] for row in rows], path)

@@ -49,6 +49,12 @@ _REFUSED_NORM = re.compile(
     r"ERROR: In \S+, line \d+\s+vtk\w+ \S+ Error reading InformationKey element for vtkDataArray::\S+ of type \S+"
 )
 _NORMS = re.compile(rb'\s*<InformationKey name="L2_NORM_RANGE".*?</InformationKey>', re.DOTALL)
+# Arrays of legacy files as meshio declares their types, and VTK's names of these.
+_NAMED_BY_SIZE = re.compile(rb"^(\S{1,300} \d+ \d+ )vtktype(u?int(?:8|16|32))\r?$", re.MULTILINE)
+_NAMES = {
+    b"int8": b"signed_char", b"int16": b"short", b"int32": b"int",
+    b"uint8": b"unsigned_char", b"uint16": b"unsigned_short", b"uint32": b"unsigned_int",
+}  # fmt: skip
 _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
 _LINE_NAMES = {1: "points", 2: "points", 3: "lines", 4: "lines"}
 
@@ -185,6 +191,11 @@ def _data_set(path: Path) -> Any:
     kind = path.suffix.lower()
     if kind == ".vtk":
         reader = vtkIOLegacy.vtkGenericDataObjectReader()
+        content = path.read_bytes()
+        if _NAMED_BY_SIZE.search(content):
+            content = _NAMED_BY_SIZE.sub(lambda found: found[1] + _NAMES[found[2]], content)
+            reader.ReadFromInputStringOn()
+            reader.SetBinaryInputString(content, len(content))
     elif kind == ".vtp":
         reader = vtkIOXML.vtkXMLPolyDataReader()
     else:

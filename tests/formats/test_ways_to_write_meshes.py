@@ -156,6 +156,26 @@ def test_text_of_off(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("word", "behind"),
+    [
+        ("CNOFF", "0.5 0 1 {color}"), ("STCNOFF", "0.5 0 1 {color} 0.25 0.75"),  # as Geomview
+        ("NCOFF", "{color} 0.5 0 1"), ("NCSTOFF", "{color} 0.5 0 1 0.25 0.75"),  # as MeshLab
+        ("NSTOFF", "0.5 0 1 0.25 0.75"), ("CSTOFF", "{color} 0.25 0.75"), ("NOFF", "0.5 0 1"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("color", ["17 34 51", "17 34 51 255"])
+def test_attributes_of_off_in_two_orders(tmp_path: Path, word: str, behind: str, color: str) -> None:
+    rows = "".join(f"{row} {behind.format(color=color)}\n" for row in _ROWS.splitlines())
+    mesh = loaded(tmp_path / "a.off", f"{word}\n8 12 0\n{rows}{_FACES}")
+    expected = {"normal": [0.5, 0, 1]} if "N" in word else {}
+    expected |= {"color": [int(part) for part in color.split()]} if "C" in word else {}
+    expected |= {"uv": [0.25, 0.75]} if "ST" in word else {}
+    assert {name: values.tolist() for name, values in mesh.vertex_data.items()} == {
+        name: [row] * 8 for name, row in expected.items()
+    }
+
+
+@pytest.mark.parametrize(
     "text", [f"8 12 0\n{_ROWS}", f"8 12 0\n{_ROWS}{_FACES}3 0 1 2\n", f"8 0 0\n{_ROWS}", f"{_ROWS}", "4OFF\n8 12 0\n"]
 )
 def test_counts_without_a_word_have_as_many_lines(tmp_path: Path, text: str) -> None:

@@ -69,8 +69,8 @@ _LAYOUTS = {
     "2.0": _Layout(blocks=False),
     "2.1": _Layout(blocks=False),
     "2.2": _Layout(blocks=False),
-    "4.0": _Layout(blocks=True, head=2, entity_first=True, boxed_points=True),
-    "4": _Layout(blocks=True, head=4, tag="size", tags_apart=True),
+    # Gmsh itself writes 4.0 as 4.
+    **dict.fromkeys(("4", "4.0"), _Layout(blocks=True, head=2, entity_first=True, boxed_points=True)),
     "4.1": _Layout(blocks=True, head=4, tag="size", tags_apart=True),
 }
 

@@ -3,7 +3,8 @@
 Lengths are in mm, the world in LPS: x to the left, y to the back, z up.
 
 Slices are sorted by their positions, which need to be evenly spaced. Values are rescaled as the files say (Hounsfield
-units), also where these are shown inverted (MONOCHROME1). Pixels need to be uncompressed, and to be no indices.
+units), also where these are shown inverted (MONOCHROME1). Pixels need to be uncompressed or run-length coded, which
+pydicom decodes by itself, and to be no indices.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from geokit.formats.images.image import Image, affine, grids_of, reading, scaled
 
 __all__ = ["open_images"]
 
+# The transfer syntax "RLE Lossless".
+RLE = "1.2.840.10008.1.2.5"
 # Slices may lie this share of their distance beside their even places.
 LARGEST_JITTER = 0.02
 # What pydicom reads of a header.
@@ -70,7 +73,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             except pydicom.errors.InvalidDicomError:
                 continue  # other files lie in such folders too
             syntax = header.file_meta.TransferSyntaxUID
-            if syntax.is_encapsulated or syntax.is_deflated:
+            if (syntax.is_encapsulated and syntax != RLE) or syntax.is_deflated:
                 remedy = "decompress it first, for example with gdcmconv --raw"
                 raise FileFormatError(f"{path}: {file.name} is compressed ({in_one_line(str(syntax.name))}); {remedy}")
             if "Rows" not in header:
