@@ -6,10 +6,11 @@ to rounding and to the sheet's rim. The normals of its faces say which side is w
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.memory.pinned import host_flags
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.sign.choice import SignChoice
 from geokit.mesh.sign.inner_sheets import EXTREME_SIZE, INNER_POINT
@@ -56,6 +57,8 @@ def choose_side(surface: Surface) -> SignChoice:
 
 def _encloses(surface: Surface) -> bool:
     """Whether there is a closed body, or an open one, as a scan with holes."""
+    import warp as wp
+
     mesh, frame = surface.mesh, surface._frame
     if not 1.0 / EXTREME_SIZE < frame.scale < EXTREME_SIZE:
         return True
@@ -71,7 +74,8 @@ def _encloses(surface: Surface) -> bool:
     chosen = np.searchsorted(ends, (np.arange(SAMPLES) + 0.5) / SAMPLES * ends[-1])
     middle, side = INNER_POINT @ corners[chosen], OFF * normals[chosen] / np.sqrt(twice[chosen])[:, None]
     points = np.concatenate([middle + side, middle - side]) * frame.scale + frame.origin
-    both = surface.winding_number(points).reshape(2, -1).sum(axis=0)
-    if abs(float(both.mean())) >= ENCLOSES:
+    rows: Any = wp.array(points, dtype=wp.vec3d, device=surface._device)
+    winding = surface._winding(rows, host_flags(1, surface._device)).numpy()
+    if abs(float(winding.mean())) >= 0.5 * ENCLOSES:
         return True
     return any((body.label >= 0).any() for body in closed_bodies(TriangleMesh(mesh.vertices, faces)))
