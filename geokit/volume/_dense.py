@@ -44,13 +44,25 @@ class DenseGrid(NamedTuple):
     Attributes:
         values: Values of the voxels, shape (X, Y, Z), or (X, Y, Z, C) for grids of C components.
         origin: Index of the voxel ``values[0, 0, 0]``, shape (3,) int64.
-        transform: Index to world, shape (4, 4): the center of voxel ``values[i, j, k]`` is ``transform[:3, :3] @
-            (origin + (i, j, k)) + transform[:3, 3]``.
+        transform: Indices of the volume to world, shape (4, 4): the center of voxel ``values[i, j, k]`` is
+            ``transform[:3, :3] @ (origin + (i, j, k)) + transform[:3, 3]``. Those of the array are taken there by
+            ``array_transform``.
     """
 
     values: NDArray[Any]
     origin: NDArray[np.int64]
     transform: NDArray[np.float64]
+
+    @property
+    def array_transform(self) -> NDArray[np.float64]:
+        """Indices of the array to world, shape (4, 4): the center of voxel ``values[i, j, k]`` is that of (i, j, k).
+
+        For other programs, and for arrays that are made from ``values``: ``from_dense(values == 1,
+        transform=dense.array_transform)`` lies where the volume lies, at other indices.
+        """
+        moved = self.transform.copy()
+        moved[:3, 3] += self.transform[:3, :3] @ self.origin
+        return moved
 
 
 def _dense_bytes(values: Any, *, grid_type: str | None = None, **_: Any) -> float:

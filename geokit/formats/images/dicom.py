@@ -69,11 +69,11 @@ def open_images(path: Path, limit: int) -> list[Image]:
             continue
         with reading(file):
             try:
-                header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS)
+                header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS, force=_is_bare(file))
             except pydicom.errors.InvalidDicomError:
                 continue  # other files lie in such folders too
-            syntax = header.file_meta.TransferSyntaxUID
-            if (syntax.is_encapsulated and syntax != RLE) or syntax.is_deflated:
+            syntax = header.file_meta.get("TransferSyntaxUID")
+            if syntax is not None and ((syntax.is_encapsulated and syntax != RLE) or syntax.is_deflated):
                 remedy = "decompress it first, for example with gdcmconv --raw"
                 raise FileFormatError(f"{path}: {file.name} is compressed ({in_one_line(str(syntax.name))}); {remedy}")
             if "Rows" not in header:
@@ -88,6 +88,24 @@ def open_images(path: Path, limit: int) -> list[Image]:
         with reading(path):
             found += _grids(slices, names[key], path, pydicom)
     return found
+
+
+def _is_bare(file: Path) -> bool:
+    """Whether a file begins with a tag of the group 8, as old scanners write them, not with a preamble and DICM."""
+    with open(file, "rb") as opened:
+        head = opened.read(8)
+    little, big = (int.from_bytes(head[:2], order) for order in ("little", "big"))
+    return len(head) == 8 and 8 in (little, big)
+
+
+def _pixels(one: _Slice, pydicom: Any) -> NDArray[Any]:
+    if not _is_bare(one.file):
+        return np.asarray(pydicom.pixels.pixel_array(one.file, index=one.frame))
+    whole = pydicom.dcmread(one.file, force=True)
+    uid = pydicom.uid
+    by_order = uid.ImplicitVRLittleEndian if whole.original_encoding[0] else uid.ExplicitVRLittleEndian
+    whole.file_meta.TransferSyntaxUID = by_order if whole.original_encoding[1] else uid.ExplicitVRBigEndian
+    return np.asarray(pydicom.pixels.pixel_array(whole, index=one.frame))
 
 
 def _slices(header: Any, file: Path, path: Path) -> Iterator[_Slice]:
@@ -179,7 +197,7 @@ def _grids(slices: list[_Slice], name: str, path: Path, pydicom: Any) -> list[Im
         for row in table[:, grid]:
             one = slices[row]
             with reading(one.file):
-                pixels = np.asarray(pydicom.pixels.pixel_array(one.file, index=one.frame))
+                pixels = _pixels(one, pydicom)
                 if pixels.size != np.prod(one.size) or pixels.dtype.kind not in "iu":
                     raise FileFormatError(f"{path}: {one.file.name} holds {pixels.shape} pixels, not {one.size[1::-1]}")
                 values = scaled(pixels.reshape(one.size[1], one.size[0], one.size[2]), one.slope, one.shift)

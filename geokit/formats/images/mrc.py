@@ -40,6 +40,8 @@ MODES = {0: "i1", 1: "i2", 2: "f4", 6: "u2", 12: "f2"}
 STORED = {"i1": "<i1", "i2": "<i2", "u2": "<u2", "f2": "<f2", "b1": "<i1", "u1": "<u2"}
 STORED |= dict.fromkeys(("f4", "f8", "i4", "u4", "i8", "u8"), "<f4")
 LABEL = 80
+# The first byte of the machine stamp.
+ORDERS = {b"\x44": "<", b"\x11": ">"}
 # Space groups of stacks of volumes.
 STACKS = range(401, 631)
 
@@ -53,8 +55,11 @@ def open_images(path: Path, limit: int) -> list[Image]:
         if len(raw) < HEAD_BYTES:
             raise FileFormatError(f"{path}: ends within its header; get a whole copy")
         header = np.frombuffer(raw, mrcfile.dtypes.HEADER_DTYPE)[0]
-        # Files from before 2014 state no byte order; then the mode tells.
-        order = "<" if int(header["mode"]) in range(128) else ">"
+        order = ORDERS.get(raw[212:213], "")
+        if not order:
+            # Files from before 2014 state none; then the mode tells, and where that is 0 the order of the axes.
+            word = int(header["mode"]) or int(header["mapc"])
+            order = "<" if word in range(128) else ">"
         header = np.frombuffer(raw, mrcfile.dtypes.HEADER_DTYPE.newbyteorder(order))[0]
         mode, size = int(header["mode"]), [int(header[name]) for name in ("nx", "ny", "nz")]
         if mode not in MODES:

@@ -45,6 +45,10 @@ TYPES |= {"f4": "<f4", "f8": "<f8"}
 # Extensions with plain text have this code.
 COMMENT = 6
 LARGEST_SIDE = 32767
+# Where voxels begin at the earliest, in NIfTI-1 and -2: behind the header and four bytes.
+LEAST_OFFSETS = (352, 544)
+# Square of the length of a half turn's quaternion, with some roundings of float32.
+LONGEST_TURN = 1.0 + 1e-5
 
 
 def open_images(path: Path, limit: int) -> list[Image]:
@@ -62,10 +66,16 @@ def open_images(path: Path, limit: int) -> list[Image]:
         header = kind.from_fileobj(head, check=False)
         if bytes(header["magic"])[:3] not in (b"n+1", b"n+2"):
             raise FileFormatError(f"{path}: has its voxels in another file or is damaged; save it as one .nii again")
+        _repair(header)
         sizes = [int(n) for n in header.get_data_shape()]
         sizes += [1] * (7 - len(sizes))
         dtype = header.get_data_dtype()
-        offset = int(header.get_data_offset())
+        offset, least = float(header["vox_offset"]), LEAST_OFFSETS[second]
+        if not least <= offset < 2.0**62:
+            raise FileFormatError(
+                f"{path}: says that its voxels begin at byte {offset:g}, and its header ends at {least}; set vox_offset"
+            )
+        offset = int(offset)
         slope, shift = header.get_slope_inter()
         turned = int(header["sform_code"]) > 0 or int(header["qform_code"]) > 0
         matrix = np.array(header.get_best_affine() if turned else _by_method_1(header), np.float64)
@@ -107,6 +117,19 @@ def open_images(path: Path, limit: int) -> list[Image]:
         note=note,
     )
     return grids_of(path, image, frames, slabs)
+
+
+def _repair(header: Any) -> None:
+    """Set what other readers set: directions of 0, sizes of 0, and half turns that are a few roundings too long."""
+    steps, sizes = header["pixdim"], header["dim"]
+    steps[0] = -1.0 if steps[0] < 0.0 else 1.0
+    sizes[1:] = np.where(sizes[1:] == 0, 1, sizes[1:])
+    names = ("quatern_b", "quatern_c", "quatern_d")
+    turn = np.array([header[name] for name in names], np.float64)
+    square = float(turn @ turn)
+    if 1.0 < square < LONGEST_TURN:
+        for name, value in zip(names, turn / np.sqrt(square), strict=True):
+            header[name] = value
 
 
 def _by_method_1(header: Any) -> NDArray[np.float64]:
