@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.download import download
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_mapping
 from geokit.mesh._device_mesh import vertices_near
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["sample_attributes"]
 
 
+@of_constants
 @needs(lambda mesh, volumes, **_: 40 * mesh.vertex_count * len(volumes))
 def sample_attributes(
     mesh: TriangleMesh, volumes: Mapping[str, SparseVolume], *, order: int | None = 1, device: Any = None

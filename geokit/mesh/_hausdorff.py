@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count
 from geokit.core.snapshot import snapshot
@@ -89,6 +90,7 @@ def _bytes(a: TriangleMesh | Surface, b: TriangleMesh | Surface, *, samples: int
     return BYTES_PER_FACE * made + BYTES_PER_SAMPLE * samples
 
 
+@of_constants
 @needs(_bytes)
 def hausdorff(
     a: TriangleMesh | Surface,

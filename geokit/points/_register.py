@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
@@ -93,6 +94,7 @@ def _bytes(source: Any, target: Any, *, target_normals: Any = None, **_: Any) ->
     return 100 * rows(source) + (312 if target_normals is None else 72) * rows(target)
 
 
+@of_constants
 @needs(_bytes)
 def register(
     source: Any,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_instance
 from geokit.core.user_arrays import require_finite_scalar
@@ -89,6 +90,7 @@ class _Look(NamedTuple):
         }
 
 
+@of_constants
 @needs(figure_bytes, fatal=True)
 def figure(
     path: str | os.PathLike[str],

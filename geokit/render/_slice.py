@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_choice
 from geokit.core.user_arrays import require_finite_scalar
@@ -43,6 +44,7 @@ BAND_EDGE = 1.0 - 1e-6
 INSIDE, OUTSIDE = 0.82, 1.0
 
 
+@of_constants
 @needs(chart_bytes, fatal=True)
 def slice_figure(
     path: str | os.PathLike[str],

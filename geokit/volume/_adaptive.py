@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.gradients.differentiable import differentiable, of_constants
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -240,6 +240,7 @@ class AdaptiveSDF:
         return f"AdaptiveSDF({self.levels[0].info.name!r}, voxel sizes {sizes}, {self.byte_count} bytes)"
 
 
+@of_constants
 @needs()
 def adaptive_from_mesh(
     mesh: TriangleMesh | Surface,

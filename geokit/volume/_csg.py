@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
@@ -29,6 +30,7 @@ BLEND_MARGIN = 1.0
 UNIONS = {"union": (1.0, 1.0, 1.0), "intersection": (-1.0, -1.0, -1.0), "difference": (-1.0, 1.0, -1.0)}
 
 
+@of_constants
 @needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Union of level sets, or of masks: the region inside at least one of them.
@@ -69,6 +71,7 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     return _combined("union", (a, b, *more), smooth)
 
 
+@of_constants
 @needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Intersection of level sets, or of masks: the region inside all of them.
@@ -94,6 +97,7 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     return _combined("intersection", (a, b, *more), smooth)
 
 
+@of_constants
 @needs(lambda a, b, *more, **_: 4700 * sum(map(leaf_count, (a, b, *more))), fatal=True)
 def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float = 0.0) -> SparseVolume:
     """Difference of level sets, or of masks: the region inside the first and outside all others.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_text
 from geokit.errors import InputError
@@ -89,6 +90,7 @@ def _band_bytes(mesh: TriangleMesh | Surface, voxel_size: float, half_width: Any
     return made + leaves * leaf_bytes
 
 
+@of_constants
 @needs(_from_mesh_bytes, late=True)
 def from_mesh(
     mesh: TriangleMesh | Surface,
@@ -251,6 +253,7 @@ def from_mesh(
     return quantize(volume, codec)
 
 
+@of_constants
 @needs(_from_mesh_with_triangles_bytes, late=True)
 def from_mesh_with_triangles(
     mesh: TriangleMesh | Surface,

@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable
 from geokit.volume._adaptive import MOST_LEVELS
@@ -57,6 +58,7 @@ class PlannedField(NamedTuple):
     level_count: int = 1
 
 
+@of_constants
 @needs()
 def plan(
     mesh: TriangleMesh | Surface,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.core.user_arrays import require_finite_scalar
@@ -57,6 +58,7 @@ def _bytes(volume: SparseVolume, *, voxel_size: float | None = None, transform: 
     return 19500 * leaf_count(volume) * ratio ** (2 if volume.info.grid_class == "level set" else 3)
 
 
+@of_constants
 @needs(_bytes, late=True)
 def resample(
     volume: SparseVolume,

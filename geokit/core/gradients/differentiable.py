@@ -16,10 +16,11 @@ from geokit.core.gradients.rules import (
     is_tracked,
     refuse_gradients,
     require_constant,
+    untracked,
 )
 from geokit.core.launches import warp_private
 
-__all__ = ["differentiable", "library_of", "undifferentiable"]
+__all__ = ["differentiable", "library_of", "of_constants", "undifferentiable"]
 
 _Query = TypeVar("_Query", bound=Callable[..., Any])
 
@@ -79,6 +80,26 @@ def undifferentiable(query: _Query) -> _Query:
         for holder in args[:1] or kwargs.values():
             require_constant(holder, query.__name__)
         return query(*args, **kwargs)
+
+    return run  # type: ignore[return-value]
+
+
+def of_constants(operation: _Query) -> _Query:
+    """Decorate an operation without gradients: it gets objects without the tensors that they hold.
+
+    Queries of an object that holds tensors answer with tensors that carry gradients, also where the operation asks.
+    While a tape records, an object that holds its arrays is refused.
+    """
+
+    def constant(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: constant(one) for name, one in value.items()}
+        require_constant(value, operation.__name__)
+        return untracked(value)
+
+    @functools.wraps(operation)
+    def run(*args: Any, **kwargs: Any) -> Any:
+        return operation(*map(constant, args), **constant(kwargs))
 
     return run  # type: ignore[return-value]
 

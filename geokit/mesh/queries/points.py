@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.gradients.rules import untracked
 from geokit.core.interop.arrays import import_array
 from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
@@ -162,7 +163,7 @@ class PointQueries:
         require_unrecorded(points, "points")
         if isinstance(points, np.ndarray) and points.dtype == np.float32:
             points = points.astype(np.float64)  # answers would be float32, weights too
-        found = self.closest_point(points, max_distance=max_distance)
+        found = untracked(self).closest_point(points, max_distance=max_distance)
         triangle_id, barycentric = _on_host(found.triangle_id), _on_host(found.barycentric)
         table = barycentric.reshape(-1, 3).astype(np.float64)
         values = interpolated(self.mesh, triangle_id.reshape(-1), table, asked)
