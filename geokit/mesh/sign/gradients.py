@@ -58,6 +58,9 @@ def _winding_number(library: Library, asked: Asked, answer: Any) -> tuple[Any, .
     # Solid angle of a triangle: Van Oosterom and Strackee (1983).
     volume = dot(cross(library, a, b), c)
     below = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+    # Both are 0 on an edge of the border, where derivatives grow without bound: there they are left out.
+    beside = (volume != 0.0) | (below != 0.0)
+    volume, below = library.where(beside, volume, 0.0), library.where(beside, below, 1.0)
     angles = 2.0 * library.arctan2(volume, below)
     return ((angles * library.constant(passes, points)).sum(1) / (4.0 * math.pi),)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 
 torch = pytest.importorskip("torch")
 
@@ -54,3 +55,25 @@ def test_closed_meshes_have_none():
     points = tensor([[0.1, 0.1, 0.1], [3.0, 0.0, 0.0]]).requires_grad_()
     (slope,) = torch.autograd.grad(surface.winding_number(points).sum(), points)
     assert (slope == 0.0).all()
+
+
+def test_on_the_border():
+    """Vertices and middles of edges: what an edge with the point on it contributes is left out."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3]]
+    # The border runs along the edges between vertices 0, 2 and 3; 1 is off it.
+    points = np.concatenate([corners, 0.5 * (corners[[0, 0, 2]] + corners[[2, 3, 3]])])
+    vertices, asked = tensor(corners).requires_grad_(), tensor(points).requires_grad_()
+    winding = mesh.Surface((vertices, faces), device="cpu").winding_number(asked)
+    first = torch.autograd.grad(winding.sum(), (asked, vertices), create_graph=True)
+    loss = sum(
+        (part * torch.linspace(1.0, 2.0, part.numel(), dtype=part.dtype).reshape(part.shape)).sum() for part in first
+    )
+    for part in (*first, *torch.autograd.grad(loss, (asked, vertices))):
+        assert torch.isfinite(part).all()
+    given = wp.array(points, dtype=wp.vec3d, device="cpu", requires_grad=True)
+    with wp.Tape() as tape:
+        answer = mesh.Surface(mesh.TriangleMesh(corners, faces), device="cpu").winding_number(given)
+    answer.grad.fill_(1.0)
+    tape.backward()
+    np.testing.assert_allclose(given.grad.numpy(), first[0].detach(), atol=1e-12)
