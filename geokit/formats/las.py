@@ -308,7 +308,7 @@ class PointWriter:
         extra = [_extra(laspy, name, data[name]) for name in data if name not in self._known and name != "rgb"]
         if extra:
             header.add_extra_dims(extra)
-        behind = []
+        behind: list[Any] = []
         for number, note, content in system.records if system else ():
             record = laspy.VLR(_PROJECTION, number, note, content)
             (header.vlrs if len(content) <= LONGEST_VLR else behind).append(record)
