@@ -332,7 +332,7 @@ def load_rays(
 @with_formats("points", "w")
 def save(
     path: str | os.PathLike[str],
-    points: ArrayLike,
+    points: ArrayLike | PointCloud,
     *,
     data: Mapping[str, ArrayLike] | None = None,
     encoding: str | None = None,
@@ -402,7 +402,7 @@ def save(
             module.write_points(part, coordinates, cloud.data)
 
 
-def _is_single(points: ArrayLike) -> bool:
+def _is_single(points: Any) -> bool:
     return getattr(points, "dtype", None) == np.float32
 
 
