@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import OnDevices, replicas, shares
+from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.notebook import repr_html
@@ -51,6 +51,7 @@ POINT_LEAF = 6
 RAY_LEAF = 1
 
 
+@shows_arguments
 class Surface(SignQueries, RayQueries, DistanceQueries):
     """A mesh prepared once for many queries on one device.
 
@@ -67,8 +68,8 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
             are kept as such, as by :class:`geokit.torch.Surface`; so is an array of warp that requires gradients, for
             a ``wp.Tape``.
         device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices, or
-            "cuda:*" for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or more
-            (in arrays on a GPU 2 million points, 8 million rays), and the first does all else.
+            ``"cuda:*"`` for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or
+            more (in arrays on a GPU 2 million points, 8 million rays), and the first does all else.
     Attributes:
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).

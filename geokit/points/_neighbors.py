@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import OnDevices, replicas, shares
+from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
 from geokit.core.forks import Lock
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
@@ -166,6 +166,7 @@ def _candidate_bytes(self: Any, **_: Any) -> float:
     return _verlet_bytes(self) + max(search.notes_bytes(self._count, self._device), self._count * (16 + size * each))
 
 
+@shows_arguments
 class NeighborGrid:
     """Points prepared for neighbor searches.
 
@@ -205,7 +206,7 @@ class NeighborGrid:
             a point has moved by half the skin. Answers are the same; order "any" is "index" then. Memory: 4 bytes for
             each listed pair, and 120 a point. None for no lists.
         device: Where the points live and queries run: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. A
-            list of devices, or "cuda:*" for all GPUs, has the points on each: they share ``count``,
+            list of devices, or ``"cuda:*"`` for all GPUs, has the points on each: they share ``count``,
             ``radius_search``, ``knn`` and ``hybrid`` of 65,536 given queries or more (in arrays on a GPU 33 million),
             and the first does all else.
     Raises:

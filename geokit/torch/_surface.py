@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from geokit import mesh
+from geokit.core.blocks.several_devices import shows_arguments
 from geokit.core.gradients.rules import hold, split
 from geokit.core.gradients.with_torch import LIBRARY
 from geokit.core.require import require_instance, require_memory
@@ -15,6 +16,7 @@ from geokit.errors import InputError
 __all__ = ["Surface", "sample_surface"]
 
 
+@shows_arguments
 class Surface(mesh.Surface):
     """A mesh prepared for queries, whose answers carry gradients with respect to its vertices.
 

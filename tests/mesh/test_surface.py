@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
+import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit import InputError
 from geokit.mesh import Surface, TriangleMesh, _surface
@@ -225,3 +227,9 @@ def test_a_gpu_numbers_so_many_faces(face_count: int) -> None:
     with pytest.raises(InputError, match=r"mesh: 107374183 faces are more than the 107374182 .* on cuda:0; split the"):
         _surface._require_numbered(107_374_183, gpu)
     _surface._require_numbered(107_374_183, SimpleNamespace(is_cuda=False, alias="cpu"))
+
+
+def test_help_shows_the_arguments() -> None:
+    assert list(inspect.signature(Surface).parameters) == ["mesh", "device"]
+    grid = list(inspect.signature(gk.points.NeighborGrid).parameters)
+    assert grid == ["points", "radius", "groups", "periodic", "skin", "device"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import subprocess
 import sys
 
@@ -201,3 +202,7 @@ gk.points.NeighborGrid(corners, 2.0, device="cpu").knn(points, 2).distance.sum()
 assert points.grad.any() and "torch._dynamo" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_help_shows_the_arguments():
+    assert list(inspect.signature(gk.torch.Surface).parameters) == ["vertices", "faces", "device"]

@@ -27,7 +27,7 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares"]
+__all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares", "shows_arguments"]
 
 # Fewest rows for each device; the first device alone answers fewer. Rows on a GPU are answered sooner, and copies
 # between GPUs take a millisecond or two, so there have to be more.
@@ -102,6 +102,13 @@ class OnDevices:
             for part in moved:
                 part.update(rows)
         self.__dict__ = {"_parts": tuple(moved)}  # at once: see snapshot
+
+
+def shows_arguments(cls: _Class) -> _Class:
+    """Decorate a class whose ``__new__`` chooses a subclass: ``help`` shows the arguments of its ``__init__``."""
+    whole = inspect.signature(cls.__init__)  # type: ignore[misc]
+    cls.__signature__ = whole.replace(parameters=list(whole.parameters.values())[1:])  # type: ignore[attr-defined]
+    return cls
 
 
 def shares(least: Mapping[str, int] = MappingProxyType({}), /, **queries: int) -> Callable[[_Class], _Class]:
