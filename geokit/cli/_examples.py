@@ -62,7 +62,7 @@ geokit query sample    smoke.vdb points.csv --grid density --gradient -o samples
 geokit query neighbors cloud.ply --radius 0.02 -o neighbors.npz
 geokit query neighbors cloud.ply points.npy --nearest 8 -o nearest.csv
 geokit query signed    bunny.usd points.csv -o - | head
-geokit query signed    design.obj scan.las --sign pseudonormal -o deviation.csv
+geokit query signed    bunny.usd points.csv --sign winding -o signed.csv
 geokit plan bunny.usd --tolerance 1e-3
 geokit plan bunny.usd --tolerance 1e-3 --order 1 --codec float --json
 geokit bench bunny.usd --out report/

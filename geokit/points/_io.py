@@ -18,7 +18,15 @@ from geokit.core.files import atomic_path, extension, named_damage, refuse_empty
 from geokit.core.interop.notebook import repr_html, show
 from geokit.core.interop.objects import arrays_of, host, points_of
 from geokit.core.memory.needs import file_size, needs, rows
-from geokit.core.require import described, read_array, require_flag, require_mapping, require_path, require_text
+from geokit.core.require import (
+    described,
+    read_array,
+    require_flag,
+    require_instance,
+    require_mapping,
+    require_path,
+    require_text,
+)
 from geokit.errors import FileFormatError, InputError
 from geokit.formats import las
 from geokit.formats.foreign import require_format
@@ -47,7 +55,8 @@ class PointCloud:
             cloud of another library carries, colors as ``rgb`` or ``rgba``; a UserWarning names what is left out.
         coordinate_system: That of a .las or .laz file, with its ``name`` and its ``records``; None if it is not known.
     Raises:
-        InputError: points is not (N, 3) or not finite, or an array of data is not numeric or does not have N rows.
+        InputError: points is not (N, 3) or not finite, an array of data is not numeric or does not have N rows, or
+            coordinate_system is something else.
     Example:
         >>> cloud = PointCloud([[0, 0, 5], [1, 0, 9]], {"classification": [2, 6]})
         >>> cloud[cloud.data["classification"] == 2]
@@ -76,6 +85,8 @@ class PointCloud:
         arrays = {name: _data(values, name, len(table)) for name, values in given.items()}
         object.__setattr__(self, "points", table)
         object.__setattr__(self, "data", MappingProxyType(arrays))
+        if coordinate_system is not None:
+            require_instance(coordinate_system, "coordinate_system", CoordinateSystem, "take that of a loaded cloud")
         object.__setattr__(self, "coordinate_system", coordinate_system)
 
     def __reduce__(self) -> Any:
