@@ -72,16 +72,17 @@ def box_of(points: "wp.array") -> NDArray[np.float64]:
     return np.stack([lower.min(axis=0), upper.max(axis=0)])
 
 
-def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str) -> TriangleMesh:
+def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str, **said: Any) -> TriangleMesh:
     """A mesh over arrays on a device, which must not be written to afterwards.
 
     Args:
         vertices: Positions [world], (V,) of vec3d, finite, each used by a face.
         faces: Vertex indices, (3 F,) of int32.
         name: The mesh's name.
+        said: ``meters_per_unit`` and ``up_axis``, where they are known.
     """
     mesh = TriangleMesh.__new__(TriangleMesh)
-    mesh.__dict__.update(name=name, parts=(), _on_device=DeviceArrays(vertices, faces))
+    mesh.__dict__.update(name=name, parts=(), _on_device=DeviceArrays(vertices, faces), **said)
     return mesh
 
 

@@ -89,8 +89,9 @@ def from_volume(
         progress: Called as ``progress(percent, 100)`` while faces are merged within a tolerance.
 
     Returns:
-        TriangleMesh with the grid's name. A mesh made on a GPU stays there until its arrays are read. Its kernels may
-        still run when the call returns; reads and queries wait for them.
+        TriangleMesh with the grid's name, and its unit and up axis where ``info`` says them. A mesh made on a GPU stays
+        there until its arrays are read. Its kernels may still run when the call returns; reads and queries wait for
+        them.
 
     Raises:
         InputError: The grid is not scalar, isovalue is not finite, adaptivity is outside [0, 1] or the method does not
@@ -147,9 +148,10 @@ def from_volume(
         from geokit.volume.isosurface.surface_nets import surface_nets
 
         arrays = surface_nets(volume, isovalue, target, turned=turned, sharp=method == "dual_contouring")
-    mesh = mesh_on_device(*arrays, volume.info.name)
+    said = _said(volume)
+    mesh = mesh_on_device(*arrays, **said)
     reach = np.abs(transform[:3, :3]).sum(axis=1) * LARGEST_INDEX + np.abs(transform[:3, 3])
-    return mesh if np.isfinite(reach).all() else TriangleMesh(mesh.vertices, mesh.faces, name=mesh.name)
+    return mesh if np.isfinite(reach).all() else TriangleMesh(mesh.vertices, mesh.faces, **said)
 
 
 @needs(_bytes, late=True)
@@ -206,6 +208,11 @@ def from_volume_with_deviation(
     return within_tolerance(mesh, tolerance, launcher.resolve_device(device), progress)
 
 
+def _said(volume: SparseVolume) -> dict[str, Any]:
+    """The name of a volume's mesh, and the unit and the axis that is up where the volume says them."""
+    return {key: getattr(volume.info, key) for key in ("name", "meters_per_unit", "up_axis")}
+
+
 def _encloses_large_values(volume: SparseVolume, isovalue: float) -> bool:
     grid_class, background = volume.info.grid_class, volume.info.background
     return grid_class == "fog volume" or (grid_class == "unknown" and bool(background < isovalue))
@@ -245,7 +252,7 @@ def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> Tri
     faces = np.concatenate([surface.triangles, _split_quads(surface.points, surface.quads)])
     if _encloses_large_values(volume, isovalue):
         faces = faces[:, ::-1]
-    return TriangleMesh(surface.points, faces, name=volume.info.name)
+    return TriangleMesh(surface.points, faces, **_said(volume))
 
 
 def _as_level_set(volume: SparseVolume) -> NDArray[np.uint8]:

@@ -143,12 +143,12 @@ def simplify(
 
 def _with_attributes(simple: TriangleMesh, mesh: TriangleMesh, device: Any) -> TriangleMesh:
     data = mesh.vertex_data or mesh.face_data or mesh.corner_data
-    if not (data or mesh.materials or mesh.meters_per_unit or mesh.up_axis):
+    if not (data or mesh.materials):
         return simple
     from geokit.mesh._repair import merge_vertices
     from geokit.mesh._transfer import transfer_attributes
 
-    simple = with_data(simple, materials=mesh.materials, meters_per_unit=mesh.meters_per_unit, up_axis=mesh.up_axis)
+    simple = with_data(simple, materials=mesh.materials)
     # The sides of a seam come to the corners where its vertices are one.
     return transfer_attributes(simple, merge_vertices(mesh), device=device)
 
@@ -194,7 +194,7 @@ class _Original:
         from geokit.mesh._surface import Surface
         from geokit.mesh.simplification.invariants import shape_of
 
-        self.name = mesh.name
+        self.said: Any = {key: getattr(mesh, key) for key in ("name", "meters_per_unit", "up_axis")}
         self.vertices, faces = _one_vertex_a_position(mesh)
         lower, upper = mesh.bounds
         around = Frame.around(lower, upper)
@@ -262,7 +262,7 @@ class _Original:
         found = surface.mesh
         p999 = max(_percentile(self.local, surface), _percentile(found, self.surface))
         vertices = self._restored(found.vertices)
-        mesh = TriangleMesh(vertices, found.faces, name=self.name)
+        mesh = TriangleMesh(vertices, found.faces, **self.said)
         deviation = bound * self.scale + self.rounding
         return Simplified(mesh, deviation, min(p999 * self.scale + self.rounding, deviation))
 

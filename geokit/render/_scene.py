@@ -139,8 +139,8 @@ def figure(
         opacity: Opacity of the mesh or the volume's surface, in (0, 1].
         point_size: Diameter of a point in pixels; None chooses it by the number of points.
         up: The world axis that points up in the picture: "x", "y", "z", or "-x", "-y", "-z" for its other end. None is
-            the ``up_axis`` of the mesh, else z for a mesh that stands on a base along z and not along y, "-y" for
-            points in the frame of a depth camera, and y for all else.
+            the ``up_axis`` of the mesh, else of the volume, else z for a mesh that stands on a base along z and not
+            along y, "-y" for points in the frame of a depth camera, and y for all else.
         transparent: Leave the background transparent instead of white.
         azimuth: Angle around the up axis from the front to the camera, to the right [degrees]; None is 28.8.
         elevation: Angle of the camera above the horizon [degrees], from -90 to 90; None is 17.
@@ -195,7 +195,9 @@ def figure(
         points = _cloud(points)
     if up is None and mesh is not None:
         view = view._replace(up=up_of(mesh))
-    elif up is None and points is not None and volume is None:
+    elif up is None and volume is not None:
+        view = view._replace(up=volume.info.up_axis or view.up)
+    elif up is None and points is not None:
         view = view._replace(up=up_of_points(points.points))
     if shadow and volume is not None and not _is_surface(volume, isovalue):
         raise InputError("shadow: fog throws none here; give an isovalue, or look='smoke', which shades itself")

@@ -30,7 +30,7 @@ from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
 from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels_or_one
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
-from geokit.volume.band.fields import hash_of, interior_metadata
+from geokit.volume.band.fields import hash_of, mesh_metadata
 from geokit.volume.nanovdb.provenance import ORDER, VOXEL_SIZE, provenance, with_more
 from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within
@@ -349,7 +349,7 @@ def adaptive_from_mesh(
         ),
         "geokit:sign_method": search.sign_method,
         "geokit:sign_reason": surface._solid_choice.reason if sign == "auto" else "asked for",
-        **interior_metadata(surface.mesh),
+        **mesh_metadata(surface.mesh),
     }
     sizes, count = made.voxel_sizes, made.level_count
     for number, level in enumerate(made.levels):

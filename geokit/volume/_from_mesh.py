@@ -20,6 +20,7 @@ from geokit.volume.band.fields import (
     grid_head,
     half_widths,
     in_float32,
+    mesh_metadata,
     resolve_surface,
     source_of,
     volume_from_built,
@@ -158,7 +159,9 @@ def from_mesh(
     ``info.metadata`` records the source of the field: "geokit:source" (the mesh's name), "geokit:source_sha256" (of its
     vertices and faces), "geokit:voxel_size", "geokit:version", "geokit:sign_method" and "geokit:sign_reason".
     "geokit:lost_components" lists the connected components of the mesh, numbered in the order of their first faces,
-    that are too thin to hold a single negative voxel; a UserWarning reports them too.
+    that are too thin to hold a single negative voxel; a UserWarning reports them too. Unit and up axis of
+    the mesh, where it says them, are in ``info.meters_per_unit`` and ``info.up_axis``; operations, ``.vdb``, ``.nvdb``
+    and :func:`geokit.mesh.from_volume` keep them.
 
     Sampled at order 1, points inside walls of 2 voxels and more are inside. Around the middle of any wall the
     interpolated distance is up to half a voxel off, and walls thinner than a voxel may have no inside. Up to 1e9 sizes
@@ -317,5 +320,5 @@ def _by_openvdb(surface: Surface, lattice: Lattice, shape: BandShape, name: str)
     buffer = native.mesh_to_level_set(
         mesh.vertices, mesh.faces, voxel_size=lattice.voxel_size, half_width=max(1.0, half_width)
     )
-    metadata = {**_origin(surface, lattice), "geokit:sign_method": "openvdb"}
+    metadata = {**_origin(surface, lattice), "geokit:sign_method": "openvdb", **mesh_metadata(mesh)}
     return SparseVolume(buffer, info_of(buffer, metadata, name=name))

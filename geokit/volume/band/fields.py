@@ -17,7 +17,7 @@ from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance
+from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance, world_metadata
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ __all__ = [
     "grid_head",
     "half_widths",
     "in_float32",
-    "interior_metadata",
+    "mesh_metadata",
     "resolve_surface",
     "source_of",
     "volume_from_built",
@@ -138,10 +138,12 @@ def source_of(mesh: TriangleMesh) -> NDArray[np.int64] | None:
     return None if origin is None else origin.source
 
 
-def interior_metadata(mesh: TriangleMesh) -> dict[str, str]:
-    """What metadata say of surface inside of solids: nothing if the mesh is as it was given."""
+def mesh_metadata(mesh: TriangleMesh) -> dict[str, Any]:
+    """What metadata say of the mesh: its unit, the axis that is up, and whether surface inside of solids is gone."""
     origin = _origin_of(mesh)
-    return {} if origin is None else {INTERIOR: "partly removed" if origin.partly else "removed"}
+    given = mesh if origin is None else origin.mesh
+    interior = {} if origin is None else {INTERIOR: "partly removed" if origin.partly else "removed"}
+    return {**world_metadata(given.meters_per_unit, given.up_axis), **interior}
 
 
 def _origin_of(mesh: TriangleMesh) -> _Origin | None:
@@ -180,7 +182,7 @@ def band_metadata(band: Band, sign: str, *, say_lost: bool = True) -> dict[str, 
         **_origin(surface, band.lattice),
         "geokit:sign_method": "shell" if band.shape.offset else method,
         "geokit:sign_reason": reason,
-        **interior_metadata(surface.mesh),
+        **mesh_metadata(surface.mesh),
     }
     if method != "none":
         from geokit.volume.band.thin_components import lost_components

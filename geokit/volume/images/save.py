@@ -22,7 +22,7 @@ from geokit.formats.images.image import LARGEST_COSINE, METERS, Image, affine
 from geokit.formats.images.stream import rows_at_a_time
 from geokit.formats.table import FORMATS, ZARR, image_module
 from geokit.volume._model import SparseVolume
-from geokit.volume.nanovdb.provenance import SPACE, UNIT
+from geokit.volume.nanovdb.provenance import SPACE, UNIT, world_metadata
 from geokit.volume.nanovdb.types import QUANTIZED
 
 __all__ = ["save_image"]
@@ -82,16 +82,22 @@ def save_image(
     columns = transform[:3, order] * np.where(flips, -1.0, 1.0)
     moved = order != [0, 1, 2] or any(flips)
     background = info.background
-    space, unit = (str(info.metadata.get(key, "")) for key in (SPACE, UNIT))
+    space, meters = str(info.metadata.get(SPACE, "")), info.meters_per_unit
+    unit = world_metadata(meters, None).get(UNIT, "")
+    placed = affine(columns, transform[:3, :3] @ corner + transform[:3, 3])
+    if meters and not unit:
+        # Inches, feet and others have no name in most of these files.
+        unit = "mm"
+        placed[:3] *= meters / METERS[unit]
     image = Image(
         shape=shape,
         dtype=dtype,
-        transform=affine(columns, transform[:3, :3] @ corner + transform[:3, 3]),
+        transform=placed,
         slabs=slabs,
         axis=axis,
         components=components,
         name=info.name,
-        unit=unit if unit in METERS else "",
+        unit=unit,
         space=space if len(space) == 3 and set(space) <= set("RLAPSI") else "",
         note={
             "name": info.name,

@@ -17,7 +17,6 @@ from geokit._warn import warn
 from geokit.core.files import atomic_path, extension
 from geokit.core.private_folder import private_folder, temporary_parent
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
-from geokit.formats.images.image import METERS
 from geokit.formats.reader import process, trusted
 from geokit.formats.references import allowed_folders
 from geokit.volume._model import SparseVolume
@@ -26,7 +25,7 @@ from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header, voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform, write_transform
-from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, UP_AXIS
+from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, world_metadata
 from geokit.volume.tree.root_table import root_span
 
 __all__ = ["StageField", "has_volumes_only", "named_field", "opened", "placed", "placed_info", "save_stage"]
@@ -46,7 +45,7 @@ class StageField(NamedTuple):
         grid: Name of the grid in it; "" for the only one.
         matrix: From the frame of the file to the world, (4, 4).
         label: The file in messages.
-        metadata: What the stage says of its world.
+        stated: ``meters_per_unit`` and ``up_axis`` of the stage, None where it does not say them.
     """
 
     name: str
@@ -54,7 +53,7 @@ class StageField(NamedTuple):
     grid: str
     matrix: NDArray[np.float64]
     label: str
-    metadata: Mapping[str, Any]
+    stated: tuple[float | None, str | None]
 
 
 @contextlib.contextmanager
@@ -99,10 +98,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
         shapes = ", ".join(facts["shapes"])
         what = f"; it holds {shapes}: load it with geokit.mesh.load" if shapes else ""
         raise FileFormatError(f"{path}: has no visible Volume prim with fields of .vdb files{what}")
-    meters = facts["meters_per_unit"]
-    unit = next((name for name, length in METERS.items() if length == meters), None)
-    said = {UP_AXIS: facts["up_axis"], UNIT: unit, METERS_PER_UNIT: meters if unit is None else None}
-    metadata = {key: value for key, value in said.items() if value is not None}
+    stated = facts["meters_per_unit"], facts["up_axis"]
     fields, packed = [], iter(arrays)
     with private_folder(temporary_parent()) if arrays else contextlib.nullcontext() as folder:
         for number, field in enumerate(facts["fields"]):
@@ -114,7 +110,7 @@ def opened(path: Path, limit: int, is_trusted: bool = False) -> Iterator[list[St
                 matrix = checked_transform(np.array(field["matrix"]))
             except InputError as error:
                 raise UnsupportedGridError(f"{path}: field {field['name']!r}: {error}") from None
-            fields.append(StageField(field["name"], file, field["grid"], matrix, field["label"], metadata))
+            fields.append(StageField(field["name"], file, field["grid"], matrix, field["label"], stated))
         yield fields
 
 
@@ -126,8 +122,7 @@ def has_volumes_only(path: Path, limit: int) -> bool:
 
 def placed(volume: SparseVolume, field: StageField) -> SparseVolume:
     """The volume of a field's grid, at its place in the stage."""
-    metadata = MappingProxyType({**volume.info.metadata, **field.metadata})
-    info = replace(volume.info, name=field.name, metadata=metadata)
+    info = replace(volume.info, name=field.name, metadata=_said(volume.info, field))
     buffer = volume.nanovdb
     if not np.array_equal(field.matrix, np.eye(4)):
         transform = checked_transform(field.matrix @ volume.info.transform)
@@ -148,8 +143,15 @@ def placed(volume: SparseVolume, field: StageField) -> SparseVolume:
 def placed_info(info: GridInfo, field: StageField) -> GridInfo:
     """What :func:`placed` makes of a grid's description."""
     transform = field.matrix @ info.transform
-    metadata = MappingProxyType({**info.metadata, **field.metadata})
-    return replace(info, name=field.name, metadata=metadata, transform=transform, voxel_size=voxel_size_of(transform))
+    said = _said(info, field)
+    return replace(info, name=field.name, metadata=said, transform=transform, voxel_size=voxel_size_of(transform))
+
+
+def _said(info: GridInfo, field: StageField) -> Mapping[str, Any]:
+    """Metadata of a grid in a stage: what the stage says of its world goes before what the grid says."""
+    said = world_metadata(*field.stated)
+    other = METERS_PER_UNIT if UNIT in said else UNIT if METERS_PER_UNIT in said else ""
+    return MappingProxyType({**{key: value for key, value in info.metadata.items() if key != other}, **said})
 
 
 def save_stage(
@@ -186,9 +188,8 @@ def save_stage(
     named = [SparseVolume(v.nanovdb, replace(v.info, name=name)) for name, v in zip(names, volumes, strict=True)]
     boxes = [box for volume in volumes if (box := volume.info.world_bounds) is not None]
     extent = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
-    said = volumes[0].info.metadata
-    up_axis, meters = said.get(UP_AXIS), METERS.get(str(said.get(UNIT)), said.get(METERS_PER_UNIT))
-    world: Any = (extent, up_axis if up_axis in ("y", "z") else None, meters if isinstance(meters, float) else None)
+    info = volumes[0].info
+    world: Any = extent, info.up_axis, info.meters_per_unit
     with atomic_path(path) as part:
         try:
             if extension(path) == ".usdz":

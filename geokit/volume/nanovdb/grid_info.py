@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.nanovdb.provenance import ACHIEVED_999, ACHIEVED_ERROR, ORDER, TOLERANCE, known_number
+from geokit.volume.nanovdb.provenance import ACHIEVED_999, ACHIEVED_ERROR, ORDER, TOLERANCE, known_number, world_of
 
 __all__ = ["GridInfo"]
 
@@ -59,6 +59,16 @@ class GridInfo:
         corners = np.array(np.meshgrid(*self.index_bounds.T, indexing="ij"), dtype=np.float64).reshape(3, -1)
         world = self.transform[:3, :3] @ corners + self.transform[:3, 3:]
         return np.stack([world.min(axis=1), world.max(axis=1)])
+
+    @property
+    def meters_per_unit(self) -> float | None:
+        """Length of the world's unit [m]; None where it is not known."""
+        return world_of(self.metadata)[0]
+
+    @property
+    def up_axis(self) -> str | None:
+        """The axis of the world that points up, "x", "y" or "z"; None where it is not known."""
+        return world_of(self.metadata)[1]
 
     @property
     def tolerance(self) -> float | None:

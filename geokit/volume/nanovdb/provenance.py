@@ -14,10 +14,10 @@ The keys are stored in .vdb as OpenVDB metadata and in .nvdb as a channel of bli
 ``geokit:order``              order of interpolation for which it holds
 ``geokit:level``              number of a level of an adaptive field, 0 the coarsest
 ``geokit:level_count``        number of its levels
-``geokit:unit``               unit of lengths in the world, if its file said so: m, cm, mm, um, nm or angstrom
+``geokit:unit``               unit of lengths in the world, if its source said so: m, cm, mm, um, nm or angstrom
 ``geokit:space``              where the axes of the world point in a body, if its file said so: RAS, LPS, ...
 ``geokit:meters_per_unit``    length of that unit [m], where it is none of these
-``geokit:up_axis``            axis of the world that points up, if its file said so: y or z
+``geokit:up_axis``            axis of the world that points up, if its source said so: x, y or z
 ``geokit:version``            version of geokit that made the volume
 ============================  =============================================================================
 """
@@ -25,6 +25,7 @@ The keys are stored in .vdb as OpenVDB metadata and in .nvdb as a channel of bli
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -33,24 +34,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.formats.images.image import METERS
+
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
 __all__ = [
     "ACHIEVED_999",
     "ACHIEVED_ERROR",
-    "METERS_PER_UNIT",
     "ORDER",
     "SPACE",
     "TOLERANCE",
     "UNIT",
-    "UP_AXIS",
     "VOXEL_SIZE",
     "content_hash",
     "known_number",
     "provenance",
     "with_error",
     "with_more",
+    "world_metadata",
+    "world_of",
 ]
 
 SOURCE = "geokit:source"
@@ -135,6 +138,21 @@ def with_more(volume: SparseVolume, more: Mapping[str, Any]) -> SparseVolume:
     metadata = MappingProxyType({**volume.info.metadata, **more})
     object.__setattr__(volume, "info", replace(volume.info, metadata=metadata))
     return volume
+
+
+def world_metadata(meters_per_unit: float | None, up_axis: str | None) -> dict[str, Any]:
+    """What metadata say of the length of the world's unit [m] and of the axis that points up; of None nothing."""
+    meters = meters_per_unit
+    unit = meters and next((name for name, size in METERS.items() if math.isclose(size, meters, rel_tol=1e-9)), None)
+    said = {UNIT: unit, METERS_PER_UNIT: None if unit else meters, UP_AXIS: up_axis}
+    return {key: value for key, value in said.items() if value is not None}
+
+
+def world_of(metadata: Mapping[str, Any]) -> tuple[float | None, str | None]:
+    """``meters_per_unit`` and ``up_axis`` that metadata say, each None if they do not."""
+    meters = METERS.get(str(metadata.get(UNIT)), known_number(metadata.get(METERS_PER_UNIT)))
+    up_axis = str(metadata.get(UP_AXIS))
+    return (meters if meters and 0.0 < meters < math.inf else None), (up_axis if up_axis in ("x", "y", "z") else None)
 
 
 def content_hash(*arrays: NDArray[Any]) -> str:
