@@ -1,4 +1,4 @@
-"""Signs of the fields of open meshes: one sign for active and inactive voxels, that of the surface."""
+"""Signs of the fields of open meshes: one sign for active and inactive voxels, by winding numbers also of sheets."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def require_signs(mesh, size, device="cpu", **options):
     points = voxels_around(mesh, size)
     if len(points) > MOST_VOXELS:
         points = np.random.default_rng(8).choice(points, MOST_VOXELS, replace=False)
-    expected = surface.signed_distance(points).distance
+    expected = surface.signed_distance(points, sign="winding").distance
     found = grid.sample(points, order=0, device="cpu")
     band = np.abs(expected) < 0.999 * grid.info.background
     clear = np.abs(expected) > 1e-6 * mesh.diagonal
@@ -107,9 +107,9 @@ def test_sheets_upon_each_other_reach_beyond_their_box():
     grid = volume.from_mesh(surface, 0.05)
     points = np.array([[0, 0, -0.5], [0, 0, 0.5], [0, 0, -0.7], [0, 0, 0.7], [0, 0, -2], [0, 0, 2]])
     np.testing.assert_array_equal(
-        grid.sample(points, order=0, device="cpu") < 0, surface.signed_distance(points).distance < 0
+        grid.sample(points, order=0, device="cpu") < 0, surface.signed_distance(points, sign="winding").distance < 0
     )
-    assert (surface.signed_distance(points).distance < 0).any()
+    assert (surface.signed_distance(points, sign="winding").distance < 0).any()
 
 
 @pytest.mark.parametrize("sign", ["pseudonormal", "parity"])
@@ -143,7 +143,7 @@ def test_triangles_and_tolerances_follow():
     fine = volume.from_mesh(surface, tolerance=0.02, order=1, codec="float")
     size, start = float(fine.info.voxel_size[0]), fine.info.transform[:3, 3]
     points = start + size * np.random.default_rng(9).integers(-4, np.ceil(2.2 / size), (40000, 3))
-    expected = surface.signed_distance(points).distance
+    expected = surface.signed_distance(points, sign="winding").distance
     found = fine.sample(points, order=0, device="cpu")
     clear = np.abs(expected) > 0.04
     assert ((found < 0) != (expected < 0))[clear].mean() <= WRONG_SHARE
@@ -165,7 +165,7 @@ def require_no_second_surface(mesh, size, method):
     far = shown.vertices[distance > 1.5]
     assert distance.max() <= 4.0
     corners = far[:, None] + size * np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3)
-    inside = surface.contains(corners.reshape(-1, 3)).reshape(-1, 8)
+    inside = surface.contains(corners.reshape(-1, 3), sign="winding").reshape(-1, 8)
     assert (inside.any(axis=1) & ~inside.all(axis=1)).all()
     to_rim = Surface(rim_of(mesh), device="cpu").closest_point(far).distance / size
     return len(far) / len(shown.vertices), to_rim.max(initial=0.0)
