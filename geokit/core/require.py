@@ -6,6 +6,7 @@ anything, so they are called here only, and whatever they raise becomes an Input
 
 from __future__ import annotations
 
+import math
 import operator
 import os
 from collections.abc import Iterable, Mapping
@@ -32,6 +33,7 @@ __all__ = [
     "require_mapping",
     "require_memory",
     "require_number",
+    "require_one_world",
     "require_path",
     "require_table",
     "require_text",
@@ -138,6 +140,29 @@ def require_choice(value: Any, name: str, choices: Iterable[str]) -> str:
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"{name}: {described(value)} is not known; use one of {', '.join(map(repr, choices))}")
     return value
+
+
+def require_one_world(**things: Any) -> dict[str, Any]:
+    """The ``meters_per_unit`` and ``up_axis`` that meshes or descriptions of volumes say, None where none does.
+
+    Args:
+        things: By the names of their arguments.
+    Raises:
+        InputError: Two of them say different ones.
+    """
+    found: dict[str, Any] = {"meters_per_unit": None, "up_axis": None}
+    for key in found:
+        said = {name: value for name, thing in things.items() if (value := getattr(thing, key)) is not None}
+        for name, value in said.items():
+            first = next(iter(said))
+            # Files round the lengths of their units.
+            if value != said[first] and not (key == "meters_per_unit" and math.isclose(value, said[first])):
+                raise InputError(
+                    f"{name}: {key} differs: {value!r}, and {said[first]!r} of {first}; mesh.convert_unit gives both "
+                    "the same"
+                )
+            found[key] = said[first]
+    return found
 
 
 def require_path(value: Any, name: str = "path") -> Path:

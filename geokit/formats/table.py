@@ -78,6 +78,8 @@ class Format(NamedTuple):
         corner: The same for corners.
         materials: Whether they hold materials, and which face has which.
         unit: Whether they hold the length of their unit. Formats that do not are taken to be in meters.
+        default_unit: The unit that files state, by the format's specification, where none is known; "" if they may
+            leave it out.
         fixed_up: The axis that points up in all files by the format's specification; "" if there is none.
         float32: Whether meshes are written with float32 coordinates.
         process: Whether files are read in a separate process, because the library hangs, crashes or prints on damaged
@@ -104,6 +106,7 @@ class Format(NamedTuple):
     corner: str = ""
     materials: bool = False
     unit: bool = False
+    default_unit: str = ""
     fixed_up: str = ""
     float32: bool = False
     process: bool = False
@@ -130,8 +133,8 @@ _ARRAYS: Any = {"vertex": "*", "face": "*"}
 # Parts, simulations and surveys stand on the xy plane, characters and scenes on the xz plane.
 _Z: Any = {"up": "z"}
 _GLTF: Any = {
-    "mesh": "rw", "vertex": "*", "materials": True, "fixed_up": "y", "float32": True, "process": True,
-    "references": True,
+    "mesh": "rw", "vertex": "*", "materials": True, "default_unit": "meter", "fixed_up": "y", "float32": True,
+    "process": True, "references": True,
 }  # fmt: skip
 _USD: Any = {
     "corner": "*",
@@ -154,7 +157,9 @@ FORMATS: dict[str, Format] = {
     # trimesh
     ".glb": Format("scenes", **_GLTF),
     ".gltf": Format("scenes", **_GLTF),
-    ".3mf": Format("exchange.three_mf", mesh="rw", unit=True, fixed_up="z", process=True, **_Z),
+    ".3mf": Format(
+        "exchange.three_mf", mesh="rw", unit=True, default_unit="millimeter", fixed_up="z", process=True, **_Z
+    ),
     # VTK. Meshes are written by pyvista, .vtu by meshio.
     ".vtk": Format("vtk", mesh="rw", **_ARRAYS, unit=True, process=True, **_Z),
     ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, unit=True, process=True, **_Z),
@@ -202,8 +207,8 @@ FORMATS: dict[str, Format] = {
     ".nhdr": Format("", volume="r", image="nrrd", extra="medical", **_Z),
     ".mhd": Format("", volume="rw", image="meta_image", references=True, **_Z),
     ".mha": Format("", volume="rw", image="meta_image", **_Z),
-    ".mrc": Format("", volume="rw", image="mrc", extra="imaging", **_Z),
-    ".map": Format("", volume="rw", image="mrc", extra="imaging", **_Z),
+    ".mrc": Format("", volume="rw", image="mrc", default_unit="angstrom", extra="imaging", **_Z),
+    ".map": Format("", volume="rw", image="mrc", default_unit="angstrom", extra="imaging", **_Z),
     ".tif": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
     ".tiff": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
     ".dcm": Format("", volume="r", image="dicom", extra="medical", **_Z),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core.download import download
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_mapping
+from geokit.core.require import require_mapping, require_one_world
 from geokit.mesh._device_mesh import vertices_near
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
@@ -44,7 +44,8 @@ def sample_attributes(
         grids of vectors and colors. Suits ``geokit.mesh.save(path, mesh, point_data=...)``.
 
     Raises:
-        InputError: A name is empty or not text, a value is not a volume, or the order is not supported.
+        InputError: A name is empty or not text, a value is not a volume, the order is not supported, or units or up
+            axes are known and differ.
         UnsupportedGridError: A grid stores indices or points instead of values.
 
     Example:
@@ -60,6 +61,7 @@ def sample_attributes(
     volumes = require_mapping(volumes, "volumes")
     for name, volume in volumes.items():
         require_volume(volume, f"volumes[{name!r}]")
+    require_one_world(mesh=mesh, **{f"volumes[{name!r}]": volume.info for name, volume in volumes.items()})
     points = vertices_near(mesh, device) if volumes else None
     sampled = {name: volume.sample(points, order=order, device=device) for name, volume in volumes.items()}
     return {name: values if isinstance(values, np.ndarray) else download(values)[0] for name, values in sampled.items()}

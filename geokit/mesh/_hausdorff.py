@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_count
+from geokit.core.require import require_count, require_one_world
 from geokit.core.snapshot import snapshot
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
@@ -127,7 +127,8 @@ def hausdorff(
     Returns:
         HausdorffDistance with max, upper, mean, rms, point_a (3,), point_b (3,), a_to_b, b_to_a.
     Raises:
-        InputError: a or b is neither a TriangleMesh nor a Surface, or has no faces; tolerance is not a positive finite
+        InputError: a or b is neither a TriangleMesh nor a Surface, or has no faces; their units or up axes are known
+            and differ; tolerance is not a positive finite
             number; samples or seed is negative or not a whole number; there is no such device.
         DeviceMemoryError: The device cannot hold the surfaces.
     Source:
@@ -146,6 +147,7 @@ def hausdorff(
     """
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     meshes = [_mesh_of(a, "a"), _mesh_of(b, "b")]
+    require_one_world(a=meshes[0], b=meshes[1])
     samples = require_count(samples, "samples")
     first = _surface_of(a if isinstance(a, Surface) else meshes[0], device)
     second = first if b is a else _surface_of(b if isinstance(b, Surface) else meshes[1], device)

@@ -25,10 +25,11 @@ from geokit.formats.attributes.held import what_is_held
 from geokit.formats.foreign import require_format
 from geokit.formats.reading_defaults import default_step, default_tolerance
 from geokit.formats.references import allowed_folders
-from geokit.formats.table import FORMATS, extensions, module_of, with_formats
+from geokit.formats.table import FORMATS, Format, extensions, module_of, with_formats
 from geokit.mesh._data import checked_data
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
+from geokit.mesh._unit import convert_unit
 from geokit.mesh.attributes.derived import with_data
 
 __all__ = ["load", "save"]
@@ -194,6 +195,10 @@ def save(
       UserWarning.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
 
+    - .glb and .gltf are in meters with y up, .3mf is in the unit that it states with z up: a mesh whose
+      ``meters_per_unit`` and ``up_axis`` are known is scaled and turned to that. Where the unit is not known, numbers
+      stay, and a UserWarning says which unit the file states (a .3mf millimeters).
+
     One UserWarning names what the format does not hold; of a unit and the axis that is up, where files of the format
     are taken for others. Arguments that it does not hold are an error.
 
@@ -223,10 +228,11 @@ def save(
     if (points and written.vertex != "*") or (cells and written.face != "*"):
         known = sorted(other for other in extensions("mesh", "w") if FORMATS[other].data)
         raise InputError(f"{path}: {kind} holds no data arrays; use one of {', '.join(known)}")
-    if written.float32:
-        _require_float32(mesh, kind)
     if points or cells:
         mesh = with_data(mesh, vertex_data={**mesh.vertex_data, **points}, face_data={**mesh.face_data, **cells})
+    mesh = _in_world_of(mesh, written, path)
+    if written.float32:
+        _require_float32(mesh, kind)
     module = module_of(kind)
     mesh, lost = what_is_held(mesh, written, module, kind)
     if lost:
@@ -242,6 +248,18 @@ def save(
         with contextlib.ExitStack() as stack:
             for name, content in beside.items():
                 stack.enter_context(atomic_path(target.parent / name)).write_bytes(content)
+
+
+def _in_world_of(mesh: TriangleMesh, written: Format, path: Any) -> TriangleMesh:
+    """The mesh in the unit, and with the axis up, that a format has by its specification."""
+    if written.default_unit and mesh.meters_per_unit is None:
+        warn(
+            f"{path}: the unit of the mesh is not known, and the file says {written.default_unit}; say it with "
+            "convert_unit(mesh, from_unit=...)"
+        )
+    unit = None if written.unit or mesh.meters_per_unit is None else written.default_unit or None
+    up_axis = None if mesh.up_axis is None else written.fixed_up or None
+    return convert_unit(mesh, unit, up_axis=up_axis)
 
 
 def _companions(module: ModuleType, mesh: TriangleMesh, target: Path) -> tuple[str, dict[str, bytes]]:

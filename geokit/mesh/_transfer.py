@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.needs import needs
+from geokit.core.require import require_one_world
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh._surface import Surface
@@ -50,7 +51,8 @@ def transfer_attributes(
     Returns:
         The mesh with the attributes.
     Raises:
-        InputError: One is not a mesh, the source has no faces or no attribute of a name, or there is no such device.
+        InputError: One is not a mesh, the source has no faces or no attribute of a name, there is no such device, or
+            units or up axes are known and differ.
     Example:
         >>> torus = gk.mesh.load("data/samples/torus.ply")
         >>> heights = gk.mesh.TriangleMesh(torus.vertices, torus.faces, vertex_data={"height": torus.vertices[:, 2]})
@@ -65,6 +67,7 @@ def transfer_attributes(
     if not isinstance(source, Surface):
         source = Surface(require_mesh(source, "source"), device=device)
     held = source.mesh
+    require_one_world(mesh=mesh, source=held)
     asked = chosen_names(held, names)
     data: dict[str, dict[str, NDArray[Any]]] = {
         kind: dict(getattr(mesh, kind)) for kind in ("vertex_data", "face_data", "corner_data")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geokit.core.memory.needs import needs
+from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.mesh._model import MeshPart, TriangleMesh, trusted_mesh
 from geokit.mesh._objects import require_mesh
@@ -103,12 +104,8 @@ def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
     """One mesh of all of them, each with its vertices and as a part."""
     if len(meshes) == 1:
         return meshes[0]
-    said: dict[str, Any] = {}
-    for name in ("meters_per_unit", "up_axis"):
-        values = {getattr(mesh, name) for mesh in meshes} - {None}
-        if len(values) > 1:
-            raise InputError(f"others: {name} differs: {sorted(values)}; convert_unit gives all of them the same")
-        said[name] = values.pop() if values else None
+    first, *others = meshes
+    said = require_one_world(mesh=first, **{f"others[{number}]": other for number, other in enumerate(others)})
     vertex_ends = np.cumsum([mesh.vertex_count for mesh in meshes])
     face_ends = np.cumsum([mesh.face_count for mesh in meshes])
     if vertex_ends[-1] > np.iinfo(np.int32).max:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core.files import atomic_path
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_choice, require_flag, require_instance
+from geokit.core.require import require_choice, require_flag, require_instance, require_one_world
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, MissingDependencyError
 from geokit.points._io import PointCloud
@@ -155,7 +155,8 @@ def figure(
         The path that was written.
     Raises:
         InputError: Nothing to draw, values that match no vertices, faces or points, a wrong size, axis, color, look or
-            file name, smoke beside a mesh, points or a volume's surface, or a shadow of fog.
+            file name, smoke beside a mesh, points or a volume's surface, a shadow of fog, or units or up axes
+            that are known and differ.
         FileAccessError: The target cannot be written.
         MissingDependencyError: No OpenGL library works here; the message names the packages.
 
@@ -191,6 +192,8 @@ def figure(
         mesh = require_mesh(mesh, "mesh")
     if volume is not None:
         require_instance(volume, "volume", SparseVolume, "load or make one first")
+    if mesh is not None and volume is not None:
+        require_one_world(mesh=mesh, volume=volume.info)
     if points is not None:
         points = _cloud(points)
     if up is None and mesh is not None:

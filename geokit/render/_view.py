@@ -15,7 +15,7 @@ from typing import Any
 from geokit.core import launcher
 from geokit.core.files import atomic_path, require_extension
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_choice, require_count, require_items, require_path
+from geokit.core.require import require_choice, require_count, require_items, require_one_world, require_path
 from geokit.errors import InputError
 from geokit.render._camera import UP
 from geokit.render._checks import SEQUENTIAL, checked_colormap, checked_label
@@ -99,7 +99,8 @@ def view(
         Page with the text and the path.
     Raises:
         InputError: Nothing to draw, an empty thing, one that cannot be drawn or lies beyond float32, an unknown axis or
-            color map, another number of names, or a file name without .html.
+            color map, another number of names, a file name without .html, or units or up axes that are known and
+            differ.
         FileAccessError: The target cannot be written.
         UnsupportedGridError: A grid stores points, or indices without a channel.
 
@@ -121,6 +122,8 @@ def view(
     if not things:
         raise InputError("things: there is nothing to draw; give a mesh, a volume, a cloud, or points")
     found = [read_thing(thing, f"things[{row}]") for row, thing in enumerate(things)]
+    said = {f"things[{row}]": getattr(thing, "info", thing) for row, thing in enumerate(found)}
+    require_one_world(**{name: thing for name, thing in said.items() if hasattr(thing, "up_axis")})
     labels = [_name(thing) for thing in found]
     if names is not None:
         given: list[str] = require_items(names, "names", str)

@@ -9,6 +9,7 @@ import numpy as np
 
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.memory.needs import needs
+from geokit.core.require import require_one_world
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
@@ -16,7 +17,9 @@ from geokit.volume.level_set.band_widths import widths_of, with_widths
 from geokit.volume.level_set.false_walls import without_false_walls
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
+from geokit.volume.nanovdb.provenance import with_more, world_metadata
 from geokit.volume.tree.estimates import leaf_count
+from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.mask_csg import combined_masks
 from geokit.volume.tree.openvdb_call import call_openvdb
 
@@ -50,7 +53,8 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
     OpenVDB.
 
     Args:
-        a: Level set or mask. The result takes its grid, band, name and metadata.
+        a: Level set or mask. The result takes its grid, band, name and metadata, and the unit and up axis
+            that any of them says.
         b: Second operand, of the same kind.
         more: Further operands.
         smooth: Width of the blend [world]; 0 keeps the sharp seam. Must be 0 for masks.
@@ -58,7 +62,7 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
         Level set of ``a``'s type (float if that is quantized), or mask.
     Raises:
         InputError: An operand is no level set or has voxels that are not cubes; smooth is negative, not finite, or more
-            than 256 voxels; masks lie on different lattices.
+            than 256 voxels; masks lie on different lattices; units or up axes are known and differ.
         UnsupportedGridError: Values are not real numbers, or masks are mixed with other grids.
         DeviceMemoryError: The tiles of masks hold more voxels than fit into memory.
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
@@ -82,7 +86,8 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     masks is the set of voxels that are on in all of them. Conversions and limits are those of :func:`union`.
 
     Args:
-        a: Level set or mask. The result takes its grid, band, name and metadata.
+        a: Level set or mask. The result takes its grid, band, name and metadata, and the unit and up axis
+            that any of them says.
         b: Second operand, of the same kind.
         more: Further operands.
         smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
@@ -107,7 +112,8 @@ def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: fl
     are.
 
     Args:
-        a: Level set or mask from which the others are subtracted. The result takes its grid, band, name and metadata.
+        a: Level set or mask from which the others are subtracted. The result takes its grid, band, name and metadata,
+            and the unit and up axis that any of them says.
         b: Second operand, of the same kind.
         more: Further operands.
         smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
@@ -124,7 +130,14 @@ def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: fl
 
 def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> SparseVolume:
     names = ["a", "b", *(f"more[{i}]" for i in range(len(operands) - 2))]
-    if isinstance(operands[0], SparseVolume) and operands[0].info.grid_type == "mask":
+    said = require_one_world(
+        **{name: require_volume(one, name).info for name, one in zip(names, operands, strict=True)}
+    )
+    return with_more(_combined_grids(kind, operands, names, smooth), world_metadata(**said))
+
+
+def _combined_grids(kind: str, operands: tuple[SparseVolume, ...], names: list[str], smooth: float) -> SparseVolume:
+    if operands[0].info.grid_type == "mask":
         if require_finite_scalar(smooth, "smooth") != 0.0:
             raise InputError(f"smooth: {smooth} is for level sets; voxels of masks are on or off")
         return combined_masks(kind, operands, names)

@@ -12,6 +12,7 @@ from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
+from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
@@ -75,7 +76,7 @@ def integrate(
     Raises:
         InputError: An array is not (N, 3) or not finite, their lengths differ, a direction is zero, the extinction or
             t_min is negative or not finite, max_distance is negative or not a number, a background is not 0, or the
-            transforms differ.
+            transforms, or units or up axes that are known, differ.
         UnsupportedGridError: A grid has several components, or stores indices or points.
     Example:
         >>> from geokit.volume import load
@@ -97,6 +98,7 @@ def integrate(
     require_volume(volume, "volume")
     if emission is not None:
         require_volume(emission, "emission")
+        require_one_world(volume=volume.info, emission=emission.info)
     field = _field(volume, emission, target)
     found = Transmittance(
         transmittance=user_arrays.empty(len(rays), wp.float64, rays.rows),

@@ -102,7 +102,9 @@ def test_attributes_of_another_mesh_and_what_a_format_drops(tmp_path, capsys):
     assert facts["materials"] == ["red", "wood (painted_wood.png, 69 bytes)"]
     assert facts["corner_data"] == ["uv float64 (360, 3, 2)", "normal float64 (360, 3, 3)"]
     assert main(["convert", files[1], str(tmp_path / "a.glb")]) == 0
-    assert capsys.readouterr().err.count("warning") == 0
+    said = capsys.readouterr().err
+    assert "the unit of the mesh is not known, and the file says meter" in said
+    assert said.count("warning") == 1
 
 
 def test_arrays_of_clouds_that_a_format_lacks_are_named(tmp_path, capsys):

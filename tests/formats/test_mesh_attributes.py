@@ -73,8 +73,8 @@ def test_numbers_come_back_where_the_table_says(tmp_path, kind):
         if name in again.face_data:
             np.testing.assert_array_equal(again.face_data[name], values)
     assert ("materials" in lost) == (not row.materials)
-    assert ("the unit of 0.001 m" in lost) == (not row.unit)
-    # By its specification, what is said of no unit in glTF is in meters.
+    assert ("the unit of 0.001 m" in lost) == (not row.unit and not row.default_unit)
+    # By its specification, glTF is in meters.
     unsaid = 1.0 if kind in (".glb", ".gltf") else None
     assert again.meters_per_unit == (0.001 if row.unit else unsaid)
     assert len(said) == (1 if lost else 0)
@@ -137,7 +137,8 @@ def test_all_types_are_written(tmp_path, kind):
     values = {np.dtype(code).name: np.arange(30).astype(np.dtype(code)) for code in DTYPES}
     data = {f"one_{name}": given for name, given in values.items()}
     data |= {f"five_{name}": np.repeat(given[:, None], 5, axis=1) for name, given in values.items()}
-    again, said = saved(TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=data), tmp_path / f"a{kind}")
+    mesh = TriangleMesh(TORUS.vertices, TORUS.faces, vertex_data=data, meters_per_unit=1.0)
+    again, said = saved(mesh, tmp_path / f"a{kind}")
     assert not said
     assert set(again.vertex_data) == set(data)
     for name, given in data.items():

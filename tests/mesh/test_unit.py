@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import struct
 import warnings
 import zipfile
 
@@ -18,6 +20,15 @@ METERS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254
 def part(**more):
     box = gk.mesh.box((1.0, 2.0, 3.0), center=(5.0, 6.0, 7.0))
     return gk.mesh.TriangleMesh(box.vertices, box.faces, **more)
+
+
+def gltf_of(path):
+    """The JSON of a .gltf or .glb, by its specification: after a header of 12 bytes the first chunk of a .glb."""
+    content = path.read_bytes()
+    if path.suffix == ".glb":
+        (length,) = struct.unpack_from("<I", content, 12)
+        content = content[20 : 20 + length]
+    return json.loads(content)
 
 
 class TestConvertUnit:
@@ -118,8 +129,44 @@ class TestFiles:
             gk.mesh.save(path, part(meters_per_unit=1.0, up_axis="y"))
         loaded = gk.mesh.load(path)
         assert (loaded.meters_per_unit, loaded.up_axis) == (1.0, "y")
-        with pytest.warns(UserWarning, match=r"the unit of 0\.001 m, that z is up \(y is in these files\)"):
-            gk.mesh.save(path, part(meters_per_unit=0.001, up_axis="z"))
+        np.testing.assert_array_equal(loaded.vertices, part().vertices)
+
+    @pytest.mark.parametrize("kind", ["glb", "gltf"])
+    @pytest.mark.parametrize("more", [{}, {"vertex_data": {"normal": np.tile([0.0, 0.0, 1.0], (8, 1))}}])
+    def test_gltf_is_scaled_and_turned_to_that(self, kind, more, tmp_path):
+        path = tmp_path / f"a.{kind}"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(path, part(meters_per_unit=0.0254, up_axis="z", **more))
+        content = gltf_of(path)
+        (primitive,) = content["meshes"][0]["primitives"]
+        box = content["accessors"][primitive["attributes"]["POSITION"]]
+        (lx, ly, lz), (ux, uy, uz) = part().bounds * 0.0254
+        np.testing.assert_allclose([box["min"], box["max"]], [[lx, lz, -uy], [ux, uz, -ly]], rtol=1e-6)
+        loaded = gk.mesh.load(path)
+        assert loaded.volume == pytest.approx(6.0 * 0.0254**3, rel=1e-5)
+        if more:
+            np.testing.assert_array_equal(loaded.vertex_data["normal"], np.tile([0.0, 1.0, 0.0], (8, 1)))
+
+    def test_gltf_of_a_known_unit_and_no_axis_is_scaled_only(self, tmp_path):
+        gk.mesh.save(tmp_path / "a.glb", part(meters_per_unit=0.001))
+        np.testing.assert_allclose(gk.mesh.load(tmp_path / "a.glb").vertices, part().vertices / 1000, rtol=1e-6)
+
+    @pytest.mark.parametrize(("kind", "unit"), [("glb", "meter"), ("gltf", "meter"), ("3mf", "millimeter")])
+    def test_a_file_that_states_a_unit_says_so(self, kind, unit, tmp_path):
+        path = tmp_path / f"a.{kind}"
+        told = rf"a\.{kind}: the unit of the mesh is not known, and the file says {unit}; say it with convert_unit"
+        with pytest.warns(UserWarning, match=told):
+            gk.mesh.save(path, part())
+        np.testing.assert_array_equal(gk.mesh.load(path).vertices, part().vertices)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gk.mesh.save(path, gk.mesh.convert_unit(part(), from_unit="mm"))
+            gk.mesh.save(tmp_path / "a.stl", part())
+
+    def test_a_length_beyond_float32_in_meters_is_refused(self, tmp_path):
+        with pytest.raises(InputError, match=r"mesh: vertex \d .*is beyond the float32 of \.glb"):
+            gk.mesh.save(tmp_path / "a.glb", part(meters_per_unit=1e39))
 
     @pytest.mark.parametrize(("kind", "usual", "other"), [("obj", "y", "z"), ("ply", "y", "x"), ("stl", "z", "y")])
     def test_an_axis_that_others_take_for_up_is_told(self, kind, usual, other, tmp_path):
@@ -129,14 +176,14 @@ class TestFiles:
         with pytest.warns(UserWarning, match=rf"does not hold that {other} is up \({usual} is in most such files\)"):
             gk.mesh.save(tmp_path / f"a.{kind}", part(up_axis=other))
 
-    def test_gltf_to_3mf_says_that_up_changes(self, tmp_path):
+    def test_gltf_to_3mf_turns_z_up(self, tmp_path):
         gk.mesh.save(tmp_path / "a.glb", part())
         loaded = gk.mesh.load(tmp_path / "a.glb")
-        with pytest.warns(UserWarning, match=r"does not hold that y is up \(z is in these files\)"):
-            gk.mesh.save(tmp_path / "a.3mf", loaded)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            gk.mesh.save(tmp_path / "a.3mf", loaded)
             gk.mesh.save(tmp_path / "b.3mf", gk.mesh.convert_unit(loaded, "mm", up_axis="z"))
+        assert gk.mesh.load(tmp_path / "a.3mf").bounds[1].tolist() == [5.5, -5.5, 7.0]
         assert gk.mesh.load(tmp_path / "b.3mf").bounds[1].tolist() == [5500.0, -5500.0, 7000.0]
 
 

@@ -56,10 +56,9 @@ def what_is_held(mesh: TriangleMesh, held: Format, module: Any, kind: str = "") 
     # A meter is what is meant where nothing is said.
     if mesh.meters_per_unit not in (None, 1.0) and not held.unit:
         lost.append(f"the unit of {mesh.meters_per_unit:g} m")
-    # So is the axis that is up in most files of the format; what holds a unit without a fixed axis holds the axis too.
-    usual = held.fixed_up or (held.up if kind and not held.unit else "")
-    if usual and mesh.up_axis not in (None, usual):
-        lost.append(f"that {mesh.up_axis} is up ({usual} is in {'these' if held.fixed_up else 'most such'} files)")
+    # So is the axis that is up in most files of the format; what holds a unit holds the axis too.
+    if kind and not held.unit and mesh.up_axis not in (None, held.up):
+        lost.append(f"that {mesh.up_axis} is up ({held.up} is in most such files)")
     kept_materials = []
     for material in mesh.materials if held.materials else ():
         if holds_texture and material.texture and not holds_texture(material.texture.data):

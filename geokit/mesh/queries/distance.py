@@ -12,7 +12,7 @@ from geokit.core import launcher
 from geokit.core.gradients.differentiable import undifferentiable
 from geokit.core.memory.needs import needs
 from geokit.core.poses.move import move
-from geokit.core.require import require_affine
+from geokit.core.require import require_affine, require_one_world
 from geokit.core.snapshot import on_snapshot, snapshot
 from geokit.core.user_arrays import LARGEST_MEASURED
 from geokit.errors import InputError
@@ -63,13 +63,14 @@ class DistanceQueries(OverlapQueries):
         Args:
             other: A surface on the same device.
             transform: Where this surface is: an affine map of it for column vectors, shape (4, 4), with the last row
-                0, 0, 0, 1. None leaves it in place. No new tree is built.
+                0, 0, 0, 1. It may change the unit and the axis that is up. None leaves it in place. No new tree is
+                built.
         Returns:
             SurfaceDistance with distance, point (3,), other_point (3,), triangle_id, other_triangle_id.
         Raises:
-            InputError: other is not a Surface, or is on another device; the transform has another shape or last row or
-                a number that is not finite, or moves a corner beyond 1e150; a mesh is smaller than 1e-70 or larger than
-                1e70.
+            InputError: other is not a Surface, or is on another device; units or up axes are known and differ, without
+                a transform; that has another shape or last row or a number that is not finite, or moves a corner
+                beyond 1e150; a mesh is smaller than 1e-70 or larger than 1e70.
             DeviceMemoryError: The device cannot hold the moved corners.
         Source:
             Ericson, Real-Time Collision Detection (2005), 5.1.10. Differs: contact is decided by the predicates of
@@ -91,6 +92,8 @@ class DistanceQueries(OverlapQueries):
         )
 
         other = snapshot(require_surface(self, other))
+        if transform is None:
+            require_one_world(surface=self.mesh, other=other.mesh)
         require_measurable(self.mesh, self._frame)
         require_measurable(other.mesh, other._frame)
         corners, scale = self._moved_corners(transform)

@@ -14,6 +14,7 @@ from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.require import require_one_world
 from geokit.core.snapshot import on_snapshot, snapshot
 from geokit.errors import DeviceMemoryError, InputError
 
@@ -115,7 +116,7 @@ class OverlapQueries:
         Returns:
             int32 (P, 2): triangle of this surface and triangle of the other in each row, sorted.
         Raises:
-            InputError: other is not a Surface, or is on another device.
+            InputError: other is not a Surface, or is on another device; units or up axes are known and differ.
             DeviceMemoryError: There are more pairs than the device can hold.
         Source:
             Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates" (1997);
@@ -123,7 +124,9 @@ class OverlapQueries:
 
         Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
-        return self._pairs(snapshot(require_surface(self, other)))
+        other = require_surface(self, other)
+        require_one_world(surface=self.mesh, other=other.mesh)
+        return self._pairs(snapshot(other))
 
     @needs(lambda self, *_, **__: 32 * self.mesh.face_count, late=True)
     @on_snapshot

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.files import atomic_path, extension
 from geokit.core.private_folder import private_folder, temporary_parent
+from geokit.core.require import require_one_world
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.reader import process, trusted
 from geokit.formats.references import allowed_folders
@@ -169,7 +170,7 @@ def save_stage(
         write_vdb: Writes volumes to a .vdb.
     Raises:
         FileAccessError: The target cannot be written.
-        InputError: A name is no text in UTF-8.
+        InputError: A name is no text in UTF-8, or units or up axes are known and differ.
         MissingDependencyError: usd-core or OpenVDB is not there.
     """
     from geokit.formats.usd_volumes import NewField, write_stage
@@ -188,8 +189,8 @@ def save_stage(
     named = [SparseVolume(v.nanovdb, replace(v.info, name=name)) for name, v in zip(names, volumes, strict=True)]
     boxes = [box for volume in volumes if (box := volume.info.world_bounds) is not None]
     extent = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
-    info = volumes[0].info
-    world: Any = extent, info.up_axis, info.meters_per_unit
+    said = require_one_world(**{f"volumes[{number}]": one.info for number, one in enumerate(volumes)})
+    world: Any = extent, said["up_axis"], said["meters_per_unit"]
     with atomic_path(path) as part:
         try:
             if extension(path) == ".usdz":

@@ -174,7 +174,7 @@ def test_faces_keep_their_attributes() -> None:
 def test_units_that_differ_are_refused() -> None:
     meters = TriangleMesh(box().vertices, box().faces, meters_per_unit=1.0)
     inches = TriangleMesh(box().vertices, box().faces, meters_per_unit=0.0254)
-    with pytest.raises(InputError, match=r"others: meters_per_unit differs: .*convert_unit"):
+    with pytest.raises(InputError, match=r"others\[0\]: meters_per_unit differs: .*convert_unit"):
         union(meters, inches)
     with pytest.raises(InputError, match=r"others\[0\]"):
         union(meters, 3)  # type: ignore[arg-type]
