@@ -152,16 +152,17 @@ def require_one_world(**things: Any) -> dict[str, Any]:
     """
     found: dict[str, Any] = {"meters_per_unit": None, "up_axis": None}
     for key in found:
-        said = {name: value for name, thing in things.items() if (value := getattr(thing, key)) is not None}
-        for name, value in said.items():
-            first = next(iter(said))
+        said = [(name, value) for name, thing in things.items() if (value := getattr(thing, key)) is not None]
+        if not said:
+            continue
+        first, found[key] = said[0]
+        for name, value in said[1:]:
             # Files round the lengths of their units.
-            if value != said[first] and not (key == "meters_per_unit" and math.isclose(value, said[first])):
+            if value != found[key] and not (key == "meters_per_unit" and math.isclose(value, found[key])):
                 raise InputError(
-                    f"{name}: {key} differs: {value!r}, and {said[first]!r} of {first}; mesh.convert_unit gives both "
+                    f"{name}: {key} differs: {value!r}, and {found[key]!r} of {first}; mesh.convert_unit gives both "
                     "the same"
                 )
-            found[key] = said[first]
     return found
 
 

@@ -128,8 +128,8 @@ def hausdorff(
         HausdorffDistance with max, upper, mean, rms, point_a (3,), point_b (3,), a_to_b, b_to_a.
     Raises:
         InputError: a or b is neither a TriangleMesh nor a Surface, or has no faces; their units or up axes are known
-            and differ; tolerance is not a positive finite
-            number; samples or seed is negative or not a whole number; there is no such device.
+            and differ; tolerance is not a positive finite number; samples or seed is negative or not a whole number;
+            there is no such device.
         DeviceMemoryError: The device cannot hold the surfaces.
     Source:
         Guthe, Borodin, Klein, "Fast and accurate Hausdorff distance calculation between meshes" (2005); Cignoni,

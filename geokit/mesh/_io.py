@@ -194,7 +194,6 @@ def save(
       they are k / 255 exactly, since other programs take all colors of .ply for bytes. Others stay, with a
       UserWarning.
     - Signs that the format has not in names become "_": all but ASCII in .ply, all but letters and digits in USD.
-
     - .glb and .gltf are in meters with y up, .3mf is in the unit that it states with z up: a mesh whose
       ``meters_per_unit`` and ``up_axis`` are known is scaled and turned to that. Where the unit is not known, numbers
       stay, and a UserWarning says which unit the file states (a .3mf millimeters).
@@ -252,14 +251,15 @@ def save(
 
 def _in_world_of(mesh: TriangleMesh, written: Format, path: Any) -> TriangleMesh:
     """The mesh in the unit, and with the axis up, that a format has by its specification."""
-    if written.default_unit and mesh.meters_per_unit is None:
+    if not written.default_unit:
+        return mesh
+    if mesh.meters_per_unit is None:
         warn(
             f"{path}: the unit of the mesh is not known, and the file says {written.default_unit}; say it with "
             "convert_unit(mesh, from_unit=...)"
         )
-    unit = None if written.unit or mesh.meters_per_unit is None else written.default_unit or None
-    up_axis = None if mesh.up_axis is None else written.fixed_up or None
-    return convert_unit(mesh, unit, up_axis=up_axis)
+    unit = None if written.unit or mesh.meters_per_unit is None else written.default_unit
+    return convert_unit(mesh, unit, up_axis=mesh.up_axis and written.fixed_up)
 
 
 def _companions(module: ModuleType, mesh: TriangleMesh, target: Path) -> tuple[str, dict[str, bytes]]:

@@ -85,8 +85,8 @@ def save_image(
     space, meters = str(info.metadata.get(SPACE, "")), info.meters_per_unit
     unit = world_metadata(meters, None).get(UNIT, "")
     placed = affine(columns, transform[:3, :3] @ corner + transform[:3, 3])
-    if stated := "" if meters else FORMATS[kind].default_unit:
-        warn(f"{path}: the unit of the volume is not known, and the file says {stated}")
+    if not meters and FORMATS[kind].default_unit:
+        warn(f"{path}: the unit of the volume is not known, and the file says {FORMATS[kind].default_unit}")
     if meters and not unit:
         # Inches, feet and others have no name in most of these files.
         unit = "mm"
