@@ -134,7 +134,9 @@ def is_several(device: Any) -> bool:
 
 
 def resolve_device(device: Any = None) -> "wp.Device":
-    """The warp device for an alias ("cpu", "cuda:0"), a warp device, or None (the first GPU, else the CPU).
+    """The warp device for an alias ("cpu", "cuda:0"), a device of warp, torch, jax or CuPy, or None.
+
+    None is the first GPU, else the CPU.
 
     Raises:
         InputError: There is no such device; the message lists the existing ones.
@@ -150,7 +152,7 @@ def resolve_device(device: Any = None) -> "wp.Device":
         # Asked for the current GPU where there is none, warp's native code prints what the driver says.
         if isinstance(device, str) and device == "cuda" and not wp.get_cuda_devices():
             raise LookupError("no GPU")
-        found = wp.get_device(device)
+        found = wp.get_device(_alias_of(device))
     except Exception as error:  # of warp, or of the caller's own type
         names = ", ".join(["cpu", *cuda_devices()])
         raise InputError(f"device: {described(device)} is not on this machine; use one of {names}") from error
@@ -158,6 +160,21 @@ def resolve_device(device: Any = None) -> "wp.Device":
         _require_cuda()
         _keep_pool(found.alias)
     return found
+
+
+def _alias_of(device: Any) -> Any:
+    """Warp's alias for a device of torch, jax or CuPy; anything else as it is."""
+    library = type(device).__module__.partition(".")[0]
+    if library == "torch":
+        kind, number = device.type, device.index
+    elif library in ("jax", "jaxlib"):
+        kind, number = device.platform, device.local_hardware_id
+    elif library == "cupy":
+        kind, number = "cuda", device.id
+    else:
+        return device
+    kind = "cuda" if kind == "gpu" else kind
+    return kind if kind == "cpu" or number is None else f"{kind}:{number}"
 
 
 def device_or_default(alias: str) -> str:

@@ -2,7 +2,8 @@
 
 A NumPy input returns NumPy arrays, and a warp array returns warp arrays on its device. Any other exporter of DLPack or
 ``__cuda_array_interface__`` returns arrays of its own kind if its library has ``from_dlpack``, without a copy through
-the host. Kernels see float64 rows of three. float32 input returns float32; everything else returns float64.
+the host. Kernels see float64 rows of three. float32 input returns float32; everything else, such as float16 and whole
+numbers, returns float64.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.download import download
-from geokit.core.interop.arrays import as_table, exporter_like, import_array, is_exporter, reinterpreted
+from geokit.core.interop.arrays import as_table, exporter_like, floats_of, import_array, is_exporter, reinterpreted
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import replay
 from geokit.core.memory.device_arena import Scratch, ScratchArray
@@ -131,8 +132,9 @@ def read_vectors(
             values = points_of(values, name)
         if isinstance(values, np.ndarray) or not is_exporter(values):
             return _read_numpy(values, name, device, first_row, defer, keep_float32, pin, single, largest)
-        source = import_array(values, name)
+        source = import_array(floats_of(values), name)
         finish = _on_device_of(source, exporter_like(values))
+    source = _as_floats(source)
     alone = single and source.shape == (3,) and source.dtype in (wp.float32, wp.float64)
     rows, is_float32 = _as_rows(source.reshape((1, 3)) if alone else source, name)
     if rows.device != device:
@@ -301,7 +303,7 @@ def _read_numpy(
     if alone:
         table = table[None]
     if table.ndim != 2 or table.shape[1] != 3:
-        raise InputError(f"{name}: shape {table.shape} is not (N, 3); give one row of x, y, z for each")
+        raise InputError(f"{name}: shape {table.shape} is not (N, 3); {_remedy(table.shape)}")
     if not defer and not _all_within(table, largest):
         _refuse_nonfinite(table, name, first_row, largest)
     if recorder := replay.current():
@@ -391,9 +393,25 @@ def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
     if source.size == 0:
         return wp.empty(0, dtype=wp.vec3d, device=source.device), source.dtype in (wp.vec3f, wp.float32)
     kind = getattr(source.dtype, "__name__", str(source.dtype))
+    shape = tuple(source.shape)
     raise InputError(
-        f"{name}: an array of {kind} with shape {tuple(source.shape)} is not (N, 3) float32 or float64, nor (N,) vec3"
+        f"{name}: an array of {kind} with shape {shape} is not (N, 3) numbers, nor (N,) vec3; {_remedy(shape)}"
     )
+
+
+def _remedy(shape: tuple[int, ...]) -> str:
+    """What makes rows of three of an array of another shape."""
+    if len(shape) > 2 and shape[-1] == 3:
+        return "reshape it to (-1, 3), and the answer back"
+    return "transpose it" if len(shape) == 2 and shape[0] == 3 else "give one row of x, y, z for each"
+
+
+def _as_floats(source: "wp.array") -> "wp.array":
+    """Whole numbers and float16 as float64, as NumPy's are taken; all else as it is."""
+    import warp as wp
+
+    plain = source.dtype in (wp.float32, wp.float64, wp.bfloat16) or not wp.types.type_is_scalar(source.dtype)
+    return source if plain else wp.array(source.numpy().astype(np.float64), dtype=wp.float64, device=source.device)
 
 
 def _widen(rows: "wp.array") -> "wp.array":

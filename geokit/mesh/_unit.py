@@ -69,9 +69,9 @@ def convert_unit(
         matrix[:3, :3] = _turn(_AXES.index(up), _AXES.index(wanted))
         up = wanted
     if unit is not None:
+        new = meters_in(unit, "unit")
         if meters is None:
             raise InputError("unit: the mesh does not say what its unit is now; give from_unit")
-        new = meters_in(unit, "unit")
         # From a larger unit the ratio is a whole number more often than its inverse is.
         ratio = meters / new if meters >= new else 1.0 / (new / meters)
         if not 0.0 < ratio < np.inf:

@@ -11,6 +11,7 @@ import warp as wp
 
 import geokit as gk
 from geokit.core import launcher
+from geokit.core.blocks.several_devices import devices_of
 from geokit.core.launches import launch_cache
 
 COUNT = 5000
@@ -103,6 +104,24 @@ def test_resolve_device():
     assert launcher.resolve_device(cpu) is cpu
     gpus = launcher.cuda_devices()
     assert launcher.resolve_device().alias == (gpus[0] if gpus else "cpu")
+
+
+def test_devices_of_other_libraries():
+    torch = pytest.importorskip("torch")
+    for device in (torch.device("cpu"), torch.device("cpu", 0)):
+        assert launcher.resolve_device(device).is_cpu
+        assert [one.alias for one in devices_of([device]) or []] == ["cpu"]
+    with pytest.raises(gk.InputError, match=r"device: device\(type='cuda', index=98\) is not on this"):
+        launcher.resolve_device(torch.device("cuda", 98))
+    for module, said, alias in (
+        ("torch", {"type": "cuda", "index": None}, "cuda"),
+        ("jaxlib._jax", {"platform": "gpu", "local_hardware_id": 1}, "cuda:1"),
+        ("jax", {"platform": "cpu", "local_hardware_id": 3}, "cpu"),
+        ("cupy.cuda.device", {"id": 2}, "cuda:2"),
+    ):
+        # Devices of GPUs cannot be made here; these have the fields that are read.
+        device = type("Device", (), {"__module__": module, **said})()
+        assert launcher._alias_of(device) == alias
 
 
 @pytest.mark.parametrize("device", ["cuda:99", "gpu", "", 3.5, object()])

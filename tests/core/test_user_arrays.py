@@ -98,8 +98,22 @@ def test_numpy_and_its_kin(values, cpu):
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int32, np.int64, np.float16])
-def test_other_number_types_give_float64(dtype, cpu):
-    batch = read(np.arange(6).reshape(2, 3).astype(dtype), cpu)
+@pytest.mark.parametrize("kind", ["numpy", "exporter", "warp", "gaps"])
+def test_other_number_types_give_float64(dtype, kind, cpu):
+    given = np.arange(6).reshape(2, 3).astype(dtype)
+    wrap = {
+        "numpy": lambda table: table,
+        "exporter": Importer,
+        "warp": lambda table: wp.array(table, dtype=wp.dtype_from_numpy(table.dtype), device="cpu"),
+        "gaps": lambda table: wp.array(np.repeat(table, 2, 1), dtype=wp.dtype_from_numpy(table.dtype), device="cpu")[
+            :, ::2
+        ],
+    }[kind]
+    batch = read(wrap(given), cpu)
+    if kind != "numpy":
+        assert (batch.is_float32, batch.array.dtype) == (False, wp.vec3d)
+        assert batch.array.numpy().tolist() == given.tolist()
+        return
     assert not batch.is_float32
     assert batch.to_caller(doubled(batch, cpu)[0]).dtype == np.float64
     assert batch.array.numpy().tolist() == [[0, 1, 2], [3, 4, 5]]
@@ -243,6 +257,16 @@ def test_results_outlive_the_batch(cpu):
     np.testing.assert_array_equal(vectors, ROWS * 2)
 
 
+@pytest.mark.parametrize("name", ["float16", "bfloat16", "int64", "uint8"])
+def test_other_tensors_of_torch_give_float64(name, cpu):
+    torch = pytest.importorskip("torch")
+    given = torch.arange(6).reshape(2, 3).to(getattr(torch, name))
+    batch = read(given, cpu)
+    vectors, scalars, _ = map(batch.to_caller, doubled(batch, cpu))
+    assert (vectors.dtype, scalars.dtype) == (torch.float64, torch.float64)
+    assert vectors.tolist() == (2 * given).tolist()
+
+
 @pytest.mark.parametrize("name", ["float32", "float64"])
 def test_torch(name, cpu):
     torch = pytest.importorskip("torch")
@@ -294,7 +318,8 @@ def test_huge_values_are_finite(cpu):
         (np.zeros((4, 2)), r"shape \(4, 2\) is not \(N, 3\)"),
         (np.zeros((4, 4)), r"shape \(4, 4\)"),
         (np.zeros(3), r"shape \(3,\)"),
-        (np.zeros((2, 2, 3)), r"shape \(2, 2, 3\)"),
+        (np.zeros((2, 2, 3)), r"shape \(2, 2, 3\) is not \(N, 3\); reshape it to \(-1, 3\), and the answer back"),
+        (np.zeros((3, 7)), r"shape \(3, 7\) is not \(N, 3\); transpose it"),
         (5.0, r"shape \(1,\)"),
         (np.zeros((2, 3), complex), "dtype complex128 is not a real number type"),
         (np.zeros((2, 3), bool), "dtype bool"),
@@ -317,11 +342,13 @@ def test_what_numpy_cannot_make_a_table_of(values, message, cpu):
     [
         (lambda: wp.zeros((4, 2), dtype=wp.float64, device="cpu"), r"float64 with shape \(4, 2\)"),
         (lambda: wp.zeros(4, dtype=wp.float64, device="cpu"), r"float64 with shape \(4,\)"),
-        (lambda: wp.zeros((4, 3), dtype=wp.int32, device="cpu"), "int32"),
+        (lambda: wp.zeros((3, 4), dtype=wp.float64, device="cpu"), r"shape \(3, 4\) .*transpose it"),
+        (lambda: wp.zeros((4, 3), dtype=wp.bfloat16, device="cpu"), "bfloat16"),
+        (lambda: wp.zeros((4, 3), dtype=wp.bool, device="cpu"), "bool"),
         (lambda: wp.zeros(4, dtype=wp.vec2d, device="cpu"), r"shape \(4,\)"),
         (lambda: wp.zeros((2, 2), dtype=wp.vec3d, device="cpu"), r"shape \(2, 2\)"),
         (lambda: Importer(np.zeros((4, 2))), r"shape \(4, 2\)"),
-        (lambda: Importer(np.zeros((4, 3), np.int64)), "int64"),
+        (lambda: Importer(np.zeros((4, 3), bool)), "bool|cannot be shared"),
     ],
 )
 def test_arrays_of_the_wrong_kind(make, message, cpu):

@@ -80,6 +80,11 @@ class TestConvertUnit:
             gk.mesh.convert_unit(part(), **options)
 
 
+def test_a_misspelt_unit_is_named_whatever_the_mesh_says():
+    with pytest.raises(InputError, match="unit: 'milimeter' is no known unit; use one of"):
+        gk.mesh.convert_unit(part(), "milimeter")
+
+
 class TestFiles:
     @pytest.mark.parametrize("unit", METERS)
     def test_3mf_keeps_its_unit(self, unit, tmp_path):

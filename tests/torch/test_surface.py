@@ -145,12 +145,21 @@ def test_gradients_of_signs_by_fewer_faces(body, ask):
     assert torch.allclose(by_points.sum(0), -by_vertices.sum(0))
 
 
-def test_half_precision_is_refused():
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_half_precision_is_answered_in_float64(kind, compiled):
+    surface = gk.mesh.Surface(gk.mesh.box(), device="cpu")
+    ask = torch.compile(surface.closest_point, backend="eager") if compiled else surface.closest_point
+    rows = torch.tensor([[1.5, 0.25, 0.0], [0.0, -2.0, 0.125]], dtype=kind, requires_grad=True)
+    found = ask(rows)
+    assert (found.distance.dtype, found.distance.tolist()) == (torch.float64, [1.0, 1.5])
+    found.distance.sum().backward()
+    assert (rows.grad.dtype, rows.grad.tolist()) == (kind, [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def test_vertices_of_half_precision_are_refused():
     with pytest.raises(gk.InputError, match=r"vertices: torch.float16 has no gradients here"):
         gk.torch.Surface(CORNERS.half().requires_grad_(), FACES)
-    values = torch.zeros(3, dtype=torch.float16, requires_grad=True)
-    with pytest.raises(gk.InputError, match=r"points: torch.float16 has no gradients; give float32 or float64"):
-        gk.torch.Surface(CORNERS, FACES).closest_point(values[None])
 
 
 def test_a_graph_is_freed_once():

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from geokit.core.interop.arrays import detached
+from geokit.core.interop.arrays import detached, floats_of
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array, refuse_recording
@@ -172,7 +172,7 @@ class Entry:
             InputError: All are one point, and a tape of warp records the call: warp has no arrays of no dimension.
         """
         given = {
-            name: arguments[name] if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
+            name: floats_of(arguments[name]) if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
             for name in self.inputs
             if arguments[name] is not None
         }

@@ -58,6 +58,8 @@ def traced(entry: Entry, args: Any, kwargs: Any) -> Any:
     for place, (name, default) in enumerate(entry.parameters):
         value = args[place] if place < len(args) else kwargs.get(name, default)
         if isinstance(value, torch.Tensor):
+            if name in entry.inputs and value.dtype not in (torch.float32, torch.float64):
+                value = value.double()
             if entry.single and name in entry.inputs and value.ndim == 1:
                 alone, value = True, value[None]
             names, tensors = (*names, name), [*tensors, value]

@@ -15,7 +15,16 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["as_table", "detached", "exporter_like", "import_array", "is_exporter", "is_in_order", "reinterpreted"]
+__all__ = [
+    "as_table",
+    "detached",
+    "exporter_like",
+    "floats_of",
+    "import_array",
+    "is_exporter",
+    "is_in_order",
+    "reinterpreted",
+]
 
 
 def is_exporter(values: Any) -> bool:
@@ -61,6 +70,14 @@ def import_array(values: Any, name: str) -> "wp.array":
     except Exception as error:  # of the other library, the driver, or warp
         kind = type(values).__name__
         raise InputError(f"{name}: the {kind} cannot be shared ({error}); pass a contiguous float array") from error
+
+
+def floats_of(values: Any) -> Any:
+    """Tensors of torch with whole numbers or floats of other sizes in float64; all else as it is."""
+    torch = sys.modules.get("torch")
+    if torch is None or not isinstance(values, torch.Tensor) or values.dtype in (torch.float32, torch.float64):
+        return values
+    return values if values.dtype.is_complex or values.dtype == torch.bool else values.double()
 
 
 def _device_of_pointer(pointer: int) -> str:
