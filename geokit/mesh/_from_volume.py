@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED
+from geokit.volume._statistics import statistics
 from geokit.volume.nanovdb.types import ISOSURFACE_TYPES, TYPES
 from geokit.volume.tree.leaves import require_volume
 
@@ -77,7 +79,8 @@ def from_volume(
 
     For a distance field the error of the surface is at most 1.5 voxel^2 (marching cubes 1.0) over the radius of
     curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost. Isovalues are valid up to
-    half_width - 1 voxels from the surface; walls must be at least 2 voxels thick.
+    half_width - 1 voxels from the surface; walls must be at least 2 voxels thick. Where no value crosses the isovalue,
+    the mesh is empty, and a UserWarning gives the range of the values.
 
     Args:
         volume: A scalar grid of floating point or quantized values.
@@ -136,7 +139,7 @@ def from_volume(
 
     target = launcher.resolve_device(device)
     if method == "openvdb" or adaptivity > 0.0:
-        return _by_openvdb(volume, isovalue, adaptivity)
+        return _told(_by_openvdb(volume, isovalue, adaptivity), volume, isovalue)
     transform = volume.info.transform
     is_mirrored = bool(np.linalg.slogdet(transform[:3, :3])[0] < 0.0)
     turned = is_mirrored != _encloses_large_values(volume, isovalue)
@@ -149,7 +152,7 @@ def from_volume(
 
         arrays = surface_nets(volume, isovalue, target, turned=turned, sharp=method == "dual_contouring")
     said = _said(volume)
-    mesh = mesh_on_device(*arrays, **said)
+    mesh = _told(mesh_on_device(*arrays, **said), volume, isovalue)
     reach = np.abs(transform[:3, :3]).sum(axis=1) * LARGEST_INDEX + np.abs(transform[:3, 3])
     return mesh if np.isfinite(reach).all() else TriangleMesh(mesh.vertices, mesh.faces, **said)
 
@@ -206,6 +209,15 @@ def from_volume_with_deviation(
     if mesh.face_count == 0:
         return Simplified(mesh, 0.0, 0.0)
     return within_tolerance(mesh, tolerance, launcher.resolve_device(device), progress)
+
+
+def _told(mesh: TriangleMesh, volume: SparseVolume, isovalue: float) -> TriangleMesh:
+    """The mesh; a UserWarning says why it has no faces, if it has none."""
+    if not mesh.face_count:
+        found = statistics(volume)
+        values = f"its values are {found.minimum:g} to {found.maximum:g}" if found.count else "it has no active voxel"
+        warn(f"volume: grid {volume.info.name!r} has no surface at {isovalue:g}; {values}")
+    return mesh
 
 
 def _said(volume: SparseVolume) -> dict[str, Any]:

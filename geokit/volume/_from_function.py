@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -255,11 +256,18 @@ class _Refinement:
         if len(bad):
             worst = bad[np.argmax(rise[bad])]
             point = index[worst] * self.voxel_size + self.translation
-            slope = float(rise[worst]) / step
+            slope = max(float(rise[worst]) / step, self._slope_at(index[worst]))
             raise InputError(
                 f"lipschitz: the function has a slope of {slope:.6g} near {point.tolist()}, more than "
-                f"{self.lipschitz:g}; use {slope:.3g} or more, or divide the function by it"
+                f"{self.lipschitz:g}; use {math.ceil(slope * 1000.0) / 1000.0:g} or more, or divide the function by it"
             )
+
+    def _slope_at(self, index: NDArray[Any]) -> float:
+        """Length of the gradient by differences over a voxel: two samples tell the slope along one line only."""
+        ends = np.clip([index + 0.5 * np.eye(3), index - 0.5 * np.eye(3)], self.lower, self.upper)
+        high, low = self._evaluate(ends.reshape(6, 3)).reshape(2, 3)
+        lengths = np.ptp(ends, axis=0).max(axis=1) * self.voxel_size
+        return float(np.linalg.norm((high - low)[lengths > 0.0] / lengths[lengths > 0.0]))
 
     def _require_memory(self, blocks: int, size: int) -> None:
         # Memory of a block during its evaluation; leaves are kept afterwards.

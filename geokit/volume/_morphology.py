@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from geokit._warn import warn
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
@@ -283,7 +284,8 @@ def _changed(
 
 
 def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device: Any) -> SparseVolume:
-    """The level set after offsets [voxels], one after the other."""
+    """The level set after offsets [voxels], one after the other; a UserWarning says where nothing is left."""
+    given = volume.info
     widths = widths_of(volume, voxel_size)
     half_width = widths.widest
     for step, following in zip(steps, [*steps[1:], 0.0], strict=True):
@@ -302,6 +304,9 @@ def _offset(volume: SparseVolume, voxel_size: float, steps: list[float], device:
         )
         width = max(half_width, following + INWARD_MARGIN) if step < 0.0 < following else half_width
         volume = redistance(wide, voxel_size, width, isovalue=step, device=device)
+    if given.active_voxel_count and not volume.info.active_voxel_count:
+        inwards = -min(steps) * voxel_size
+        warn(f"volume: nothing of grid {given.name!r} is left: it has no place {inwards:g} deep")
     return with_widths(volume, voxel_size, widths)
 
 

@@ -184,7 +184,7 @@ def test_fog_shows_its_density_and_not_its_box(tmp_path: Path) -> None:
 
 
 def test_without_a_surface_at_the_isovalue_nothing_is_drawn(tmp_path: Path, ball) -> None:
-    with pytest.raises(InputError, match="no surface at 9"):
+    with pytest.raises(InputError, match="no surface at 9"), pytest.warns(UserWarning, match="its values are"):
         render.figure(tmp_path / "none.png", volume=ball, isovalue=9.0, size=SIZE)
     assert list(tmp_path.iterdir()) == []
 

@@ -195,3 +195,12 @@ def test_too_many_voxels_are_refused(monkeypatch):
     monkeypatch.setattr(available_memory, "available_host", lambda: 1 << 20)
     with pytest.raises(DeviceMemoryError, match="voxel_size"):
         from_function(torus, CUBE, 0.02)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (1.0, 1.0, 1.0), (3.0, 2.0, 1.0)])
+def test_the_slope_that_an_error_names_is_enough(direction):
+    """Two samples along a diagonal of a block tell less than the slope."""
+    along = 1.6 * np.array(direction) / np.linalg.norm(direction)
+    with pytest.raises(InputError, match=r"slope of 1\.6 near .*use 1\.60[01]? or more"):
+        from_function(lambda p: p @ along, CUBE, 0.06)
+    from_function(lambda p: p @ along, CUBE, 0.06, lipschitz=1.601)

@@ -16,7 +16,10 @@ from geokit.volume._statistics import statistics
 from geokit.volume._topology import clip, prune
 from tests.support.analytic_volumes import active_voxels, ball, cubes, dense, field, level_set
 
-pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+pytestmark = [
+    pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB"),
+    pytest.mark.filterwarnings("ignore:.*nothing of grid:UserWarning"),
+]
 
 BALL = ball(8.3, (0.3, 0.2, -0.1))
 

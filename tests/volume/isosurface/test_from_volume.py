@@ -167,7 +167,8 @@ class TestBall:
 
     @pytest.mark.parametrize("isovalue", [50.0, -50.0])
     def test_value_that_is_never_taken_gives_an_empty_mesh(self, method, isovalue):
-        mesh = from_volume(_grid(_ball, transform=_around(0.125)), isovalue=isovalue, method=method, device="cpu")
+        with pytest.warns(UserWarning, match=f"grid 'ball' has no surface at {isovalue:g}; its values are "):
+            mesh = from_volume(_grid(_ball, transform=_around(0.125)), isovalue=isovalue, method=method, device="cpu")
         assert mesh.vertices.shape == (0, 3)
         assert mesh.faces.shape == (0, 3)
         assert mesh.name == "ball"
@@ -253,6 +254,7 @@ class TestTolerance:
         assert found.deviation == 0.0
         np.testing.assert_array_equal(found.mesh.faces, full.faces)
 
+    @pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
     def test_no_surface_gives_an_empty_mesh(self):
         found = from_volume_with_deviation(_grid(_ball, 16), tolerance=0.1, isovalue=50.0, device="cpu")
         assert found.mesh.faces.shape == (0, 3)
@@ -431,6 +433,7 @@ class TestActiveRegion:
         assert np.abs(mesh.vertices).max() <= 0.5 + 1e-6
 
     @pytest.mark.parametrize("method", OWN)
+    @pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
     def test_no_leaf(self, method):
         volume = _leaves(np.empty((0, 3), np.int32), np.empty((0, 512), np.float32), np.empty((0, 512), bool))
         assert len(from_volume(volume, method=method, device="cpu").faces) == 0
@@ -563,3 +566,21 @@ def test_what_has_no_end_is_outside_of_an_unknown_grid(method, mirrored):
         found = audit(from_volume(grid, isovalue=isovalue, method=method))
         assert found.watertight
         assert found.signed_volume == pytest.approx(7 * 7 * 6 / 8, rel=0.15)
+
+
+@pytest.mark.parametrize("how", [{}, {"method": "marching_cubes"}, {"adaptivity": 0.5}, {"tolerance": 0.1}])
+def test_a_mesh_without_faces_is_told_with_the_range(how):
+    if "adaptivity" in how and not native.available():
+        pytest.skip("needs OpenVDB")
+    sdf = gk.volume.from_mesh(gk.mesh.box(), 0.1, device="cpu")
+    with pytest.warns(
+        UserWarning, match=r"grid 'box' has no surface at 99; its values are -0\.[23] to 0\.[234]"
+    ) as told:
+        mesh = gk.mesh.from_volume(sdf, isovalue=99.0, device="cpu", **how)
+    assert (len(told), mesh.face_count) == (1, 0)
+
+
+def test_a_grid_without_voxels_says_so():
+    empty = gk.volume.from_dense(np.zeros((3, 3, 3), np.float32), name="fog")
+    with pytest.warns(UserWarning, match="grid 'fog' has no surface at 1; it has no active voxel"):
+        gk.mesh.from_volume(empty, isovalue=1.0, device="cpu")

@@ -15,6 +15,8 @@ from geokit.volume._from_mesh import from_mesh
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
+
 METHODS = ["surface_nets", "marching_cubes", "dual_contouring"]
 HALF_WIDTH = 3.0
 # Half the edge of the cube [voxels], off the grid.

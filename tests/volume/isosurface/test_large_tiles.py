@@ -46,6 +46,7 @@ def test_two_tiles_inside(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
 def test_a_crossing_between_inactive_voxels_gives_no_face(method):
     # The inactive tile touches the active one at an edge only.
     assert from_volume(tiled({(3, 3, 3): 1.0}, {(4, 4, 3): -1.0}), method=method, device="cpu").face_count == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import geokit as gk
 from benchmarks.catalog.mesh_catalog import torus
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
@@ -166,11 +167,13 @@ class TestMorphology:
         np.testing.assert_array_equal(dilate(body, 1.5).nanovdb, offset(body, 1.5).nanovdb)
         np.testing.assert_array_equal(erode(body, 1.5).nanovdb, offset(body, -1.5).nanovdb)
 
+    @pytest.mark.filterwarnings("ignore:.*nothing of grid:UserWarning")
     def test_erosion_of_everything_in_a_band_without_end(self):
         # The width is that of the background, which a damaged file may have made the largest of all.
         body = lying(from_mesh(torus(), 0.25, device="cpu"), "background 3.4e38")
         assert erode(body, 0.5, device="cpu").info.active_voxel_count == 0
 
+    @pytest.mark.filterwarnings("ignore:.*nothing of grid:UserWarning")
     def test_erosion_of_everything(self):
         result = erode(level_set(ball(5.2)), 7.0)
         assert result.info.active_voxel_count == 0
@@ -225,3 +228,10 @@ class TestRefusals:
     def test_negative_distance(self, operation):
         with pytest.raises(InputError, match=r"distance: -1\.0 is negative"):
             operation(level_set(BALL), -1.0)
+
+
+@pytest.mark.parametrize("shrink", [lambda v: offset(v, -0.6), lambda v: erode(v, 0.6), lambda v: opening(v, 0.6)])
+def test_a_body_that_vanishes_is_told(shrink):
+    body = from_mesh(gk.mesh.box(), 0.1, device="cpu")
+    with pytest.warns(UserWarning, match=r"nothing of grid 'box' is left: it has no place 0\.6 deep"):
+        assert shrink(body).info.active_voxel_count == 0
