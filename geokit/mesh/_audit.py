@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.mesh._model import TriangleMesh
@@ -15,7 +16,7 @@ __all__ = ["audit"]
 
 
 @needs(lambda mesh, **_: 118 * mesh.face_count)
-def audit(mesh: TriangleMesh, *, self_intersections: bool = False) -> MeshAudit:
+def audit(mesh: MeshLike, *, self_intersections: bool = False) -> MeshAudit:
     """Defects, topology and measures of a mesh; :class:`MeshAudit` describes each of them.
 
     Counts are exact. Area and volume are summed in float64 relative to the center of the bounding box: the relative

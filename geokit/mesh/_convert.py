@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.attributes.held import what_is_held
@@ -37,7 +38,7 @@ def _bytes(mesh: TriangleMesh) -> int:
 
 
 @needs(_bytes)
-def to_trimesh(mesh: TriangleMesh) -> Any:
+def to_trimesh(mesh: MeshLike) -> Any:
     """A ``trimesh.Trimesh`` of the same vertices and faces; nothing is merged or dropped.
 
     A vertex whose corners differ in an attribute, such as on a seam of texture coordinates, becomes several. Colors and
@@ -100,7 +101,7 @@ def to_trimesh(mesh: TriangleMesh) -> Any:
 
 
 @needs(_bytes, fatal=True)  # VTK ends the process where memory runs out
-def to_pyvista(mesh: TriangleMesh) -> Any:
+def to_pyvista(mesh: MeshLike) -> Any:
     """A ``pyvista.PolyData`` of the same vertices and faces, with its attributes as point and cell data.
 
     Normals and texture coordinates are marked as such. A vertex whose corners differ in an attribute becomes several.
@@ -123,7 +124,7 @@ def to_pyvista(mesh: TriangleMesh) -> Any:
 
 
 @needs(_bytes)
-def to_meshio(mesh: TriangleMesh) -> Any:
+def to_meshio(mesh: MeshLike) -> Any:
     """A ``meshio.Mesh`` of the same vertices and faces, as one block of triangles, with its attributes as data.
 
     A vertex whose corners differ in an attribute becomes several. Materials are left out; a UserWarning says so.
@@ -150,7 +151,7 @@ def to_meshio(mesh: TriangleMesh) -> Any:
 
 
 @needs(_bytes)
-def to_open3d(mesh: TriangleMesh) -> Any:
+def to_open3d(mesh: MeshLike) -> Any:
     """An ``open3d.geometry.TriangleMesh`` of the same vertices and faces.
 
     It holds normals, colors of vertices without alpha, texture coordinates, and the images of materials. A vertex whose

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_one_world
 from geokit.core.snapshot import snapshot
@@ -93,8 +94,8 @@ def _bytes(a: TriangleMesh | Surface, b: TriangleMesh | Surface, *, samples: int
 @of_constants
 @needs(_bytes)
 def hausdorff(
-    a: TriangleMesh | Surface,
-    b: TriangleMesh | Surface,
+    a: MeshLike | Surface,
+    b: MeshLike | Surface,
     *,
     tolerance: float = 1e-4,
     samples: int = SAMPLES,

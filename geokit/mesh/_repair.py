@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.core.user_arrays import require_finite_scalar
@@ -37,7 +38,7 @@ class OrientedMesh(NamedTuple):
 
 
 @needs(lambda mesh: 104 * mesh.face_count)
-def orient(mesh: TriangleMesh) -> OrientedMesh:
+def orient(mesh: MeshLike) -> OrientedMesh:
     """Flip faces so that each component has one winding, solids outward and cavities inward.
 
     A component is a set of faces connected through edges of exactly two faces. Vertices at equal positions count as
@@ -83,7 +84,7 @@ def orient(mesh: TriangleMesh) -> OrientedMesh:
 
 
 @needs(lambda mesh, **_: 100 * mesh.vertex_count)
-def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMesh:
+def merge_vertices(mesh: MeshLike, *, tolerance: float = 0.0) -> TriangleMesh:
     """Merge vertices at the same position, or within a tolerance of each other.
 
     Vertices are processed in order. A vertex that is not merged yet stays where it is, and absorbs all later ones
@@ -131,7 +132,7 @@ def merge_vertices(mesh: TriangleMesh, *, tolerance: float = 0.0) -> TriangleMes
 
 
 @needs(lambda mesh, **_: 36 * mesh.face_count)
-def drop_degenerate(mesh: TriangleMesh, *, duplicates: bool = False, unreferenced: bool = False) -> TriangleMesh:
+def drop_degenerate(mesh: MeshLike, *, duplicates: bool = False, unreferenced: bool = False) -> TriangleMesh:
     """Remove the faces without area.
 
     These are the faces that :func:`geokit.mesh.audit` counts as degenerate: two corners at one position, or a height

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_count
 from geokit.core.user_arrays import require_finite_scalar
@@ -64,7 +65,7 @@ class Simplified(NamedTuple):
 
 @needs(lambda mesh, **_: BYTES_PER_SIMPLIFIED * mesh.face_count, fatal=True)
 def simplify(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     *,
     tolerance: float | None = None,
     face_count: int | None = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
@@ -21,7 +22,7 @@ KINDS = ("components", "parts", "materials")
 
 
 @needs(lambda mesh, **_: 120 * mesh.face_count, late=True)
-def split(mesh: TriangleMesh, *, by: str = "components") -> list[TriangleMesh]:
+def split(mesh: MeshLike, *, by: str = "components") -> list[TriangleMesh]:
     """Split a mesh into pieces, each with the vertices that its faces use and with its attributes.
 
     - "components": faces that share a vertex position with each other, as in :func:`geokit.mesh.audit`, in the order of
@@ -61,7 +62,7 @@ def split(mesh: TriangleMesh, *, by: str = "components") -> list[TriangleMesh]:
 
 
 @needs(lambda mesh, *_, **__: 90 * mesh.face_count)
-def keep_largest(mesh: TriangleMesh, count: int = 1, *, share: float | None = None) -> TriangleMesh:
+def keep_largest(mesh: MeshLike, count: int = 1, *, share: float | None = None) -> TriangleMesh:
     """Keep the connected components with the largest area, such as a part without the crumbs around it.
 
     Components are those of :func:`split`. A cavity is one as well: the largest component of a hollow body is its outer

@@ -12,6 +12,7 @@ from geokit.core.blocks.several_devices import OnDevices, replicas, shares, show
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.notebook import repr_html
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.memory.unchecked import allocating
@@ -88,7 +89,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         return object.__new__(_SurfaceOnDevices if shared else cls)
 
     @needs(lambda self, mesh, **_: BYTES_PER_FACE * mesh.face_count)
-    def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
+    def __init__(self, mesh: MeshLike, *, device: Any = None) -> None:
         # Of a pair (vertices, faces) whose vertices are a tensor, or an array of warp, with gradients.
         given: Any = mesh
         tracked = None
@@ -349,7 +350,7 @@ def _require_numbered(face_count: int, device: "wp.Device") -> None:
 class _SurfaceOnDevices(OnDevices, Surface):
     """A surface with a replica on each of several devices."""
 
-    def __init__(self, mesh: TriangleMesh, *, device: Any = None) -> None:
+    def __init__(self, mesh: MeshLike, *, device: Any = None) -> None:
         self._parts = replicas(lambda one: Surface(mesh, device=one), device)
 
     def update(self, vertices: ArrayLike) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.core.require import require_affine
@@ -20,7 +21,7 @@ UP_TOLERANCE = 1e-6
 
 
 @needs(lambda mesh, *_, **__: 56 * mesh.vertex_count)
-def transform(mesh: TriangleMesh, matrix: ArrayLike) -> TriangleMesh:
+def transform(mesh: MeshLike, matrix: ArrayLike) -> TriangleMesh:
     """A mesh under an affine map: rotated, moved, scaled, sheared or mirrored.
 
     A map that mirrors also reverses the faces, so that outside stays outside. ``normal`` is multiplied by the inverse

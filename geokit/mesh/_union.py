@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
@@ -24,7 +25,7 @@ def _bytes(mesh: TriangleMesh, *others: TriangleMesh, **_: Any) -> float:
 
 
 @needs(_bytes, late=True)
-def union(mesh: TriangleMesh, *others: TriangleMesh) -> TriangleMesh:
+def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
     """The boundary of what the closed bodies of one or several meshes enclose together.
 
     Surface that has the solid on both sides is removed: walls between bodies that touch or overlap, bodies within

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, require_choice, require_number
 from geokit.errors import InputError
@@ -24,7 +25,7 @@ _AXES = ("x", "y", "z")
 
 @needs(lambda mesh, *_, **__: 72 * mesh.vertex_count)
 def convert_unit(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     unit: str | float | None = None,
     *,
     up_axis: str | None = None,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.mesh._data import has_meaning
 from geokit.mesh._model import TriangleMesh
@@ -24,7 +25,7 @@ def _bytes(mesh: TriangleMesh, count: int | None = None, **options: Any) -> floa
 
 @needs(_bytes, late=True)
 def sample(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     count: int | None = None,
     *,
     method: str = "uniform",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_instance, require_one_world
 from geokit.core.user_arrays import require_finite_scalar
@@ -95,7 +96,7 @@ class _Look(NamedTuple):
 def figure(
     path: str | os.PathLike[str],
     *,
-    mesh: "TriangleMesh | None" = None,
+    mesh: MeshLike | None = None,
     volume: "SparseVolume | None" = None,
     points: Any = None,
     color: Any = None,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.gradients.differentiable import differentiable, of_constants
+from geokit.core.interop.objects import MeshLike
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -39,7 +40,6 @@ from geokit.volume.tolerance.search import Search, Setting
 from geokit.volume.tolerance.zone import THIN, rounding_of
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
 
 __all__ = ["LEVEL", "LEVEL_COUNT", "AdaptiveSDF", "adaptive_from_mesh", "load_adaptive"]
@@ -243,7 +243,7 @@ class AdaptiveSDF:
 @of_constants
 @needs()
 def adaptive_from_mesh(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     tolerance: float,
     *,
     within: float | None = None,

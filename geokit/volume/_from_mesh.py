@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_text
 from geokit.errors import InputError
@@ -94,7 +95,7 @@ def _band_bytes(mesh: TriangleMesh | Surface, voxel_size: float, half_width: Any
 @of_constants
 @needs(_from_mesh_bytes, late=True)
 def from_mesh(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     voxel_size: float | None = None,
     *,
     tolerance: float | None = None,
@@ -259,7 +260,7 @@ def from_mesh(
 @of_constants
 @needs(_from_mesh_with_triangles_bytes, late=True)
 def from_mesh_with_triangles(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     voxel_size: float,
     *,
     half_width: float | tuple[float, float] = DEFAULT_HALF_WIDTH,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable
 from geokit.volume._adaptive import MOST_LEVELS
@@ -19,7 +20,6 @@ from geokit.volume.tolerance.interpolation_errors import REACH
 from geokit.volume.tolerance.search import Search, Setting, quickest
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
 
 __all__ = ["PlannedField", "plan"]
@@ -61,7 +61,7 @@ class PlannedField(NamedTuple):
 @of_constants
 @needs()
 def plan(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     tolerance: float,
     *,
     within: float | None = None,

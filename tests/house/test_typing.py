@@ -76,6 +76,65 @@ def test_public_names_and_their_types_are_seen(checker, cache, tmp_path):
         assert kind in seen
 
 
+OBJECTS = """
+import numpy as np
+import geokit as gk
+from typing import Any
+
+class Trimesh:
+    @property
+    def vertices(self) -> np.ndarray[Any, Any]:
+        return np.zeros(3)
+    @property
+    def faces(self) -> np.ndarray[Any, Any]:
+        return np.zeros(3)
+
+class Open3D:
+    vertices: list[Any]
+    triangles: list[Any]
+
+class Tensors:
+    vertex: dict[str, Any]
+    triangle: dict[str, Any]
+
+class PyVista:
+    @property
+    def points(self) -> np.ndarray[Any, Any]:
+        return np.zeros(3)
+    faces: np.ndarray[Any, Any]
+
+class Meshio:
+    points: np.ndarray[Any, Any]
+    cells: list[Any]
+
+class Scene:
+    geometry: dict[str, Any]
+
+rows = np.zeros((4, 3))
+"""
+USE = """
+thing = {made}
+gk.mesh.Surface(thing).closest_point(rows)
+gk.mesh.save("a.ply", thing)
+gk.mesh.union(gk.mesh.simplify(thing, tolerance=0.1).mesh, thing)
+gk.volume.from_mesh(thing, 0.1)
+gk.points.sample(thing, 10)
+gk.render.figure("a.png", mesh=thing)
+"""
+
+
+def test_meshes_of_other_libraries_go_in(checker, cache, tmp_path):
+    """As docs/interop.md lists them, by their attributes."""
+    kinds = ("Trimesh()", "Open3D()", "Tensors()", "PyVista()", "Meshio()", "Scene()", "(rows, [[0, 1, 2]])")
+    use = [USE.replace("thing", f"thing{number}").format(made=made) for number, made in enumerate(kinds)]
+    run = check(checker, OBJECTS + "".join(use), tmp_path, cache)
+    assert run.returncode == 0, run.stdout + run.stderr
+    wrong = ["gk.mesh.audit('a.ply')", "gk.mesh.Surface(3)", "gk.mesh.simplify(rows, tolerance=0.1)"]
+    run = check(checker, OBJECTS + "\n".join(wrong) + "\n", tmp_path, cache)
+    assert run.returncode == 1
+    assert run.stdout.count("user.py:") >= len(wrong)
+
+
 def test_a_name_that_is_not_there_is_an_error(checker, cache, tmp_path):
     run = check(checker, "import geokit as gk\nprint(gk.mesh.Surfacing)\nprint(gk.volumes)\n", tmp_path, cache)
     assert run.returncode == 1

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher, user_arrays
+from geokit.core.interop.objects import MeshLike
 from geokit.core.require import described, require_choice
 from geokit.core.snapshot import snapshot
 from geokit.errors import InputError, MissingDependencyError
@@ -53,7 +54,7 @@ class _Origin(NamedTuple):
 
 
 def resolve_surface(
-    mesh: TriangleMesh | Surface, sign: str, thickness: float | None, interior: str, device: Any, detail: float
+    mesh: MeshLike | Surface, sign: str, thickness: float | None, interior: str, device: Any, detail: float
 ) -> tuple[Surface, str, float]:
     """The prepared surface, its sign method (or "none"), and half the thickness of a shell.
 

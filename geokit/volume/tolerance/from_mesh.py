@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.interop.objects import MeshLike
 from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
 from geokit.volume.band.band import BandShape, build_band, make_band
@@ -29,7 +30,6 @@ from geokit.volume.tolerance.zone import Zone, checked_within, require_extent
 from geokit.volume.tree.leaf_codecs import LeafReader
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
     from geokit.volume._model import SparseVolume
 
@@ -42,7 +42,7 @@ LEAST_SHARE = 1e-15
 
 
 def tolerance_search(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     tolerance: float,
     *,
     within: float | None,
@@ -133,7 +133,7 @@ def make_setting(search: Search, setting: Setting, name: str | None = None) -> S
 
 
 def within_tolerance(
-    mesh: TriangleMesh | Surface,
+    mesh: MeshLike | Surface,
     tolerance: float,
     options: dict[str, Any],
     sign: str,
