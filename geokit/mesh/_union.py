@@ -38,8 +38,8 @@ def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
     winding numbers of the bodies on both sides of its faces.
 
     Bodies that no other one comes near keep their faces as they are. The faces of one mesh keep their attributes and
-    parts; vertices and corners lose theirs. Of several meshes each is a part of the result, without attributes. If
-    there is nothing to remove, one mesh is returned as it is. Of faces that lie back to back one is left.
+    parts; vertices and corners lose theirs. Of several meshes each is a part of the result, without attributes. Of
+    faces that lie back to back one is left. One mesh with nothing to remove and nothing to turn is returned as it is.
 
     Args:
         mesh: Triangles; it may be empty.
@@ -79,18 +79,18 @@ def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
             f"{joined.name or 'mesh'}: its union is not right: {boundary.kept}; repair the bodies one by one, such as "
             "with merge_vertices and orient"
         )
-    return boundary.mesh if boundary.source is not None else _as_counted(surface, turned=len(meshes) > 1)
+    return boundary.mesh if boundary.source is not None else _as_counted(surface)
 
 
-def _as_counted(surface: Any, *, turned: bool) -> TriangleMesh:
-    """The mesh without the second of faces back to back, and with solids outward if these are to be ``turned``."""
+def _as_counted(surface: Any) -> TriangleMesh:
+    """The mesh without the second of faces back to back, and with solids outward."""
     from geokit.mesh.sign.left_out import left_out_faces
 
     mesh: TriangleMesh = surface.mesh
     source = np.arange(mesh.face_count)
     if surface._counted is not surface:
         source = np.delete(source, left_out_faces(surface))
-    flipped = surface._counted._orientation.flipped if turned else np.zeros(len(source), bool)
+    flipped = surface._counted._orientation.flipped
     if len(source) == mesh.face_count and not flipped.any():
         return mesh
     faces = np.where(flipped[:, None], mesh.faces[source, ::-1], mesh.faces[source])

@@ -72,8 +72,7 @@ def test_unions_have_the_volume_and_the_area_of_closed_forms(name: str, way: str
             pytest.skip("windings of bodies that share edges are taken as they are")
         mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
     found = audit(union(mesh))
-    # Where nothing is removed the winding stays too.
-    assert abs(found.signed_volume) == pytest.approx(volume, rel=1e-9)
+    assert found.signed_volume == pytest.approx(volume, rel=1e-9)
     assert area is None or found.area == pytest.approx(area, rel=1e-9)
     assert found.boundary_edge_count == 0
 
@@ -130,9 +129,15 @@ def test_bodies_that_are_inside_out_are_turned() -> None:
         (box((1, 1, 1), center=(0.5, 0, 0)), 1.5),
     ):
         for meshes in ((one, inside_out(other)), (inside_out(other), one)):
-            found = union(*meshes)
-            np.testing.assert_allclose(found.volume, volume)
-            assert audit(found).watertight
+            # Several meshes, and the usual form of a file: one that holds all bodies.
+            for found in (union(*meshes), union(concatenated(*meshes))):
+                np.testing.assert_allclose(audit(found).signed_volume, volume)
+                assert audit(found).watertight
+    rows = np.arange(36).reshape(12, 3)
+    alone = TriangleMesh(one.vertices, one.faces[:, ::-1], name="one", corner_data={"row": rows})
+    found = union(alone)
+    assert (audit(found).signed_volume, found.name) == (1.0, "one")
+    np.testing.assert_array_equal(found.corner_data["row"], rows[:, ::-1])
 
 
 def test_of_faces_for_each_side_one_is_left() -> None:
