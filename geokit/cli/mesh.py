@@ -325,7 +325,7 @@ def transfer(
     force: Flag = False,
     json: Flag = False,
 ) -> None:
-    """Give a mesh the attributes of another one at closest points: colors, texture coordinates, any array.
+    """Give a mesh the attributes of another one at closest points of the same side: colors, any array.
 
     Args:
         source: The mesh that gets them.

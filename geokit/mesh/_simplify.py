@@ -90,10 +90,10 @@ def simplify(
     closer to each other than the tolerance.
 
     Vertices at equal positions are merged, unreferenced vertices are removed, and parts are not kept. Attributes come
-    from the closest points of the original as in :func:`geokit.mesh.transfer_attributes`; edges at seams of texture
-    coordinates are collapsed like others, so a face may lie across one. Vertices that were not moved keep their
-    coordinates to the bit. Vertices at edges of more than two faces, or where several fans of faces meet, stay. Results
-    do not depend on the number of threads.
+    from the closest points of the original, on the same side of thin walls, as in
+    :func:`geokit.mesh.transfer_attributes`; edges at seams of texture coordinates are collapsed like others, so a face
+    may lie across one. Vertices that were not moved keep their coordinates to the bit. Vertices at edges of more than
+    two faces, or where several fans of faces meet, stay. Results do not depend on the number of threads.
 
     Args:
         mesh: The mesh, with at least one face.

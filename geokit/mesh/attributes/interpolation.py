@@ -13,7 +13,7 @@ from geokit.errors import InputError
 from geokit.mesh._data import has_meaning
 from geokit.mesh._model import TriangleMesh
 
-__all__ = ["chosen_names", "interpolated", "interpolation_bytes", "weights_within"]
+__all__ = ["chosen_names", "closest_weights", "interpolated", "interpolation_bytes", "weights_within"]
 
 # Weights below this are rounding of points at a corner or on an edge.
 ROUNDING = 1e-12
@@ -112,3 +112,22 @@ def weights_within(corners: NDArray[np.float64], points: NDArray[np.float64]) ->
     weights = np.column_stack([1.0 - w[:, 0] - w[:, 1], w])
     weights[weights < ROUNDING] = 0.0
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def closest_weights(
+    corners: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weights of the corners of triangles (N, 3, 3) at the points closest to points (N, 3), and the distances (N,)."""
+    choices = [weights_within(corners, points)]
+    for corner in range(3):
+        start, edge = corners[:, corner], corners[:, (corner + 1) % 3] - corners[:, corner]
+        squared = np.einsum("ij,ij->i", edge, edge)
+        along = np.einsum("ij,ij->i", points - start, edge)
+        share = np.clip(np.divide(along, squared, out=np.zeros_like(along), where=squared > 0.0), 0.0, 1.0)
+        weights = np.zeros((len(points), 3))
+        weights[:, corner], weights[:, (corner + 1) % 3] = 1.0 - share, share
+        choices.append(weights)
+    weights = np.stack(choices)
+    distance = np.linalg.norm(np.einsum("knc,nci->kni", weights, corners) - points, axis=2)
+    best = distance.argmin(axis=0), np.arange(len(points))
+    return weights[best], distance[best]

@@ -141,6 +141,8 @@ class PointQueries:
         largest weight. Of one name on several elements, corners win over vertices over faces.
 
         Values are within 1e-12 of the range of the values at the triangle's corners, plus the rounding to their type.
+        Points know no sides: beside a thin wall the closest point may be on the other one. Those of a mesh do:
+        :func:`geokit.mesh.transfer_attributes`.
 
         Args:
             points: Query points [world], shape (N, 3).

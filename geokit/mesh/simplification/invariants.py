@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from geokit.mesh._surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
 
-__all__ = ["Shape", "has_similar_normals", "shape_of"]
+__all__ = ["Shape", "alike_near", "has_similar_normals", "shape_of"]
 
 # Faces whose neighborhoods are listed at once.
 BLOCK = 1024
@@ -78,22 +79,41 @@ def has_similar_normals(mesh: TriangleMesh, original: Surface, distance: float) 
         original: The original surface.
         distance: Search distance [world], along each axis.
     """
-    middle, normal = mesh.vertices[mesh.faces].mean(axis=1), _normals(mesh)
-    before = _normals(original.mesh)
-    nearest = original.closest_point(middle).triangle_id
-    left = np.flatnonzero(np.einsum("ij,ij->i", normal, before[nearest]) <= 0.0)
-    # The nearest face may be the other side of a thin wall, or the flank of a bump: any other near face will do.
-    for begin in range(0, len(left), BLOCK):
-        rows = left[begin : begin + BLOCK]
-        near = original.overlapping(middle[rows] - distance, middle[rows] + distance)
-        row = np.repeat(np.arange(len(rows)), np.diff(near.offsets))
-        alike = np.einsum("ij,ij->i", normal[rows[row]], before[near.triangle_id]) > 0.0
-        if not np.bincount(row[alike], minlength=len(rows)).all():
-            return False
-    return True
+    middle, normal = mesh.vertices[mesh.faces].mean(axis=1), mesh.face_normals
+    before = original.mesh.face_normals
+    left = np.flatnonzero(_cosines(normal, before[original.closest_point(middle).triangle_id]) <= 0.0)
+    alike = alike_near(original, before, middle[left], normal[left], np.full(len(left), distance))
+    return all(np.bincount(row, minlength=len(block)).all() for block, row, _ in alike)
 
 
-def _normals(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Normals (F, 3), with twice the face's area as their length."""
-    a, b, c = (mesh.vertices[corner] for corner in mesh.faces.T)
-    return np.cross(b - a, c - a)
+def alike_near(
+    original: Surface,
+    facing: NDArray[np.float64],
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    distance: NDArray[np.float64],
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]]:
+    """Triangles near points that face the same way: their normals differ by less than 90 degrees.
+
+    The nearest one may be the other side of a thin wall, or the flank of a bump.
+
+    Args:
+        original: The surface.
+        facing: Normals of its triangles.
+        points: Points (N, 3).
+        normals: Where each point's surface faces (N, 3).
+        distance: Search distance [world] of each point, along each axis.
+    Yields:
+        Rows of a block of points, and pairs: the row within the block, and the triangle.
+    """
+    for begin in range(0, len(points), BLOCK):
+        block = np.arange(begin, min(begin + BLOCK, len(points)))
+        around = distance[block, None]
+        near = original.overlapping(points[block] - around, points[block] + around)
+        row = np.repeat(np.arange(len(block)), np.diff(near.offsets))
+        alike = _cosines(normals[block[row]], facing[near.triangle_id]) > 0.0
+        yield block, row[alike], near.triangle_id[alike]
+
+
+def _cosines(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -7,7 +7,7 @@ import pytest
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
-from geokit.mesh.attributes.interpolation import weights_within
+from geokit.mesh.attributes.interpolation import closest_weights, weights_within
 from tests.support.attributed import numbered, painted
 
 TORUS = mesh_catalog.torus(24, 12)
@@ -150,6 +150,49 @@ def test_corners_stay_on_their_side_of_a_crease():
     fine = gk.mesh.box(center=(0.5, 0.5, 0.5))
     found = gk.mesh.transfer_attributes(fine, sharp, device="cpu").corner_data["normal"]
     np.testing.assert_allclose(found, np.repeat(fine.face_normals[:, None], 3, axis=1), atol=1e-15)
+
+
+def sided(thickness):
+    """A hollow ball with a thin wall; its attributes are 1 outside and 2 inside."""
+    ball = gk.mesh.sphere(radius=1.0, segments=40)
+    side, n = np.repeat([1.0, 2.0], ball.face_count), ball.vertex_count
+    return gk.mesh.TriangleMesh(
+        np.concatenate([ball.vertices, (1.0 - thickness) * ball.vertices]),
+        np.concatenate([ball.faces, ball.faces[:, ::-1] + n]),
+        vertex_data={"v": np.repeat([1.0, 2.0], n)},
+        face_data={"f": side.astype(int)},
+        corner_data={"c": np.repeat(side[:, None], 3, axis=1)},
+    )
+
+
+@pytest.mark.parametrize("arguments", [{"tolerance": 0.02}, {"tolerance": 0.1}, {"face_count": 400}])
+@pytest.mark.parametrize("thickness", [0.02, 0.008, 1e-4])
+def test_nothing_comes_from_the_other_side_of_a_thin_wall(thickness, arguments):
+    mesh = sided(thickness)
+    simple = gk.mesh.simplify(mesh, device="cpu", **arguments).mesh
+    bare = gk.mesh.TriangleMesh(simple.vertices, simple.faces)
+    side = np.where(np.einsum("ij,ij->i", simple.face_normals, simple.vertices[simple.faces[:, 0]]) > 0, 1, 2)
+    at_vertices = np.zeros(simple.vertex_count)
+    at_vertices[simple.faces] = side[:, None]
+    for found in (simple, gk.mesh.transfer_attributes(bare, mesh, device="cpu")):
+        np.testing.assert_array_equal(found.face_data["f"], side)
+        np.testing.assert_allclose(found.vertex_data["v"], at_vertices, atol=1e-9)
+        np.testing.assert_allclose(found.corner_data["c"], np.repeat(side[:, None], 3, axis=1), atol=1e-9)
+
+
+def test_where_nothing_faces_the_same_way_the_closest_point_counts():
+    mesh = numbered(TORUS)
+    back = gk.mesh.TriangleMesh(TORUS.vertices, TORUS.faces[:, ::-1])
+    found = gk.mesh.transfer_attributes(back, mesh, names=["f"], device="cpu")
+    np.testing.assert_array_equal(found.face_data["f"], mesh.face_data["f"])
+
+
+def test_closest_weights_are_those_of_the_reference():
+    triangle = gk.mesh.TriangleMesh(RANDOM.normal(size=(3, 3)), [[0, 1, 2]])
+    points = RANDOM.normal(size=(200, 3)) * 2
+    weights, distance = closest_weights(np.repeat(triangle.vertices[None], 200, axis=0), points)
+    np.testing.assert_allclose(weights, closest_by_hand(triangle, points)[1], atol=1e-12)
+    np.testing.assert_allclose(distance, np.linalg.norm(weights @ triangle.vertices - points, axis=1), atol=1e-12)
 
 
 def test_weights_are_within_the_triangle():
