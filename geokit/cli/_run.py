@@ -82,15 +82,16 @@ def show_warning(message: Warning | str, category: type[Warning], *_: object, **
 
 
 def usage_message(error: BaseException) -> str:
-    unused = getattr(error, "unused_tokens", None)
+    from cyclopts import UnknownCommandError, UnusedCliTokensError
+
+    unused: list[str] = getattr(error, "unused_tokens", None) or []
     if unused == ["-"]:
         return "-: input is not read from a pipe, since the name of a file says what it is; name a file"
-    unknown = [token for token in unused or () if token.startswith("--")]
-    if unknown:
-        return f"{unknown[0]}: there is no such option"
-    if unused:
+    if isinstance(error, UnusedCliTokensError):
         return f"{', '.join(map(repr, unused))}: one argument too many, or an option without its --; leave it out"
-    # Some messages of Cyclopts span several lines.
+    if isinstance(error, UnknownCommandError) and unused[0].startswith("-"):
+        return f"{unused[0]}: there is no such option before a command; write options of a command after its name"
+    # Cyclopts names the command or the option that is meant. Some of its messages span several lines.
     return str(error).strip() or type(error).__name__
 
 

@@ -126,7 +126,16 @@ def test_what_was_not_asked_is_not_none(run: Callable[..., Done]) -> None:
         ("volume union one.vdb", 2, "1 files given; name at least two"),
         ("info missing.obj", 1, "no such file"),
         ("convert a.obj b.obj --voxel 0.1", 2, "--voxel"),
-        ("nothing", 2, "nothing"),
+        ("nothing", 2, 'Unknown command "nothing"'),
+        ("inf torus.ply", 2, 'Unknown command "inf". Did you mean "info"?'),
+        ("volume ofset a.vdb b.vdb --distance .1", 2, 'Unknown command "ofset". Did you mean "offset"?'),
+        ("query sigend a.obj b.csv", 2, 'Did you mean "signed"?'),
+        ("convert a.obj b.vdb --voxelsize 0.1", 2, "Unknown option: --voxelsize. Did you mean --voxel-size?"),
+        ("convert a.obj b.vdb --voxelsize=0.1", 2, "Did you mean --voxel-size?"),
+        ("volume offset a.vdb b.vdb --distnce .1", 2, "Did you mean --distance instead of --distnce?"),
+        ("render a.obj -o a.png --colour red", 2, "Did you mean --color?"),
+        ("render a.obj -o a.png --look smok", 2, 'Did you mean "smoke"?'),
+        ("--json info a.obj", 2, "--json: there is no such option before a command; write"),
     ],
 )
 def test_exit_codes(run: Callable[..., Done], line: str, code: int, said: str) -> None:

@@ -214,7 +214,8 @@ class _Reader:
             build_commands().parse_args(line, exit_on_error=False, print_error=False)
         except require_package("cyclopts").CycloptsError as error:
             message = " ".join(usage_message(error).split()).rstrip(".")
-            keys = [key for option, (key, _) in options.items() if re.search(rf"--{re.escape(option)}\b", message)]
+            wrong = message.partition("Did you mean")[0]
+            keys = [key for option, (key, _) in options.items() if re.search(rf"--{re.escape(option)}(?![\w-])", wrong)]
             raise self.refusal(keys[0] if keys else "", f"{message}; geokit {self.verb} --help lists all") from error
 
 
