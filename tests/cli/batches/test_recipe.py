@@ -95,7 +95,10 @@ STEP = '[[step]]\nverb = "volume offset"\noutput = "{stem}.vdb"\ndistance = 1\n'
         (STEP.replace("volume offset", "volume ofset"), [":2: step 1 (volume ofset)", "'volume ofset'", "offset"]),
         (STEP.replace("volume offset", "volume"), [":2: ", "'volume' is no command", "offset"]),
         (STEP.replace("volume offset", "view"), [":2: ", "'view' is no command of a batch"]),
-        (STEP + "distanc = 2\n", [":5: step 1 (volume offset): distanc: Unknown option: --distanc", "mean --distance?", "--help"]),
+        (
+            STEP + "distanc = 2\n",
+            [":5: step 1 (volume offset): distanc: Unknown option: --distanc", "mean --distance?", "--help"],
+        ),
         (STEP.replace("= 1", "= 'far'"), [":4: step 1 (volume offset): distance: ", "far"]),
         (STEP.replace("distance = 1\n", ""), [":1: step 1 (volume offset): ", "--distance"]),
         (STEP.replace("= 1", "= {a = 1}"), [":4: ", "distance: write a number"]),
