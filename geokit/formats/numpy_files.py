@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, Columns, by_place, first_rays, joined
@@ -121,6 +122,7 @@ def _fields(array: NDArray[Any], path: Path) -> Columns:
     """The fields of a structured array that hold numbers, one or several for each point."""
     rows = array.reshape(-1)
     numeric = [name for name in rows.dtype.names or () if rows.dtype[name].base.kind in "fiub"]
+    _say_left_out([name for name in rows.dtype.names or () if name not in numeric], path)
     columns = {name: np.ascontiguousarray(rows[name]).reshape(len(rows), -1) for name in numeric}
     wide = [name for name, values in columns.items() if name.lower() in AXES and values.shape[1] != 1]
     if wide:
@@ -157,7 +159,14 @@ def _cloud(path: Path) -> tuple[NDArray[np.float64], Columns]:
         for key, array in arrays.items()
         if array.ndim in (1, 2) and len(array) == len(points) and array.dtype.kind in "fiub"
     }
+    _say_left_out([key for key in arrays if key not in fitting], path)
     return points.astype(np.float64), fitting
+
+
+def _say_left_out(names: Sequence[str], path: Path) -> None:
+    if names:
+        listed = ", ".join(repr(in_one_line(name)) for name in names)
+        warn(f"{path}: arrays without a row of numbers for each point are left out: {listed}")
 
 
 @contextlib.contextmanager

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
-from geokit.formats.body import Body
+from geokit.formats.attributes.mtl import image_content
+from geokit.formats.body import Body, FileMaterial
 from geokit.formats.columns import AXES, Columns, joined, split
 from geokit.formats.text_files.decimal import SMALLEST, plain_rows
 from geokit.formats.text_files.plain import plain_text
@@ -53,6 +54,8 @@ _TYPES = {
 _MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r?\n|\r)", re.IGNORECASE)
 _END = re.compile(rb"end_header", re.IGNORECASE)
 _BINARY, _HEAD_BYTES = re.compile(rb"[\r\n]\s*format\s+binary", re.IGNORECASE), 1 << 12
+# MeshLab's line for an image of the base color; "texnumber" of a face is the row of its image.
+_IMAGE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(.+?)[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -87,10 +90,11 @@ class _Element:
     properties: list[_Property] = field(default_factory=list)
 
 
-def read_mesh(path: Path) -> list[Body]:
+def read_mesh(path: Path, folders: Sequence[Path] = ()) -> list[Body]:
     """Read a .ply file: vertices and faces with all their properties, each in its type; strips become triangles.
 
-    Lists of faces with a number, or several, for each corner are on corners: ``texcoord`` is ``uv``.
+    Lists of faces with a number, or several, for each corner are on corners: ``texcoord`` is ``uv``. Each image that
+    ``comment TextureFile`` names is a material; it may lie beside the file, or within ``folders``.
     """
     data = path.read_bytes()
     if not _BINARY.search(data[:_HEAD_BYTES]):
@@ -137,11 +141,22 @@ def read_mesh(path: Path) -> list[Body]:
                     corner["uv" if name == "texcoord" and found.shape[1:] == (2,) else name] = found
                 elif len(values):
                     notes.append(f"the list {name!r} of the faces is left out: its lengths are not those of the faces")
+        elif element.count:
+            notes.append(f"its {element.count} entries of {element.name!r} are left out")
     source.finish()
     if len(strips):
         left_out = [f"{name!r} of the faces is left out beside strips" for name in (*face, *corner)]
         notes, face, corner = notes + left_out, {}, {}
         counts, indices = np.concatenate([counts, np.full(len(strips), 3)]), np.concatenate([indices, strips.ravel()])
+    images = [name.decode("utf-8", "replace") for name in _IMAGE.findall(data[:start].replace(b"\r", b"\n"))]
+    if images:
+        rows: NDArray[Any] = np.asarray(face.pop("texnumber", np.zeros(len(counts))), np.float64)
+        face["material"] = np.where((rows >= 0) & (rows < len(images)), rows, -1).astype(np.int32)
+    materials = [
+        FileMaterial(plain, None, plain, image_content(name, path, folders, notes))
+        for name in images
+        for plain in [PurePosixPath(name.replace("\\", "/")).name]
+    ]
     return [
         Body(
             points,
@@ -150,6 +165,7 @@ def read_mesh(path: Path) -> list[Body]:
             vertex_data=_with_bytes(from_columns(vertex), "color"),
             polygon_data=_with_bytes(from_columns(face), "color"),
             corner_data=corner,
+            materials=tuple(materials),
             notes=tuple(notes),
         )
     ]

@@ -151,7 +151,7 @@ FORMATS: dict[str, Format] = {
     ".obj": Format(
         "obj", mesh="rw", points="r", vertex="normal uv rgb", corner="normal uv", materials=True, references=True
     ),
-    ".ply": Format("ply", mesh="rw", points="rw", vertex="*", face="*", corner="*"),
+    ".ply": Format("ply", mesh="rw", points="rw", vertex="*", face="*", corner="*", references=True),
     ".stl": Format("stl", mesh="rw", float32=True, **_Z),
     ".off": Format("off", mesh="rw", vertex="normal uv color", face="color"),
     # trimesh

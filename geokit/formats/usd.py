@@ -360,6 +360,8 @@ def _primvars(
         except (TypeError, ValueError):
             return
         if values.dtype.kind not in "fiub" or not values.ndim:
+            if values.ndim:
+                notes.append(f"the array {name!r} of {prim.GetPath()} is left out: it holds no numbers")
             return
         if interpolation == UsdGeom.Tokens.constant and len(values) == 1:
             values, into, count = np.repeat(values, polygon_count, axis=0), found[1], polygon_count

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "holds_name",
     "lacks_faces",
+    "no_numbers",
     "poly_data",
     "prepare",
     "read_mesh",
@@ -132,7 +133,8 @@ def read_mesh(path: Path) -> list[Body]:
     listed = ", ".join(f"{name} ({count})" for name, count in _others(data, vtk_to_numpy).items())
     vertex = _arrays(data.GetPointData(), vtk_to_numpy)
     unit = unit_of(data.GetFieldData())
-    notes = (f"its {listed} are left out",) if listed else ()
+    held = (data.GetPointData(), data.GetCellData(), data.GetFieldData())
+    notes = (*([f"its {listed} are left out"] if listed else []), *(text for one in held for text in no_numbers(one)))
     return [Body(points, counts, indices, vertex_data=vertex, polygon_data=polygon, notes=notes, **unit)]
 
 
@@ -146,6 +148,14 @@ def unit_of(fields: Any) -> dict[str, Any]:
     if is_text and axis.GetValue(0) in ("x", "y", "z"):
         found["up_axis"] = axis.GetValue(0)
     return found
+
+
+def no_numbers(data: Any) -> list[str]:
+    """What is left out of arrays of points, cells or the file: those that hold no numbers; a note if there are any."""
+    every = [(data.GetArray(at), data.GetAbstractArray(at)) for at in range(data.GetNumberOfArrays())]
+    names = [array.GetName() or "unnamed" for numbers, array in every if numbers is None and array is not None]
+    listed = ", ".join(repr(name) for name in names if name != _UP)
+    return [f"its arrays that hold no numbers are left out: {listed}"] if listed else []
 
 
 def _arrays(data: Any, to_numpy: Any) -> dict[str, NDArray[Any]]:
@@ -393,8 +403,9 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
     if found.GetNumberOfPoints() == 0:
         return np.empty((0, 3)), {}
     points = vtk_to_numpy(found.GetPoints().GetData()).astype(np.float64)
+    for text in no_numbers(found.GetPointData()):
+        warn(text)
     arrays = (found.GetPointData().GetArray(at) for at in range(found.GetPointData().GetNumberOfArrays()))
-    # Arrays of strings hold no numbers and are left out.
     return points, {array.GetName() or "unnamed": vtk_to_numpy(array).copy() for array in arrays if array is not None}
 
 

@@ -222,10 +222,11 @@ def test_ply_with_wedge_coordinates_of_meshlab(tmp_path):
         "4 0 1 2 3 8 0 0 1 0 1 1 0 1 0\n3 0 1 2 0 7\n"
     )
     (tmp_path / "m.ply").write_text(text)
-    mesh = gk.mesh.load(tmp_path / "m.ply")
+    with pytest.warns(UserWarning, match=r"'a.png' is missing: its texture is left out"):
+        mesh = gk.mesh.load(tmp_path / "m.ply")
     assert mesh.corner_data["uv"][:2].tolist() == [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]
     assert np.isnan(mesh.corner_data["uv"][2]).all()
-    assert mesh.face_data["texnumber"].tolist() == [0, 0, 7]
+    assert mesh.face_data["material"].tolist() == [0, 0, -1]
     assert mesh.vertex_data["quality"].tolist() == [0.5, 1, 2, 3]
     # 300 does not fit into the declared type: the column stays what the text says.
     assert mesh.vertex_data["blue"].tolist() == [0, 0, 300, 9]

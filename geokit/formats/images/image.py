@@ -12,7 +12,7 @@ import contextlib
 import functools
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,8 @@ from geokit.errors import FileFormatError, InputError
 from geokit.formats.reader.warnings import warn_of
 
 __all__ = [
-    "LARGEST_COSINE", "METERS", "Image", "affine", "fitting_codec", "grids_of", "in_space", "in_unit", "note_of",
-    "noted", "one_unit", "reading", "require_straight", "require_three", "scaled", "stored_type",
+    "LARGEST_COSINE", "METERS", "Image", "affine", "fitting_codec", "grids_of", "in_space", "in_unit", "left_out_keys",
+    "note_of", "noted", "one_unit", "reading", "require_straight", "require_three", "scaled", "stored_type",
 ]  # fmt: skip
 
 # Lengths of the units that files name.
@@ -36,6 +36,8 @@ METERS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "angstrom": 
 LARGEST_COSINE = 1e-6
 # Points in time and channels.
 MOST_GRIDS = 1 << 16
+# Keys of a header that one warning names.
+MOST_NAMED = 8
 # Opposite directions of the body: right and left, anterior and posterior, superior and inferior.
 _OPPOSITE = {"R": "L", "A": "P", "S": "I"}
 
@@ -230,6 +232,14 @@ def note_of(text: Any) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def left_out_keys(keys: Iterable[str]) -> list[str]:
+    """What is said of a header's keys that are not read; nothing if there are none."""
+    names = list(dict.fromkeys(keys))
+    listed = ", ".join(repr(in_one_line(name)) for name in names[:MOST_NAMED])
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return [f"the keys {listed}{more} of its header are left out"] if names else []
 
 
 def require_three(path: Path, sizes: Any) -> tuple[int, int, int]:

@@ -23,6 +23,7 @@ from geokit.formats.images.image import (
     fitting_codec,
     grids_of,
     in_space,
+    left_out_keys,
     note_of,
     noted,
     one_unit,
@@ -32,11 +33,20 @@ from geokit.formats.images.image import (
     stored_type,
 )
 from geokit.formats.images.stream import packed_writer, slabs_in
+from geokit.formats.reader.warnings import warn_of
 from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
 
 HEAD_BYTES = 1 << 16
+# Keys of the format; others are the user's own.
+_KEYS = (
+    "objecttype objectsubtype ndims name id parentid color comment binarydata elementbyteordermsb "
+    "binarydatabyteordermsb compresseddata compresseddatasize compressionlevel transformmatrix rotation orientation "
+    "offset position origin centerofrotation anatomicalorientation elementspacing elementsize distanceunits dimsize "
+    "headersize modality sequenceid elementmin elementmax elementnumberofchannels elementtointensityfunctionslope "
+    "elementtointensityfunctionoffset elementtype elementdatafile acquisitiondate itk_inputfiltername"
+)
 TYPES = {"CHAR": "i1", "UCHAR": "u1", "SHORT": "i2", "USHORT": "u2", "INT": "i4", "UINT": "u4", "LONG": "i4",
          "ULONG": "u4", "LONG_LONG": "i8", "ULONG_LONG": "u8", "FLOAT": "f4", "DOUBLE": "f8"}  # fmt: skip
 _DATA_FILE = re.compile(rb"^\s*ElementDataFile\s*=\s*(.*?)\s*$", re.IGNORECASE | re.MULTILINE)
@@ -49,7 +59,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
     with reading(path):
         with open(path, "rb") as file:
             head = file.read(HEAD_BYTES)
-        found, at = {}, 0
+        found, at, own = {}, 0, []
         while "elementdatafile" not in found:
             line, end, _ = head[at:].partition(b"\n")
             key, equal, value = line.decode("utf-8", "replace").partition("=")
@@ -58,6 +68,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
                     f"{path}: is no MetaImage (no ElementDataFile in its header); check the extension"
                 )
             found[key.strip().lower()] = value.strip()
+            own += [key.strip()] if key.strip().lower() not in _KEYS.split() else []
             at += len(line) + 1
         shape, channels, dtype = _kind(found, path)
         count = len(found.get("dimsize", "").split())
@@ -83,6 +94,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             yield slab if components > 1 else slab[..., grid % inner]
 
     note = note_of(found.get("comment"))
+    warn_of(path, left_out_keys(own))
     told = found.get("distanceunits", "").lower().strip("?")
     image = Image(
         shape=shape[:3],

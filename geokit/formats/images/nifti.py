@@ -33,6 +33,7 @@ from geokit.formats.images.image import (
     stored_type,
 )
 from geokit.formats.images.stream import packed_writer, slabs_in
+from geokit.formats.reader.warnings import warn_of
 
 __all__ = ["open_images", "write_image"]
 
@@ -80,7 +81,10 @@ def open_images(path: Path, limit: int) -> list[Image]:
         turned = int(header["sform_code"]) > 0 or int(header["qform_code"]) > 0
         matrix = np.array(header.get_best_affine() if turned else _by_method_1(header), np.float64)
         unit = UNITS.get(header.get_xyzt_units()[0], "") if int(header["xyzt_units"]) & 7 in (1, 2, 3) else ""
-        note = next((found for one in header.extensions if (found := note_of(_text(one)))), {})
+        notes = [note_of(_text(one)) for one in header.extensions]
+        note = next(filter(None, notes), {})
+    if others := notes.count({}):
+        warn_of(path, [f"{others} extensions of its header are left out"])
     shape, frames, vectors = require_three(path, sizes[:3]), sizes[3], sizes[4]
     colors = len(dtype.fields or ())
     stored = np.dtype(next(iter(dtype.fields.values()))[0]) if dtype.fields else dtype

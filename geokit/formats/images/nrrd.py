@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from geokit.formats.images.image import (
     affine,
     fitting_codec,
     grids_of,
+    left_out_keys,
     note_of,
     noted,
     one_unit,
@@ -28,11 +30,14 @@ from geokit.formats.images.image import (
     require_three,
 )
 from geokit.formats.images.stream import packed_writer, slabs_in
+from geokit.formats.reader.warnings import warn_of
 from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
 
 HEAD_BYTES = 1 << 20
+# A key with a value of the user's own, such as the name of a segment.
+_KEY = re.compile(rb"^([^#:\r\n][^:\r\n]*):=", re.MULTILINE)
 # Names of types, in the order of the sizes 1, 2, 4 and 8.
 _WHOLE = (("int8", "signed char"), ("int16", "short", "short int", "signed short", "signed short int"),
           ("int32", "int", "signed int"),
@@ -69,6 +74,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             raise FileFormatError(f"{path}: is no NRRD file (it begins with another word); check the extension")
         header = nrrd.read_header(head)
         offset = head.tell()
+        keys = [key.decode("utf-8", "replace") for key in _KEY.findall(head.getvalue()[:offset])]
         sizes = [int(n) for n in header["sizes"]]
         if len(sizes) != int(header["dimension"]) or min(sizes) < 1:
             raise FileFormatError(f"{path}: has the sizes {sizes} in dimension {header['dimension']}; it is damaged")
@@ -91,6 +97,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
     grids = frames * (lead // components)
     frame_bytes = int(np.prod(shape, dtype=object)) * lead * dtype.itemsize
     note = note_of(header.get("geokit"))
+    warn_of(path, left_out_keys(key for key in keys if key != "geokit"))
 
     def slabs(grid: int) -> Iterator[NDArray[Any]]:
         inner = lead // components

@@ -26,7 +26,8 @@ from geokit.formats.images.image import (
     stored_type,
 )
 from geokit.formats.reader import process as reader_process
-from geokit.formats.vtk import _collected, _window, _without_pointers, reported
+from geokit.formats.reader.warnings import warn_of
+from geokit.formats.vtk import _collected, _window, _without_pointers, no_numbers, reported
 
 __all__ = ["open_images", "prepare", "read_grids", "write_image"]
 
@@ -82,6 +83,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         "origin": list(data.GetOrigin()),
         "direction": direction,
         "of_cells": [of_cells for of_cells, _ in arrays.values()],
+        "left_out": [*no_numbers(data.GetPointData()), *no_numbers(data.GetCellData())],
         "note": bytes(vtk_to_numpy(note).astype(np.uint8)).decode("utf-8", "replace") if note else "",
     }
     return facts, [(name, array) for name, (_, array) in arrays.items()]
@@ -98,6 +100,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
     }
     seconds = reader_process.reading_seconds(path)
     facts, arrays = reader_process.ask(path, __name__, request, seconds, "export it again")
+    warn_of(path, facts["left_out"])
     extent = np.array(facts["extent"], np.int64)
     points = extent[:, 1] - extent[:, 0] + 1
     cells = np.maximum(points - 1, 1)
