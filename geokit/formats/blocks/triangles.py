@@ -102,33 +102,29 @@ def _open_ply(path: Path) -> TriangleFile:
     if order == "":
         raise FileFormatError(f"{path}: is text, which has no blocks; {REMEDY}")
     size = path.stat().st_size
-    vertex, begin = None, 0
+    vertex: tuple[np.dtype[Any], int, int] | None = None
+    face: tuple[np.dtype[Any], int, int] | None = None
+    # Vertices may come behind the faces: of triangles, which are of one size, or what is read of them is refused.
     for element in elements:
         lists = [item for item in element.properties if item.count_type]
         if element.name in ("face", "tristrips"):
-            break
-        if lists:
-            raise FileFormatError(f"{path}: {element.name} has the list {lists[0].name!r} before the faces; {REMEDY}")
-        kind = np.dtype([(item.name, order + item.type) for item in element.properties])
-        if element.name == "vertex":
-            vertex, begin = (kind, element.count), at
+            kind, counts, corners = _face_record(element, order, path)
+            face = kind, element.count, at
+        elif lists:
+            raise FileFormatError(
+                f"{path}: {element.name} has the list {lists[0].name!r} before the faces or vertices; {REMEDY}"
+            )
+        else:
+            kind = np.dtype([(item.name, order + item.type) for item in element.properties])
+            vertex = (kind, element.count, at) if element.name == "vertex" else vertex
         at += element.count * kind.itemsize
-    else:
-        raise FileFormatError(f"{path}: has no faces after its vertices; a mesh needs them")
+        if vertex and face:
+            break
     if vertex is None or not {"x", "y", "z"} <= set(vertex[0].names or ()):
-        raise FileFormatError(f"{path}: has no vertices x, y, z before its faces; the file is not a mesh")
-    if element.name != "face" or [item.name in ("vertex_indices", "vertex_index") for item in lists] != [True]:
-        raise FileFormatError(f"{path}: its faces are more than lists of vertices; {REMEDY}")
-    if lists[0].type[0] == "f" or lists[0].count_type[0] == "f":
-        raise FileFormatError(f"{path}: vertex_indices are not integers; export the mesh again")
-    fields: list[Any] = []
-    for item in element.properties:
-        fields += [("", order + item.count_type), ("", order + item.type, 3)] if item.count_type else []
-        fields += [] if item.count_type else [("", order + item.type)]
-    record = np.dtype(fields)
-    where = element.properties.index(lists[0])
-    counts, corners = f"f{where}", f"f{where + 1}"
-    (kind, vertex_count), face_count = vertex, element.count
+        raise FileFormatError(f"{path}: has no vertices x, y, z; the file is not a mesh")
+    if face is None:
+        raise FileFormatError(f"{path}: has no faces; a mesh needs them")
+    (kind, vertex_count, begin), (record, face_count, at) = vertex, face
     if size < begin + vertex_count * kind.itemsize:
         raise FileFormatError(f"{path}: ends within its {vertex_count} vertices; it is truncated, get a whole copy")
     if vertex_count == 0 or face_count == 0:
@@ -160,6 +156,21 @@ def _open_ply(path: Path) -> TriangleFile:
         return found
 
     return TriangleFile(path, face_count, dtype, read)
+
+
+def _face_record(element: Any, order: str, path: Path) -> tuple[np.dtype[Any], str, str]:
+    """The record of a triangle, and the names of its fields that hold the count and the vertices."""
+    lists = [item for item in element.properties if item.count_type]
+    if element.name != "face" or [item.name in ("vertex_indices", "vertex_index") for item in lists] != [True]:
+        raise FileFormatError(f"{path}: its faces are more than lists of vertices; {REMEDY}")
+    if lists[0].type[0] == "f" or lists[0].count_type[0] == "f":
+        raise FileFormatError(f"{path}: vertex_indices are not integers; export the mesh again")
+    fields: list[Any] = []
+    for item in element.properties:
+        fields += [("", order + item.count_type), ("", order + item.type, 3)] if item.count_type else []
+        fields += [] if item.count_type else [("", order + item.type)]
+    where = element.properties.index(lists[0])
+    return np.dtype(fields), f"f{where}", f"f{where + 1}"
 
 
 def _whole(records: NDArray[Any], rows: int, path: Path) -> NDArray[Any]:

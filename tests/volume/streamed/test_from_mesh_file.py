@@ -116,7 +116,8 @@ def test_a_mesh_that_is_inside_out_is_turned_and_one_with_such_a_part_warns(tmp_
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("kind", ["f4", "f8"])
-def test_ply_files_of_other_programs(order: str, kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("faces_first", [False, True])
+def test_ply_files_of_other_programs(order: str, kind: str, faces_first: bool, tmp_path: Path) -> None:
     mesh = mesh_catalog.icosphere(2)
     points = (mesh.vertices + ASIDE).astype(kind)
     vertices = np.zeros(len(points), [("q", "u1"), *((axis, order + kind) for axis in "xyz"), ("s", order + "f4")])
@@ -126,12 +127,17 @@ def test_ply_files_of_other_programs(order: str, kind: str, tmp_path: Path) -> N
     faces["n"], faces["v"] = 3, mesh.faces
     number = "float" if kind == "f4" else "double"
     header = ["ply", f"format binary_{'little' if order == '<' else 'big'}_endian 1.0", "comment x"]
-    header += [f"element vertex {len(points)}", "property uchar q", *(f"property {number} {axis}" for axis in "xyz")]
-    header += ["property float s", f"element face {len(faces)}", "property uchar flag"]
-    header += ["property list uchar int vertex_indices", "property float w", "end_header", ""]
+    first = [f"element vertex {len(points)}", "property uchar q", *(f"property {number} {axis}" for axis in "xyz")]
+    first += ["property float s"]
+    second = [f"element face {len(faces)}", "property uchar flag", "property list uchar int vertex_indices"]
+    second += ["property float w"]
+    content = vertices.tobytes(), faces.tobytes()
+    if faces_first:
+        first, second, content = second, first, content[::-1]
     path = tmp_path / "a.ply"
-    path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
+    path.write_bytes("\n".join([*header, *first, *second, "end_header", ""]).encode() + b"".join(content))
     same_grid(*both(path, 0.05))
+    assert gk.mesh.audit_file(path).watertight
 
 
 def test_the_file_is_that_of_save(tmp_path: Path) -> None:
@@ -156,10 +162,12 @@ def test_progress_and_names(tmp_path: Path) -> None:
     assert gk.volume.from_mesh_file(path, tmp_path / "a.nvdb", 0.1, **CPU).name == "ring"
 
 
-def of_ply(faces: bytes, count: int, vertices: int = 3) -> bytes:
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\n"
-    header += f"property float z\nelement face {count}\nproperty list uchar int vertex_indices\nend_header\n"
-    return header.encode() + np.arange(9, dtype="<f4").tobytes() + faces
+def of_ply(faces: bytes, count: int, vertices: int = 3, faces_first: bool = False) -> bytes:
+    head = f"element vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+    of_faces = f"element face {count}\nproperty list uchar int vertex_indices\n"
+    parts = [(head, np.arange(9, dtype="<f4").tobytes()), (of_faces, faces)][:: -1 if faces_first else 1]
+    header = "ply\nformat binary_little_endian 1.0\n" + parts[0][0] + parts[1][0] + "end_header\n"
+    return header.encode() + parts[0][1] + parts[1][1]
 
 
 TRIANGLE = b"\3" + np.array([0, 1, 2], "<i4").tobytes()
@@ -171,6 +179,9 @@ WRONG = {
     "vertices.ply": of_ply(b"", 1, vertices=9),
     "index.ply": of_ply(TRIANGLE + b"\3" + np.array([0, 1, 3], "<i4").tobytes(), 2),
     "quad.ply": of_ply(b"\4" + np.array([0, 1, 2, 0], "<i4").tobytes() + TRIANGLE, 2),
+    "quad behind faces.ply": of_ply(b"\4" + np.array([0, 1, 2, 0], "<i4").tobytes() + TRIANGLE, 2, faces_first=True),
+    "short behind faces.ply": of_ply(TRIANGLE, 2, faces_first=True),
+    "vertices behind faces.ply": of_ply(TRIANGLE, 1, vertices=9, faces_first=True),
     "cloud.ply": of_ply(b"", 0).replace(b"element face 0\nproperty list uchar int vertex_indices\n", b""),
     "nan.stl": bytes(80) + (1).to_bytes(4, "little") + np.full(12, np.nan, "<f4").tobytes() + bytes(2),
     "empty.stl": b"",
