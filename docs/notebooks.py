@@ -13,16 +13,13 @@ from pathlib import Path
 DOCS = Path(__file__).resolve().parent
 NAMES = ("hollow", "compare-scans", "mask-to-mesh", "smoke")
 
-# The code of guides finds the samples in the folder where it runs, and leaves its files there.
+# The code of guides leaves its files where it runs.
 START = """\
-# The samples are those of the repository that this notebook lies in; what is made goes to a new folder.
+# What is made goes to a new folder.
 import os
 import tempfile
-from pathlib import Path
 
-samples = Path.cwd().parents[1] / "data"
 os.chdir(tempfile.mkdtemp(prefix="geokit-"))
-os.symlink(samples, "data")
 print(os.getcwd())"""
 
 

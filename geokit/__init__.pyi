@@ -19,6 +19,9 @@ from .core.release import release_memory as release_memory
 # Volumes as files of trimesh and meshio, and accessors of PyVista; only on this request.
 from .plugins._register import register as register
 
+# Small files to try things with.
+from ._shipped import sample_path as sample_path
+
 # Versions and build facts.
 from ._config import show_config as show_config
 

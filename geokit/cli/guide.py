@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
+from geokit._shipped import folder_of
 from geokit.cli._console import print_table
-from geokit.errors import FileAccessError, InputError
+from geokit.errors import InputError
 
 __all__ = ["guide"]
-
-# A wheel has the pages of docs/guides beside the package's modules; pyproject.toml says so.
-FOLDERS = ("guides", "../docs/guides")
 
 
 def guide(name: str | None = None, /) -> None:
@@ -23,7 +20,7 @@ def guide(name: str | None = None, /) -> None:
     Args:
         name: A guide of the list; without it the list is printed.
     """
-    folder = _folder()
+    folder = folder_of("guides")
     rows = re.findall(r"^\| (.*?) \| (.*?) \| \[([\w-]+)\]", (folder / "index.md").read_text(encoding="utf-8"), re.M)
     if name is None:
         print_table(("guide", "I have", "I want"), [(key, have, want) for have, want, key in rows])
@@ -47,10 +44,3 @@ def as_program(page: str) -> str:
             text = f"    {line}" if fence else line.lstrip("# ")
             lines.append(f"# {text}" if line else "")
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip() + "\n"
-
-
-def _folder() -> Path:
-    for folder in (Path(__file__).resolve().parents[1] / name for name in FOLDERS):
-        if (folder / "index.md").is_file():
-            return folder
-    raise FileAccessError("guides: this installation has no guides; install geokit again")

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,3 +29,36 @@ def test_the_list_then_one_guide(geokit, fails) -> None:
         assert printed.stdout.startswith("# ")
         compile(printed.stdout, row, "exec")
     fails(geokit("guide", "ship"), 1, "there is no 'ship'")
+
+
+def test_the_wheel_alone_has_what_guides_read(tmp_path: Path) -> None:
+    """The folders of the wheel, laid out by hand: a program of `geokit guide` runs beside no checkout."""
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (packed,) = re.findall(r"^wheel\.packages = \{(.*)\}$", settings, re.MULTILINE)
+    for inside, source in re.findall(r'"([\w/]+)" = "([\w/]+)"', packed):
+        left_out = shutil.ignore_patterns("__pycache__", "src", "generate.py")
+        shutil.copytree(ROOT / source, tmp_path / "site" / inside, ignore=left_out, dirs_exist_ok=True)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=empty, env=environment, capture_output=True, text=True, timeout=600
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert Path(run("-c", "import geokit; print(geokit.__file__)").strip()).is_relative_to(tmp_path)
+    (empty / "guide.py").write_text(run("-m", "geokit", "guide", "sdf-samples"), encoding="utf-8")
+    run("guide.py")
+    assert (empty / "sdf-samples.png").exists()
+    names = {
+        *re.findall(
+            r"sample_path\(\"([\w.]+)\"\)",
+            "".join(p.read_text("utf-8") for p in (ROOT / "docs" / "guides").glob("*.md")),
+        )
+    }
+    assert {"torus.ply", "cloud.ply", "smoke.vdb"} <= names
+    for name in names:
+        assert (tmp_path / "site" / "geokit" / "samples" / name).exists(), name

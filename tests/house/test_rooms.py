@@ -274,6 +274,7 @@ def test_public_names_are_those_of_the_contract():
         "points",
         "register",
         "release_memory",
+        "sample_path",
         "render",
         "show_config",
         "threads",
