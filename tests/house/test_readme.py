@@ -83,9 +83,9 @@ def test_set_up_commands_are_verbs_of_dev() -> None:
     assert "no verb 'frobnicate'" in unknown.stderr
 
 
-def test_ci_runs_the_checks_and_the_tests() -> None:
+def test_ci_builds_the_site_and_runs_the_checks_and_the_tests() -> None:
     lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    assert lines[-2:] == ["./dev check --changed", "exec ./dev test"]
+    assert lines[-3:] == ["./dev docs", "./dev check --changed", "exec ./dev test"]
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
 
 
