@@ -50,6 +50,8 @@ FOG_RESOLUTION = 128
 FOG_DEPTH = 0.05
 # Share of the width for the color bar.
 BAR_SHARE = 0.14
+# Of the color bar, as shares of the picture.
+BAR_LEFT, BAR_BOTTOM = 0.86, 0.2
 # Between labels of a color bar.
 MOST_SPACES = 5
 EDGE_COLOR = "#2c3e50"
@@ -63,9 +65,23 @@ class _Look(NamedTuple):
     limits: tuple[float, float] | None
     label: str
     height: int
+    # By the title of a bar: lowest and highest value that it colors.
+    ranges: dict[str, tuple[float, float]]
+
+    def note(self, values: NDArray[Any]) -> None:
+        """Remember the range of values that a bar colors: bars say where they end within it."""
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            low, high = self.ranges.get(self.title, (np.inf, -np.inf))
+            self.ranges[self.title] = (min(low, float(finite.min())), max(high, float(finite.max())))
+
+    @property
+    def title(self) -> str:
+        return self.label or "value"
 
     def colored(self, values: NDArray[np.float64]) -> dict[str, Any]:
         """Keyword arguments of pyvista's add_mesh for coloring by ``values``."""
+        self.note(values)
         return {
             "scalars": values,
             "cmap": self.colormap,
@@ -77,10 +93,10 @@ class _Look(NamedTuple):
     def bar(self) -> dict[str, Any]:
         text = max(12, self.height // 34)
         return {
-            "title": self.label or "value",
+            "title": self.title,
             "vertical": True,
-            "position_x": 0.86,
-            "position_y": 0.2,
+            "position_x": BAR_LEFT,
+            "position_y": BAR_BOTTOM,
             "width": 0.06,
             "height": 0.6,
             "title_font_size": text,
@@ -211,7 +227,7 @@ def figure(
         return _write_smoke(target, volume, color, view, (width, height), value_limits, transparent)
     pv = pyvista()
     plotter = pv.Plotter(off_screen=True, window_size=(width, height), lighting="light kit")
-    shown = _Look(colormap, value_limits, label, height)
+    shown = _Look(colormap, value_limits, label, height, {})
     try:
         plotter.set_background("white")
         if mesh is not None:
@@ -222,9 +238,10 @@ def figure(
             alone = mesh is None and volume is None
             chosen = color if alone and point_color is None else point_color
             _add_points(pv, plotter, points, chosen, point_size, shown)
-        for bar in plotter.scalar_bars.values():
+        for title, bar in plotter.scalar_bars.items():
             bar.SetVerticalTitleSeparation(height // 50)
             _label_round_values(pv, bar)
+            _say_ends(plotter, bar, title, shown.ranges.get(title))
         _aim(plotter, view, add_shadow(pv, plotter, view.up) if shadow else np.array(plotter.bounds).reshape(3, 2))
         smooth_edges(plotter)
         with atomic_path(target) as part:
@@ -240,6 +257,24 @@ def _label_round_values(pv: Any, bar: Any) -> None:
     if len(values) > 1:
         bar.SetUseCustomLabels(True)
         bar.SetCustomLabels(pv.convert_array(values))
+
+
+def _say_ends(plotter: Any, bar: Any, title: str, values: tuple[float, float] | None) -> None:
+    """Write beyond the ends of a color bar which values have their colors, where some lie beyond."""
+    low, high = bar.GetLookupTable().GetRange()
+    least, most = values or (low, high)
+    slack = 1e-6 * (high - low)
+    if most > high + slack:
+        bar.SetTitle(f"{title}\n\u2265 {high:.3g}")
+    if least < low - slack:
+        size = bar.GetLabelTextProperty().GetFontSize()
+        below = plotter.add_text(
+            f"\u2264 {low:.3g}",
+            position=(BAR_LEFT, BAR_BOTTOM - 1.6 * size / plotter.window_size[1]),
+            viewport=True,
+            color="black",
+        )
+        below.prop.font_size = size
 
 
 def round_values(low: float, high: float) -> NDArray[np.float64]:
@@ -364,6 +399,7 @@ def _add_fog(pv: Any, plotter: Any, volume: "SparseVolume", look: _Look) -> None
     field = dense_field(volume, resolution=FOG_RESOLUTION, margin=1)
     low, high = value_range(field.values, look.limits or _fog_limits(field.values))
     named = look._replace(label=look.label or volume.info.name.encode("utf-8", "replace").decode())
+    named.note(field.values)
     depth = float(np.max(np.multiply(field.spacing, field.values.shape)))
     actor = plotter.add_volume(
         _image_data(pv, field),

@@ -133,6 +133,45 @@ def test_color_bars_are_labeled_at_round_values(limits: tuple[float, float], lab
     assert round_values(*limits) == pytest.approx(labels, rel=1e-12)
 
 
+@pytest.mark.parametrize("limits", [None, (-0.5, 0.5), (-0.5, 2.0), (-2.0, 0.5)])
+def test_color_bars_say_where_values_lie_beyond(
+    tmp_path: Path, sphere: TriangleMesh, limits: tuple[float, float] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from geokit.render import _scene
+
+    written = []
+    say = _scene._say_ends
+
+    def noted(plotter, bar, title, values) -> None:
+        before = set(plotter.actors)
+        say(plotter, bar, title, values)
+        written.append(bar.GetTitle())
+        written.extend(plotter.actors[name].input for name in set(plotter.actors) - before)
+
+    monkeypatch.setattr(_scene, "_say_ends", noted)
+    low, high = sphere.vertices[:, 2].min(), sphere.vertices[:, 2].max()
+    render.figure(
+        tmp_path / "a.png", mesh=sphere, color=sphere.vertices[:, 2], value_limits=limits, label="z", size=SIZE
+    )
+    beyond = limits and limits[1] < high, limits and limits[0] > low
+    assert written == ["z\n\u2265 0.5" if beyond[0] else "z", *(["\u2264 -0.5"] if beyond[1] else [])]
+
+
+def test_fog_says_that_its_bar_ends_at_a_percentile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from geokit import volume
+    from geokit.render import _scene
+
+    seen = []
+    monkeypatch.setattr(_scene, "_say_ends", lambda plotter, bar, title, values: seen.append((title, values)))
+    values = np.linspace(0.0, 1.0, 1000).reshape(10, 10, 10) ** 8
+    fog = volume.from_dense(values, voxel_size=1.0, grid_class="fog volume", name="puff")
+    render.figure(tmp_path / "fog.png", volume=fog, size=SIZE)
+    ((title, (low, high)),) = seen
+    assert title == "puff"
+    assert low == 0.0
+    assert high == pytest.approx(1.0, abs=1e-6)
+
+
 def test_points_are_drawn_over_a_mesh(tmp_path: Path, sphere: TriangleMesh) -> None:
     alone = pixels(render.figure(tmp_path / "a.png", mesh=sphere, size=SIZE))[..., :3]
     both = pixels(

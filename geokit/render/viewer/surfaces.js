@@ -156,6 +156,7 @@ function colorBy(gl, object, by, scene) {
     const found = [scene.low[axis], scene.high[axis]].map((at) => at * scene.scale + scene.center[axis]);
     [object.look.from, object.look.to] = found[0] < found[1] ? found : [found[0] - 0.5, found[0] + 0.5];
   }
+  object.look.range = [object.look.from, object.look.to];
   gl.bindVertexArray(object.array);
   gl.bindBuffer(gl.ARRAY_BUFFER, object.valueBuffer);
   gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);

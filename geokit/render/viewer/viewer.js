@@ -216,6 +216,12 @@ const legendName = (object) =>
   object.kind === "volume" ? object.name
     : AXES.includes(object.look.by) ? object.look.by : labelOf(object.attributes[object.look.by]);
 
+// Texts of the two ends, which say where values lie beyond.
+function endsOf(object) {
+  const { from, to, range } = object.look, text = (value) => String(Number(value.toPrecision(4)));
+  return [(range[0] < from ? "\u2264 " : "") + text(from), (range[1] > to ? "\u2265 " : "") + text(to)];
+}
+
 function drawLegend(scene, tables) {
   const object = legendOf(), legend = find("legend");
   legend.hidden = !object;
@@ -223,8 +229,7 @@ function drawLegend(scene, tables) {
   legend.children[0].textContent = legendName(object);
   drawBar(legend.children[1].getContext("2d"), scene, tables, object, 0, 0, 256, 1);
   const [from, to] = legend.children[2].children;
-  from.textContent = String(Number(object.look.from.toPrecision(4)));
-  to.textContent = String(Number(object.look.to.toPrecision(4)));
+  [from.textContent, to.textContent] = endsOf(object);
 }
 
 function drawBar(context, scene, tables, object, x, y, width, height) {
@@ -242,14 +247,15 @@ function saveShot(canvas, scene, tables) {
   context.drawImage(canvas, 0, 0);
   const object = legendOf(), ratio = window.devicePixelRatio || 1;
   if (object) {
+    const [from, to] = endsOf(object);
     const width = 220 * ratio, x = copy.width - width - 16 * ratio, y = copy.height - 36 * ratio;
     drawBar(context, scene, tables, object, x, y, width, 12 * ratio);
     context.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--front");
     context.font = `${13 * ratio}px system-ui, sans-serif`;
     context.fillText(legendName(object), x, y - 6 * ratio);
-    context.fillText(String(Number(object.look.from.toPrecision(4))), x, y + 26 * ratio);
+    context.fillText(from, x, y + 26 * ratio);
     context.textAlign = "right";
-    context.fillText(String(Number(object.look.to.toPrecision(4))), x + width, y + 26 * ratio);
+    context.fillText(to, x + width, y + 26 * ratio);
   }
   copy.toBlob((blob) => {
     const link = element("a", { href: URL.createObjectURL(blob), download: "geokit.png" });

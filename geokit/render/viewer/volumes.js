@@ -205,6 +205,7 @@ async function readVolume(gl, record, scene) {
     look: {
       draw: isLevelSet ? "surface" : "fog", isovalue: isLevelSet ? 0 : 0.5 * (record.from + record.to), density: 0.3,
       slices: [null, null, null], color: "#b9c4cf", by: "field", from: record.from, to: record.to,
+      range: [record.low, record.high],
       map: isLevelSet ? scene.diverging : scene.colormap,
     },
   };

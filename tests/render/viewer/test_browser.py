@@ -236,6 +236,10 @@ def test_fog_and_what_stands_in_it(shown: Callable[..., Shown]) -> None:
     page = shown(fog, gk.mesh.TriangleMesh(0.3 * BALL.vertices, BALL.faces))
     page.press("[data-name='show-1']")
     thin = page.pixels()
+    # The bar ends at a percentile, and says so.
+    least, most = page.browser.run("return [...document.querySelectorAll('#legend div span')].map(s => s.textContent)")
+    assert least == "0"
+    assert most.startswith("\u2265 0.")
     page.slide("density", 0.9)
     thick = page.pixels()
     height, width = thin.shape[:2]
